@@ -1,38 +1,31 @@
-"""The forward recursion and the pass back over it against plain matrices that hold the parameters as states."""
+"""The filter and the pass back over it against plain matrices that hold the parameters as states."""
 
 import numpy as np
 import pytest
 from fusion_oracles import input_over, van_loan
 
-from midspan.fusion.backward import pass_back
-from midspan.fusion.filtering import FOUND_COLUMNS, RECORD, TAKEN, THETA
-from midspan.fusion.forward import MEASUREMENT_COLUMNS, SET_DATUM
-from midspan.fusion.hypothesis import DATUM, GOOD
-from midspan.fusion.model import (
-    START_S,
-    Beginning,
-    Block,
-    EstimatorSettings,
-    Filter,
-    Parameter,
-    ParameterKind,
-    options_of,
-    run,
-    tables_of,
-)
-from midspan.records import Channel, Source
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.model import START_S, EstimatorSettings, Parameter, ParameterKind
+from midspan.fusion.second_pass import smooth
+from midspan.fusion.streams import AS_DECLARED, NO_ERRORS
+from midspan.records import Channel, Measured, Samples, Source, joined, nanoseconds
 
 # The joint filter integrates the acceleration along straight lines: at 300 Hz the two rules agree to 6e-5 at 1.3 Hz.
 RATE_HZ, FRAME_HZ, LENGTH_S = 300.0, 7.0, 5.0
-DENSITY, NOISE_M = 4e-6 / RATE_HZ, 5e-5
+DENSITY, NOISE_M = 4e-6 / RATE_HZ, 5e-6
 # Of the scale error and the clock offset (s): so small that products of two of them are of no weight.
-PRIOR = np.array([5e-3, 1e-3])
+PRIOR = np.array([5e-4, 1e-4])
 EXPOSURE_S = 0.02
 BLUR_S2 = EXPOSURE_S**2 / 24.0
-START = np.array([0.3, 0.5, 0.2])
+# Displacement (m), velocity (m/s) and bias (m/s²) at the start: no farther than the motion goes, as the joint filter takes a
+# scale error times the predicted displacement, the estimator times the updated one.
+START = np.array([5e-3, 0.05, 0.2])
 BEGIN_S = -START_S
-# Displacement, velocity, bias and datum; three of the zero, which is known here.
-STATES, PARAMETERS = 7, 2
+
+
+# The joint filter takes its rows at the prediction, the estimator the sensitivity to a scale error at the updated
+# displacement: while little is known of the start that is some percent of the sensitivity.
+WITHIN = 0.03
 
 
 def record(seed=3):
@@ -43,61 +36,41 @@ def record(seed=3):
     noise = rng.normal(0, np.sqrt(DENSITY * RATE_HZ), len(time))
     acceleration = -5e-3 * w * w * np.sin(w * time) + 0.02 + noise
     met = 0.03 + np.arange(count) / FRAME_HZ + rng.uniform(0, 0.5 / FRAME_HZ, count)
-    value = 0.994 * 5e-3 * np.sin(w * (met + 1.2e-3)) + rng.normal(0, NOISE_M, count)
+    # In the first interval: the filter begins with the sample before it.
+    met[0] = 0.002
+    value = 0.9994 * 5e-3 * np.sin(w * (met + 1.2e-4)) + rng.normal(0, NOISE_M, count)
     return time, acceleration, met, value
 
 
-# The noise is as told: its factor rests on endlessly many measurements.
-SETTINGS = EstimatorSettings(
-    channels=(Channel("camera", Source.CAMERA, 1.0, exposure_s=EXPOSURE_S),),
-    parameters=(
-        Parameter(ParameterKind.SCALE_ERROR, (0,), PRIOR[0]),
-        Parameter(ParameterKind.CLOCK_OFFSET, (0,), PRIOR[1]),
-    ),
-    bias_std_m_s2=(START[2],),
-    bias_walk=0.0,
-    displacement_std_m=START[0],
-    noise_memory=1e15,
-    noise_weight=1e15,
-    zero_ns=0,
-)
-TABLES = tables_of(SETTINGS)
-
-
-def compiled(time, acceleration, met, value, cut=None):
-    """Nodes, rows and records of the recursion, cut into two blocks at a sample where asked."""
-    samples = np.column_stack((time, acceleration, np.full(len(time), DENSITY)))
-    rows = np.zeros((len(met) + 1, MEASUREMENT_COLUMNS))
-    rows[1:, 0], rows[1:, 2], rows[1:, 3] = met, value, NOISE_M**2
-    rows[0, 0], rows[0, 1] = met[0], SET_DATUM
-    codes = np.full(len(rows), GOOD)
-    codes[0] = DATUM
-    begin = Beginning(0.0, acceleration[:1], np.zeros(1), START[:1], START[1:2], 0)
-    state, left = Filter.begun(begin, SETTINGS), []
-    for part in (slice(0, cut), slice(cut, None)) if cut else (slice(None),):
-        block = samples[part]
-        own = (rows[:, 0] <= block[-1, 0]) & (rows[:, 0] > (block[0, 0] if part.start else -1.0) - 1 / RATE_HZ)
-        left.append(run(state, Block(block, rows[own], codes[own]), TABLES, options_of(SETTINGS), back=True))
-    nodes, found, outcome = (
-        np.concatenate([getattr(one, name) for one in left]) for name in ("nodes", "found", "record")
+def settings_of(met):
+    """Both parameters are estimated from the start; the noise is as declared, and nothing is asked for."""
+    begun_ns = -1_000_000_000
+    return EstimatorSettings(
+        channels=(Channel("camera", Source.CAMERA, 1.0, exposure_s=EXPOSURE_S),),
+        parameters=(
+            Parameter(ParameterKind.SCALE_ERROR, (0,), PRIOR[0], estimated_from_ns=begun_ns),
+            Parameter(ParameterKind.CLOCK_OFFSET, (0,), PRIOR[1], estimated_from_ns=begun_ns),
+        ),
+        bias_std_m_s2=(START[2],),
+        bias_walk=0.0,
+        velocity_std_m_s=(START[1],),
+        displacement_std_m=START[0],
+        rates=NO_ERRORS,
+        noise_memory=np.inf,
+        noise_weight=AS_DECLARED,
+        zero_ns=int(nanoseconds(met[:1])[0]),
     )
-    return nodes, found, outcome
 
 
-def smoothed(time, nodes, outcome, parameters):
-    """Rows (n, 3) of displacement, variance and velocity by the pass back."""
-    adjoint, counted = np.zeros((1 + PARAMETERS + 2 * STATES, STATES)), np.array([-1])
-    left, rows = (nodes.copy(), outcome.copy(), np.ones(STATES, dtype=int)), np.zeros((len(time), 1, FOUND_COLUMNS))
-    pass_back(time, BEGIN_S, TABLES, counted, left, adjoint, parameters, rows)
-    return rows[:, 0]
-
-
-def found(outcome):
-    """The parameters (2,) that the innovations tell, with their covariance, from the prior."""
-    used = outcome[:, TAKEN] > 0.0
-    u, e, total = outcome[used, RECORD + 1 : RECORD + 3], outcome[used, RECORD], outcome[used, TAKEN]
-    covariance = np.linalg.inv((u.T / total) @ u + np.diag(PRIOR**-2.0))
-    return -covariance @ ((u.T / total) @ e), covariance
+def estimated(time, acceleration, met, value):
+    """The estimator at the end, and its rows (n,)."""
+    estimator = Estimator(settings_of(met), log=True)
+    zeros, count = np.zeros(len(met)), len(time)
+    density, kind = np.full((count, 1), DENSITY), np.zeros(count, dtype=np.uint8)
+    estimator.push(Measured(nanoseconds(met), zeros.astype(np.int64), value, zeros + NOISE_M**2, zeros))
+    found = estimator.push(Samples(nanoseconds(time), acceleration[:, None], density, kind))
+    found += estimator.finish()
+    return estimator, joined([one.estimates[0] for one in found if one.estimates])
 
 
 def joint(time, acceleration, met, value):
@@ -106,7 +79,8 @@ def joint(time, acceleration, met, value):
     """
     edges, a = np.concatenate(([BEGIN_S], time)), np.concatenate((acceleration[:1], acceleration))
     instants = [(t, 1, 0) for t in time] + [(t, 0, i) for i, t in enumerate(met)]
-    mean, spread = np.zeros(6), np.diag([*START**2, 0.0, *PRIOR**2])
+    # Nothing better is known of the place than the first measurement.
+    mean, spread = np.array([value[0], *np.zeros(5)]), np.diag([*START**2, 0.0, *PRIOR**2])
     chain, at = [], BEGIN_S
     for t, is_sample, i in sorted(instants):
         transition, noise, moved = np.eye(6), np.zeros((6, 6)), np.zeros(6)
@@ -141,56 +115,40 @@ def joint(time, acceleration, met, value):
     return filtered, back[::-1]
 
 
+JOINT_ROW = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
+
+
 @pytest.fixture(scope="module")
 def both():
-    """The compiled recursion, what the parameters are then, and the joint filter."""
+    """The record, the estimator at its end with its rows, and the joint filter."""
     given = record()
-    return given, *compiled(*given), joint(*given)
+    return given, *estimated(*given), joint(*given)
 
 
 def test_parameters_found_are_those_of_a_filter_that_has_them_as_states(both):
-    _, _, _, outcome, (filtered, _) = both
-    value, covariance = found(outcome)
+    _, estimator, _, (filtered, _) = both
+    value, variance = estimator.parameters
     mean, spread = filtered[-1]
-    # The joint filter takes its rows at another estimate: a difference of second order in the prior.
-    assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(spread)[4:]), rel=5e-3)
-    assert value == pytest.approx(mean[4:], abs=0.01 * np.sqrt(np.diag(covariance)).max(), rel=0.02)
+    assert np.sqrt(variance) == pytest.approx(np.sqrt(np.diag(spread)[4:]), rel=WITHIN)
+    assert value == pytest.approx(mean[4:], abs=0.01 * np.sqrt(variance).max(), rel=0.02)
 
 
 def test_rows_and_band_are_those_of_a_filter_that_has_them_as_states(both):
-    _, nodes, rows, outcome, (filtered, _) = both
-    mean, spread = filtered[-1]
-    value, covariance = found(outcome)
-    node, prior = nodes[-1, 0], np.diag(PRIOR**2)
-    sensitivity = node[1:3]
-    # The rows' band is that of the prior: what the record tells of the parameters is taken in its place here.
-    variance = rows[-1, 0, 1] + sensitivity @ (covariance - prior) @ sensitivity
-    joint_row = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
-    assert np.sqrt(variance) == pytest.approx(np.sqrt(joint_row @ spread @ joint_row), rel=5e-3)
-    assert rows[-1, 0, 0] + sensitivity @ value == pytest.approx(joint_row @ mean, abs=0.05 * np.sqrt(variance))
+    (time, *_), _, rows, (filtered, _) = both
+    assert len(rows.time_ns) == len(time) - 1
+    for k in (-1, -200, -500):
+        mean, spread = filtered[k]
+        std = np.sqrt(rows.variance_m2[k])
+        assert std == pytest.approx(np.sqrt(JOINT_ROW @ spread @ JOINT_ROW), rel=WITHIN)
+        assert rows.displacement_m[k] == pytest.approx(JOINT_ROW @ mean, abs=0.05 * std)
 
 
 def test_the_pass_back_is_the_smoother_of_plain_matrices(both):
-    (time, *_), nodes, _, outcome, (_, smooth) = both
-    value, covariance = found(outcome)
-    rows = smoothed(time, nodes, outcome, (value, covariance))
-    without = smoothed(time, nodes, outcome, (np.zeros(2), covariance))
-    # The parameters move the rows by more than what is compared: their sign and size are tested.
-    assert np.abs(rows[:, 0] - without[:, 0]).max() > 3e-5
-    joint_row = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
+    (time, *_), estimator, _, (_, smoothed) = both
+    rows = smooth(estimator.log, estimator.settings)[0]
+    # Its first row is that of the second sample.
     for k in np.flatnonzero(time > 0.5)[::20]:
-        mean, spread = smooth[k]
-        std = np.sqrt(rows[k, 1])
-        assert std == pytest.approx(np.sqrt(joint_row @ spread @ joint_row), rel=5e-3)
-        assert abs(rows[k, 0] - joint_row @ mean) < 0.05 * std
-
-
-def test_any_cutting_gives_the_same_bits():
-    given = record()
-    whole = compiled(*given)
-    for cut in (1, 77, 200):
-        nodes, found, outcome = compiled(*given, cut=cut)
-        assert np.array_equal(nodes, whole[0])
-        assert np.array_equal(found, whole[1])
-        # The interval is counted from the block's begin.
-        assert np.array_equal(outcome[:, THETA:], whole[2][:, THETA:])
+        mean, spread = smoothed[k]
+        std = np.sqrt(rows.variance_m2[k - 1])
+        assert std == pytest.approx(np.sqrt(JOINT_ROW @ spread @ JOINT_ROW), rel=WITHIN)
+        assert abs(rows.displacement_m[k - 1] - JOINT_ROW @ mean) < 0.05 * std

@@ -1,10 +1,11 @@
 //! The update of one hypothesis by a measurement that it accepts: states, noise, parameters, and steps of the zero.
 
-use super::cause::{DECADES, Decision, OUTLIER_MEMORY, SHORTEST_S, met_within};
+use super::cause::Decision;
 use super::hypothesis::{Hypothesis, LastShift};
 use super::innovation::{Innovation, Scene, Work};
 use super::noise::adapt;
 use super::parameters::{Told, learn, move_to_updated};
+use super::situation::{DECADES, OUTLIER_MEMORY, SHORTEST_S, met_within};
 use super::steps::{APART_BY, Instant, Weighed, begin_instant, carry_all, meet_innovation, moved_probability};
 use super::update::{begin_zero, update};
 

@@ -5,37 +5,23 @@
 //! decides between them ([`super::hypotheses`]).
 
 use super::acceptance::{accept, find_step};
-use super::hypothesis::{Burst, Contradiction, Doubt, Hypothesis, LastShift, Mark, Memory};
+use super::hypothesis::{Burst, Contradiction, Doubt, Hypothesis, LastShift};
 use super::innovation::{Innovation, Scene, Work, look};
 use super::matrix::Matrix;
 use super::model::Model;
 use super::noise::ANEW;
 use super::predict::add_noise;
+use super::situation::{
+    GATE, OUTLIER_MEMORY, P_STEPPED, SHORTEST_S, Situation, led_away, log_normal, met_within, tells_step,
+};
 use super::update::scale_state;
 use serde::{Deserialize, Serialize};
 
-/// Innovations beyond this number of standard deviations are asked what happened: one in 16 000 is by chance.
-pub const GATE: f64 = 4.0;
-/// A measurement this many times (in variance) as far off as predicted is an outlier until the next one says otherwise: 100
-/// deviations. The least weight of anything else would move the rows by that share of whatever size it has.
-pub const WILD: f64 = 1e4;
 /// A prediction whose variance is this many times the measurement's own cannot tell an outlier from a measurement inside
 /// the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
 pub const VAGUE: f64 = 25.0;
-/// The share of outliers is that of this number of measurements.
-pub const OUTLIER_MEMORY: f64 = 20.0;
-/// It is never more than this: a sensor that is mostly wrong cannot be distinguished from one that has shifted.
-const MAX_OUTLIERS: f64 = 0.3;
-/// Errors of unknown size lie within this number of decades above the noise.
-pub const DECADES: f64 = 4.0;
 /// What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 const BIAS_TOO: f64 = 0.05;
-/// Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
-const P_STEPPED: f64 = 0.1;
-/// Shortest time (s) that a rate is taken over.
-pub const SHORTEST_S: f64 = 1e-3;
-const LOG_2PI: f64 = 1.837_877_066_409_345_3;
-
 /// What is known of a shift's size beforehand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Prior {
@@ -94,119 +80,6 @@ impl Decision {
     pub fn is_outlier(self) -> bool {
         self.cause == Cause::Outlier
     }
-}
-
-/// A measurement in one hypothesis, before it is decided what it is.
-pub struct Situation<'a> {
-    scene: &'a Scene<'a>,
-    mark: &'a Mark,
-    memory: &'a Memory,
-    marks: &'a [Mark],
-    seen: Innovation,
-    /// Mean of the shift's state, its variance, and its entry of P h.
-    shift: (f64, f64, f64),
-    /// Whether it is one of the first and may be an outlier even inside the gate.
-    first: bool,
-    /// Variance of the sharpest prediction that any hypothesis has of it.
-    sharpest: f64,
-    inside: bool,
-    /// Whether the outliers before it, or of the same frame, make another one likely.
-    runs: bool,
-    /// Time in which it may have happened, s: among outliers any since the last measurement that was none.
-    lapse: f64,
-}
-
-impl<'a> Situation<'a> {
-    /// Of a hypothesis that has just looked at the measurement.
-    pub fn new(
-        hyp: &'a Hypothesis,
-        scene: &'a Scene,
-        seen: Innovation,
-        ph: &[f64],
-        (first, sharpest): (bool, f64),
-    ) -> Self {
-        let (mark, memory, s) = (&hyp.marks[scene.row.channel], &hyp.memory, scene.channel.shift);
-        let same_frame = memory.outlier == Some((scene.at_s, scene.channel.sensor));
-        Self {
-            scene,
-            mark,
-            memory,
-            marks: &hyp.marks,
-            shift: (hyp.x[(s, 0)], hyp.p[(s, s)], ph[s]),
-            first,
-            sharpest,
-            inside: seen.within(GATE),
-            runs: mark.outliers > 0.0 || same_frame,
-            lapse: (scene.at_s - mark.accepted_s.max(memory.began_s)).max(SHORTEST_S),
-            seen,
-        }
-    }
-
-    fn p_outlier(&self) -> f64 {
-        let rates = &self.scene.model.rates;
-        if self.runs { rates.stays } else { rates.outlier.max(self.mark.share.min(MAX_OUTLIERS)) }
-    }
-
-    /// Whether it is asked what else than an outlier it may be: of the first measurements it is not, as what is met once an
-    /// hour is not met just then.
-    fn asked(&self) -> bool {
-        let wild = self.mark.outliers == 0.0 && self.seen.error * self.seen.error > WILD * self.seen.total();
-        !self.inside && !self.first && !wild
-    }
-
-    fn normal(&self) -> f64 {
-        log_normal(self.seen.error, self.seen.total())
-    }
-
-    fn any_size(&self) -> f64 {
-        log_any_size(self.seen.error, self.seen.total())
-    }
-
-    /// The density of a wrong measurement; a value near the first outlier's says nothing against the sensor where no
-    /// hypothesis can tell the motion.
-    fn wrong_or_kept(&self) -> f64 {
-        let wrong = log_wrong(self.seen.error, self.seen.total(), self.seen.own);
-        if self.mark.outliers > 0.0 {
-            let again = log_normal(self.scene.row.value - self.mark.kept, (2.0 * self.seen.own).max(self.sharpest));
-            return wrong.max(again);
-        }
-        wrong
-    }
-
-    /// The variance that a step of the clock adds, in the channel's unit.
-    fn apart(&self) -> f64 {
-        let g = self.scene.channel.row.units_per_m;
-        self.scene.channel.apart.variance_m2 * g * g
-    }
-
-    /// How likely it is that the sensor's clock has stepped: 0 where another channel of the same frame agrees.
-    fn clock_rate(&self) -> f64 {
-        let (scene, rates) = (self.scene, &self.scene.model.rates);
-        for (o, (mark, channel)) in self.marks.iter().zip(&scene.model.channels).enumerate() {
-            if o != scene.row.channel && channel.sensor == scene.channel.sensor {
-                if mark.stepped {
-                    return rates.stays;
-                }
-                if mark.accepted_s == scene.at_s {
-                    return 0.0;
-                }
-            }
-        }
-        if self.mark.doubt == Doubt::None { met_within(rates.clock, self.lapse) } else { P_STEPPED }
-    }
-
-    /// Whether a step of the clock is asked for inside the gate: not where the prediction may be off by more than what one
-    /// makes.
-    fn doubted(&self) -> bool {
-        matches!(self.mark.doubt, Doubt::Once | Doubt::Gap) && tells_step(self.scene, self.seen.total())
-    }
-}
-
-/// Whether an innovation's variance is less than what a step of the clock makes; where clocks do not step there is nothing
-/// to tell.
-fn tells_step(scene: &Scene, total: f64) -> bool {
-    let (apart, g) = (scene.channel.apart.variance_m2, scene.channel.row.units_per_m);
-    apart == 0.0 || total < apart * g * g
 }
 
 impl Cause {
@@ -475,34 +348,58 @@ fn inflate_motion(p: &mut Matrix, i: usize, (size, lapse): (f64, f64), explained
     }
 }
 
-/// Logarithm of the normal density of an innovation.
-pub fn log_normal(e: f64, total: f64) -> f64 {
-    -0.5 * (LOG_2PI + total.ln() + e * e / total)
-}
-
-/// Logarithm of the density of an error of unknown size: alike in all decades from the predicted deviation on.
-pub fn log_any_size(e: f64, total: f64) -> f64 {
-    -(2.0 * DECADES * std::f64::consts::LN_10).ln() - 0.5 * (e * e).max(total).ln()
-}
-
-/// Logarithm of the density of a measurement that is wrong: its error is alike in all decades from its own deviation on,
-/// and those decades that the prediction cannot tell leave what is predicted.
-fn log_wrong(e: f64, total: f64, own: f64) -> f64 {
-    let hidden = (0.5 * (total / own).log10() / DECADES).min(1.0);
-    (hidden * log_normal(e, total).exp() + log_any_size(e, total).exp()).ln()
-}
-
-/// Probability that what is met so often a second (Poisson) is met in a lapse, s.
-pub fn met_within(rate: f64, lapse: f64) -> f64 {
-    -(-rate * lapse).exp_m1()
-}
-
-/// Density, (m/s²)²/Hz, of an error of the acceleration that leads a prediction `size` (m) away in `lapse` (s).
-pub fn led_away(size: f64, lapse: f64) -> f64 {
-    3.0 * size * size / (lapse * lapse * lapse)
-}
-
 /// Logarithm of the share of what goes on that ends just now, over that of what stays.
 pub fn log_ends(model: &Model) -> f64 {
     (1.0 - model.rates.stays).ln() - model.rates.stays.ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::innovation::look;
+    use super::super::motion::AxisMotion;
+    use super::super::situation::log_any_size;
+    use super::super::tests::{beginning, channel, rates, settings};
+    use super::super::waiting::Measurement;
+    use super::*;
+
+    /// From a frame to a month.
+    const LAPSES_S: [f64; 5] = [0.04, 10.0, 3600.0, 86400.0, 2.6e6];
+
+    #[test]
+    fn no_prior_is_more_than_certain() {
+        let mut set = settings(vec![channel()], rates());
+        set.motion = vec![(2e-3, 10.0)];
+        let (model, motion) = (Model::new(&set, 0), [AxisMotion::default()]);
+        for (lapse, shifted) in LAPSES_S.into_iter().flat_map(|lapse| [(lapse, false), (lapse, true)]) {
+            let mut hyp = Hypothesis::begun(&beginning(1e-4, 1e-3), &set, &model);
+            let mark = &mut hyp.marks[0];
+            (mark.accepted_s, mark.met_s, mark.shifted, mark.begun) = (0.0, 0.0, shifted, true);
+            // 10 mm off, of a prediction that is good to 0.1 mm.
+            let row = Measurement { channel: 0, value: 1e-2, variance: 1e-8, reference: 0.0 };
+            let (channel, mut work) = (&model.channels[0], Work::new(&model));
+            let scene = Scene {
+                model: &model,
+                row: &row,
+                channel,
+                at_s: lapse,
+                motion: &motion,
+                acceleration: 0.0,
+                density: 0.0,
+            };
+            let seen = look(&hyp, &scene, &mut work);
+            let at = Situation::new(&hyp, &scene, seen, &work.gain, (false, 2e-8));
+            let any_size = log_any_size(seen.error, seen.total());
+            for cause in [Cause::Shift(Prior::AnySize), Cause::Wrong, Cause::Noise, Cause::Lost] {
+                let prior = (cause.log_weight(&at) - any_size).exp();
+                // Once an hour, as a Poisson process.
+                assert!((prior / (1.0 - (-lapse / 3600.0).exp()) - 1.0).abs() < 1e-9, "{cause:?} {lapse}");
+            }
+            let (cause, more) = match shifted {
+                // Nothing is known of a shift's size here: without it the innovation is the same.
+                true => (Cause::Shift(Prior::FormerZero), 0.0),
+                false => (Cause::Clock, channel.apart.variance_m2),
+            };
+            assert!((cause.log_weight(&at) - log_normal(seen.error, seen.total() + more)).exp() <= 1.0 + 1e-12);
+        }
+    }
 }

@@ -13,7 +13,7 @@ use super::predict::{
 use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_variance};
 use super::run::{Block, Filter};
 use super::samples::{BRIDGED, View};
-use super::smoother::WayBack;
+use super::way_back::WayBack;
 
 /// Where rows and nodes go.
 pub struct Leave<'a> {

@@ -5,10 +5,11 @@
 //! the likelihood of what is measured later decides. Hypotheses that fall behind the best are dropped, those that have
 //! come to agree are one again, and no more than a fixed number is kept.
 
-use super::cause::{Cause, Decision, Situation, apply, log_ends};
+use super::cause::{Cause, Decision, apply, log_ends};
 use super::hypothesis::{Doubt, Hypothesis};
 use super::innovation::{Scene, Work, follow_clock, look, meet_zero};
 use super::model::Model;
+use super::situation::Situation;
 use serde::{Deserialize, Serialize};
 
 /// How many hypotheses are kept while the first measurements are judged, any of which may be outliers.

@@ -13,10 +13,11 @@ use super::model::{Model, instant, since};
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
-use super::smoother::{Adjoint, Counting, WayBack};
+use super::smoother::{Adjoint, Counting};
 use super::start::Beginning;
 use super::stream::{Estimator, Output, Remembered};
 use super::waiting::{Timed, count_until};
+use super::way_back::WayBack;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 

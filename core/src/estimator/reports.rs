@@ -1,8 +1,9 @@
 //! What is reported of final decisions: one event for each cause, of which Python makes sentences.
 
-use super::cause::{Cause, Prior, WILD};
+use super::cause::{Cause, Prior};
 use super::decided::Decided;
 use super::model::{Model, instant};
+use super::situation::WILD;
 use serde::{Deserialize, Serialize};
 
 /// Outliers in a row that are an event; a wild one alone is.

@@ -4,7 +4,7 @@
 //! then one hypothesis is enough, and what the pass back ([`super::smoother`]) needs can be left.
 
 use super::acceptance::{accept, find_step};
-use super::cause::{Cause, Decision, GATE, VAGUE, apply};
+use super::cause::{Cause, Decision, VAGUE, apply};
 use super::coast::Leave;
 use super::decided::{Survivor, Undecided};
 use super::hypotheses::Hypotheses;
@@ -17,11 +17,12 @@ use super::predict::{add_noise, predict_covariance, predict_mean};
 use super::rows::{Met, Rows, leave_row};
 use super::samples::View;
 use super::settings::{MAX_AXES, Settings};
-use super::smoother::WayBack;
+use super::situation::GATE;
 use super::start::{Beginning, START_S};
 use super::steps::SURE;
 use super::update::set_datum;
 use super::waiting::{Item, Measurement, Timed};
+use super::way_back::WayBack;
 use serde::{Deserialize, Serialize};
 
 /// The hypotheses, the motion's input and the clock, that a run changes and carries on.
@@ -65,6 +66,16 @@ pub enum Judge<'a> {
         /// What the way back needs, where there is one.
         back: Option<&'a mut WayBack>,
     },
+}
+
+impl Judge<'_> {
+    /// What the way back needs.
+    fn back(&mut self) -> Option<&mut WayBack> {
+        match self {
+            Self::Decided { back, .. } => back.as_deref_mut(),
+            Self::Open { .. } => None,
+        }
+    }
 }
 
 /// A measurement's place in its interval.
@@ -118,72 +129,73 @@ impl Filter {
         mut rows: Option<&mut Rows>,
         work: &mut Work,
     ) {
-        let axes = model.axes();
-        model.layout.find_uncertain(&self.hyps.best().p, &mut work.uncertain);
-        if let Judge::Decided { back: Some(back), .. } = judge {
-            back.note_uncertain(&work.uncertain);
-        }
+        self.note_uncertain(model, judge, work);
         let (mut next, mut ordered, mut k) = (0, 0, 0);
-        while let Some(&end_s) = block.time_s.get(k) {
+        while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let back = match judge {
-                    Judge::Decided { back, .. } => back.as_deref_mut(),
-                    Judge::Open { .. } => None,
-                };
-                let reached = self.coast(
-                    model,
-                    block,
-                    k,
-                    before_s,
-                    &work.uncertain,
-                    &mut Leave { rows: rows.as_deref_mut(), back },
-                );
+                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back() };
+                let reached = self.coast(model, block, k, before_s, &work.uncertain, leave);
                 if reached > k {
                     k = reached;
                     continue;
                 }
             }
-            let begun_s = self.clock.time_s;
-            let (dt, gap) = (end_s - begun_s, self.clock.is_gap(end_s));
-            let density = &block.samples.density[k * axes..(k + 1) * axes];
-            let mut now = [0.0; MAX_AXES];
-            self.leaned(model, &block.samples.value[k * axes..(k + 1) * axes], dt, &mut now);
-            self.begin_interval(model, &now, end_s);
-            let mut reached = 0.0;
-            while let Some(item) = block.items.get(next).filter(|item| item.at_s <= end_s) {
-                let since_s = item.at_s - begun_s;
-                if since_s > reached {
-                    self.advance(model, reached, since_s, density, work);
-                    reached = since_s;
-                }
-                let place = Place { since_s, dt, end: &now, density };
-                self.meet(model, block.items, next, &mut ordered, &place, judge, work);
-                model.layout.find_uncertain(&self.hyps.best().p, &mut work.uncertain);
-                if let Judge::Decided { back: Some(back), .. } = judge {
-                    back.note_uncertain(&work.uncertain);
-                }
-                next += 1;
+            self.step(model, block, (k, &mut next, &mut ordered), judge, work);
+            if let Some(rows) = rows.as_deref_mut().filter(|_| block.samples.is_row(k, block.first_ns)) {
+                leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), rows);
             }
-            if dt > reached {
-                self.advance(model, reached, dt, density, work);
-            }
-            self.clock.advance(end_s);
-            if gap {
-                self.hyps.doubt_all();
-            }
-            for (axis, &input) in self.motion.iter_mut().zip(&now) {
-                axis.input = input;
-            }
-            if let Some(rows) = rows.as_deref_mut() {
-                if block.samples.is_row(k, block.first_ns) {
-                    leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), rows);
-                }
-            }
-            if let Judge::Decided { back: Some(back), .. } = judge {
+            if let Some(back) = judge.back() {
                 back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
             }
             k += 1;
+        }
+    }
+
+    /// Goes on over the interval that ends at a sample, with the items in it.
+    fn step(
+        &mut self,
+        model: &Model,
+        block: &mut Block,
+        (k, next, ordered): (usize, &mut usize, &mut usize),
+        judge: &mut Judge,
+        work: &mut Work,
+    ) {
+        let (axes, begun_s, end_s) = (model.axes(), self.clock.time_s, block.time_s[k]);
+        let (dt, gap) = (end_s - begun_s, self.clock.is_gap(end_s));
+        let density = &block.samples.density[k * axes..(k + 1) * axes];
+        let mut now = [0.0; MAX_AXES];
+        self.leaned(model, &block.samples.value[k * axes..(k + 1) * axes], dt, &mut now);
+        self.begin_interval(model, &now, end_s);
+        let mut reached = 0.0;
+        while let Some(item) = block.items.get(*next).filter(|item| item.at_s <= end_s) {
+            let since_s = item.at_s - begun_s;
+            if since_s > reached {
+                self.advance(model, reached, since_s, density, work);
+                reached = since_s;
+            }
+            let place = Place { since_s, dt, end: &now, density };
+            self.meet(model, (block.items, *next, ordered), &place, judge, work);
+            self.note_uncertain(model, judge, work);
+            *next += 1;
+        }
+        if dt > reached {
+            self.advance(model, reached, dt, density, work);
+        }
+        self.clock.advance(end_s);
+        if gap {
+            self.hyps.doubt_all();
+        }
+        for (axis, &input) in self.motion.iter_mut().zip(&now) {
+            axis.input = input;
+        }
+    }
+
+    /// Finds the uncertain states of the best hypothesis.
+    fn note_uncertain(&self, model: &Model, judge: &mut Judge, work: &mut Work) {
+        model.layout.find_uncertain(&self.hyps.best().p, &mut work.uncertain);
+        if let Some(back) = judge.back() {
+            back.note_uncertain(&work.uncertain);
         }
     }
 
@@ -234,14 +246,11 @@ impl Filter {
         }
     }
 
-    /// Takes the item at place `j`, judged or as decided.
-    #[allow(clippy::too_many_arguments)]
+    /// Takes the item at place `j`, judged or as decided; ordered: up to where items of one instant are in their order.
     fn meet(
         &mut self,
         model: &Model,
-        items: &mut [Timed],
-        j: usize,
-        ordered: &mut usize,
+        (items, j, ordered): (&mut [Timed], usize, &mut usize),
         place: &Place,
         judge: &mut Judge,
         work: &mut Work,

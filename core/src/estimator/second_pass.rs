@@ -14,9 +14,10 @@ use super::model::{Model, instant};
 use super::rows::{AxisRows, Rows};
 use super::run::{Block, Filter, Judge};
 use super::settings::Settings;
-use super::smoother::{Adjoint, Counting, WayBack};
+use super::smoother::{Adjoint, Counting};
 use super::unforeseen::{Error, add_errors, first_change, put_steps_in_place, unforeseen};
 use super::waiting::count_until;
+use super::way_back::WayBack;
 use std::ops::Range;
 
 /// A part of the log with the filter before its first sample.

@@ -1,9 +1,10 @@
 //! What a second pass knows better than the filter did: what led predictions away, and where steps of zeros were.
 
-use super::cause::{Cause, Decision, Prior, SHORTEST_S, led_away};
+use super::cause::{Cause, Decision, Prior};
 use super::decided::Decided;
 use super::model::Model;
 use super::reports::ONE_CAUSE_S;
+use super::situation::{SHORTEST_S, led_away};
 
 /// An error of the acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,4 +107,34 @@ pub fn first_change(before: &Decided, decisions: &[Decision], errors: &[Error]) 
     let other = before.decisions.iter().zip(decisions).position(|(one, other)| one != other);
     let first_s = other.map_or(f64::INFINITY, |j| before.items[j].at_s);
     errors.iter().map(|one| one.from_s).fold(first_s, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::hypothesis::Contradiction;
+    use super::super::tests::{channel, measured, rates, settings};
+    use super::*;
+
+    #[test]
+    fn outliers_of_the_cause_that_a_wrong_state_explains_are_asked_again() {
+        // Every third of a second; one outlier long before, then a state that is led away and contradicts sound measurements
+        // on both sides of one that it took.
+        let outliers = [1, 11, 13, 14, 16];
+        let cause = |j: usize| match j {
+            17 => Cause::Lost,
+            j if outliers.contains(&j) => Cause::Outlier,
+            _ => Cause::Good,
+        };
+        let decided = Decided {
+            items: (0..19).map(|j| measured(f64::from(j) / 3.0, 0, 0.0, 1.0)).collect(),
+            decisions: (0..19).map(|j| Decision::of(cause(j))).collect(),
+            told: vec![Contradiction { size: 1.0, variance: 1.0, ago_s: 0.0 }; 19],
+        };
+        let model = Model::new(&settings(vec![channel()], rates()), 0);
+        let (errors, decisions) = unforeseen(&decided, &model);
+        let again: Vec<usize> = (0..19).filter(|&j| decisions[j].explained).collect();
+        assert_eq!(again, [11, 13, 14, 16, 17]);
+        assert!(decisions.iter().zip(&decided.decisions).all(|(one, other)| one.cause == other.cause));
+        assert_eq!(errors.len(), 1);
+    }
 }

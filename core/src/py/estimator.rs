@@ -1,6 +1,7 @@
 //! `estimator` for Python.
 
 use super::elements;
+use super::settings::PySettings;
 use crate::estimator::lag::Lag;
 use crate::estimator::matrix::Matrix;
 use crate::estimator::model::instant;
@@ -9,7 +10,6 @@ use crate::estimator::rows::{AxisRows, Innovations, Rows};
 use crate::estimator::run::Filter;
 use crate::estimator::samples::View;
 use crate::estimator::second_pass::smooth;
-use crate::estimator::settings::{self, ParameterKind, Rates};
 use crate::estimator::state::{StateError, from_bytes, to_bytes};
 use crate::estimator::stream::{self, Limits, Output};
 use crate::estimator::waiting::{Item, Measurement};
@@ -37,149 +37,11 @@ type ReportTuple = (u8, i64, usize, f64, f64, usize, f64);
 /// Rows or None, innovations of each channel, events, variance of the zero of each axis.
 type OutputTuple<'py> = (Option<RowArrays<'py>>, Vec<InnovationArrays<'py>>, Vec<ReportTuple>, Vec<f64>);
 
-/// The settings as Python holds them.
-#[derive(FromPyObject)]
-struct PySettings {
-    channels: Vec<PyChannel>,
-    axes: usize,
-    parameters: Vec<PyParameter>,
-    bias_m_s2: Vec<f64>,
-    bias_std_m_s2: Vec<f64>,
-    bias_walk: f64,
-    velocity_std_m_s: Option<Vec<f64>>,
-    displacement_std_m: Option<f64>,
-    rates: PyRates,
-    noise_memory: f64,
-    noise_weight: f64,
-    motion: Vec<(f64, f64)>,
-    zero_ns: Option<i64>,
-    unseen_std_m: Vec<f64>,
-    unseen_zero_std_m: Vec<f64>,
-    misfit: Vec<f64>,
-    lean: Vec<f64>,
-}
-
-#[derive(FromPyObject)]
-struct PyChannel {
-    sensor: String,
-    source: u8,
-    units_per_m: f64,
-    axis: usize,
-    variance_factor: f64,
-    exposure_s: f64,
-    zero_std_m: f64,
-    zero_walk_m2_s: f64,
-    coasting_s: f64,
-    lost_s: f64,
-    slow_std_m: f64,
-    slow_time_s: f64,
-}
-
-#[derive(FromPyObject)]
-struct PyParameter {
-    kind: i64,
-    channels: Vec<usize>,
-    std: f64,
-    estimated_from_ns: Option<i64>,
-    walk: f64,
-    clear: f64,
-    axis: usize,
-}
-
-#[derive(FromPyObject)]
-struct PyRates {
-    outlier: f64,
-    stays: f64,
-    shift: f64,
-    back: f64,
-    wrong: f64,
-    noise: f64,
-    lost: f64,
-    clock: f64,
-    odds: f64,
-}
-
-impl PySettings {
-    fn converted(self) -> PyResult<settings::Settings> {
-        let mut sensors: Vec<String> = self.channels.iter().map(|one| one.sensor.clone()).collect();
-        sensors.sort_unstable();
-        sensors.dedup();
-        let sensor = |name: &String| sensors.binary_search(name).unwrap_or(0);
-        let channels = self.channels.iter().map(|one| one.converted(sensor(&one.sensor))).collect();
-        let parameters = self.parameters.into_iter().map(PyParameter::converted).collect::<PyResult<_>>()?;
-        let own = |std: &f64| if self.zero_ns.is_some() { std * std } else { 0.0 };
-        let both = self.unseen_std_m.iter().zip(&self.unseen_zero_std_m);
-        let rates = &self.rates;
-        let settings = settings::Settings {
-            channels,
-            axes: self.axes,
-            parameters,
-            unseen_m2: both.clone().map(|(std, zero)| 2.0 * std * std + zero * zero).collect(),
-            unseen_common_m2: both.map(|(std, zero)| own(std) + zero * zero).collect(),
-            bias_m_s2: self.bias_m_s2,
-            bias_std_m_s2: self.bias_std_m_s2,
-            bias_walk: self.bias_walk,
-            velocity_std_m_s: self.velocity_std_m_s,
-            displacement_std_m: self.displacement_std_m,
-            rates: Rates {
-                outlier: rates.outlier,
-                stays: rates.stays,
-                shift: rates.shift,
-                back: rates.back,
-                wrong: rates.wrong,
-                noise: rates.noise,
-                lost: rates.lost,
-                clock: rates.clock,
-                odds: rates.odds,
-            },
-            noise_memory: self.noise_memory,
-            noise_weight: self.noise_weight,
-            motion: self.motion,
-            zero_ns: self.zero_ns,
-            misfit: self.misfit,
-            lean: self.lean,
-        };
-        if settings.consistent() { Ok(settings) } else { Err(PyValueError::new_err("settings: inconsistent")) }
-    }
-}
-
-impl PyChannel {
-    fn converted(&self, sensor: usize) -> settings::Channel {
-        settings::Channel {
-            sensor,
-            source: self.source,
-            units_per_m: self.units_per_m,
-            axis: self.axis,
-            variance_factor: self.variance_factor,
-            exposure_s: self.exposure_s,
-            zero_std_m: self.zero_std_m,
-            zero_walk_m2_s: self.zero_walk_m2_s,
-            coasting_s: self.coasting_s,
-            lost_s: self.lost_s,
-            slow_std_m: self.slow_std_m,
-            slow_time_s: self.slow_time_s,
-        }
-    }
-}
-
-impl PyParameter {
-    fn converted(self) -> PyResult<settings::Parameter> {
-        let kind = match self.kind {
-            1 => ParameterKind::ScaleError,
-            2 => ParameterKind::ClockOffset,
-            -1 => ParameterKind::GainError { axis: self.axis },
-            other => return Err(PyValueError::new_err(format!("kind of a parameter: {other}"))),
-        };
-        Ok(settings::Parameter {
-            kind,
-            channels: self.channels,
-            std: self.std,
-            estimated_from_ns: self.estimated_from_ns,
-            walk: self.walk,
-            clear: self.clear,
-        })
-    }
-}
+/// Stamps (n,), values and densities (n · axes,) and kinds (n,).
+type SampleArrays<'py> =
+    (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u8>>);
+/// Time (s), states (n, 1 + k) and covariance (n, n).
+type FilterTuple<'py> = (f64, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
 /// Why bytes are no state, as Python's error.
 pub fn state_error(error: StateError) -> PyErr {
@@ -318,9 +180,6 @@ fn matrix<'py>(py: Python<'py>, one: &Matrix) -> Bound<'py, PyArray2<f64>> {
     PyArray2::from_vec2(py, &rows).unwrap_or_else(|_| PyArray2::zeros(py, [0, 0], false))
 }
 
-/// Time (s), states (n, 1 + k) and covariance (n, n).
-type FilterArrays<'py> = (f64, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
-
 /// Parameters (k,) and their variances (k,).
 type Parameters = (Vec<f64>, Vec<f64>);
 
@@ -420,7 +279,7 @@ impl Estimator {
     }
 
     /// Time (s), states (n, 1 + k) and covariance (n, n) of the best hypothesis; None before the filter has begun.
-    fn filter<'py>(&self, py: Python<'py>) -> Option<FilterArrays<'py>> {
+    fn filter<'py>(&self, py: Python<'py>) -> Option<FilterTuple<'py>> {
         let filter: &Filter = self.own.filter()?;
         let best = filter.hyps.best();
         Some((filter.clock.time_s, matrix(py, &best.x), matrix(py, &best.p)))
@@ -457,16 +316,7 @@ impl Estimator {
     }
 
     /// Stamps (n,), values and densities (n · axes,) and kinds (n,) of what was logged.
-    #[allow(clippy::type_complexity)]
-    fn logged_samples<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> Option<(
-        Bound<'py, PyArray1<i64>>,
-        Bound<'py, PyArray1<f64>>,
-        Bound<'py, PyArray1<f64>>,
-        Bound<'py, PyArray1<u8>>,
-    )> {
+    fn logged_samples<'py>(&self, py: Python<'py>) -> Option<SampleArrays<'py>> {
         let one = &self.own.log()?.samples;
         let (time_ns, kind) = (PyArray1::from_slice(py, &one.time_ns), PyArray1::from_slice(py, &one.kind));
         Some((time_ns, PyArray1::from_slice(py, &one.value), PyArray1::from_slice(py, &one.density), kind))

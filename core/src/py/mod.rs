@@ -4,6 +4,7 @@ pub mod estimator;
 pub mod likelihood;
 pub mod printed;
 pub mod radar;
+pub mod settings;
 pub mod signals;
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};

@@ -1,0 +1,133 @@
+//! The first rows of a stream: they wait for the first measurements, which are judged by those after them.
+
+use super::cause::Decision;
+use super::decided::Undecided;
+use super::innovation::Work;
+use super::log::Log;
+use super::model::{Model, instant, since};
+use super::rows::{Met, Rows, innovations_of, mixed};
+use super::run::{Block, Filter, Judge};
+use super::samples::{Samples, View};
+use super::start::{Beginning, with_start};
+use super::stream::{Estimator, Output};
+use super::waiting::{Item, Timed, count_until, put_in_order};
+
+/// So many measurements, one of them of the sensor whose zero counts, are waited for before rows are given out.
+const FIRST_MEASUREMENTS: usize = 8;
+/// Or so long after the first one, s.
+const FIRST_S: f64 = 2.0;
+/// A zero longer before the first measurement than this (s) is not followed from there: the rows count from the latter.
+const MAX_BEFORE_S: f64 = 10.0;
+/// A first measurement before the first sample counts when it is no more than this (s) before it.
+const BEFORE_SAMPLES_S: f64 = 2.0;
+
+impl Estimator {
+    /// Starts once enough measurements are there; until then holds the samples from before the first one on.
+    pub(super) fn begin(&mut self, mut held: Samples, ended: bool, found: &mut Vec<Output>) {
+        let (origin_ns, mut time_s) = (self.origin_ns(), Vec::new());
+        held.view().seconds(origin_ns, &mut time_s);
+        let (Some(&sampled_s), Some(&end_s)) = (time_s.first(), time_s.last()) else { return };
+        self.memory.waiting.retain(|one| one.at_s >= sampled_s - BEFORE_SAMPLES_S);
+        let count = count_until(&self.memory.waiting, end_s);
+        let first_s = if count > 0 { self.memory.waiting[0].at_s } else { end_s };
+        let start_s = self.start_s(first_s, sampled_s);
+        let dropped = time_s.partition_point(|&one| one <= start_s).saturating_sub(1);
+        held.drop_first(dropped);
+        time_s.drain(..dropped);
+        if count == 0 {
+            self.memory.held = Some(held);
+            return;
+        }
+        let is_enough = count >= FIRST_MEASUREMENTS && self.tells_zero(count, first_s);
+        let enough = is_enough.then(|| self.memory.waiting[FIRST_MEASUREMENTS - 1].at_s);
+        // What the acceleration was before its first sample, the samples of some time tell.
+        let until_s = if first_s >= time_s[0] {
+            enough.unwrap_or(f64::INFINITY).min(first_s + FIRST_S)
+        } else {
+            time_s[0] + FIRST_S
+        };
+        let mut last = time_s.partition_point(|&one| one < until_s);
+        if last >= time_s.len() {
+            if !ended {
+                self.memory.held = Some(held);
+                return;
+            }
+            last = time_s.len() - 1;
+        }
+        let whole = held.view();
+        let begun = with_start(whole.part(0, last + 1), start_s, origin_ns);
+        found.push(self.start(begun.view(), first_s));
+        if last + 1 < whole.len() {
+            self.run(whole.part(last + 1, whole.len()), found);
+        }
+    }
+
+    /// When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it, but not before
+    /// the first sample: without acceleration the zero would be uncertain by decimetres.
+    fn start_s(&self, first_s: f64, sampled_s: f64) -> f64 {
+        let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
+        match zero_s.filter(|&zero_s| first_s - MAX_BEFORE_S <= zero_s && zero_s < first_s) {
+            Some(zero_s) => zero_s.max(sampled_s.min(first_s)),
+            None => first_s,
+        }
+    }
+
+    /// Whether one of the first waiting measurements counts from the zero, or those that do are not waited for.
+    fn tells_zero(&self, count: usize, first_s: f64) -> bool {
+        let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
+        zero_s.is_none_or(|zero_s| zero_s > first_s + FIRST_S)
+            || self.memory.waiting[..count].iter().any(|one| match &one.item {
+                Item::Measured(row) => self.settings.channels[row.channel].zero_known(),
+                _ => false,
+            })
+    }
+
+    /// Judges the first measurements, and takes the rows from a second run with what was decided.
+    fn start(&mut self, samples: View, first_s: f64) -> Output {
+        let origin_ns = self.origin_ns();
+        self.model = Model::new(&self.settings, origin_ns);
+        self.work = Work::new(&self.model);
+        let mut time_s = Vec::new();
+        samples.seconds(origin_ns, &mut time_s);
+        let (start_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
+        let mut items = self.due(end_s);
+        let begin = Beginning::new(samples, &time_s, &items, &self.settings, &self.model);
+        if let Some(zero_ns) = self.settings.zero_ns {
+            let datum = Timed { at_s: since(zero_ns, origin_ns).max(start_s), item: Item::Datum };
+            let at = if datum.at_s <= end_s { &mut items } else { &mut self.memory.waiting };
+            at.push(datum);
+            put_in_order(at);
+        }
+        self.memory.first_s = first_s;
+        self.one_past = true;
+        let begun = Filter::begun(&begin, &self.settings, &self.model);
+        self.log = self.keep_log.then(|| Log::new(begin, first_s, origin_ns, self.settings.axes));
+        let (mut filter, mut undecided, mut met) = (begun.clone(), Undecided::default(), Vec::new());
+        let first_ns = instant(first_s, origin_ns);
+        let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
+        let mut open = Judge::Open { undecided: &mut undecided, met: &mut met };
+        filter.run(&self.model, &mut block, &mut open, None, &mut self.work);
+        let best = undecided.best();
+        let met: Vec<Met> =
+            best.told.iter().zip(&best.decisions).map(|(&told, &decision)| Met { told, decision }).collect();
+        let runs: Vec<Rows> = undecided
+            .paths(filter.hyps.count())
+            .iter()
+            .map(|decisions| self.again(&begun, &mut block, decisions))
+            .collect();
+        let weights: Vec<f64> = filter.hyps.all().iter().map(|one| one.memory.weight.exp()).collect();
+        let rows = mixed(&runs, &weights);
+        self.memory.filter = Some(filter);
+        self.memory.undecided = undecided;
+        let innovations = innovations_of(&items, &met, &self.model, origin_ns);
+        self.output(samples, self.give_rows.then_some(rows), innovations)
+    }
+
+    /// The rows of the first samples with what one hypothesis decided.
+    fn again(&mut self, begun: &Filter, block: &mut Block, decisions: &[Decision]) -> Rows {
+        let mut rows = Rows::with_room(self.settings.axes, block.time_s.len());
+        let mut judge = Judge::Decided { decisions, back: None };
+        begun.clone().run(&self.model, block, &mut judge, Some(&mut rows), &mut self.work);
+        rows
+    }
+}

@@ -1,0 +1,358 @@
+//! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
+
+use super::cause::Decision;
+use super::decided::Decided;
+use super::hypothesis::Hypothesis;
+use super::innovation::Work;
+use super::layout::State;
+use super::matrix::Matrix;
+use super::model::Model;
+use super::motion::AxisMotion;
+use super::predict::{add_noise, predict_covariance};
+use super::row::{Effect, Entry};
+use super::rows::Rows;
+use super::run::{Block, Filter, Judge};
+use super::samples::Samples;
+use super::settings::{Channel, Rates, Settings};
+use super::smoother::{Adjoint, Counting};
+use super::start::Beginning;
+use super::update::{project, update};
+use super::waiting::{Item, Measurement, Timed};
+use super::way_back::WayBack;
+
+/// A channel that measures metres.
+pub fn channel() -> Channel {
+    Channel {
+        sensor: 0,
+        source: 1,
+        units_per_m: 1.0,
+        axis: 0,
+        variance_factor: 1.0,
+        exposure_s: 0.0,
+        zero_std_m: 0.0,
+        zero_walk_m2_s: 0.0,
+        coasting_s: 0.4,
+        lost_s: 10.0,
+        slow_std_m: 0.0,
+        slow_time_s: f64::INFINITY,
+    }
+}
+
+/// One an hour of each.
+pub fn rates() -> Rates {
+    let hour = 1.0 / 3600.0;
+    Rates {
+        outlier: 0.01,
+        stays: 0.6,
+        shift: hour,
+        back: 0.1,
+        wrong: hour,
+        noise: hour,
+        lost: hour,
+        clock: hour,
+        odds: 12.0,
+    }
+}
+
+/// Nothing is ever wrong.
+pub fn no_errors() -> Rates {
+    let none = 0.0;
+    Rates {
+        outlier: none,
+        stays: none,
+        shift: none,
+        back: none,
+        wrong: none,
+        noise: none,
+        lost: none,
+        clock: none,
+        odds: 12.0,
+    }
+}
+
+/// The settings of one axis with these channels.
+pub fn settings(channels: Vec<Channel>, rates: Rates) -> Settings {
+    Settings {
+        channels,
+        axes: 1,
+        parameters: Vec::new(),
+        bias_m_s2: vec![0.0],
+        bias_std_m_s2: vec![0.2],
+        bias_walk: 0.0,
+        velocity_std_m_s: Some(vec![0.5]),
+        displacement_std_m: Some(0.3),
+        rates,
+        noise_memory: f64::INFINITY,
+        noise_weight: 1e30,
+        motion: vec![(0.0, 0.0)],
+        zero_ns: None,
+        unseen_m2: vec![0.0],
+        unseen_common_m2: vec![0.0],
+        misfit: vec![1.0],
+        lean: vec![0.0],
+    }
+}
+
+/// A beginning with these standard deviations.
+pub fn beginning(displacement_std: f64, velocity_std: f64) -> Beginning {
+    Beginning {
+        time_s: 0.0,
+        acceleration: vec![0.0],
+        displacement_m: vec![0.0],
+        displacement_std_m: vec![displacement_std],
+        velocity_std_m_s: vec![velocity_std],
+        judged: 0,
+    }
+}
+
+/// A measurement of a channel.
+pub fn measured(at_s: f64, channel: usize, value: f64, variance: f64) -> Timed {
+    Timed { at_s, item: Item::Measured(Measurement { channel, value, variance, reference: 0.0 }) }
+}
+
+/// A matrix product.
+fn times(a: &Matrix, b: &Matrix) -> Matrix {
+    let mut out = Matrix::zeros(a.height(), b.width());
+    for i in 0..a.height() {
+        for j in 0..b.width() {
+            out[(i, j)] = (0..b.height()).map(|k| a[(i, k)] * b[(k, j)]).sum();
+        }
+    }
+    out
+}
+
+fn transposed(a: &Matrix) -> Matrix {
+    let mut out = Matrix::zeros(a.width(), a.height());
+    for i in 0..a.height() {
+        for j in 0..a.width() {
+            out[(j, i)] = a[(i, j)];
+        }
+    }
+    out
+}
+
+/// Numbers that look like none, the same each time.
+struct Scatter(u64);
+
+impl Scatter {
+    /// Between -1 and 1.
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+}
+
+fn close(one: &Matrix, other: &Matrix, relative: f64) -> bool {
+    let size = one.elements().iter().fold(0.0f64, |most, value| most.max(value.abs()));
+    one.elements().iter().zip(other.elements()).all(|(a, b)| (a - b).abs() <= relative * size)
+}
+
+#[test]
+fn the_covariance_is_predicted_as_by_whole_matrices() {
+    for axes in [1, 2] {
+        let mut set = settings(vec![channel(), channel()], rates());
+        (set.axes, set.bias_walk) = (axes, 1e-3);
+        set.channels[1].zero_walk_m2_s = 2e-3;
+        let model = Model::new(&Settings { bias_m_s2: vec![0.0; 2], ..set.clone() }.with_axes(axes), 0);
+        let (n, moving, dt) = (model.size(), model.layout.moving(), 0.013);
+        let (mut scatter, mut root) = (Scatter(axes as u64), Matrix::zeros(n, n));
+        // Of the others, the first and the last are certain; the last one's walk does not let it stay so.
+        for i in (0..n).filter(|&i| i != moving && i != n - 2) {
+            root.row_mut(i).iter_mut().for_each(|value| *value = scatter.next());
+        }
+        let mut p = times(&root, &transposed(&root));
+        let mut transition = Matrix::diagonal(&vec![1.0; n]);
+        for i in (0..moving).step_by(3) {
+            (transition[(i, i + 1)], transition[(i, i + 2)], transition[(i + 1, i + 2)]) = (dt, -0.5 * dt * dt, -dt);
+        }
+        let mut expected = times(&times(&transition, &p), &transposed(&transition));
+        for j in 0..n {
+            expected[(j, j)] += dt * model.layout.walks()[j];
+        }
+        let mut uncertain = Vec::new();
+        model.layout.find_uncertain(&p, &mut uncertain);
+        assert!(!uncertain.contains(&moving) && uncertain.contains(&(n - 2)));
+        predict_covariance(&mut p, &model.layout, dt, &uncertain);
+        // Sums of a dozen products of size 10.
+        assert!(close(&p, &expected, 1e-13) && p == transposed(&p));
+    }
+}
+
+impl Settings {
+    fn with_axes(mut self, axes: usize) -> Self {
+        self.axes = axes;
+        for one in [&mut self.bias_m_s2, &mut self.bias_std_m_s2, &mut self.unseen_m2, &mut self.unseen_common_m2] {
+            one.resize(axes, 0.0);
+        }
+        self.misfit.resize(axes, 1.0);
+        self.lean.resize(axes, 0.0);
+        self.motion.resize(axes, (0.0, 0.0));
+        self
+    }
+}
+
+/// A filter of plain matrices.
+struct Plain {
+    x: Matrix,
+    p: Matrix,
+}
+
+impl Plain {
+    fn predict(&mut self, transition: &Matrix, noise: &Matrix, moved: &[f64]) {
+        self.x = times(transition, &self.x);
+        for (j, value) in moved.iter().enumerate() {
+            self.x[(j, 0)] += value;
+        }
+        self.p = times(&times(transition, &self.p), &transposed(transition));
+        for (own, more) in self.p.elements_mut().iter_mut().zip(noise.elements()) {
+            *own += more;
+        }
+    }
+
+    fn update(&mut self, h: &Matrix, innovation: f64, variance: f64) {
+        let ph = times(&self.p, &transposed(h));
+        let total = times(h, &ph)[(0, 0)] + variance;
+        let php = times(&ph, &transposed(&ph));
+        for (own, less) in self.p.elements_mut().iter_mut().zip(php.elements()) {
+            *own -= less / total;
+        }
+        for j in 0..self.x.height() {
+            self.x[(j, 0)] += ph[(j, 0)] * innovation / total;
+        }
+    }
+}
+
+/// A camera that tilts about its foot, and a gyroscope on the beam: a state and a channel are added here by a name, its walk
+/// and the entries of two rows; neither the prediction nor the update knows of them.
+#[test]
+fn a_tilt_state_and_a_gyroscope_are_a_name_and_a_row_each() {
+    let (lever, slope, walk) = (7.0, -0.4, 1e-7);
+    let mut model = Model::new(&settings(vec![channel(), channel()], no_errors()), 0);
+    model.layout.add(State::Tilt, walk);
+    let tilt = model.layout.place(State::Tilt).unwrap();
+    model.channels[0].row.entries.push(Entry { state: tilt, factor: lever });
+    let own_zero = model.channels[1].zero;
+    let gyroscope = &mut model.channels[1].row;
+    // It measures the beam's rotation, which goes with the velocity, and has a zero of its own.
+    gyroscope.entries = vec![Entry { state: 1, factor: slope }, Entry { state: own_zero, factor: 1.0 }];
+    gyroscope.velocity = slope;
+    gyroscope.effects = Vec::<Effect>::new();
+    let n = model.size();
+    let mut scatter = Scatter(5);
+    let (mut x, mut p) = (Matrix::zeros(n, 1), Matrix::zeros(n, n));
+    for (j, std) in [(0, 0.3), (1, 0.5), (2, 0.2), (tilt, 1e-3), (own_zero, 0.05)] {
+        p[(j, j)] = std * std;
+    }
+    let mut plain = Plain { x: x.clone(), p: p.clone() };
+    let (mut gain, mut uncertain, dt, density) = (vec![0.0; n], Vec::new(), 0.01, 1e-5);
+    for k in 0..400 {
+        let motion = AxisMotion { input: scatter.next(), slope: 30.0 * scatter.next(), lead: dt * dt / 12.0 };
+        let way = super::motion::Way::new(&[motion], 0.0, dt);
+        super::predict::predict_mean(&mut x, 1, &way, &[]);
+        model.layout.find_uncertain(&p, &mut uncertain);
+        predict_covariance(&mut p, &model.layout, dt, &uncertain);
+        add_noise(&mut p, 0, dt, density);
+        let mut transition = Matrix::diagonal(&vec![1.0; n]);
+        (transition[(0, 1)], transition[(0, 2)], transition[(1, 2)]) = (dt, -0.5 * dt * dt, -dt);
+        let mut noise = Matrix::zeros(n, n);
+        noise[(0, 0)] = density * dt * dt * dt / 3.0;
+        noise.set_both(0, 1, 0.5 * density * dt * dt);
+        noise[(1, 1)] = density * dt;
+        noise[(tilt, tilt)] = walk * dt;
+        plain.predict(&transition, &noise, &[way.moved[0].x, way.moved[0].v]);
+        let c = k % 2;
+        let (row, value, variance) = (&model.channels[c].row, scatter.next(), 1e-4);
+        let mut h = Matrix::zeros(1, n);
+        let mut known = 0.0;
+        if c == 0 {
+            (h[(0, 0)], h[(0, tilt)]) = (1.0, lever);
+            // Its zero, shift and reference are certain here.
+        } else {
+            (h[(0, 1)], h[(0, own_zero)]) = (slope, 1.0);
+            known = -slope * motion.lead * motion.slope;
+        }
+        let e = value - row.known(&motion, 0.0) - row.of_column(x.elements(), 1, 0);
+        let total = project(&p, row, &mut gain) + variance;
+        update(&mut x, &mut p, &mut gain, &[e], total);
+        let off = value - known - times(&h, &plain.x)[(0, 0)];
+        plain.update(&h, off, variance);
+    }
+    assert!(close(&plain.x, &x, 1e-9) && close(&plain.p, &p, 1e-9));
+    // What is known of the tilt comes by the camera's row alone.
+    assert!(p[(tilt, 0)] < -1e-9);
+}
+
+/// Samples without acceleration and measurements between them, taken as good; rows and what the way back needs.
+fn run(model: &Model, settings: &Settings, items: &mut [Timed]) -> (Filter, Filter, Rows, WayBack) {
+    let mut samples = Samples::none(1);
+    for k in 0..200i64 {
+        samples.time_ns.push(10_000_000 * k);
+        samples.value.push((0.1 * k as f64).sin());
+        samples.density.push(1e-5);
+        samples.kind.push(0);
+    }
+    let mut time_s = Vec::new();
+    samples.view().seconds(0, &mut time_s);
+    let before = Filter::begun(&beginning(0.3, 0.5), settings, model);
+    let (mut filter, mut rows, mut way) = (before.clone(), Rows::with_room(1, 200), WayBack::default());
+    way.restart(model, before.clock.time_s);
+    let decisions = vec![Decision::GOOD; items.len()];
+    let mut block = Block { samples: samples.view(), time_s: &time_s, items, first_ns: 0 };
+    let mut judge = Judge::Decided { decisions: &decisions, back: Some(&mut way) };
+    filter.run(model, &mut block, &mut judge, Some(&mut rows), &mut Work::new(model));
+    (before, filter, rows, way)
+}
+
+#[test]
+fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
+    let set = settings(vec![channel()], no_errors());
+    let model = Model::new(&set, 0);
+    let mut items: Vec<Timed> =
+        (0..40).map(|k| measured(0.03 + 0.047 * f64::from(k), 0, 1e-3 * f64::from(k % 5), 1e-6)).collect();
+    let (before, last, rows, way) = run(&model, &set, &mut items);
+    let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
+    let (mut adjoint, mut found) = (Adjoint::nothing(&model), Vec::new());
+    adjoint.pass(&way, &counting, Some(&mut found));
+    let own = &rows.axes[0];
+    assert_eq!(found.len(), 200);
+    let end = found[199];
+    assert!((end.value - own.displacement[199]).abs() < 1e-12 && (end.velocity - own.velocity[199]).abs() < 1e-12);
+    for (one, &filtered) in found.iter().zip(&own.variance) {
+        assert!(one.variance <= filtered * (1.0 + 1e-9) && one.variance > 0.0);
+    }
+    // The same without rows: what is carried to the beginning is the same.
+    let mut other = Adjoint::nothing(&model);
+    other.pass(&way, &counting, None);
+    assert!(close(adjoint.rows(), other.rows(), 1e-9));
+}
+
+#[test]
+fn certain_states_may_be_left_out_on_the_way_back() {
+    let set = settings(vec![channel(), channel()], no_errors());
+    let model = Model::new(&set, 0);
+    let mut items: Vec<Timed> = (0..40)
+        .map(|k| measured(0.03 + 0.047 * f64::from(k), (k % 2) as usize, 1e-3 * f64::from(k % 5), 1e-6))
+        .collect();
+    let (before, last, _, mut way) = run(&model, &set, &mut items);
+    let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
+    let (mut quick, mut whole) = (Vec::new(), Vec::new());
+    Adjoint::nothing(&model).pass(&way, &counting, Some(&mut quick));
+    let all: Vec<usize> = (0..model.size()).collect();
+    way.note_uncertain(&all);
+    Adjoint::nothing(&model).pass(&way, &counting, Some(&mut whole));
+    for (one, other) in quick.iter().zip(&whole) {
+        // Rounding: W is rotated to another number of columns.
+        assert!((one.value - other.value).abs() < 1e-6 * other.variance.sqrt());
+        assert!((one.variance / other.variance - 1.0).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn a_hypothesis_of_another_shape_does_not_fit() {
+    let (one, two) = (settings(vec![channel()], rates()), settings(vec![channel(), channel()], rates()));
+    let (of_one, of_two) = (Model::new(&one, 0), Model::new(&two, 0));
+    let hyp = Hypothesis::begun(&beginning(0.1, 0.1), &one, &of_one);
+    assert!(hyp.fits(&of_one) && !hyp.fits(&of_two));
+}
