@@ -18,7 +18,8 @@ from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point
 from midspan.engine.sensors import Seen
 from midspan.engine.target_opening import Opening
-from midspan.fusion.estimator import Estimator, Rows
+from midspan.fusion.blocks import Rows
+from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, Method, Pass
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.streams import filtered

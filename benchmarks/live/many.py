@@ -1,4 +1,4 @@
-"""Thousands of points whose sensors are sound: filters alone, at 100 Hz of acceleration and 10 Hz of displacement.
+"""Thousands of points: an estimator each, at 100 Hz of acceleration and 10 Hz of displacement.
 
 `python -m benchmarks.live.many`: processor time of 10 000 points from memory, and of 2000 points whose blocks of a
 second come by MQTT, parsing included (not the broker's and the sender's own, which is another process).
@@ -14,8 +14,9 @@ import numpy as np
 
 from benchmarks.live.servers import Mosquitto
 from benchmarks.table import goal
-from midspan.fusion.bank import Bank
-from midspan.records import NANOSECONDS, Floats
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.model import EstimatorSettings
+from midspan.records import NANOSECONDS, Channel, Floats, Measured, Samples, Source, nanoseconds
 from midspan.service.mqtt import Broker
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, pack, parse
@@ -36,29 +37,41 @@ def second(number: int, points: int, rng: np.random.Generator) -> tuple[Floats, 
     return fast, pull, moved
 
 
-def measured(number: int, moved: Floats) -> Floats:
-    """Measurements (p · m, 4) of a second as a bank takes them."""
-    points = len(moved)
-    at = np.tile(number + np.arange(1, SLOW_HZ + 1) / SLOW_HZ, points)
-    return np.column_stack(
-        (np.repeat(np.arange(points), SLOW_HZ), at, moved.ravel(), np.full(points * SLOW_HZ, NOISE_M**2))
-    )
+class Points:
+    """An estimator for each point."""
+
+    def __init__(self, points: int) -> None:
+        settings = EstimatorSettings((Channel("level", Source.DISPLACEMENT, 1.0),), zero_ns=0)
+        self._estimators = [Estimator(settings) for _ in range(points)]
+
+    def push(self, number: int, pull: Floats, moved: Floats) -> Floats:
+        """Displacement (p, s) in m of a second's rows; NaN where they are held back still."""
+        fast_ns, slow_ns = (nanoseconds(number + np.arange(1, rate + 1) / rate) for rate in (FAST_HZ, SLOW_HZ))
+        noise, kind = np.full((FAST_HZ, 1), NOISE_M_S2**2 / FAST_HZ), np.zeros(FAST_HZ, dtype=np.uint8)
+        none, variance = np.zeros(SLOW_HZ), np.full(SLOW_HZ, NOISE_M**2)
+        channel = np.zeros(SLOW_HZ, dtype=np.int64)
+        rows = np.full((len(pull), FAST_HZ), np.nan)
+        for point, estimator in enumerate(self._estimators):
+            estimator.push(Measured(slow_ns, channel, moved[point], variance, none))
+            for found in estimator.push(Samples(fast_ns, pull[point][:, None], noise, kind)):
+                if found.estimates and len(found.estimates[0].time_ns) == FAST_HZ:
+                    rows[point] = found.estimates[0].displacement_m
+        return rows
 
 
 def error_m(rows: Floats, fast: Floats) -> float:
-    """Error (rms, m) of a second's rows (p, s, 3)."""
-    return float(np.sqrt(np.mean((rows[:, :, 0] - SIZE_M * np.sin(2 * np.pi * TONE_HZ * fast)) ** 2)))
+    """Error (rms, m) of a second's rows (p, s)."""
+    return float(np.sqrt(np.nanmean((rows - SIZE_M * np.sin(2 * np.pi * TONE_HZ * fast)) ** 2)))
 
 
 def from_memory() -> None:
     """10 000 points."""
-    bank, rng, busy_s = Bank(MANY), np.random.default_rng(0), 0.0
-    density = np.full(MANY, NOISE_M_S2**2 / FAST_HZ)
+    points, rng, busy_s = Points(MANY), np.random.default_rng(0), 0.0
     for number in range(MANY_S + 1):
         fast, pull, moved = second(number, MANY, rng)
         begun_s = time.process_time()
-        rows = bank.push(fast, pull, density, measured(number, moved))
-        # In the first second the kernel is made.
+        rows = points.push(number, pull, moved)
+        # In the first second the rows are held back.
         busy_s += time.process_time() - begun_s if number else 0.0
     print(f"        {MANY} points from memory: {1e3 * error_m(rows, fast):.3f} mm rms in the last second")
     goal("10 000 points: share of one core", busy_s / MANY_S, GOAL_SHARE)
@@ -88,12 +101,11 @@ def send(port: int, begin_s: float) -> None:
 
 
 class Gathered:
-    """Blocks by the second that they are of; a second that is whole goes to the bank."""
+    """Blocks by the second that they are of; a second that is whole goes to the estimators."""
 
     def __init__(self, begin_s: float) -> None:
-        self.bank, self.begin_s, self.done, self.late_s = Bank(BY_MQTT), begin_s, 0, 0.0
+        self.points, self.begin_s, self.done, self.late_s = Points(BY_MQTT), begin_s, 0, 0.0
         self.error_m = np.nan
-        self._density = np.full(BY_MQTT, NOISE_M_S2**2 / FAST_HZ)
         self._pull: dict[int, dict[int, Floats]] = {}
         self._moved: dict[int, dict[int, Floats]] = {}
 
@@ -114,7 +126,7 @@ class Gathered:
             for own in (self._pull.pop(number), self._moved.pop(number))
         )
         fast = number + np.arange(1, FAST_HZ + 1) / FAST_HZ
-        self.error_m = error_m(self.bank.push(fast, pull, self._density, measured(number, moved)), fast)
+        self.error_m = error_m(self.points.push(number, pull, moved), fast)
         self.done, self.late_s = self.done + 1, max(self.late_s, time.time() - self.begin_s - number - 1)
 
 

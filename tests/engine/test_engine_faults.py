@@ -14,7 +14,8 @@ from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point
 from midspan.engine.sensors import PlainSensor, Seen
 from midspan.engine.support import PointStatus
-from midspan.fusion.estimator import Estimator, Rows
+from midspan.fusion.blocks import Rows
+from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
 from midspan.records import Arrival, Channel, Estimate, Event, Readings, Source, Tick, joined
 from midspan.simulate.motion.motion import random_motion

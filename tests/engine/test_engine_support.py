@@ -3,7 +3,7 @@
 import numpy as np
 
 from midspan.engine.support import Support
-from midspan.fusion.estimator import Rows
+from midspan.fusion.blocks import Rows
 from midspan.records import Estimate, Status, part
 
 CODES = {"t": Status.TRACKING, "c": Status.COASTING, "l": Status.LOST}

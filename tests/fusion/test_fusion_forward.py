@@ -17,8 +17,8 @@ DENSITY, NOISE_M = 4e-6 / RATE_HZ, 5e-6
 PRIOR = np.array([5e-4, 1e-4])
 EXPOSURE_S = 0.02
 BLUR_S2 = EXPOSURE_S**2 / 24.0
-# Displacement (m), velocity (m/s) and bias (m/s²) at the start: no farther than the motion goes, as the joint filter takes a
-# scale error times the predicted displacement, the estimator times the updated one.
+# Displacement (m), velocity (m/s) and bias (m/s²) at the start: no farther than the motion goes, as the joint filter
+# takes a scale error times the predicted displacement, the estimator times the updated one.
 START = np.array([5e-3, 0.05, 0.2])
 BEGIN_S = -START_S
 

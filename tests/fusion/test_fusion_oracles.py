@@ -6,7 +6,6 @@ import pytest
 from fusion_oracles import acceleration_block, chain, condition, displacement_block, filtered, van_loan, walk_at_end
 
 from midspan.evaluate.bound import KnownNoise, closed_bound
-from midspan.calibration.state_space import P00, P01, P02, P11, P12, P22, advance_covariance, initial_state
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
 
 # No gate: the dense solution believes everything. Moderate prior spreads keep the dense solve well conditioned.
@@ -120,19 +119,6 @@ def test_smoother_equals_filterpy_rts_on_a_synchronous_record():
     estimate = smooth(acceleration, displacement, OPEN).estimate
     np.testing.assert_allclose(estimate.displacement_m, (smoothed + forced)[:, 0], rtol=1e-7, atol=1e-11)
     np.testing.assert_allclose(estimate.variance_m2, variance[:, 0, 0], rtol=1e-7)
-
-
-@pytest.mark.parametrize("dt", [1e-4, 0.01, 0.7])
-def test_covariance_propagation_equals_van_loan(dt):
-    rng = np.random.default_rng(6)
-    root = rng.normal(size=(3, 3))
-    before = root @ root.T
-    state = initial_state(0.0, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    state[[P00, P01, P02, P11, P12, P22]] = before[np.triu_indices(3)]
-    advance_covariance(state, dt, 3.0, 0.2)
-    transition, noise = walk_at_end(dt, 3.0, 0.2)
-    expected = transition @ before @ transition.T + noise
-    np.testing.assert_allclose(state[[P00, P01, P02, P11, P12, P22]], expected[np.triu_indices(3)], rtol=1e-12)
 
 
 def test_the_walk_of_the_bias_within_a_step_may_be_left_out():

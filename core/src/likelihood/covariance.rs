@@ -165,6 +165,33 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        /// The prediction is Φ P Φ' + Q of the discretised motion, with the walk of the bias at the step's end.
+        #[test]
+        fn a_prediction_is_that_of_the_dense_matrices(root in prop::array::uniform9(-1.0..1.0f64), dt in 1e-4..1.0f64) {
+            let dense = |i: usize, j: usize| (0..3).map(|k| root[3 * i + k] * root[3 * j + k]).sum::<f64>();
+            let before = Motion {
+                xx: dense(0, 0), xv: dense(0, 1), xb: dense(0, 2), vv: dense(1, 1), vb: dense(1, 2), bb: dense(2, 2),
+            };
+            let (density, walk) = (3.0, 0.2);
+            let mut after = before;
+            after.predict(dt, density, walk);
+            let transition = [[1.0, dt, -0.5 * dt * dt], [0.0, 1.0, -dt], [0.0, 0.0, 1.0]];
+            let noise = [
+                [density * dt.powi(3) / 3.0, density * dt.powi(2) / 2.0, 0.0],
+                [density * dt.powi(2) / 2.0, density * dt, 0.0],
+                [0.0, 0.0, walk * dt],
+            ];
+            let expected = |i: usize, j: usize| {
+                let moved = |a: usize, b: usize| transition[i][a] * dense(a, b) * transition[j][b];
+                noise[i][j] + (0..9).map(|k| moved(k / 3, k % 3)).sum::<f64>()
+            };
+            let found = [(after.xx, 0, 0), (after.xv, 0, 1), (after.xb, 0, 2), (after.vv, 1, 1), (after.vb, 1, 2), (after.bb, 2, 2)];
+            for (value, i, j) in found {
+                // Sums of nine products of order one.
+                prop_assert!((value - expected(i, j)).abs() < 1e-13);
+            }
+        }
+
         /// Without a slow error both forms are the same filter.
         #[test]
         fn a_slow_error_of_no_variance_changes_nothing(

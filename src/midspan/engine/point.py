@@ -16,7 +16,8 @@ from midspan.engine.order import STEPS
 from midspan.engine.sensors import Seen, Sensor, SensorState
 from midspan.engine.support import PointStatus, Support
 from midspan.engine.switching import Switch, SwitchState
-from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
+from midspan.fusion.blocks import Rows
+from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState
 from midspan.fusion.model import ParameterKind
 from midspan.fusion.printed_prediction import PredictedState
 from midspan.fusion.second_pass import Lag, LagState

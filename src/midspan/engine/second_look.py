@@ -14,7 +14,8 @@ from midspan.calibration.scale_check import Fitting, Sensed, fitting
 from midspan.engine.order import BACKWARDS, KINDS
 from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.engine.support import Support
-from midspan.fusion.estimator import BLOCK, Estimator, Log, Rows
+from midspan.fusion.blocks import Rows
+from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
 from midspan.records import (

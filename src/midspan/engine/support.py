@@ -6,7 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from midspan.fusion.estimator import Rows
+from midspan.fusion.blocks import Rows
 from midspan.records import NANOSECONDS, Estimate, Event, Status
 from midspan.signals.stamps import shown
 

@@ -87,8 +87,8 @@ class Estimator:
         """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
 
         The last acceleration is held over a step or two; NaN where no samples come. Until the filter and the channel's
-        zero have begun only the acceleration tells: the variance is infinite before the filter begins and NaN afterwards,
-        when measurements from before come too late.
+        zero have begun only the acceleration tells: the variance is infinite before the filter begins and NaN after
+        that, when measurements from before come too late.
         """
         return self.core.predict(channel, time_ns) or (np.nan, np.inf)
 
@@ -140,6 +140,6 @@ def restore(core: _core.Estimator | _core.Lag | _core.PrintedFilter, state: NDAr
         core.restore(state.tobytes())
     except ValueError as error:
         raise DataError(
-            f"A state must be a whole one of this program and of the same settings; received one that is not ({error}). "
-            "Start without it."
+            f"A state must be a whole one of this program and of the same settings; received one that is not "
+            f"({error}). Start without it."
         ) from None

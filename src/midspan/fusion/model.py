@@ -1,4 +1,4 @@
-"""What the estimator is given of its channels and parameters; the core (`core/src/estimator`) reads it field by field."""
+"""What the estimator is given of its channels and parameters; the core (`core/src/estimator`) reads each field."""
 
 from dataclasses import dataclass, field
 from enum import IntEnum

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.fusion.adaptive import PrintedFilter, PrintedState
-from midspan.fusion.estimator import Estimator, EstimatorState, Rows
+from midspan.fusion.blocks import Rows
+from midspan.fusion.estimator import Estimator, EstimatorState
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.streams import MethodSettings
 from midspan.records import Acceleration, Displacement, Event, Measured, Samples

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.checks import refuse
+from midspan.fusion.blocks import Rows
 from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
-from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
+from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState
 from midspan.fusion.model import EstimatorSettings, Rates
 from midspan.fusion.second_pass import Lag, LagState
 from midspan.fusion.second_pass import smooth as smooth_log

@@ -10,8 +10,7 @@ from midspan.engine.point import ACCELEROMETER, Output, Point
 from midspan.engine.radar_trace import RadarLog
 from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
-from midspan.fusion.blocks import REJECTED
-from midspan.fusion.estimator import Rows
+from midspan.fusion.blocks import REJECTED, Rows
 from midspan.recording.point import clock_offsets_ns, radar_frames
 from midspan.recording.tracked import Eye, Side, known_sensors
 from midspan.records import (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from midspan.engine.point import Output
 from midspan.engine.sensors import Seen
-from midspan.fusion.estimator import Rows
+from midspan.fusion.blocks import Rows
 from midspan.records import (
     NANOSECONDS,
     Arrival,
