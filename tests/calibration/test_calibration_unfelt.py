@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.unfelt import NOISE_LEFT, refuse_unfelt
+from midspan.calibration.unfelt import (
+    NOISE_LEFT,
+    refuse_lost_cycles,
+    refuse_steps_unseen,
+    refuse_unfelt,
+    refuse_wide,
+)
 from midspan.errors import UntrustedError
-from midspan.records import nanoseconds
+from midspan.records import Estimate, Source, Status, nanoseconds
 from midspan.signals.acceleration import PreparedAcceleration
 
 TIME_S = np.arange(0.0, 60.0, 0.01)
@@ -88,3 +94,51 @@ def test_what_is_left_of_white_noise_integrated_twice(unknowns) -> None:
     basis = np.linalg.qr(np.vander(at, unknowns))[0]
     left = response - basis @ (basis.T @ response)
     assert np.mean(np.sum(left**2, axis=1)) / 400.0 == pytest.approx(1.0 / NOISE_LEFT[unknowns], rel=1e-3)
+
+
+def rows_of(moved_m, *, std_m=1e-5, status=Status.TRACKING) -> Estimate:
+    """Rows of a radar at TIME_S that say so."""
+    n = len(TIME_S)
+    variance, source = np.broadcast_to(np.square(std_m), n), np.full(n, Source.RADAR, dtype=np.uint8)
+    statuses = np.broadcast_to(np.uint8(status), n)
+    return Estimate(nanoseconds(TIME_S), moved_m, variance, np.zeros(n), source, statuses)
+
+
+def felt(value_m_s2) -> PreparedAcceleration:
+    none = np.zeros(len(TIME_S), dtype=bool)
+    return PreparedAcceleration(nanoseconds(TIME_S), value_m_s2, 0.0 * TIME_S, none, 100.0, events=(), warnings=())
+
+
+# White noise of 2 mm/s² at 100 Hz.
+DENSITY = 2e-3**2 / 100.0
+HIDDEN_NS = nanoseconds(np.arange(30.0, 30.2, 0.01))
+
+
+def test_a_radar_that_comes_back_on_another_cycle_is_refused() -> None:
+    # A cycle at 77 GHz is 1.9 mm: far less than the motion, and 70 times what the noise makes within 5 s.
+    off = MOVED + 1.9e-3 * (TIME_S > 30.1)
+    with pytest.raises(UntrustedError, match=r"From 27\.5\d+ s to 32\.\d+ s the radar loses its target"):
+        refuse_lost_cycles(felt(ACCELERATION), rows_of(off), HIDDEN_NS, DENSITY, 1e-3)
+    refuse_lost_cycles(felt(ACCELERATION), rows_of(MOVED), HIDDEN_NS, DENSITY, 1e-3)
+    # Where the band says so, or nothing was hidden, it is no contradiction.
+    unsure = np.where(TIME_S > 30.1, 2e-3, 1e-5)
+    refuse_lost_cycles(felt(ACCELERATION), rows_of(off, std_m=unsure), HIDDEN_NS, DENSITY, 1e-3)
+    refuse_lost_cycles(felt(ACCELERATION), rows_of(off), HIDDEN_NS[:0], DENSITY, 1e-3)
+
+
+def test_a_clock_that_steps_where_the_radar_sees_nothing_is_refused() -> None:
+    with pytest.raises(UntrustedError, match=r"north: at 30\.6\d* s its clock seems to step"):
+        refuse_steps_unseen([30_600_000_000], HIDDEN_NS, "north")
+    refuse_steps_unseen([33_600_000_000], HIDDEN_NS, "north")
+
+
+def test_a_radar_whose_band_is_wider_than_the_motion_or_that_is_hardly_seen_is_refused() -> None:
+    # What 20 s show: a motion of 2.1 mm rms, and 2.5 mm of the drift of 0.1 mm/s² a second.
+    refuse_wide(felt(ACCELERATION), rows_of(MOVED, std_m=5e-3))
+    with pytest.raises(UntrustedError, match=r"± 228 mm only .* is 3\.\d mm rms"):
+        refuse_wide(felt(ACCELERATION), rows_of(MOVED, std_m=0.228))
+    # Hidden for 5 of 60 s it is wide there alone.
+    refuse_wide(felt(ACCELERATION), rows_of(MOVED, std_m=np.where(np.abs(TIME_S - 30.0) < 2.5, 0.1, 1e-5)))
+    hidden = np.where(TIME_S > 25.0, Status.LOST, Status.TRACKING)
+    with pytest.raises(UntrustedError, match="Only 42 % of the rows rest on a measurement"):
+        refuse_wide(felt(ACCELERATION), rows_of(MOVED, status=hidden))

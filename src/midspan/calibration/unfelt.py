@@ -12,7 +12,7 @@ import numpy as np
 
 from midspan.errors import UntrustedError
 from midspan.fusion.blocks import REJECTED
-from midspan.records import NANOSECONDS, Estimate, Floats, Innovation, Nanoseconds, part, seconds
+from midspan.records import NANOSECONDS, Estimate, Floats, Innovation, Nanoseconds, Status, part, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.integrate import path
 from midspan.signals.stamps import shown
@@ -29,6 +29,9 @@ MAX_COMPARED = 20_000
 # A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
 # so that of n windows one exceeds the mean ln(n / p) times with a probability p.
 CHANCE = 1e-6
+# The least share of rows that a radar's measurements support: more than half of a result is measured, not predicted.
+# The largest share of them whose band may be wider than the motion: the radar is hidden for a while.
+MIN_SUPPORTED, MAX_WIDE = 0.5, 0.1
 # A step of the clock this near to frames without the target, ns, may be a lost cycle: several times as long as the
 # stretches over which steps are looked for.
 NEAR_NS = NANOSECONDS
@@ -39,16 +42,22 @@ def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m:
 
     time_ns (n,): on the accelerometer's clock, within the acceleration; variance_m2 (n,): of the displacement.
     """
-    step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS if len(time_ns) > 1 else np.inf
     for length_s, unknowns in LOOKS:
         if not np.isfinite(length_s):
             some = slice(None, None, 1 + len(time_ns) // MAX_COMPARED)
             time_ns, moved_m, variance_m2 = time_ns[some], moved_m[some], variance_m2[some]
-        count = max(int(length_s / step_s), 2 * unknowns) if np.isfinite(length_s) else len(time_ns)
-        starts = np.arange(0, len(time_ns) - count + 1, max(count // 2, 1))
-        if len(starts) and count >= 2 * unknowns:
-            windows = [slice(int(a), int(a) + count) for a in starts]
+        windows = _windows(time_ns, length_s, unknowns)
+        if windows:
             _refuse_windows(prepared, (time_ns, moved_m, variance_m2), windows, unknowns)
+
+
+def _windows(time_ns: Nanoseconds, length_s: float, unknowns: int) -> list[slice]:
+    """Windows of values (n,) that overlap by half, of a length or of twice as many values as there are unknowns."""
+    step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS if len(time_ns) > 1 else np.inf
+    count = max(int(length_s / step_s), 2 * unknowns) if np.isfinite(length_s) else len(time_ns)
+    if count < 2 * unknowns:
+        return []
+    return [slice(int(a), int(a) + count) for a in np.arange(0, len(time_ns) - count + 1, max(count // 2, 1))]
 
 
 def _refuse_windows(
@@ -130,18 +139,28 @@ def refuse_lost_cycles(
 
 
 def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
-    """UntrustedError where a radar's band is wider than all motion that the accelerometer shows."""
-    some = part(rows, slice(None, None, 1 + len(rows.time_ns) // MAX_COMPARED))
-    unknowns = LOOKS[-1][1]
-    if len(some.time_ns) < 2 * unknowns:
-        return
-    felt, _, missed = _powers(prepared, some.time_ns, some.displacement_m, unknowns)
-    usual = float(np.median(some.variance_m2))
-    if usual > np.log(1.0 / CHANCE) * (felt + missed):
+    """UntrustedError where half of a radar's rows rest on no measurement of it, or many are known worse than all motion
+    that the accelerometer shows.
+    """
+    supported = float(np.mean(rows.status == Status.TRACKING))
+    if supported < MIN_SUPPORTED:
         raise UntrustedError(
-            f"The displacement is known to ± {1e3 * np.sqrt(usual):.3g} mm only (one standard deviation, median), and "
-            f"all that the accelerometer shows is {1e3 * np.sqrt(felt):.2g} mm rms: the radar lost its target too "
-            "often. Leave frames with interference out of the file, or aim the radar at a target that is seen."
+            f"Only {100 * supported:.0f} % of the rows rest on a measurement (the least is {100 * MIN_SUPPORTED:.0f} "
+            "%): the radar does not see its target, or something else in the bin hides it, and the accelerometer alone "
+            "leads astray. Aim the radar at a target that nothing hides, or cut the recording where it is lost."
+        )
+    wide, (length_s, unknowns) = float(np.quantile(rows.variance_m2, 1.0 - MAX_WIDE)), LOOKS[1]
+    windows = _windows(rows.time_ns, length_s, unknowns)
+    if not windows:
+        return
+    powers = [_powers(prepared, rows.time_ns[one], rows.displacement_m[one], unknowns) for one in windows]
+    felt, _, missed = np.mean(powers, axis=0)
+    if wide > np.log(1.0 / CHANCE) * (felt + missed):
+        raise UntrustedError(
+            f"In {100 * MAX_WIDE:.0f} % of the rows the displacement is known to ± {1e3 * np.sqrt(wide):.3g} mm only "
+            f"or worse (one standard deviation), and all that the accelerometer shows in {length_s:g} s is "
+            f"{1e3 * np.sqrt(felt):.2g} mm rms: the radar loses its target too often. Leave frames with interference "
+            "out of the file, or aim the radar at a target that nothing hides."
         )
 
 

@@ -243,11 +243,12 @@ class _Follower:
         """Variance (rad²) by which something else that turns in the bin bends the phase: as it does the amplitude.
 
         About the mean of the last frames, so that what changes slowly is none; 0 where noise explains it, infinite
-        where neither noise nor the frames before explain it: interference begins from one frame to the next.
+        where neither noise nor the frames before explain it: interference begins from one frame to the next. A target
+        that is followed over bins changes its amplitude as fast, and other bins tell interference.
         """
         state, own = self.state, 0.5 * self.noise_share
         away = 0.0 if math.isnan(state.strength) else strength - state.strength
-        is_sudden = away * away > SUDDEN * max(own, state.modulated)
+        is_sudden = not self.cycles_per_bin and away * away > SUDDEN * max(own, state.modulated)
         state.strength = strength if math.isnan(state.strength) else state.strength + away / MEMORY
         state.modulated += (away * away - state.modulated) / MODULATED_FRAMES
         if is_sudden:

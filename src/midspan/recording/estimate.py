@@ -385,7 +385,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
     if not asked.by_settings.literal:
-        refuse_untrue(first, measured_rows(judged(asked, first, found), found.innovations[0]), found.events)
+        refuse_untrue(first, judged(asked, first, found), found)
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
@@ -436,19 +436,19 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     return replace(result, across=across)
 
 
-def refuse_untrue(first: FirstPass, rows: Estimate, events: Sequence[Event]) -> None:
+def refuse_untrue(first: FirstPass, whole: Estimate, found: Found) -> None:
     """UntrustedError where the accelerometer contradicts the rows, or a radar has lost its target too often."""
-    main = first.sides[0]
+    main, rows = first.sides[0], measured_rows(whole, found.innovations[0])
     refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
     settings, usual = first.estimator.settings, figures(main, main.prepared.rate_hz)
     density = settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
-    steps_ns = [event.time_ns for event in events if event.kind == "clock"]
+    steps_ns = [event.time_ns for event in found.events if event.kind == "clock"]
     for view, known in known_sensors(main):
         if view.kind == Source.RADAR.word:
             unseen_ns = first.outcome.unseen_ns(view.sensor)
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
-            refuse_wide(main.prepared, rows)
+            refuse_wide(main.prepared, whole)
 
 
 def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:
