@@ -231,8 +231,8 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             Notice(
                 "exposure",
                 f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
-                "corrected, and the error band holds both; displacement.exposure_s declares it.",
+                f"{learnt.exposure_s:.3g} s, of play in its joint, or of an accelerometer that resonates on its mount. "
+                "The first is corrected, and the error band holds it; displacement.exposure_s declares it.",
             )
         )
     if learnt.drifts:
