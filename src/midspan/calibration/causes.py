@@ -67,13 +67,14 @@ def listed(*without: Cause) -> str:
 @dataclass(frozen=True, slots=True)
 class Explained:
     """The cause that explains best, with the share of the difference (power) that it leaves, and its lead over the next
-    one (logarithm of the likelihood). named: whether it is clearly the one.
+    one (logarithm of the likelihood). named: whether it is clearly the one. difference_m: what is to be explained, rms.
     """
 
     cause: Cause
     left: float
     lead: float
     named: bool
+    difference_m: float
 
 
 def likeliest_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
@@ -227,8 +228,10 @@ def _best(compared: _Compared) -> Explained:
         return -0.5 * count * math.log(squares[cause] / count) - 0.5 * parameters * math.log(count)
 
     first, second = sorted(Cause, key=score, reverse=True)[:2]
-    left, lead = squares[first] / compared.difference(), score(first) - score(second)
-    return Explained(first, left, lead, left < MAX_LEFT and lead > least_lead(count))
+    difference = compared.difference()
+    left, lead = squares[first] / difference, score(first) - score(second)
+    named = left < MAX_LEFT and lead > least_lead(count)
+    return Explained(first, left, lead, named, math.sqrt(difference / count))
 
 
 def _lowest(values: Floats) -> float:

@@ -4,7 +4,7 @@ A cause is named only where its model explains the readings clearly better than 
 """
 
 from midspan.calibration.causes import Cause, likeliest_cause, listed
-from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.fit import Pair
 
 REMEDIES = {
     Cause.UNIT: "Check displacement.unit, accelerometer.unit and that both sensors measure the same axis, or have it "
@@ -18,9 +18,9 @@ REMEDIES = {
 }
 
 
-def disagreement(pair: Pair, fit: Fit, measured: str) -> str:
+def disagreement(pair: Pair, offset_s: float, measured: str) -> str:
     """The sentence on sensors that differ: what was measured, and the cause that explains it or all that may."""
-    found = likeliest_cause(pair, fit.offset_s)
+    found = likeliest_cause(pair, offset_s)
     if found is not None and found.named:
         if found.cause is Cause.UNIT:
             return f"{measured}. {REMEDIES[Cause.UNIT]}"

@@ -240,7 +240,7 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
         cause = likeliest_cause(found.pair, found.free.offset_s)
         if cause is not None and cause.named and cause.cause is not Cause.UNIT:
             measured = f"displacement: turned round{times} it fits the accelerometer better"
-            raise UntrustedError(disagreement(found.pair, found.free, measured))
+            raise UntrustedError(disagreement(found.pair, found.free.offset_s, measured))
         raise UntrustedError(
             f"displacement: its sign is reversed: turned round{times} it fits the accelerometer far better. Its second "
             "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
@@ -252,7 +252,7 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
             f"displacement: follows the accelerometer with a factor of {found.free.ratio:.3g} ± "
             f"{np.sqrt(found.free.ratio_variance):.2g} where 1 is expected"
         )
-        raise UntrustedError(disagreement(found.pair, found.free, measured))
+        raise UntrustedError(disagreement(found.pair, found.free.offset_s, measured))
 
 
 def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Findings) -> None:
@@ -356,6 +356,9 @@ def _not_told(learnt: NoiseCalibration) -> bool:
 def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """One clock is taken for granted; an offset that shows all the same is reported and put into the error band."""
     off, late = learnt.offset.value_s, late_m(learnt, found)
+    if off != 0.0 and (cause := likeliest_cause(found.pair)) is not None and cause.named and cause.cause is Cause.STEP:
+        # The offset is a mean of two.
+        late = max(late, cause.difference_m)
     if late > MAX_LATE * np.sqrt(_noise(learnt, found)):
         refusal = UntrustedError if learnt.low_pass is None else LoggerDelayError
         raise refusal(_late_text(learnt, found, 1e3 * late))
