@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.clock_rate import ClockRate
+from midspan.calibration.displacement.cause_words import lateness
 from midspan.calibration.noise import NoiseCalibration
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
@@ -27,15 +28,17 @@ def with_offset(learnt: NoiseCalibration) -> NoiseCalibration:
 
     late_m: what it makes of the displacement where it may be a logger's delay.
     """
+    assert learnt.findings is not None
     text = (
-        f"displacement: its clock differs from the accelerometer's by {1e3 * learnt.offset.value_s:+.4g} ± "
-        f"{1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. "
+        f"displacement: its readings come as if its clock differs from the accelerometer's by "
+        f"{1e3 * learnt.offset.value_s:+.4g} ± {1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. "
+        f"{lateness(learnt.findings.pair, learnt.offset.value_s)}"
     )
     if learnt.late_m > 0.0:
         text += (
-            "A low-pass in the accelerometer's logger delays alike, and then the result is late by as much: the error "
-            f"band holds what that makes, {1e3 * learnt.late_m:.2g} mm rms. displacement.estimate_offset = true says "
-            "that it is the clock; "
+            "With a low-pass in the accelerometer's logger the result is late by as much: the error band holds what "
+            f"that makes, {1e3 * learnt.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the "
+            "clock; "
         )
     else:
         text += "displacement.estimate_offset = true asks for that; "

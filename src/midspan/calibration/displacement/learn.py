@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, offset_variance_factor, unexplained
+from midspan.calibration.causes import Cause, likeliest_cause
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
+from midspan.calibration.displacement.cause_words import disagreement, lateness
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.held_values import held_values
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
@@ -250,6 +252,10 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
     size = 1.0 / abs(found.free.ratio)
     times = "" if abs(size - 1.0) < WRONG_SCALE else f" and multiplied by {size:.3g}"
     if learnt.reversed_gain > CLEARLY_REVERSED:
+        cause = likeliest_cause(found.pair, found.free.offset_s)
+        if cause is not None and cause.named and cause.cause is not Cause.UNIT:
+            measured = f"displacement: turned round{times} it fits the accelerometer better"
+            raise UntrustedError(disagreement(found.pair, found.free.offset_s, measured))
         raise UntrustedError(
             f"displacement: its sign is reversed: turned round{times} it fits the accelerometer far better. Its second "
             "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
@@ -257,12 +263,11 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
         )
     told = found.free.likelihood - found.free.without > MIN_GAIN
     if times and told and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
-        raise UntrustedError(
+        measured = (
             f"displacement: follows the accelerometer with a factor of {found.free.ratio:.3g} ± "
-            f"{np.sqrt(found.free.ratio_variance):.2g} where 1 is expected. Check displacement.unit, "
-            "accelerometer.unit and that both sensors measure the same axis, or have it learnt: "
-            "displacement.estimate_scale = true."
+            f"{np.sqrt(found.free.ratio_variance):.2g} where 1 is expected"
         )
+        raise UntrustedError(disagreement(found.pair, found.free.offset_s, measured))
 
 
 def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Findings) -> None:
@@ -366,9 +371,12 @@ def _not_told(learnt: NoiseCalibration) -> bool:
 def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """One clock is taken for granted; an offset that shows all the same is reported and put into the error band."""
     off, late = learnt.offset.value_s, late_m(learnt, found)
+    if off != 0.0 and (cause := likeliest_cause(found.pair)) is not None and cause.named and cause.cause is Cause.STEP:
+        # The offset is a mean of two.
+        late = max(late, cause.difference_m)
     if late > MAX_LATE * np.sqrt(_noise(learnt, found)):
         refusal = UntrustedError if learnt.low_pass is None else LoggerDelayError
-        raise refusal(_late_text(learnt, off, 1e3 * late))
+        raise refusal(_late_text(learnt, found, 1e3 * late))
     return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=late)
 
 
@@ -385,8 +393,9 @@ def late_m(learnt: NoiseCalibration, found: Findings) -> float:
     return abs(learnt.offset.value_s) * max(shaken, _speed(found.pair, learnt.factor, _noise(learnt, found)))
 
 
-def _late_text(learnt: NoiseCalibration, off: float, moved_mm: float) -> str:
+def _late_text(learnt: NoiseCalibration, found: Findings, moved_mm: float) -> str:
     """What to tell of clocks that are not one, or a logger that delays."""
+    off = learnt.offset.value_s
     late = f"by {off:+.4f} s, which moves it by {moved_mm:.3g} mm rms"
     if learnt.low_pass is not None:
         return (
@@ -395,9 +404,10 @@ def _late_text(learnt: NoiseCalibration, off: float, moved_mm: float) -> str:
             "that the result is late by it, and the error band holds what the low-pass took away."
         )
     return (
-        f"displacement: its clock differs from the accelerometer's {late}. Set displacement.estimate_offset = true to "
-        "have the offset estimated and applied, or correct its time column. A low-pass in the accelerometer's logger "
-        "delays alike: the result is then late by as much."
+        f"displacement: its readings come as if its clock differs from the accelerometer's {late}. "
+        f"{lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have the offset "
+        "estimated and applied, or correct its time column; with a low-pass in the accelerometer's logger the result "
+        "is then late by as much."
     )
 
 

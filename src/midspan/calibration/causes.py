@@ -1,0 +1,261 @@
+"""Which cause explains best what a displacement sensor and the accelerometer differ by.
+
+Each cause is one model of the readings y(t) made of the displacement x(t) that the acceleration says:
+
+    unit          y = g·x(t)
+    clock         y = x(t + τ)
+    clock step    y = x(t + τ₁) before an instant, x(t + τ₂) after it
+    low-pass      x = h_f ∗ y, a low-pass in the accelerometer's logger, on one clock or besides an offset
+    slow sensor   y = h_f ∗ x, a first-order low-pass in the sensor
+    play          y follows x with a play of width w in its joint (backlash)
+    tone          y = x(t) + a·sin 2πft + b·cos 2πft: a vibration that only the accelerometer has, or that it aliases
+
+All are compared on the same readings with slow motion left out, by Schwarz's criterion (Annals of Statistics 6, 1978,
+461, doi 10.1214/aos/1176344136): n/2·ln(RSS/n) + k/2·ln n. A cause is named where it leads all others clearly and
+explains most of the difference; no figure of a calibration rests on it.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from midspan.calibration.agreement import least_lead
+from midspan.calibration.fit import Pair
+from midspan.records import Floats
+from midspan.signals.health import dominant_frequency
+
+# So many readings are compared, from the first on; many blocks a clock may step between.
+MAX_READINGS, BLOCKS = 1500, 16
+MIN_READINGS = 60
+# Motion slower than this share of the acceleration's main frequency is left out: double integrals wander there.
+SLOWEST_SHARE, SLOWEST_HZ = 0.25, 0.05
+# Frequencies (Hz) of low-passes that are tried, and widths of a play in rms of the motion; offsets of clocks in s.
+LOW_PASSES_HZ, PLAYS, OFFSETS = np.geomspace(0.5, 40.0, 30), np.geomspace(0.05, 3.0, 36), 121
+# Butterworth low-passes of second and fourth order: polynomials in s over the corner frequency.
+BUTTERWORTH = (Polynomial([1.0, 1.4142, 1.0]), Polynomial([1.0, 2.6131, 3.4142, 2.6131, 1.0]))
+MAX_OFFSET_S, MAX_RAISED = 0.6, 20.0
+TONES = 3  # neighbouring frequencies that a tone may spread over: its amplitude changes slowly
+# A cause is named where it leaves less than this share of the difference (power).
+MAX_LEFT = 0.3
+
+
+class Cause(StrEnum):
+    """What two sensors may differ by, in words."""
+
+    UNIT = "a unit, sign or sensitivity that is not the declared one"
+    CLOCK = "a clock that is off"
+    STEP = "a clock that steps"
+    LOW_PASS = "a low-pass in the accelerometer's logger"
+    SLOW_SENSOR = "a displacement sensor that follows late"
+    PLAY = "play (backlash) in the displacement sensor's joint"
+    TONE = "a vibration that only the accelerometer has, or that it aliases (a machine above half its rate)"
+
+
+def listed(*without: Cause) -> str:
+    """All causes but some, as the end of a sentence."""
+    left = [cause.value for cause in Cause if cause not in without]
+    return ", ".join(left[:-1]) + " or " + left[-1]
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """The cause that explains best, with the share of the difference (power) that it leaves, and its lead over the next
+    one (logarithm of the likelihood). named: whether it is clearly the one. difference_m: what is to be explained, rms.
+    """
+
+    cause: Cause
+    left: float
+    lead: float
+    named: bool
+    difference_m: float
+
+
+def likeliest_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
+    """The cause of what a displacement (in m, as its unit says) differs by; None where too little is compared.
+
+    offset_s: a clock offset that there may be besides any of them.
+    """
+    if len(pair.rows) < MIN_READINGS:
+        return None
+    compared = _Compared.of(pair)
+    if len(compared.time_s) < MIN_READINGS:
+        return None
+    found = _best(compared)
+    if found.named or offset_s == 0.0:
+        return found
+    besides = _best(compared.later(offset_s))
+    return besides if besides.named else found
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """Readings (n,) at times_s (n,), and the acceleration's spectrum on an even grid from start_s on."""
+
+    time_s: Floats
+    value_m: Floats
+    start_s: float
+    rate_hz: float
+    spectrum: NDArray[np.complex128]
+    slowest_hz: float
+
+    @staticmethod
+    def of(pair: Pair) -> "_Compared":
+        known = pair.rows[np.isfinite(pair.rows[:, 1]) & np.isfinite(pair.rows[:, 2])][:MAX_READINGS]
+        samples = pair.samples[pair.samples[:, 0] <= known[-1, 0] + 2.0 * MAX_OFFSET_S]
+        rate = pair.sample_rate_hz
+        even = np.arange(samples[0, 0], samples[-1, 0], 1.0 / rate)
+        shaken = np.interp(even, samples[:, 0], samples[:, 1])
+        slowest = max(SLOWEST_SHARE * dominant_frequency(shaken, rate), SLOWEST_HZ)
+        inside = (known[:, 0] > even[0] + MAX_OFFSET_S) & (known[:, 0] < even[-1] - MAX_OFFSET_S)
+        spectrum = np.fft.rfft(shaken - shaken.mean())
+        return _Compared(known[inside, 0], known[inside, 1], float(even[0]), rate, spectrum, slowest)
+
+    @cached_property
+    def _hertz(self) -> Floats:
+        return np.asarray(np.fft.rfftfreq(2 * (len(self.spectrum) - 1), 1.0 / self.rate_hz), dtype=np.float64)
+
+    def path(self, response: NDArray[np.inexact] | float = 1.0) -> Callable[[Floats], Floats]:
+        """The acceleration's displacement, of which each frequency is multiplied by a response, at any times."""
+        w = 2.0 * np.pi * self._hertz
+        # From the slowest frequency on; a sharp edge would ring.
+        rise = np.clip(2.0 * self._hertz / self.slowest_hz - 1.0, 0.0, 1.0)
+        transfer = np.where(w > 0.0, -rise / np.maximum(w, 1e-9) ** 2, 0.0) * response
+        path = np.asarray(np.fft.irfft(self.spectrum * transfer), dtype=np.float64)
+        place = self.start_s + np.arange(len(path)) / self.rate_hz
+        return lambda time_s: np.interp(time_s, place, path)
+
+    @cached_property
+    def _basis(self) -> Floats:
+        """Orthonormal columns (n, k) of slow motion, level and trend included."""
+        length = float(self.time_s[-1] - self.time_s[0])
+        count = min(int(2.0 * length * self.slowest_hz) + 1, len(self.time_s) // 3)
+        turn = np.pi * (self.time_s - self.time_s[0]) / length
+        columns = [np.cos(k * turn) for k in range(count + 1)] + [turn]
+        return np.linalg.qr(np.column_stack(columns))[0]
+
+    def free(self, values: Floats) -> Floats:
+        """Values (n,) without slow motion."""
+        return np.asarray(values - self._basis @ (self._basis.T @ values))
+
+    def later(self, offset_s: float) -> "_Compared":
+        """The readings at times that are later by an offset."""
+        return replace(self, time_s=self.time_s + offset_s)
+
+    def tried(self) -> dict[Cause, float]:
+        """Residual squares of each cause."""
+        plain = self.path()
+        y, x = self.free(self.value_m), self.free(plain(self.time_s))
+        clock, step = self._clocks(y, plain)
+        delayed = [1.0 / (1.0 + 1j * self._hertz / f) for f in LOW_PASSES_HZ]
+        return {
+            Cause.UNIT: _without([x], y),
+            Cause.CLOCK: clock,
+            Cause.STEP: step,
+            Cause.LOW_PASS: min(
+                self._least(y, [self._raised(f, filtered, late=late) for f in LOW_PASSES_HZ])
+                for filtered in BUTTERWORTH
+                for late in (True, False)
+            ),
+            Cause.SLOW_SENSOR: self._least(y, delayed),
+            Cause.PLAY: self._with_play(y, plain),
+            Cause.TONE: self._with_tone(y - x),
+        }
+
+    def difference(self) -> float:
+        """Squares of what has to be explained: the readings less the motion, or the readings if they are less."""
+        y = self.free(self.value_m)
+        x = self.free(self.path()(self.time_s))
+        return max(min(float(np.sum((y - x) ** 2)), float(np.sum(y**2))), 1e-300)
+
+    def _least(self, y: Floats, responses: Sequence[NDArray[np.inexact]]) -> float:
+        squares = [float(np.sum((y - self.free(self.path(one)(self.time_s))) ** 2)) for one in responses]
+        return _lowest(np.array(squares))
+
+    def _raised(self, frequency_hz: float, filtered: Polynomial, *, late: bool) -> NDArray[np.complex128]:
+        """What undoes a low-pass, as far as it does not raise noise; late False: but for its delay of slow motion."""
+        s = 1j * self._hertz / frequency_hz
+        undone = filtered(s) if late else filtered(s) * np.exp(-s * filtered.coef[1])
+        return np.asarray(undone * np.minimum(1.0, MAX_RAISED / np.abs(undone)), dtype=np.complex128)
+
+    def _clocks(self, y: Floats, plain: Callable[[Floats], Floats]) -> tuple[float, float]:
+        """Residual squares of one offset, and of two with the best instant between them."""
+        offsets = np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, OFFSETS)
+        squares = np.array([(y - self.free(plain(self.time_s + one))) ** 2 for one in offsets])
+        blocks = np.array([part.sum(axis=1) for part in np.array_split(squares, BLOCKS, axis=1)])
+        before = np.cumsum(blocks, axis=0)
+        whole = before[-1]
+        step = min(float(np.min(before[k]) + np.min(whole - before[k])) for k in range(BLOCKS - 1))
+        return _lowest(whole), step
+
+    def _with_play(self, y: Floats, plain: Callable[[Floats], Floats]) -> float:
+        even = np.arange(self.start_s, float(self.time_s[-1]) + 1.0, 1.0 / self.rate_hz)
+        path = plain(even)
+        size = float(np.std(path))
+        followed = (np.interp(self.time_s, even, _play(path, width * size)) for width in PLAYS)
+        return _lowest(np.array([float(np.sum((y - self.free(one)) ** 2)) for one in followed]))
+
+    def _with_tone(self, difference: Floats) -> float:
+        """Residual squares with the tone that takes most, whatever the acceleration would make of it."""
+        length = float(self.time_s[-1] - self.time_s[0])
+        hertz = np.arange(self.slowest_hz, 0.5 * self.rate_hz, 0.5 / length)
+        limit = 0.5 / float(np.median(np.diff(self.time_s)))
+        power = [abs(np.exp(-2j * np.pi * f * self.time_s) @ difference) for f in hertz[hertz < limit]]
+        at = float(hertz[int(np.argmax(power))])
+        columns = []
+        for k in range(TONES):
+            turn = 2.0 * np.pi * (at + (k - TONES // 2) / length) * self.time_s
+            columns += [self.free(np.sin(turn)), self.free(np.cos(turn))]
+        return _without(columns, difference)
+
+
+PARAMETERS = {Cause.STEP: 3, Cause.TONE: 1 + 2 * TONES}  # of a model, 1 of any other
+
+
+def _best(compared: _Compared) -> Explained:
+    """The cause that explains best."""
+    count = len(compared.time_s)
+    squares = {cause: max(square, 1e-300) for cause, square in compared.tried().items()}
+
+    def score(cause: Cause) -> float:
+        parameters = PARAMETERS.get(cause, 1)
+        return -0.5 * count * math.log(squares[cause] / count) - 0.5 * parameters * math.log(count)
+
+    first, second = sorted(Cause, key=score, reverse=True)[:2]
+    difference = compared.difference()
+    left, lead = squares[first] / difference, score(first) - score(second)
+    named = left < MAX_LEFT and lead > least_lead(count)
+    return Explained(first, left, lead, named, math.sqrt(difference / count))
+
+
+def _lowest(values: Floats) -> float:
+    """The lowest value of a parabola through the least of values (k,) and its neighbours."""
+    k = int(np.argmin(values))
+    if not 0 < k < len(values) - 1:
+        return float(values[k])
+    a, b, c = values[k - 1 : k + 2]
+    bend = a - 2.0 * b + c
+    return float(max(b - (a - c) ** 2 / (8.0 * bend), 0.0)) if bend > 0.0 else float(b)
+
+
+def _without(columns: list[Floats], values: Floats) -> float:
+    """Residual squares of values (n,) by least squares on columns (n,)."""
+    matrix = np.column_stack(columns)
+    return float(np.sum((values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]) ** 2))
+
+
+@njit(cache=True)
+def _play(path: Floats, width: float) -> Floats:
+    """What follows a path (n,) with a play of a width about it."""
+    out = np.empty_like(path)
+    half, at = 0.5 * width, path[0]
+    for k in range(len(path)):
+        at = min(max(at, path[k] - half), path[k] + half)
+        out[k] = at
+    return out

@@ -1,0 +1,97 @@
+"""Which cause is named where a displacement sensor and the accelerometer do not agree: the right one, or all."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+
+import midspan
+from midspan.errors import UntrustedError
+from recording_edits import write_displacement
+
+FINE_HZ, LENGTH_S = 500.0, 60.0
+# What says that one cause is it, and no list of those that may be.
+CERTAIN = {
+    "play": ("play (backlash) in the displacement sensor's joint explains",),
+    "step": ("a clock that steps explains", "its clock jumped"),
+    "tone": ("(a machine above half its rate) explains",),
+    "low-pass": (
+        "a low-pass in the accelerometer's logger delays",
+        "a low-pass in the accelerometer's logger explains",
+    ),
+    "unit": ("Check displacement.unit, accelerometer.unit",),
+}
+
+
+def swaying(rng):
+    """Two modes under noise: time (s), displacement (m, 1 rms) and acceleration on a fine grid."""
+    time = np.arange(0.0, LENGTH_S, 1.0 / FINE_HZ)
+    spectrum = np.fft.rfft(rng.normal(size=len(time)))
+    w = 2.0 * np.pi * np.fft.rfftfreq(len(time), 1.0 / FINE_HZ)
+    # Receptance of a mode: 1 / (w0² - w² + 2i z w0 w); the force is white up to the fast modes.
+    modes = [size * w0**1.5 / (w0**2 - w**2 + 0.04j * w0 * w) for w0, size in ((6.9, 1.0), (17.0, 0.6))]
+    path = spectrum * np.sum(modes, axis=0) * (w > 3.0) * (w < 60.0)
+    moved, accel = np.fft.irfft(path, len(time)), np.fft.irfft(-(w**2) * path, len(time))
+    return time, moved / np.std(moved), accel / np.std(moved)
+
+
+def with_play(moved, width):
+    out, at = np.empty_like(moved), moved[0]
+    for k, value in enumerate(moved):
+        at = min(max(at, value - 0.5 * width), value + 0.5 * width)
+        out[k] = at
+    return out
+
+
+def write(folder, cause, size, seed=0, rms_mm=2.0, noise_mm=0.05):
+    """A recording at 100 and 10 Hz in which one thing is wrong by `size`."""
+    rng = np.random.default_rng(seed)
+    time, moved, accel = swaying(rng)
+    moved, accel = rms_mm * moved, 1e-3 * rms_mm * accel
+    seen = with_play(moved, size) if cause == "play" else moved
+    felt = sosfilt(butter(2, size, fs=FINE_HZ, output="sos"), accel) if cause == "low-pass" else accel
+    at, met = np.arange(0.0, LENGTH_S - 0.1, 0.01), np.arange(0.503, LENGTH_S - 0.6, 0.1)
+    value = np.interp(at, time, felt) + 5e-3 * rng.normal(size=len(at))
+    if cause == "tone":  # of a machine above half the accelerometer's rate: 98.6 Hz at 100 Hz is 1.4 Hz
+        value += size * np.sin(2.0 * np.pi * 98.6 * at)
+    height = np.interp(met, time, seen) + noise_mm * rng.normal(size=len(met))
+    height *= size if cause == "unit" else 1.0
+    stamps = np.where(met > 0.5 * LENGTH_S, met + size, met) if cause == "step" else met
+    write_displacement(folder, (at, value), (stamps, height))
+
+
+def said(folder):
+    """Everything an estimate says, a refusal included."""
+    try:
+        return " ".join(str(line) for line in midspan.estimate(folder).warnings)
+    except UntrustedError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize(
+    ("cause", "size", "rms_mm", "noise_mm", "clear"),
+    [
+        ("play", 1.0, 2.0, 0.05, True),  # was called a low-pass in the logger
+        ("play", 4.0, 2.0, 0.05, True),  # was called a wrong unit
+        ("step", 0.3, 0.5, 0.2, False),  # was called a low-pass, or a reversed sign
+        ("step", 0.3, 2.0, 0.05, True),
+        ("tone", 0.05, 0.5, 0.2, False),  # was called a wrong unit
+        ("low-pass", 3.0, 2.0, 0.05, True),
+        ("unit", 10.0, 2.0, 0.05, True),
+    ],
+)
+def test_no_wrong_cause_is_named_and_a_clear_one_is(cause, size, rms_mm, noise_mm, clear, tmp_path):
+    write(tmp_path, cause, size, rms_mm=rms_mm, noise_mm=noise_mm)
+    text = said(tmp_path)
+    for other, words in CERTAIN.items():
+        if other != cause:
+            assert not any(word in text for word in words), text
+    assert "sign is reversed" not in text
+    assert not clear or any(word in text for word in CERTAIN[cause]), text
+
+
+def test_a_delay_that_several_causes_make_is_called_none_of_them(tmp_path):
+    write(tmp_path, "low-pass", 15.0)
+    text = said(tmp_path)
+    # A second-order low-pass at 15 Hz delays by 15 ms, nearly evenly below 3 Hz: a clock does the same.
+    assert "do not tell a clock from" in text
+    assert "a low-pass in the accelerometer's logger" in text
