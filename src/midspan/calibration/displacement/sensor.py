@@ -264,8 +264,8 @@ def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
             Notice(
                 "exposure",
                 f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
-                "corrected, and the error band holds both; displacement.exposure_s declares it.",
+                f"{learnt.exposure_s:.3g} s, of play in its joint, or of an accelerometer that resonates on its mount. "
+                "The first is corrected, and the error band holds it; displacement.exposure_s declares it.",
             )
         )
     elif given.exposure_s is None and learnt.open_exposure_s > 0.0:
