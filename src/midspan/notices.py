@@ -59,8 +59,8 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
     ),
     "exposure": (
         _NOTE,
-        "the sensor averages fast motion over its exposure, which was not declared; it is corrected where no slow response "
-        "and no error of the accelerometer explains it as well, else in the band alone",
+        "the sensor averages fast motion over its exposure, which was not declared; it is corrected where no slow "
+        "response and no error of the accelerometer explains it as well, else in the band alone",
         "declare exposure_s, or shorten the exposure",
     ),
     "file-damaged": (
