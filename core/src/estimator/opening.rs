@@ -76,6 +76,7 @@ impl Estimator {
     fn tells_zero(&self, count: usize, first_s: f64) -> bool {
         let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
         zero_s.is_none_or(|zero_s| zero_s > first_s + FIRST_S)
+            || !self.settings.channels.iter().any(|channel| channel.zero_known())
             || self.memory.waiting[..count].iter().any(|one| match &one.item {
                 Item::Measured(row) => self.settings.channels[row.channel].zero_known(),
                 _ => false,
