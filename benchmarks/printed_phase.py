@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.table import show
 from midspan.errors import UntrustedError
-from midspan.evaluate.papers.films import by_excitation
+from midspan.papers.films import by_excitation
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording

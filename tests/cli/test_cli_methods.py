@@ -9,8 +9,8 @@ import pytest
 
 from midspan.cli.main import run
 from midspan.engine.camera import CameraChain
-from midspan.evaluate.published import PAPERS
 from midspan.fusion.methods import METHODS
+from midspan.papers.published import PAPERS
 from midspan.settings.load import validate
 from midspan.vision.tracker import TRACKERS
 from recording_edits import set_keys

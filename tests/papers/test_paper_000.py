@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.calibration.camera.felt import printed_band
-from midspan.evaluate.papers.films import Way, calibration_frames, frames_of, mean_mm, run_film
+from midspan.papers.films import Way, calibration_frames, frames_of, mean_mm, run_film
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate

@@ -7,7 +7,7 @@ import pytest
 
 from lively_recordings import Lively, write
 from midspan.cli.main import run
-from midspan.evaluate.papers.films import Run, Way, by_excitation, half_sample_mm, mean_mm, run_film
+from midspan.papers.films import Run, Way, by_excitation, half_sample_mm, mean_mm, run_film
 from midspan.recording.calibrate import calibrate
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording

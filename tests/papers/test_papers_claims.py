@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from midspan.cli.group import commands
-from midspan.evaluate.papers import entries_000, entries_001, entries_002, entries_003, entries_004, two_stage_003
-from midspan.evaluate.papers.claims import Claim, Effort, Entry, Experiment, Measured, Verdict, judged
-from midspan.evaluate.papers.table import MODULES, experiments, repeat
-from midspan.report.papers import write_papers
+from midspan.papers import entries_000, entries_001, entries_002, entries_003, entries_004, two_stage_003
+from midspan.papers.claims import Claim, Effort, Entry, Experiment, Measured, Verdict, judged
+from midspan.papers.page import write_papers
+from midspan.papers.table import MODULES, experiments, repeat
 
 # Claims that do not hold, each with its reason in `Entry.because`.
 FAILING = {

@@ -36,7 +36,7 @@ def command(papers: bool, quiet: bool, as_json: bool) -> None:
 
 def _show_papers(console: Console) -> None:
     """Each paper with what it is here."""
-    from midspan.evaluate.published import PAPERS
+    from midspan.papers.published import PAPERS
 
     for paper in PAPERS:
         console.say(f"{paper.name}: {paper.citation}{f'; {paper.where}' if paper.where else ''}")

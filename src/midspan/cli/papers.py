@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import click
 
 from midspan.cli.console import Console, common_options
-from midspan.evaluate.published import PAPERS
+from midspan.papers.published import PAPERS
 
 if TYPE_CHECKING:
-    from midspan.evaluate.papers.claims import Row
-    from midspan.evaluate.papers.table import Outcome
+    from midspan.papers.claims import Row
+    from midspan.papers.table import Outcome
 
 
 @click.command("papers")
@@ -27,7 +27,7 @@ def command(only: str | None, quick: bool, seeds: int | None, report: str | None
     Each claim is an inequality of measured numbers, judged on the mean of the seeds. Known truth, the papers' geometry,
     rates and chirps; what they do not print is chosen here and named.
     """
-    from midspan.evaluate.papers.table import MODULES, QUICK_SEEDS, SEEDS, experiments, repeat
+    from midspan.papers.table import MODULES, QUICK_SEEDS, SEEDS, experiments, repeat
 
     console = Console(quiet, as_json)
     path = _report_file(report)
@@ -41,7 +41,7 @@ def command(only: str | None, quick: bool, seeds: int | None, report: str | None
     console.say(_counted(rows))
     document = {"seeds": count, "quick": quick, "rows": [row.to_dict() for row in rows]}
     if path is not None:
-        from midspan.report.papers import write_papers
+        from midspan.papers.page import write_papers
 
         write_papers(outcomes, path, _how(only, quick, count))
         console.say(f"{path}: the page")
@@ -85,7 +85,7 @@ def _show(console: Console, key: str, rows: "list[Row]") -> None:
 
 
 def _counted(rows: "list[Row]") -> str:
-    from midspan.evaluate.papers.claims import Verdict
+    from midspan.papers.claims import Verdict
 
     verdicts = ", ".join(f"{sum(row.verdict is verdict for row in rows)} {verdict.value}" for verdict in Verdict)
     compared = [row for row in rows if row.compared]

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from midspan.evaluate.papers.claims import Curve, Effort, Measured
 from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.runners import run_method
+from midspan.papers.claims import Curve, Effort, Measured
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
 from midspan.radar.literal import best_on_grid

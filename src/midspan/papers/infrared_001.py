@@ -18,11 +18,11 @@ from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
 from midspan.engine.switching import Switch
 from midspan.engine.thermal_target import ThermalTarget
 from midspan.errors import UsageError
-from midspan.evaluate.papers.claims import Curve, Effort, Measured
 from midspan.fusion.adaptive import PrintedFilter
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanFilter, KalmanSettings, MethodSettings
+from midspan.papers.claims import Curve, Effort, Measured
 from midspan.records import (
     NANOSECONDS,
     Acceleration,

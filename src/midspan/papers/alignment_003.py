@@ -10,8 +10,8 @@ import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.printed import PrintedSteps, calibrate_printed
-from midspan.evaluate.papers.claims import Effort, Measured
-from midspan.evaluate.papers.two_stage_003 import (
+from midspan.papers.claims import Effort, Measured
+from midspan.papers.two_stage_003 import (
     CAMERA_HZ,
     FIRS,
     STOREY,

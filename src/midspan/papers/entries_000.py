@@ -6,8 +6,8 @@ Figures 1 to 8, 11 and 15 show flow charts and set-ups, and have no numbers.
 from dataclasses import replace
 from functools import partial
 
-from midspan.evaluate.papers import phase_000 as measured
-from midspan.evaluate.papers.claims import Claim, Entry, Experiment
+from midspan.papers import phase_000 as measured
+from midspan.papers.claims import Claim, Entry, Experiment
 
 CHOSEN = (
     "amplitudes (40 mm sines, which must wrap at 3 m and must not at 63 m; 4 mm on the bridge), texture, exposure and "

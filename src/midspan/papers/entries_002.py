@@ -1,7 +1,7 @@
 """The figures of the radar paper with what it prints and claims."""
 
-from midspan.evaluate.papers import radar_002 as measured
-from midspan.evaluate.papers.claims import Claim, Entry, Experiment
+from midspan.papers import radar_002 as measured
+from midspan.papers.claims import Claim, Entry, Experiment
 
 CHOSEN = (
     "a reflector of 10 % in the next half bin at another angle, phase noise of 0.02 rad, noise of the receiver, "

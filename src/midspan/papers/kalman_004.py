@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from midspan.evaluate.papers.claims import Curve, Effort, Measured
-from midspan.evaluate.papers.films import Run, Track, Way, followed, frames_of, half_sample_mm, run_all, with_means
+from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.films import Run, Track, Way, followed, frames_of, half_sample_mm, run_all, with_means
 from midspan.records import Floats, Prediction, Region
 from midspan.simulate.scenarios.papers import Film, FilmSettings, film
 from midspan.vision.features import FeatureSettings, earlier_rules, good_matches

@@ -1,7 +1,7 @@
 """The tables and figures of the paper on vision and infrared with what it prints and claims."""
 
-from midspan.evaluate.papers import infrared_001 as measured
-from midspan.evaluate.papers.claims import Claim, Entry, Experiment
+from midspan.papers import infrared_001 as measured
+from midspan.papers.claims import Claim, Entry, Experiment
 
 SIZES = (
     "15 pictures a second of 90 × 112 px and 0.9 K of contrast with noise of 0.05 K and a fixed pattern of 0.03 K, "

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing import active_children, get_context
 
-from midspan.evaluate.papers.claims import Curve, Effort, Experiment, Measured, Row, judged
+from midspan.papers.claims import Curve, Effort, Experiment, Measured, Row, judged
 
 # Key of a paper → module with its EXPERIMENTS.
 MODULES = {
-    "000": "midspan.evaluate.papers.entries_000",
-    "001": "midspan.evaluate.papers.entries_001",
-    "002": "midspan.evaluate.papers.entries_002",
-    "003": "midspan.evaluate.papers.entries_003",
-    "004": "midspan.evaluate.papers.entries_004",
+    "000": "midspan.papers.entries_000",
+    "001": "midspan.papers.entries_001",
+    "002": "midspan.papers.entries_002",
+    "003": "midspan.papers.entries_003",
+    "004": "midspan.papers.entries_004",
 }
 QUICK_SEEDS, SEEDS = 1, 3
 # Interval at which progress is reported, s.

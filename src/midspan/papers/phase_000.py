@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.camera.felt import felt_motion
-from midspan.evaluate.papers.claims import Curve, Effort, Measured
-from midspan.evaluate.papers.films import (
+from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.films import (
     Run,
     Track,
     Way,
@@ -23,7 +23,7 @@ from midspan.evaluate.papers.films import (
     run_all,
     with_means,
 )
-from midspan.evaluate.papers.kalman_004 import existing_technique, fused_values, printed_film
+from midspan.papers.kalman_004 import existing_technique, fused_values, printed_film
 from midspan.recording.streams.window import calibration_window
 from midspan.records import Floats, Frame, Region
 from midspan.signals.band_pass import band_passed

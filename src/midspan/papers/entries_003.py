@@ -1,8 +1,8 @@
 """The tables and figures of the two-stage FIR paper with what it prints and claims."""
 
-from midspan.evaluate.papers import alignment_003 as alignment
-from midspan.evaluate.papers import two_stage_003 as measured
-from midspan.evaluate.papers.claims import Claim, Entry, Experiment
+from midspan.papers import alignment_003 as alignment
+from midspan.papers import two_stage_003 as measured
+from midspan.papers.claims import Claim, Entry, Experiment
 
 # The filters differ at the aliases, by what the sub-title of a figure says; see `two_stage_003`.
 PRINTED, OURS = ("existing", "proposed"), ("smoother",)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from midspan.evaluate.papers.claims import Curve, Row
-from midspan.evaluate.papers.table import Outcome
-from midspan.evaluate.published import PAPERS, Paper
+from midspan.papers.claims import Curve, Row
+from midspan.papers.published import PAPERS, Paper
+from midspan.papers.table import Outcome
 from midspan.report import page
 from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, saved, sheet, style
 from midspan.writing import write_whole

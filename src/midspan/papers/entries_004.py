@@ -5,8 +5,8 @@ Figures 1 to 12, 17 and 20 show flow charts and set-ups, and have no numbers.
 
 from functools import partial
 
-from midspan.evaluate.papers import kalman_004 as measured
-from midspan.evaluate.papers.claims import Claim, Entry, Experiment
+from midspan.papers import kalman_004 as measured
+from midspan.papers.claims import Claim, Entry, Experiment
 
 CHOSEN = (
     "amplitudes within the largest displacements that the paper names, texture, exposure and noise of a consumer "
