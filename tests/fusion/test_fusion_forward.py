@@ -10,16 +10,17 @@ from midspan.fusion.second_pass import smooth
 from midspan.fusion.streams import AS_DECLARED, NO_ERRORS
 from midspan.records import Channel, Measured, Samples, Source, joined, nanoseconds
 
-# The joint filter integrates the acceleration along straight lines: at 300 Hz the two rules agree to 6e-5 at 1.3 Hz.
-RATE_HZ, FRAME_HZ, LENGTH_S = 300.0, 7.0, 5.0
+# The joint filter integrates the acceleration along straight lines: at 1500 Hz the two rules agree to 2e-6 at 1.3 Hz,
+# far below what the scale error is known to; at 300 Hz 6e-5 would be a fifth of that.
+RATE_HZ, FRAME_HZ, LENGTH_S = 1500.0, 7.0, 5.0
 DENSITY, NOISE_M = 4e-6 / RATE_HZ, 5e-6
 # Of the scale error and the clock offset (s): so small that products of two of them are of no weight.
 PRIOR = np.array([5e-4, 1e-4])
 EXPOSURE_S = 0.02
 BLUR_S2 = EXPOSURE_S**2 / 24.0
-# Displacement (m), velocity (m/s) and bias (m/s²) at the start: no farther than the motion goes, as the joint filter
-# takes a scale error times the predicted displacement, the estimator times the updated one.
-START = np.array([5e-3, 0.05, 0.2])
+# Displacement (m), velocity (m/s) and bias (m/s²) at the start, at a crest: the joint filter takes a scale error times
+# the predicted displacement, the estimator times the updated one: the prediction has to be good from the start.
+START = np.array([5e-3, 2e-3, 0.02])
 BEGIN_S = -START_S
 
 
@@ -29,16 +30,16 @@ WITHIN = 0.03
 
 
 def record(seed=3):
-    """A sine with a bias, and frames at uneven instants that are late and of another scale."""
+    """A cosine with a bias, and frames at uneven instants that are late and of another scale."""
     rng = np.random.default_rng(seed)
     time = np.arange(int(LENGTH_S * RATE_HZ)) / RATE_HZ
     count, w = int(LENGTH_S * FRAME_HZ) - 2, 2 * np.pi * 1.3
     noise = rng.normal(0, np.sqrt(DENSITY * RATE_HZ), len(time))
-    acceleration = -5e-3 * w * w * np.sin(w * time) + 0.02 + noise
+    acceleration = -5e-3 * w * w * np.cos(w * time) + 0.02 + noise
     met = 0.03 + np.arange(count) / FRAME_HZ + rng.uniform(0, 0.5 / FRAME_HZ, count)
     # In the first interval: the filter begins with the sample before it.
-    met[0] = 0.002
-    value = 0.9994 * 5e-3 * np.sin(w * (met + 1.2e-4)) + rng.normal(0, NOISE_M, count)
+    met[0] = 0.6 / RATE_HZ
+    value = 0.9994 * 5e-3 * np.cos(w * (met + 1.2e-4)) + rng.normal(0, NOISE_M, count)
     return time, acceleration, met, value
 
 
@@ -130,7 +131,7 @@ def test_parameters_found_are_those_of_a_filter_that_has_them_as_states(both):
     value, variance = estimator.parameters
     mean, spread = filtered[-1]
     assert np.sqrt(variance) == pytest.approx(np.sqrt(np.diag(spread)[4:]), rel=WITHIN)
-    assert value == pytest.approx(mean[4:], abs=0.01 * np.sqrt(variance).max(), rel=0.02)
+    assert np.all(np.abs(value - mean[4:]) < 0.05 * np.sqrt(variance))
 
 
 def test_rows_and_band_are_those_of_a_filter_that_has_them_as_states(both):

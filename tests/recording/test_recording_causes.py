@@ -95,3 +95,28 @@ def test_a_delay_that_several_causes_make_is_called_none_of_them(tmp_path):
     # A second-order low-pass at 15 Hz delays by 15 ms, nearly evenly below 3 Hz: a clock does the same.
     assert "do not tell a clock from" in text
     assert "a low-pass in the accelerometer's logger" in text
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_clock_that_steps_in_the_calibration_window_is_corrected(seed, tmp_path):
+    # Half of the readings were left out as outliers, and the rest of the record was 3.7 mm wrong at a stated 0.2.
+    write(tmp_path, "step", 0.3, seed)
+    result = midspan.estimate(tmp_path)
+    time, moved, _ = swaying(np.random.default_rng(seed))
+    error = result.displacement_mm - 2.0 * np.interp(result.time_s, time, moved)
+    error = (error - np.mean(error))[np.abs(result.time_s - 30.0) > 1.0]
+    assert np.std(error) < 0.05
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm[np.abs(result.time_s - 30.0) > 1.0]) > 0.9
+    assert any("its clock jumped" in str(line) for line in result.warnings)
+
+
+def test_values_that_are_left_out_in_great_number_are_said(tmp_path):
+    # Of the readings a third is something else, which no cause explains.
+    write(tmp_path, "unit", 1.0)
+    lines = (tmp_path / "d.csv").read_text().splitlines()
+    rng = np.random.default_rng(3)
+    for row in rng.choice(np.arange(2, len(lines)), len(lines) // 3, replace=False):
+        stamp = lines[row].split(",")[0]
+        lines[row] = f"{stamp},{rng.normal(0.0, 40.0):.6f}"
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n")
+    assert "contradict the acceleration" in said(tmp_path)

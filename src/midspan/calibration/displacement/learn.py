@@ -9,6 +9,7 @@ from midspan.calibration.causes import Cause, likeliest_cause
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.cause_words import disagreement, lateness
+from midspan.calibration.displacement.left_out import MANY_LEFT_OUT, left_out, many_left_out, on_one_clock
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.held_values import held_values
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
@@ -139,8 +140,11 @@ def clock_rate(given: Given) -> ClockRate | None:
     return find_clock_rate(replace(beside.pair(0.0), cross=None), beside.max_offset_s, beside.first_ns)
 
 
-def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
-    """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal."""
+def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> NoiseCalibration:
+    """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal.
+
+    clock_steps: where many values would be outliers, a clock that steps is looked for.
+    """
     beside = _beside(given, series)
     prepared, first = given.prepared, beside.first_ns
     max_offset = beside.max_offset_s
@@ -176,6 +180,11 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
+    if (share := left_out(pair, found.pair)) > MANY_LEFT_OUT:
+        even = on_one_clock(series, first, pair, found.fit) if clock_steps else None
+        if even is not None:
+            return learn(given, even, clock_steps=False)
+        notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
     learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
