@@ -6,9 +6,9 @@
 use super::hypothesis::Hypothesis;
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
-use super::motion::{AxisMotion, Clock};
+use super::motion::{AxisMotion, Clock, shift_sensitivities};
 use super::predict::{
-    MotionCovariance, mirror_others, predict_across, predict_axis_mean, predict_others, predict_walks,
+    MotionCovariance, MotionMean, mirror_others, predict_across, predict_others, predict_sensitivities, predict_walks,
 };
 use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_variance};
 use super::run::{Block, Filter};
@@ -55,15 +55,21 @@ impl Filter {
         let samples = block.samples.part(first, end);
         let stretch = Stretch { samples, time_s: &block.time_s[first..end], first_ns: block.first_ns };
         let hyp = self.hyps.best_mut();
+        let all_rows = samples.all_rows(block.first_ns);
         if let Some(rows) = leave.rows.as_deref_mut() {
-            let given = (0..samples.len()).filter(|&k| samples.is_row(k, block.first_ns));
-            rows.time_ns.extend(given.map(|k| samples.time_ns[k]));
+            if all_rows {
+                rows.time_ns.extend_from_slice(samples.time_ns);
+            } else {
+                let given = (0..samples.len()).filter(|&k| samples.is_row(k, block.first_ns));
+                rows.time_ns.extend(given.map(|k| samples.time_ns[k]));
+            }
         }
         let place = leave.back.as_deref_mut().map(|back| back.add_samples(stretch.time_s));
         for a in 0..axes {
             let out = leave.rows.as_deref_mut().and_then(|rows| rows.axes.get_mut(a));
             let back = leave.back.as_deref_mut().zip(place);
-            let mut along = Along { a, hyp, motion: self.motion[a], clock: self.clock, model, uncertain };
+            let mean = MotionMean::of(&hyp.x, motion_of(a));
+            let mut along = Along { a, hyp, mean, motion: self.motion[a], clock: self.clock, model, uncertain };
             along.run(&stretch, out, back);
             self.motion[a] = along.motion;
         }
@@ -92,6 +98,7 @@ fn predict_between(hyp: &mut Hypothesis, axes: usize, dt: f64) {
 struct Along<'a> {
     a: usize,
     hyp: &'a mut Hypothesis,
+    mean: MotionMean,
     motion: AxisMotion,
     clock: Clock,
     model: &'a Model,
@@ -113,10 +120,15 @@ impl Along<'_> {
         let densities = stretch.samples.density.iter().skip(a).step_by(axes);
         for (k, ((&end_s, &value), &density)) in stretch.time_s.iter().zip(accelerations).zip(densities).enumerate() {
             let (dt, lead) = (end_s - self.clock.time_s, self.clock.lead(end_s));
-            let x = &mut self.hyp.x;
-            let now = value + lean * (x[(i, 0)] + dt * x[(i + 1, 0)]);
-            self.motion.begin(now, dt, lead, x, a, &model.gain_of);
-            predict_axis_mean(x, a, dt, self.motion.response(dt), &model.gain_of);
+            let now = value + lean * (self.mean.x + dt * self.mean.v);
+            let led = self.motion.begin(now, dt, lead);
+            let moved = self.motion.response(dt);
+            self.mean.v += led;
+            self.mean = self.mean.moved(dt, moved);
+            if !model.gain_of.is_empty() {
+                shift_sensitivities(&mut self.hyp.x, a, led, &model.gain_of);
+                predict_sensitivities(&mut self.hyp.x, a, dt, moved, &model.gain_of);
+            }
             covariance = covariance.moved(dt, walk).with_noise(dt, density);
             if let Some(density) = burst {
                 covariance = covariance.with_noise(dt, density);
@@ -144,11 +156,13 @@ impl Along<'_> {
             }
             if let Some((back, first)) = back.as_mut() {
                 covariance.put(&mut self.hyp.p, i);
+                self.mean.put(&mut self.hyp.x, i);
                 back.put_node(*first + k, a, self.hyp, &self.motion, known.datum);
                 back.put_status(*first + k, a, standing.source, status as u8);
             }
         }
         covariance.put(&mut self.hyp.p, i);
+        self.mean.put(&mut self.hyp.x, i);
         mirror_others(&mut self.hyp.p, i, self.uncertain);
     }
 
@@ -156,7 +170,7 @@ impl Along<'_> {
     #[inline(always)]
     fn leave_row(&self, known: &Known, covariance: &MotionCovariance, clock_variance: f64, out: &mut AxisRows) {
         let (i, hyp) = (motion_of(self.a), &*self.hyp);
-        let (mut value, mut variance, mut velocity) = (hyp.x[(i, 0)], covariance.xx, hyp.x[(i + 1, 0)]);
+        let (mut value, mut variance, mut velocity) = (self.mean.x, covariance.xx, self.mean.v);
         if let Some(d) = known.datum {
             value -= hyp.x[(d, 0)];
             variance += known.datum_variance - 2.0 * hyp.p[(i, d)];

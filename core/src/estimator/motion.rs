@@ -40,29 +40,34 @@ impl AxisMotion {
 }
 
 impl AxisMotion {
-    /// Begins an interval of length `dt` at whose end the acceleration is `now`; a: the axis, whose velocity state is brought
-    /// to it.
+    /// Begins an interval of length `dt` at whose end the acceleration is `now`; returns what the velocity state is moved by
+    /// for it (m/s), see [`shift_velocity`].
     ///
     /// The velocity state of the Numerov rule is the true velocity plus lead · a'. Where the length of the intervals changes,
     /// so does the lead, and the state is moved by the difference.
     #[inline(always)]
-    pub fn begin(&mut self, now: f64, dt: f64, lead: f64, x: &mut Matrix, a: usize, gain_of: &[Option<usize>]) {
+    pub fn begin(&mut self, now: f64, dt: f64, lead: f64) -> f64 {
         let slope = (now - self.input) / dt;
-        if lead != self.lead {
-            self.correct(slope, lead, x, a, gain_of);
-        }
+        let moved = (lead - self.lead) * 0.5 * (self.slope + slope);
         (self.lead, self.slope) = (lead, slope);
+        moved
     }
+}
 
-    /// Moves a velocity state by the difference of two leads.
-    #[inline(always)]
-    pub fn correct(&self, slope: f64, lead: f64, x: &mut Matrix, a: usize, gain_of: &[Option<usize>]) {
-        let (moved, i) = ((lead - self.lead) * 0.5 * (self.slope + slope), motion_of(a) + 1);
-        x[(i, 0)] += moved;
-        for (q, &of) in gain_of.iter().enumerate() {
-            if of == Some(a) {
-                x[(i, 1 + q)] -= moved;
-            }
+/// Moves the velocity state of an axis.
+#[inline]
+pub fn shift_velocity(x: &mut Matrix, a: usize, moved: f64, gain_of: &[Option<usize>]) {
+    x[(motion_of(a) + 1, 0)] += moved;
+    shift_sensitivities(x, a, moved, gain_of);
+}
+
+/// Moves its sensitivity to the gain of its accelerometer, which goes the other way.
+#[inline]
+pub fn shift_sensitivities(x: &mut Matrix, a: usize, moved: f64, gain_of: &[Option<usize>]) {
+    let i = motion_of(a) + 1;
+    for (q, &of) in gain_of.iter().enumerate() {
+        if of == Some(a) {
+            x[(i, 1 + q)] -= moved;
         }
     }
 }

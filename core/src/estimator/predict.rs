@@ -10,29 +10,56 @@ use super::motion::{Response, Way};
 #[inline]
 pub fn predict_mean(x: &mut Matrix, axes: usize, way: &Way, gain_of: &[Option<usize>]) {
     for (a, &moved) in way.moved.iter().enumerate().take(axes) {
-        predict_axis_mean(x, a, way.dt, moved, gain_of);
+        let i = motion_of(a);
+        MotionMean::of(x, i).moved(way.dt, moved).put(x, i);
+        predict_sensitivities(x, a, way.dt, moved, gain_of);
     }
 }
 
-/// The same of one axis.
+/// The sensitivities of one axis' motion to the parameters.
 #[inline(always)]
-pub fn predict_axis_mean(x: &mut Matrix, a: usize, dt: f64, moved: Response, gain_of: &[Option<usize>]) {
-    let (half, width) = (0.5 * dt * dt, x.width());
-    let first = motion_of(a) * width;
-    let rows = &mut x.elements_mut()[first..first + MOTION_STATES * width];
-    let (places, rest) = rows.split_at_mut(width);
-    let (speeds, biases) = rest.split_at_mut(width);
-    for ((place, speed), &bias) in places.iter_mut().zip(speeds.iter_mut()).zip(biases.iter()) {
-        *place += dt * *speed - half * bias;
-        *speed -= dt * bias;
-    }
-    places[0] += moved.x;
-    speeds[0] += moved.v;
+pub fn predict_sensitivities(x: &mut Matrix, a: usize, dt: f64, moved: Response, gain_of: &[Option<usize>]) {
+    let (half, i) = (0.5 * dt * dt, motion_of(a));
     for (q, &of) in gain_of.iter().enumerate() {
+        let (v, b) = (x[(i + 1, 1 + q)], x[(i + 2, 1 + q)]);
+        x[(i, 1 + q)] += dt * v - half * b;
+        x[(i + 1, 1 + q)] -= dt * b;
         if of == Some(a) {
-            places[1 + q] -= moved.x;
-            speeds[1 + q] -= moved.v;
+            x[(i, 1 + q)] -= moved.x;
+            x[(i + 1, 1 + q)] -= moved.v;
         }
+    }
+}
+
+/// The estimate of one axis' motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionMean {
+    /// Displacement, m.
+    pub x: f64,
+    /// Velocity state, m/s.
+    pub v: f64,
+    /// Bias, m/s².
+    pub b: f64,
+}
+
+impl MotionMean {
+    /// That of the axis whose first state is `i`.
+    #[inline(always)]
+    pub fn of(x: &Matrix, i: usize) -> Self {
+        Self { x: x[(i, 0)], v: x[(i + 1, 0)], b: x[(i + 2, 0)] }
+    }
+
+    /// Puts it into its place.
+    #[inline(always)]
+    pub fn put(&self, x: &mut Matrix, i: usize) {
+        (x[(i, 0)], x[(i + 1, 0)], x[(i + 2, 0)]) = (self.x, self.v, self.b);
+    }
+
+    /// Φ x + Γ a over `dt` seconds; moved: what the input adds.
+    #[inline(always)]
+    pub fn moved(self, dt: f64, moved: Response) -> Self {
+        let Self { x, v, b } = self;
+        Self { x: x + (dt * v - 0.5 * dt * dt * b) + moved.x, v: v - dt * b + moved.v, b }
     }
 }
 

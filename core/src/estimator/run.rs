@@ -12,7 +12,7 @@ use super::hypothesis::{Doubt, Hypothesis};
 use super::innovation::{Innovation, Scene, Work, follow_clock, look, meet_zero};
 use super::layout::motion_of;
 use super::model::Model;
-use super::motion::{AxisMotion, Clock, Way};
+use super::motion::{AxisMotion, Clock, Way, shift_velocity};
 use super::predict::{add_noise, predict_covariance, predict_mean};
 use super::rows::{Met, Rows, leave_row};
 use super::samples::View;
@@ -214,13 +214,12 @@ impl Filter {
     fn begin_interval(&mut self, model: &Model, now: &[f64], end_s: f64) {
         let (dt, lead) = (end_s - self.clock.time_s, self.clock.lead(end_s));
         for (a, axis) in self.motion.iter_mut().enumerate() {
-            let slope = (now[a] - axis.input) / dt;
-            if lead != axis.lead {
+            let moved = axis.begin(now[a], dt, lead);
+            if moved != 0.0 {
                 for hyp in self.hyps.all_mut() {
-                    axis.correct(slope, lead, &mut hyp.x, a, &model.gain_of);
+                    shift_velocity(&mut hyp.x, a, moved, &model.gain_of);
                 }
             }
-            (axis.lead, axis.slope) = (lead, slope);
         }
     }
 
