@@ -7,11 +7,26 @@ import numpy as np
 from numba import njit
 
 from midspan.records import Floats
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, quintic, weights
+from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
 
 PER_PX = 2
 MARGIN = 4  # coefficients beyond the first and last pixel: the spline's 3, and 1 for a shift of half a pixel
 FINE_TAPS = 2 * MARGIN + 1
+
+
+@njit(cache=True)
+def quintic(x: float, derivative: int) -> float:
+    """Quintic B-spline at `x` (px from its centre), or its first or second derivative, from truncated powers."""
+    power = 5 - derivative
+    total = 0.0
+    binomial = 1.0
+    for k in range(7):
+        base = x + 3.0 - k
+        if base > 0.0:
+            total += binomial * base**power
+        binomial *= -(6.0 - k) / (k + 1.0)
+    scale = 120.0 if derivative == 0 else (24.0 if derivative == 1 else 6.0)
+    return float(total / scale)
 
 
 @njit(cache=True)

@@ -16,15 +16,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan._core import Fix
 from midspan.checks import option, refuse
 from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, Pose, climb
 from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
-from midspan.vision.matching import Fix, locate
 from midspan.vision.region import check_size
-from midspan.vision.search import Span, fine_patch
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.template import NEXT_PX, TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
@@ -292,14 +291,7 @@ class RegistrationTracker(Tracker):
         template = self._seed.template
         x, y = (round(float(v)) for v in pose.value[:2])
         x, y = template.window.x + x, template.window.y + y
-        rows, columns = image.shape
-        margin = len(template.taps) // 2 + 1
-        whole = Span(margin, columns - template.window.width - margin, margin, rows - template.window.height - margin)
-        span = whole.around(x, y, 1, 1)
-        if span.empty:
-            return None
-        patch = fine_patch(image, span, template.pixels.shape, taps=template.taps, offset=offset)
-        fix = None if patch is None else locate(patch, template, (x, y), 0.0)
+        fix = template.matcher.peak_at(image, offset, (x, y))
         if fix is None or math.hypot(fix.x_px - pose.value[0], fix.y_px - pose.value[1]) > SEED_PX:
             return None
         return fix
