@@ -21,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     py::likelihood::register(module)?;
     py::signals::register(module)?;
     py::track::register(module)?;
+    py::registration::register(module)?;
     py::radar::register(module)?;
     py::estimator::register(module)?;
     py::printed::register(module)

@@ -49,10 +49,11 @@ impl<'py> Image<'py> {
                 false => Self::Single(copied(image)?.extract()?),
             });
         }
-        if let Ok(pixels) = image.extract::<PyReadonlyArray2<'py, f64>>()
-            && even(&pixels)
-        {
-            return Ok(Self::Double(pixels));
+        if let Ok(pixels) = image.extract::<PyReadonlyArray2<'py, f64>>() {
+            return Ok(match even(&pixels) {
+                true => Self::Double(pixels),
+                false => Self::Double(copied(image)?.extract()?),
+            });
         }
         let order = PyDict::new(image.py());
         order.set_item("order", "C")?;

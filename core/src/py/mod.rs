@@ -5,6 +5,7 @@ pub mod estimator;
 pub mod likelihood;
 pub mod printed;
 pub mod radar;
+pub mod registration;
 pub mod settings;
 pub mod signals;
 pub mod track;

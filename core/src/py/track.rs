@@ -2,6 +2,7 @@
 
 use super::arrays::{Image, array, grid, with_pixels};
 use super::elements;
+use crate::track::fine_spline::Fine;
 use crate::track::grid::{Grid, Part};
 use crate::track::peak::Precision;
 use crate::track::spline::{self, TAPS};
@@ -89,7 +90,7 @@ fn read_fine<'py>(
     across: PyReadonlyArray1<'py, f64>,
 ) -> PyResult<Grid32<'py>> {
     let (coefficients, down, across) = (grid(&coefficients), taps("down", &down)?, taps("across", &across)?);
-    array(py, py.detach(|| fine_spline::read(&coefficients, &down, &across)))
+    array(py, py.detach(|| fine_spline::read(&Fine::of(&coefficients), &down, &across)))
 }
 
 /// See [`fine_spline::refined`].
@@ -100,7 +101,7 @@ fn refined<'py>(py: Python<'py>, image: PyReadonlyArray2<'py, f64>) -> PyResult<
     array(py, py.detach(|| fine_spline::refined(&image)))
 }
 
-/// See [`fine_spline::cropped`].
+/// See [`Fine::cropped`].
 #[pyfunction]
 fn cropped<'py>(
     py: Python<'py>,
@@ -116,7 +117,7 @@ fn cropped<'py>(
         return Err(PyValueError::new_err("size: too large"));
     };
     at_least("coefficients", &coefficients, rows, columns)?;
-    array(py, fine_spline::cropped(&coefficients, origin, size))
+    array(py, Fine::of(&coefficients).cropped(origin, size).joined())
 }
 
 /// See [`correlation::window_energies`].

@@ -4,7 +4,7 @@
 
 use super::grid::{Grid, Part};
 use super::spline::{REACH, coefficients, combine, quintic, weights};
-use super::vectors::{vectorised, weighted};
+use super::vectors::{add_weighted, vectorised, weighted};
 
 /// Coefficients a pixel.
 pub const PER_PX: usize = 2;
@@ -29,9 +29,65 @@ pub fn pixels(coefficients: usize) -> usize {
     (coefficients.saturating_sub(FINE_TAPS)) / PER_PX + usize::from(coefficients >= FINE_TAPS)
 }
 
-/// A line of coefficients, those at even and those at odd places apart: reading each second of them is then reading all.
+/// Coefficients, those of even and those of odd columns apart: reading each second of them is then reading all.
+#[derive(Clone, Debug, Default)]
+pub struct Fine {
+    /// Of columns 0, 2, 4 …
+    pub even: Grid,
+    /// Of columns 1, 3, 5 …
+    pub odd: Grid,
+}
+
+impl Fine {
+    /// No coefficients but 0.
+    pub fn zeros(rows: usize, columns: usize) -> Self {
+        Self { even: Grid::filled(rows, columns.div_ceil(2), 0.0), odd: Grid::filled(rows, columns / 2, 0.0) }
+    }
+
+    /// Those of a grid of all.
+    pub fn of(grid: &Grid) -> Self {
+        let each_second = |first: usize, columns: usize| {
+            let values = (0..grid.rows).flat_map(|r| grid.row(r)[first..].iter().step_by(2).copied()).collect();
+            Grid { values, rows: grid.rows, columns }
+        };
+        Self { even: each_second(0, grid.columns.div_ceil(2)), odd: each_second(1, grid.columns / 2) }
+    }
+
+    /// All of them in one grid.
+    pub fn joined(&self) -> Grid {
+        let mut out = Grid::filled(self.even.rows, self.columns(), 0.0);
+        for r in 0..out.rows {
+            let row = out.row_mut(r);
+            row.iter_mut().step_by(2).zip(self.even.row(r)).for_each(|(out, value)| *out = *value);
+            row[1..].iter_mut().step_by(2).zip(self.odd.row(r)).for_each(|(out, value)| *out = *value);
+        }
+        out
+    }
+
+    /// Columns of all.
+    pub fn columns(&self) -> usize {
+        self.even.columns + self.odd.columns
+    }
+
+    /// The whole of the pixels that lie on the coefficients.
+    pub fn pixels(&self) -> Part {
+        Part { top: 0, bottom: pixels(self.even.rows), left: 0, right: pixels(self.columns()) }
+    }
+
+    /// The coefficients of the pixels from `origin` (row, column) on, `size` (rows, columns) of them.
+    pub fn cropped(&self, origin: (usize, usize), size: (usize, usize)) -> Self {
+        let part = |half: usize| Part {
+            top: PER_PX * origin.0,
+            bottom: PER_PX * (origin.0 + size.0) + BEYOND,
+            left: origin.1,
+            right: origin.1 + size.1 + half,
+        };
+        Self { even: self.even.part(part(HALF)), odd: self.odd.part(part(HALF - 1)) }
+    }
+}
+
+/// Lines of coefficients about a row of pixels.
 struct Line {
-    whole: Vec<f32>,
     even: Vec<f32>,
     odd: Vec<f32>,
 }
@@ -39,36 +95,20 @@ struct Line {
 impl Line {
     #[inline(always)]
     fn new(columns: usize) -> Self {
-        Self { whole: vec![0.0; columns], even: vec![0.0; columns.div_ceil(2)], odd: vec![0.0; columns / 2] }
+        Self { even: vec![0.0; columns + HALF], odd: vec![0.0; columns + HALF - 1] }
     }
 
-    /// Fill with the sums of nine rows of `grid` from `row` on and columns from `left` on, each times its weight.
+    /// Fill with the sums of nine rows of coefficients from `row` on, about pixels from `left` on, each times its weight.
     #[inline(always)]
-    fn down(&mut self, grid: &Grid, row: usize, left: usize, weight: &[f32; FINE_TAPS]) {
-        weighted::<FINE_TAPS>(std::array::from_fn(|j| &grid.row(row + j)[left..]), *weight, &mut self.whole);
-        let pairs = self.whole.chunks_exact(2);
-        if let [last] = pairs.remainder() {
-            self.even[self.odd.len()] = *last;
-        }
-        for ((pair, even), odd) in pairs.zip(&mut self.even).zip(&mut self.odd) {
-            (*even, *odd) = (pair[0], pair[1]);
-        }
+    fn down(&mut self, grid: &Fine, row: usize, left: usize, weight: &[f32; FINE_TAPS]) {
+        weighted::<FINE_TAPS>(std::array::from_fn(|j| &grid.even.row(row + j)[left..]), *weight, &mut self.even);
+        weighted::<FINE_TAPS>(std::array::from_fn(|j| &grid.odd.row(row + j)[left..]), *weight, &mut self.odd);
     }
 
     /// Fill `out` with the weighted sums of nine coefficients about each pixel.
     #[inline(always)]
     fn across(&self, weight: &[f32; FINE_TAPS], out: &mut [f32]) {
-        let lines = [
-            &self.even[..],
-            &self.odd[..],
-            &self.even[1..],
-            &self.odd[1..],
-            &self.even[2..],
-            &self.odd[2..],
-            &self.even[3..],
-            &self.odd[3..],
-            &self.even[4..],
-        ];
+        let lines = std::array::from_fn(|i| if i % 2 == 0 { &self.even[i / 2..] } else { &self.odd[i / 2..] });
         weighted::<FINE_TAPS>(lines, *weight, out);
     }
 }
@@ -79,9 +119,10 @@ fn single(weight: [f64; FINE_TAPS]) -> [f32; FINE_TAPS] {
 }
 
 vectorised! {
-    /// Values (rows, columns) on the pixels of `grid` (2 rows + 7, 2 columns + 7); weights down and across.
-    pub fn read(grid: &Grid, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS]) -> Grid {
-        let mut out = Grid::filled(pixels(grid.rows), pixels(grid.columns), 0.0);
+    /// Values (rows, columns) on the pixels of the coefficients; weights down and across.
+    pub fn read(grid: &Fine, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS]) -> Grid {
+        let size = grid.pixels();
+        let mut out = Grid::filled(size.rows(), size.columns(), 0.0);
         read_into(grid, down, across, &mut out);
         out
     }
@@ -89,8 +130,8 @@ vectorised! {
 
 /// Fill `out` with what [`read`] gives.
 #[inline(always)]
-pub fn read_into(grid: &Grid, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS], out: &mut Grid) {
-    let (down, across, mut line) = (single(*down), single(*across), Line::new(grid.columns));
+pub fn read_into(grid: &Fine, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS], out: &mut Grid) {
+    let (down, across, mut line) = (single(*down), single(*across), Line::new(out.columns));
     for r in 0..out.rows {
         line.down(grid, PER_PX * r, 0, &down);
         line.across(&across, out.row_mut(r));
@@ -99,18 +140,15 @@ pub fn read_into(grid: &Grid, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS]
 
 /// What [`spread_into`] needs besides: lines of what each row of pixels gives.
 pub struct Spreading {
-    /// Lines of 0 around those of the pixels: even and odd coefficients then have sums of equal length.
-    even: Grid,
-    odd: Grid,
+    /// With lines of 0 around those of the pixels.
+    lines: Fine,
     line: Vec<f32>,
-    column: Vec<f32>,
 }
 
 impl Spreading {
     /// For pictures of so many pixels.
     pub fn new(rows: usize, columns: usize) -> Self {
-        let lines = Grid::filled(rows + 2 * HALF, columns + HALF, 0.0);
-        Self { even: lines.clone(), odd: lines, line: vec![0.0; columns + 2 * HALF], column: vec![0.0; columns + HALF] }
+        Self { lines: Fine::zeros(rows + 2 * HALF, PER_PX * columns + BEYOND), line: vec![0.0; columns + 2 * HALF] }
     }
 }
 
@@ -121,35 +159,25 @@ pub fn spread_into(
     down: &[f64; FINE_TAPS],
     across: &[f64; FINE_TAPS],
     spreading: &mut Spreading,
-    out: &mut Grid,
+    out: &mut Fine,
 ) {
     let (down, across) = (single(*down), single(*across));
+    // Even and odd coefficients have sums of equal length, with a tenth weight of 0.
     let half = |weight: &[f32; FINE_TAPS], part: usize| -> [f32; HALF + 1] {
         std::array::from_fn(|m| weight.get(PER_PX * (HALF - m) + part).copied().unwrap_or(0.0))
     };
-    let Spreading { even, odd, line, column } = spreading;
+    let Spreading { lines, line } = spreading;
     for r in 0..pixels.rows {
         line[HALF..HALF + pixels.columns].copy_from_slice(pixels.row(r));
-        let lines: [&[f32]; HALF + 1] = std::array::from_fn(|m| &line[m..]);
-        weighted::<{ HALF + 1 }>(lines, half(&across, 0), even.row_mut(r + HALF));
-        weighted::<{ HALF + 1 }>(lines, half(&across, 1), odd.row_mut(r + HALF));
+        let parts: [&[f32]; HALF + 1] = std::array::from_fn(|m| &line[m..]);
+        weighted::<{ HALF + 1 }>(parts, half(&across, 0), lines.even.row_mut(r + HALF));
+        weighted::<{ HALF + 1 }>(parts, half(&across, 1), lines.odd.row_mut(r + HALF));
     }
-    for r in 0..out.rows {
+    for r in 0..out.even.rows {
         let weight = half(&down, r % PER_PX);
-        let into = out.row_mut(r);
-        for (lines, part) in [(&*even, 0), (&*odd, 1)] {
-            weighted::<{ HALF + 1 }>(std::array::from_fn(|m| lines.row(r / PER_PX + m)), weight, column);
-            for (into, value) in into[part..].iter_mut().step_by(2).zip(column.iter()) {
-                *into += value;
-            }
+        for (lines, out) in [(&lines.even, &mut out.even), (&lines.odd, &mut out.odd)] {
+            add_weighted::<{ HALF + 1 }>(std::array::from_fn(|m| lines.row(r / PER_PX + m)), weight, out.row_mut(r));
         }
-    }
-}
-
-vectorised! {
-    /// See [`spread_into`].
-    pub fn spread(pixels: &Grid, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS], out: &mut Grid) {
-        spread_into(pixels, down, across, &mut Spreading::new(pixels.rows, pixels.columns), out);
     }
 }
 
@@ -177,13 +205,13 @@ pub struct Curvatures {
 
 vectorised! {
     /// Values and slopes of the spline image moved by (x, y) px, each -0.5 to 0.5, in a `part` of its pixels.
-    pub fn slopes(grid: &Grid, part: Part, x: f64, y: f64) -> Slopes {
+    pub fn slopes(grid: &Fine, part: Part, x: f64, y: f64) -> Slopes {
         let [down, steep] = [0, 1].map(|d| single(fine_weights(-y, d)));
         let [across, along] = [0, 1].map(|d| single(fine_weights(-x, d)));
-        let mut line = Line::new(PER_PX * part.columns() + BEYOND);
+        let mut line = Line::new(part.columns());
         let [mut value, mut slope_x, mut slope_y] = std::array::from_fn(|_| Grid::filled(part.rows(), part.columns(), 0.0));
         for r in 0..part.rows() {
-            let (row, left) = (PER_PX * (part.top + r), PER_PX * part.left);
+            let (row, left) = (PER_PX * (part.top + r), part.left);
             line.down(grid, row, left, &down);
             line.across(&across, value.row_mut(r));
             line.across(&along, slope_x.row_mut(r));
@@ -196,13 +224,13 @@ vectorised! {
 
 vectorised! {
     /// Second derivatives of the image that [`slopes`] gives.
-    pub fn curvatures(grid: &Grid, part: Part, x: f64, y: f64) -> Curvatures {
+    pub fn curvatures(grid: &Fine, part: Part, x: f64, y: f64) -> Curvatures {
         let [down, across] = [y, x].map(|shift| [0, 1, 2].map(|d| single(fine_weights(-shift, d))));
-        let mut line = Line::new(PER_PX * part.columns() + BEYOND);
+        let mut line = Line::new(part.columns());
         let mut out: [Grid; 3] = std::array::from_fn(|_| Grid::filled(part.rows(), part.columns(), 0.0));
         for r in 0..part.rows() {
             for d in 0..3 {
-                line.down(grid, PER_PX * (part.top + r), PER_PX * part.left, &down[d]);
+                line.down(grid, PER_PX * (part.top + r), part.left, &down[d]);
                 line.across(&across[2 - d], out[d].row_mut(r));
             }
         }
@@ -239,20 +267,16 @@ pub fn refined(image: &Grid<f64>) -> Grid {
         .map(|&c| c as f32)
 }
 
-/// The coefficients of the pixels from `origin` (row, column) on, `size` (rows, columns) of them.
-pub fn cropped(grid: &Grid, origin: (usize, usize), size: (usize, usize)) -> Grid {
-    grid.part(Part {
-        top: PER_PX * origin.0,
-        bottom: PER_PX * (origin.0 + size.0) + BEYOND,
-        left: PER_PX * origin.1,
-        right: PER_PX * (origin.1 + size.1) + BEYOND,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::vectors::both_ways;
     use super::*;
+
+    vectorised! {
+        fn spread(pixels: &Grid, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS], out: &mut Fine) {
+            spread_into(pixels, down, across, &mut Spreading::new(pixels.rows, pixels.columns), out);
+        }
+    }
 
     fn noise(rows: usize, columns: usize, seed: u32) -> Grid {
         let mut state = seed;
@@ -275,13 +299,14 @@ mod tests {
             let (picture, grid) = (noise(rows, columns, 3), noise(2 * rows + BEYOND, 2 * columns + BEYOND, 5));
             let (down, across) = (fine_weights(0.2, 0), fine_weights(-0.4, 0));
             let [out, portable] = both_ways(|| {
-                let mut out = Grid::filled(grid.rows, grid.columns, 0.0);
+                let mut out = Fine::zeros(grid.rows, grid.columns);
                 spread(&picture, &down, &across, &mut out);
-                out
+                out.joined()
             });
             assert_eq!(out, portable);
+            assert_eq!(Fine::of(&grid).joined(), grid);
             // ⟨A g, p⟩ = ⟨g, Aᵀ p⟩, in single precision.
-            let (one, other) = (product(&out, &grid), product(&picture, &read(&grid, &down, &across)));
+            let (one, other) = (product(&out, &grid), product(&picture, &read(&Fine::of(&grid), &down, &across)));
             assert!((one - other).abs() < 1e-5 * product(&picture, &picture), "{one} {other}");
         }
     }
@@ -299,7 +324,7 @@ mod tests {
         let (grid, x, y) = (refined(&image), 0.31, -0.42);
         assert_eq!((grid.rows, grid.columns), (2 * 50 + BEYOND, 2 * 60 + BEYOND));
         let part = Part { top: 16, bottom: 34, left: 17, right: 43 };
-        let (seen, bent) = (slopes(&grid, part, x, y), curvatures(&grid, part, x, y));
+        let (seen, bent) = (slopes(&Fine::of(&grid), part, x, y), curvatures(&Fine::of(&grid), part, x, y));
         for r in 0..part.rows() {
             for c in 0..part.columns() {
                 let (at, up) = ((c + part.left) as f64 - x, (r + part.top) as f64 - y);

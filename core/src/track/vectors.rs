@@ -120,6 +120,19 @@ pub fn weighted<const N: usize>(lines: [&[f32]; N], weight: [f32; N], out: &mut 
     }
 }
 
+/// Add to `out` the sums of N lines, each times its weight; each line is at least as long as `out`.
+#[inline(always)]
+pub fn add_weighted<const N: usize>(lines: [&[f32]; N], weight: [f32; N], out: &mut [f32]) {
+    let lines = lines.map(|line| &line[..out.len()]);
+    for c in 0..out.len() {
+        let mut total = weight[0] * lines[0][c];
+        for j in 1..N {
+            total += weight[j] * lines[j][c];
+        }
+        out[c] += total;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,0 +1,201 @@
+//! Registration of a frame with a template: maximum-likelihood kernels, fused into translation, roll and zoom.
+//!
+//! The window is multiplied by kernels made for the template at the nearest eighth of a pixel. Where nothing disturbs it
+//! that gives one pose of all (see [`super::undisturbed`]); else each block has kernels of its own, which give its
+//! translation in one step (see [`super::kernels`]), and the blocks are fused so that what covers, shades, turns or enlarges
+//! a part of the target does not move the result (see [`super::blocks`]). Nothing of the frame is interpolated.
+
+use super::bank::{Bank, Plane};
+use super::blocks::PoseValue;
+use super::climb::{ALIKE, Pose, UNDISTURBED_SHARE, View, climb};
+use super::grid::{Grid, Part};
+use super::kernels::held_phases;
+use super::matrix::Matrix;
+use super::pixels::{Pixel, Pixels};
+use super::template::{Fix, Template};
+use super::undisturbed::{Known, Undisturbed};
+use std::sync::Arc;
+
+/// Blocks along each axis, and the least size in px for which there are fewer of them: few large ones, the most exact, and
+/// many small ones, the most robust.
+const COARSE: (usize, usize) = (5, 20);
+const FINE: (usize, usize) = (8, 10);
+/// Times the usual noise: 30 degrees of freedom exceed it about once in 500 frames.
+const DISTURBED: f64 = 1.35;
+const SHARE_PLAY: f64 = 0.1;
+/// 5 × 5 blocks of 20 px: in smaller windows the levels of the blocks hold more of what they tell.
+const WHOLE_SIDE_PX: usize = 100;
+/// Of the target's information: no block is left out.
+const ALL_SHARE: f64 = 0.95;
+/// Farther than this from where the template was found, blocks have locked on something else.
+const SEED_PX: f64 = 1.5;
+/// Around the window where a frame's pixels must have values.
+const AROUND_PX: i64 = 4;
+
+/// What does not change while a template is used.
+#[derive(Clone, Copy)]
+pub struct Settings {
+    /// Share of the target's information below which it counts as lost.
+    pub min_share: f64,
+    /// Noise of a pixel of the reference frame.
+    pub reference_noise: f64,
+    /// Of kernels in one bank.
+    pub kernel_bytes: usize,
+}
+
+/// A template that frames are registered with.
+pub struct Registration {
+    plane: Plane,
+    whole: Arc<Template>,
+    settings: Settings,
+    undisturbed: Undisturbed,
+    banks: Option<[Bank; 2]>,
+    zero: PoseValue,
+    zero_covariance: Matrix<4>,
+}
+
+impl Registration {
+    /// `whole`: the same target as a template for ZNCC.
+    pub fn new(plane: Plane, whole: Arc<Template>, settings: Settings) -> Self {
+        let held = held_phases(settings.kernel_bytes, plane.window.width * plane.window.height);
+        Self {
+            undisturbed: Undisturbed::new(&plane, held),
+            plane,
+            whole,
+            settings,
+            banks: None,
+            zero: [0.0; 4],
+            zero_covariance: Matrix::default(),
+        }
+    }
+
+    /// Count poses from this one of the template, which is uncertain by this covariance.
+    pub fn count_from(&mut self, zero: PoseValue, covariance: Matrix<4>) {
+        (self.zero, self.zero_covariance, self.undisturbed.zero) = (zero, covariance, zero);
+        self.banks.iter_mut().flatten().for_each(|bank| bank.zero = zero);
+    }
+
+    /// Both banks and what they are made from.
+    fn banks(&mut self) -> (&mut [Bank; 2], &Plane) {
+        let Self { plane, settings, banks, zero, .. } = self;
+        let held = held_phases(settings.kernel_bytes, plane.window.width * plane.window.height);
+        let banks = banks.get_or_insert_with(|| {
+            [COARSE, FINE].map(|division| Bank { zero: *zero, ..Bank::new(plane, division, held) })
+        });
+        (banks, plane)
+    }
+
+    /// Covariance of x and y for noise of variance 1, px², of the whole window or of its large blocks.
+    pub fn covariance(&mut self, of_window: bool) -> [[f64; 2]; 2] {
+        if of_window {
+            self.undisturbed.covariance(&self.plane)
+        } else {
+            super::matrix::inverse(&self.banks().0[0].information())
+        }
+    }
+
+    /// Most bytes of kernels in both banks.
+    pub fn most_kernel_bytes(&self) -> usize {
+        let pixels = self.plane.window.width * self.plane.window.height;
+        2 * 6 * pixels * held_phases(self.settings.kernel_bytes, pixels)
+    }
+
+    /// Whether all pixels about where a pose puts the window have values.
+    pub fn all_finite<T: Pixel>(&self, image: &Pixels<T>, begin: &PoseValue) -> bool {
+        let window = &self.whole.window;
+        let along = |first: i64, size: usize, moved: f64, pixels: usize| {
+            let start = first + moved.round() as i64;
+            [start - AROUND_PX, start + size as i64 + AROUND_PX].map(|k| k.clamp(0, pixels as i64) as usize)
+        };
+        let [left, right] = along(window.x, window.width, begin[0], image.columns);
+        let [top, bottom] = along(window.y, window.height, begin[1], image.rows);
+        image.all_finite(Part { top, bottom, left, right })
+    }
+
+    fn view<'a, T: Pixel>(&self, image: Pixels<'a, T>, level: f64) -> View<'a, T> {
+        View { image, level, origin: [self.whole.window.x, self.whole.window.y] }
+    }
+
+    /// The pose in a frame less a level since the reference frame, around `begin`: of the whole window where nothing
+    /// disturbs it, else from blocks or, where these disagree, from the window's correlation if that is the better known.
+    ///
+    /// Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then, and the
+    /// most consistent of them err, but the window as a whole does not.
+    pub fn look<T: Pixel>(
+        &mut self,
+        image: Pixels<T>,
+        level: f64,
+        begin: &PoseValue,
+        usual: Option<f64>,
+    ) -> Option<Pose> {
+        let at_first = std::f64::consts::SQRT_2 * self.settings.reference_noise;
+        let view = self.view(image, level);
+        if self.plane.window.width.min(self.plane.window.height) >= WHOLE_SIDE_PX {
+            let known = Known { usual, at_first, zero: self.zero_covariance };
+            if let Some(pose) = self.undisturbed.fit(&view, &self.plane, begin, &known) {
+                return Some(pose);
+            }
+        }
+        let pose = self.of_blocks(&view, begin, usual)?;
+        // Blocks may also disagree in all frames, so that this is their usual noise.
+        let usual = usual.unwrap_or(f64::INFINITY).min(at_first);
+        if pose.share > ALL_SHARE && pose.noise < DISTURBED * usual {
+            return Some(pose);
+        }
+        let Some(fix) = self.whole_at(&view, &pose) else { return Some(pose) };
+        if fix.variance[0] + fix.variance[1] >= pose.spread() {
+            return Some(pose);
+        }
+        let mut covariance = pose.covariance;
+        (covariance[0][0], covariance[1][1]) = (fix.variance[0], fix.variance[1]);
+        Some(Pose { value: [fix.x, fix.y, pose.value[2], pose.value[3]], covariance, ..pose })
+    }
+
+    /// The peak of the template as a whole next to a pose of the blocks.
+    fn whole_at<T: Pixel>(&self, view: &View<T>, pose: &Pose) -> Option<Fix> {
+        let place = [0, 1].map(|k| view.origin[k] + pose.value[k].round_ties_even() as i64);
+        let fix = self.whole.peak_at(&view.image, view.level, place)?;
+        ((fix.x - pose.value[0]).hypot(fix.y - pose.value[1]) <= SEED_PX).then_some(fix)
+    }
+
+    /// The pose since the reference frame, from large blocks or, where they disagree, from small ones.
+    fn of_blocks<T: Pixel>(&mut self, view: &View<T>, begin: &PoseValue, usual: Option<f64>) -> Option<Pose> {
+        let (zero, min_share) = (self.zero_covariance, self.settings.min_share);
+        let (banks, plane) = self.banks();
+        let mut climbed =
+            |which: usize| climb(view, plane, &mut banks[which], begin, usual).filter(|pose| pose.share >= min_share);
+        let few = climbed(0);
+        let agrees = |pose: &Pose, times: f64| usual.is_some_and(|usual| pose.noise < times * usual);
+        if let Some(few) = few.as_ref().filter(|few| few.share > UNDISTURBED_SHARE && agrees(few, DISTURBED)) {
+            return Some(few.clone().wider(few.averaged(usual), &zero));
+        }
+        let widened = |pose: Pose| {
+            let factor = pose.disturbed(usual);
+            pose.wider(factor, &zero)
+        };
+        let (few, many) = match (few.map(widened), climbed(1).map(widened)) {
+            (Some(few), Some(many)) => (few, many),
+            (few, many) => return few.or(many),
+        };
+        if usual.is_some() && agrees(&few, ALIKE) != agrees(&many, ALIKE) {
+            return Some(if few.noise < many.noise { few } else { many });
+        }
+        // A part that covers the target's edge spoils all large blocks alike, and few of the small ones.
+        if few.share > UNDISTURBED_SHARE.max(many.share) && few.spread() < many.spread() {
+            return Some(few);
+        }
+        Some(if many.share > few.share - SHARE_PLAY { many } else { few })
+    }
+
+    /// The pose of the whole window, or of its large blocks, in a picture of no level whose window begins at the pixel
+    /// `origin` (x, y), around `begin`.
+    pub fn pose_in(&mut self, picture: &Grid, origin: [i64; 2], begin: &PoseValue, of_window: bool) -> Option<Pose> {
+        let view = View { image: Pixels::of(picture), level: 0.0, origin };
+        if of_window {
+            let known = Known { usual: None, at_first: f64::INFINITY, zero: Matrix::default() };
+            return self.undisturbed.fit(&view, &self.plane, begin, &known);
+        }
+        let (banks, plane) = self.banks();
+        climb(&view, plane, &mut banks[0], begin, None)
+    }
+}
