@@ -223,19 +223,25 @@ vectorised! {
 }
 
 vectorised! {
-    /// Second derivatives of the image that [`slopes`] gives.
-    pub fn curvatures(grid: &Fine, part: Part, x: f64, y: f64) -> Curvatures {
+    /// What [`slopes`] gives, and second derivatives of the same image.
+    pub fn bends(grid: &Fine, part: Part, x: f64, y: f64) -> (Slopes, Curvatures) {
         let [down, across] = [y, x].map(|shift| [0, 1, 2].map(|d| single(fine_weights(-shift, d))));
         let mut line = Line::new(part.columns());
-        let mut out: [Grid; 3] = std::array::from_fn(|_| Grid::filled(part.rows(), part.columns(), 0.0));
+        // By the order of the derivative down, and that across.
+        let [mut flat, mut steep, mut bent]: [[Grid; 3]; 3] =
+            std::array::from_fn(|d| {
+                std::array::from_fn(|k| if d + k < 3 { Grid::filled(part.rows(), part.columns(), 0.0) } else { Grid::default() })
+            });
         for r in 0..part.rows() {
-            for d in 0..3 {
+            for (d, out) in [&mut flat[..], &mut steep[..2], &mut bent[..1]].into_iter().enumerate() {
                 line.down(grid, PER_PX * (part.top + r), part.left, &down[d]);
-                line.across(&across[2 - d], out[d].row_mut(r));
+                for (out, across) in out.iter_mut().zip(&across) {
+                    line.across(across, out.row_mut(r));
+                }
             }
         }
-        let [xx, xy, yy] = out;
-        Curvatures { xx, xy, yy }
+        let ([value, along, xx], [steep, xy, _], [yy, ..]) = (flat, steep, bent);
+        (Slopes { value, x: along, y: steep }, Curvatures { xx, xy, yy })
     }
 }
 
@@ -324,7 +330,8 @@ mod tests {
         let (grid, x, y) = (refined(&image), 0.31, -0.42);
         assert_eq!((grid.rows, grid.columns), (2 * 50 + BEYOND, 2 * 60 + BEYOND));
         let part = Part { top: 16, bottom: 34, left: 17, right: 43 };
-        let (seen, bent) = (slopes(&Fine::of(&grid), part, x, y), curvatures(&Fine::of(&grid), part, x, y));
+        let (seen, bent) = bends(&Fine::of(&grid), part, x, y);
+        assert_eq!(seen.y, slopes(&Fine::of(&grid), part, x, y).y);
         for r in 0..part.rows() {
             for c in 0..part.columns() {
                 let (at, up) = ((c + part.left) as f64 - x, (r + part.top) as f64 - y);

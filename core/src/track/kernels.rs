@@ -8,7 +8,7 @@
 //! out of the result (an instrument in the sense of regression). What they give for the second order of a shift is known
 //! and taken off, so that kernels for every eighth of a pixel are enough.
 
-use super::fine_spline::{Curvatures, Fine, Slopes, curvatures, slopes};
+use super::fine_spline::{Curvatures, Fine, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
 use super::matrix::{Matrix, inverse_with_pivots};
 use super::vectors::vectorised;
@@ -100,7 +100,8 @@ impl Exact {
 /// `grids`: fine spline coefficients (2 h + 7, 2 w + 7) of the template and of the low-passed one; `weight` (h, w): one
 /// over the noise variance.
 pub fn build(grids: &[Fine; 2], weight: &Grid, part: Part, shift: [f64; 2]) -> Option<Exact> {
-    let [moved, smooth] = grids.each_ref().map(|grid| slopes(grid, part, shift[0], shift[1]));
+    let (moved, curved) = bends(&grids[0], part, shift[0], shift[1]);
+    let smooth = slopes(&grids[1], part, shift[0], shift[1]);
     let model = columns(&moved);
     let mut weighted = columns(&smooth);
     let weight = weight.part(part);
@@ -110,7 +111,7 @@ pub fn build(grids: &[Fine; 2], weight: &Grid, part: Part, shift: [f64; 2]) -> O
     let normal = weighted.each_ref().map(|one| model.each_ref().map(|other| product(one, other)));
     let inverse = inverse_with_pivots::<UNKNOWNS>(&normal, SINGULAR)?;
     let kernels = [0, 1, 2].map(|k| mixed(&weighted, &inverse[k]));
-    let changes = warps(&moved, &curvatures(&grids[0], part, shift[0], shift[1]));
+    let changes = warps(&moved, &curved);
     let warp = [0, 1].map(|k| changes.each_ref().map(|change| product(&kernels[k], change)));
     Some(Exact { kernels, warp })
 }
@@ -138,7 +139,9 @@ vectorised! {
     fn mixed(columns: &[Vec<f64>; UNKNOWNS], share: &[f64; UNKNOWNS]) -> Vec<f64> {
         let mut out = vec![0.0; columns[0].len()];
         for (column, share) in columns.iter().zip(share) {
-            out.iter_mut().zip(column).for_each(|(out, value)| *out += share * value);
+            for (out, value) in out.iter_mut().zip(column) {
+                *out += share * value;
+            }
         }
         out
     }

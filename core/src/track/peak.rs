@@ -162,7 +162,9 @@ vectorised! {
         let mean = (total / moved.values.len() as f64) as f32;
         let (mut product, mut energy, mut own) = (0.0, 0.0, 0.0);
         for r in 0..window.rows {
-            moved.row_mut(r).iter_mut().for_each(|value| *value -= mean);
+            for value in moved.row_mut(r) {
+                *value -= mean;
+            }
             product += f64::from(dot(window.row(r), moved.row(r)));
             energy += f64::from(dot(moved.row(r), moved.row(r)));
             own += f64::from(dot(window.row(r), window.row(r)));
@@ -171,7 +173,9 @@ vectorised! {
             return None;
         }
         let inverse = (energy / product) as f32;
-        window.values.iter_mut().zip(&moved.values).for_each(|(value, moved)| *value = *value * inverse - moved);
+        for (value, moved) in window.values.iter_mut().zip(&moved.values) {
+            *value = *value * inverse - moved;
+        }
         Some(product / (energy * own).sqrt())
     }
 }

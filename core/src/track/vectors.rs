@@ -35,7 +35,7 @@ pub fn both_ways<R>(work: impl Fn() -> R) -> [R; 2] {
 }
 
 /// Defines a function whose body is compiled twice, for AVX2 and for every processor; what it calls must be
-/// `#[inline(always)]` to be so too.
+/// `#[inline(always)]` to be so too. Loops in it are `for` loops: a closure that is not inlined is only compiled once.
 macro_rules! vectorised {
     ($(#[$doc:meta])* $seen:vis fn $name:ident $(<$T:ident: $bound:path>)? ($($argument:ident: $type:ty),* $(,)?) $(-> $out:ty)? $body:block) => {
         $(#[$doc])*

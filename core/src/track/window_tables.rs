@@ -3,7 +3,7 @@
 //! See [`super::undisturbed`]. The tables of a phase are made when a frame first needs them.
 
 use super::bank::{Division, Plane};
-use super::fine_spline::{Curvatures, Slopes, curvatures, slopes};
+use super::fine_spline::{Curvatures, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
 use super::kernels::phase_shift;
 use super::matrix::{Matrix, inverse};
@@ -62,11 +62,8 @@ impl Tables {
         let [x, y] = phase_shift(phase);
         let (height, width) = (plane.window.height, plane.window.width);
         let whole = Part { top: 0, bottom: height, left: 0, right: width };
-        let seen = Seen {
-            moved: slopes(&plane.grids[0], whole, x, y),
-            curved: curvatures(&plane.grids[0], whole, x, y),
-            smooth: slopes(&plane.grids[1], whole, x, y),
-        };
+        let (moved, curved) = bends(&plane.grids[0], whole, x, y);
+        let seen = Seen { moved, curved, smooth: slopes(&plane.grids[1], whole, x, y) };
         let stride = width.div_ceil(LANES) * LANES;
         let mut tables = Self {
             kernels: vec![0; height * SUMS * stride],
@@ -110,23 +107,16 @@ impl Tables {
     /// Low-passed slopes along x and y (both negative) and values of a row of blocks, weighted, each without its block's
     /// mean, as whole numbers.
     fn fill_kernels(&mut self, smooth: &Slopes, weight: &Grid, rows: std::ops::Range<usize>, across: &[usize]) {
-        let mut line = Vec::new();
+        let mut rest = Vec::new();
         for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
             let sign = if sum == 2 { 1.0 } else { -1.0 };
             for edges in across.windows(2) {
-                let mean = weighted_mean(plane, weight, rows.clone(), edges);
-                let mut largest = 0.0f32;
-                for r in rows.clone() {
-                    let (own, w) = (&plane.row(r)[edges[0]..edges[1]], &weight.row(r)[edges[0]..edges[1]]);
-                    line.clear();
-                    line.extend(own.iter().zip(w).map(|(value, w)| w * (value - mean)));
-                    largest = line.iter().fold(largest, |most, value| most.max(value.abs()));
-                }
+                let part = Part { top: rows.start, bottom: rows.end, left: edges[0], right: edges[1] };
+                let largest = without_mean(plane, weight, part, &mut rest);
                 let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
-                for r in rows.clone() {
+                for (r, line) in rows.clone().zip(rest.chunks_exact(part.columns())) {
                     let first = (r * SUMS + sum) * self.stride;
-                    let into = &mut self.kernels[first + edges[0]..first + edges[1]];
-                    rounded(&plane.row(r)[edges[0]..edges[1]], &weight.row(r)[edges[0]..edges[1]], mean, factor, into);
+                    rounded(line, factor, &mut self.kernels[first + edges[0]..first + edges[1]]);
                 }
             }
         }
@@ -193,22 +183,41 @@ impl Tables {
     }
 }
 
-/// Mean of a plane over a block, weighted.
-fn weighted_mean(plane: &Grid, weight: &Grid, rows: std::ops::Range<usize>, edges: &[usize]) -> f32 {
-    let (mut total, mut weights) = (0.0f64, 0.0f64);
-    for r in rows {
-        let (own, w) = (&plane.row(r)[edges[0]..edges[1]], &weight.row(r)[edges[0]..edges[1]]);
-        total += f64::from(dot(own, w));
-        weights += f64::from(super::vectors::sum(w));
+vectorised! {
+    /// Fill `out` with a part of a plane without its weighted mean, each times its weight; the largest of them.
+    fn without_mean(plane: &Grid, weight: &Grid, part: Part, out: &mut Vec<f32>) -> f32 {
+        let (mut total, mut weights) = (0.0f64, 0.0f64);
+        for r in part.top..part.bottom {
+            let (line, w) = (&plane.row(r)[part.left..part.right], &weight.row(r)[part.left..part.right]);
+            total += f64::from(dot(line, w));
+            weights += f64::from(super::vectors::sum(w));
+        }
+        let mean = (total / weights) as f32;
+        out.clear();
+        out.resize(part.size(), 0.0);
+        let mut largest = [0.0f32; LANES];
+        for (r, out) in (part.top..part.bottom).zip(out.chunks_exact_mut(part.columns())) {
+            let (line, w) = (&plane.row(r)[part.left..part.right], &weight.row(r)[part.left..part.right]);
+            for ((out, value), w) in out.iter_mut().zip(line).zip(w) {
+                *out = w * (value - mean);
+            }
+            for values in out.chunks(LANES) {
+                for (largest, value) in largest.iter_mut().zip(values) {
+                    *largest = if value.abs() > *largest { value.abs() } else { *largest };
+                }
+            }
+        }
+        largest.into_iter().fold(0.0, f32::max)
     }
-    (total / weights) as f32
 }
 
 vectorised! {
-    /// Fill `out` with a line's values without their mean, weighted, times a factor, as whole numbers.
-    fn rounded(line: &[f32], weight: &[f32], mean: f32, factor: f32, out: &mut [i8]) {
-        for ((out, value), weight) in out.iter_mut().zip(line).zip(weight) {
-            *out = (factor * weight * (value - mean)).round_ties_even() as i8;
+    /// Fill `out` with a line's values times a factor as whole numbers.
+    fn rounded(line: &[f32], factor: f32, out: &mut [i8]) {
+        // Beside this number those of single precision are the whole ones.
+        const WHOLE: f32 = 12_582_912.0;
+        for (out, value) in out.iter_mut().zip(line) {
+            *out = ((factor * value + WHOLE).to_bits() as i32 - WHOLE.to_bits() as i32) as i8;
         }
     }
 }
