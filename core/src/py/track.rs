@@ -1,14 +1,14 @@
 //! `track` for Python: splines, correlation, the template.
 
 use super::arrays::{Image, array, grid, with_pixels};
-use super::elements;
+use super::{elements, pairs, same_length};
 use crate::track::fine_spline::Fine;
 use crate::track::grid::{Grid, Part};
 use crate::track::peak::Precision;
 use crate::track::spline::{self, TAPS};
 use crate::track::template::{Fix, Template, Window};
-use crate::track::{correlation, fine_spline};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use crate::track::{correlation, fine_spline, reference};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -186,6 +186,38 @@ fn pixel_values<'py>(
     values.map(|grid| array(py, grid)).transpose()
 }
 
+/// See [`reference::agreement`].
+#[pyfunction]
+fn cell_agreement<'py>(
+    py: Python<'py>,
+    seen: PyReadonlyArray1<'py, f32>,
+    left: PyReadonlyArray1<'py, f32>,
+    cell: PyReadonlyArray1<'py, i64>,
+    cells: usize,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let (seen, left, cell) = (elements("seen", &seen)?, elements("left", &left)?, elements("cell", &cell)?);
+    same_length("seen, left", seen.len(), left.len())?;
+    same_length("seen, cell", seen.len(), cell.len())?;
+    let agreed = py.detach(|| reference::agreement(seen, left, cell, cells));
+    agreed.map(|agreed| agreed.into_pyarray(py)).ok_or_else(|| PyValueError::new_err("cell: beyond the last one"))
+}
+
+/// See [`reference::least`].
+#[pyfunction]
+fn least_rank_moves<'py>(
+    py: Python<'py>,
+    products: PyReadonlyArray2<'py, f64>,
+    moves: PyReadonlyArray2<'py, f64>,
+    rounds: usize,
+    trust: f64,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let (products, moves) = (grid(&products), pairs("moves", &moves)?);
+    let count = moves.len();
+    let found = py.detach(|| reference::least(&products, &moves, rounds, trust));
+    let found = found.ok_or_else(|| PyValueError::new_err("products: not of these moves, or singular"))?;
+    found.into_flattened().into_pyarray(py).reshape([count, 2])
+}
+
 /// See [`Fix`].
 #[pyclass(module = "midspan._core", name = "Fix", frozen)]
 struct PyFix(Fix);
@@ -304,5 +336,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(zncc_map, module)?)?;
     module.add_function(wrap_pyfunction!(smooth, module)?)?;
     module.add_function(wrap_pyfunction!(shrink, module)?)?;
+    module.add_function(wrap_pyfunction!(cell_agreement, module)?)?;
+    module.add_function(wrap_pyfunction!(least_rank_moves, module)?)?;
     module.add_function(wrap_pyfunction!(pixel_values, module)?)
 }

@@ -5,7 +5,7 @@ use super::blocks::{PoseValue, Shown, fuse, gains};
 use super::grid::Part;
 use super::kernels::{PHASES, Quantised};
 use super::matrix::{Matrix, median, scaled_sum};
-use super::pixels::{Pixel, Pixels};
+use super::pixels::{Pixel, Pixels, less_level};
 
 const MAX_PASSES: usize = 8;
 /// A block this near to its kernels' phase needs no other; the play stops circles.
@@ -97,10 +97,9 @@ impl<T: Pixel> View<'_, T> {
         if top < 0 || left < 0 || bottom > self.image.rows as i64 || right > self.image.columns as i64 {
             return false;
         }
-        pixels.clear();
-        for row in top..bottom {
-            let line = self.image.line(row as usize, left as usize, right as usize);
-            pixels.extend(line.iter().map(|pixel| pixel.less(self.level)));
+        pixels.resize(part.size(), 0.0);
+        for (row, pixels) in (top..bottom).zip(pixels.chunks_exact_mut(part.columns())) {
+            less_level(self.image.line(row as usize, left as usize, right as usize), self.level, pixels);
         }
         true
     }

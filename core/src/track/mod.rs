@@ -14,6 +14,7 @@ pub mod learning;
 pub mod matrix;
 pub mod peak;
 pub mod pixels;
+pub mod reference;
 pub mod registration;
 pub mod spline;
 pub mod template;

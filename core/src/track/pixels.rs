@@ -1,6 +1,7 @@
 //! What a frame's pixels are: whole numbers of 8 or 16 bits or floating-point numbers, read where they lie.
 
 use super::grid::{Grid, Part};
+use super::vectors::vectorised;
 
 /// Share of pixels without a value that may be filled from their neighbours.
 const BAD_SHARE: f64 = 0.02;
@@ -60,6 +61,15 @@ macro_rules! floating_pixel {
 floating_pixel!(f32);
 floating_pixel!(f64);
 
+vectorised! {
+    /// Fill `out` with a line's pixels less a level.
+    pub fn less_level<T: Pixel>(line: &[T], level: f64, out: &mut [f32]) {
+        for (out, pixel) in out.iter_mut().zip(line) {
+            *out = pixel.less(level);
+        }
+    }
+}
+
 /// A frame, or a part of one, in the memory of another: rows lie `stride` pixels apart.
 #[derive(Clone, Copy)]
 pub struct Pixels<'a, T> {
@@ -98,8 +108,7 @@ impl<'a, T: Pixel> Pixels<'a, T> {
     pub fn values(&self, part: Part, level: f64) -> Option<Grid> {
         let mut out = Grid::filled(part.rows(), part.columns(), 0.0);
         for r in 0..out.rows {
-            let line = self.line(part.top + r, part.left, part.right);
-            out.row_mut(r).iter_mut().zip(line).for_each(|(out, pixel)| *out = pixel.less(level));
+            less_level(self.line(part.top + r, part.left, part.right), level, out.row_mut(r));
         }
         if T::WHOLE {
             return Some(out);

@@ -228,9 +228,7 @@ impl<T: Pixel> Seen<'_, T> {
         let mut out = Vec::with_capacity((division.down.len() - 1) * (division.across.len() - 1));
         for rows in division.down.windows(2) {
             self.columns(tables, rows[0]..rows[1], 1, &mut columns);
-            for edges in division.across.windows(2) {
-                out.push(columns.each_ref().map(|line| f64::from(sum(&line[edges[0]..edges[1]]))));
-            }
+            parts_summed(&columns, &division.across, &mut out);
         }
         out
     }
@@ -282,6 +280,19 @@ vectorised! {
             for k in 0..SUMS {
                 out[k][first..first + LANES].copy_from_slice(&sums[k]);
             }
+        }
+    }
+}
+
+vectorised! {
+    /// Put the sums of three lines between the edges into `out`.
+    fn parts_summed(lines: &[Vec<f32>; SUMS], edges: &[usize], out: &mut BlockSums) {
+        for edges in edges.windows(2) {
+            let mut sums = [0.0; SUMS];
+            for (sum_of, line) in sums.iter_mut().zip(lines) {
+                *sum_of = f64::from(sum(&line[edges[0]..edges[1]]));
+            }
+            out.push(sums);
         }
     }
 }

@@ -198,7 +198,8 @@ class RegistrationTracker(Tracker):
         """Compare frames with this template from now on, poses counted from its `zero` (4,), known to `covariance`."""
         given = self.settings.smoothing_px
         smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
-        self._plane = plane
+        # Frame and template both have noise.
+        self._plane, self._difference_noise = plane, math.sqrt(2.0) * plane.noise_std
         self._core = _core.Registration(
             self._seed.template.matcher,
             grid=plane.grid,
@@ -283,7 +284,9 @@ class RegistrationTracker(Tracker):
         found = self._seed.push(frame, prediction)
         if found.status is Status.LOST:
             return pose if pose is not None and self._trusted(pose, usual) else None
-        other = look(image, offset, (found.x_px, found.y_px, state.roll_rad, state.zoom), usual)
+        place = found.x_px, found.y_px
+        image, offset = self._usable(frame.pixels, place)
+        other = None if image is None else look(image, offset, (*place, state.roll_rad, state.zoom), usual)
         if other is None or math.hypot(other.x_px - found.x_px, other.y_px - found.y_px) > SEED_PX:
             return self._whole(found)
         few = pose is not None and pose.share < MAJORITY < other.share
@@ -315,8 +318,7 @@ class RegistrationTracker(Tracker):
 
     def _trusted(self, pose: Pose, usual: float) -> bool:
         """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""
-        # Frame and template both have noise.
-        return pose.noise < SUSPICIOUS * max(usual, math.sqrt(2.0) * self._plane.noise_std)
+        return pose.noise < SUSPICIOUS * max(usual, self._difference_noise)
 
     def _usable(
         self, pixels: NDArray[np.generic], expected: tuple[float, float]
