@@ -258,30 +258,51 @@ vectorised! {
         lines: &Lines<T>, tables: &Tables, rows: Range<usize>, step: usize, out: &mut [Vec<f32>; SUMS],
     ) {
         for first in (0..lines.width).step_by(LANES) {
-            let count = LANES.min(lines.width - first);
-            let mut sums = [[0.0f32; LANES]; SUMS];
-            for r in rows.clone().step_by(step) {
-                let line = lines.image.line(lines.top + r, lines.left + first, lines.left + first + count);
-                let mut pixels = [0.0f32; LANES];
-                if let Some(whole) = line.first_chunk::<LANES>() {
-                    for c in 0..LANES {
-                        pixels[c] = whole[c].less(lines.level);
-                    }
-                } else {
-                    pixels.iter_mut().zip(line).for_each(|(value, pixel)| *value = pixel.less(lines.level));
-                }
-                for (k, sums) in sums.iter_mut().enumerate() {
-                    let kernel = &tables.kernel(r, k)[first..first + LANES];
-                    for c in 0..LANES {
-                        sums[c] += f32::from(kernel[c]) * pixels[c];
-                    }
-                }
-            }
-            for k in 0..SUMS {
-                out[k][first..first + LANES].copy_from_slice(&sums[k]);
+            let sums = if first + LANES <= lines.width {
+                sums_of_columns::<T, true>(lines, tables, rows.clone(), step, first)
+            } else {
+                sums_of_columns::<T, false>(lines, tables, rows.clone(), step, first)
+            };
+            for (out, sums) in out.iter_mut().zip(&sums) {
+                out[first..first + LANES].copy_from_slice(sums);
             }
         }
     }
+}
+
+/// See [`column_sums`]; of 16 columns from `first` on, `WHOLE`: all of which are in the window.
+#[inline(always)]
+fn sums_of_columns<T: Pixel, const WHOLE: bool>(
+    lines: &Lines<T>,
+    tables: &Tables,
+    rows: Range<usize>,
+    step: usize,
+    first: usize,
+) -> [[f32; LANES]; SUMS] {
+    let mut sums = [[0.0f32; LANES]; SUMS];
+    let (left, end) = (lines.left + first, lines.left + lines.width.min(first + LANES));
+    let kernels = tables.kernels(first)[rows.clone()].iter().step_by(step);
+    for (r, kernels) in rows.step_by(step).zip(kernels) {
+        let line = lines.image.line(lines.top + r, left, end);
+        let mut pixels = [0.0f32; LANES];
+        if WHOLE {
+            if let Some(line) = line.first_chunk::<LANES>() {
+                for c in 0..LANES {
+                    pixels[c] = line[c].less(lines.level);
+                }
+            }
+        } else {
+            for (value, pixel) in pixels.iter_mut().zip(line) {
+                *value = pixel.less(lines.level);
+            }
+        }
+        for (sums, kernel) in sums.iter_mut().zip(kernels) {
+            for c in 0..LANES {
+                sums[c] += f32::from(kernel[c]) * pixels[c];
+            }
+        }
+    }
+    sums
 }
 
 vectorised! {

@@ -42,9 +42,9 @@ pub struct Row {
 /// The tables of one phase.
 #[derive(Clone)]
 pub struct Tables {
-    /// Row after row of the window the three kernels that the blocks' sums are taken with, each `stride` long.
-    kernels: Vec<i8>,
-    stride: usize,
+    /// Of each 16 columns of the window, row after row, the three kernels that the blocks' sums are taken with.
+    kernels: Vec<[[i8; LANES]; SUMS]>,
+    height: usize,
     /// Three of each block.
     pub rows: Vec<Row>,
     /// Normal matrix of x, y, roll, zoom.
@@ -64,20 +64,20 @@ impl Tables {
         let whole = Part { top: 0, bottom: height, left: 0, right: width };
         let (moved, curved) = bends(&plane.grids[0], whole, x, y);
         let seen = Seen { moved, curved, smooth: slopes(&plane.grids[1], whole, x, y) };
-        let stride = width.div_ceil(LANES) * LANES;
         let mut tables = Self {
-            kernels: vec![0; height * SUMS * stride],
-            stride,
+            kernels: vec![[[0; LANES]; SUMS]; height * width.div_ceil(LANES)],
+            height,
             rows: Vec::with_capacity(SUMS * share.len()),
             normal: Matrix::default(),
             share: Default::default(),
             sparse: Matrix::default(),
         };
         let mut scratch = Responding::new(&division.across);
+        let mut kernels = Kernels { values: vec![0; height * SUMS * width], width };
         for (j, edges) in division.down.windows(2).enumerate() {
             let rows = edges[0]..edges[1];
-            tables.fill_kernels(&seen.smooth, &plane.weight, rows.clone(), &division.across);
-            let responses = scratch.responses(&seen, &plane.weight, &tables, rows);
+            kernels.fill(&seen.smooth, &plane.weight, rows.clone(), &division.across);
+            let responses = scratch.responses(&seen, &plane.weight, &kernels, rows);
             for (i, response) in responses.iter().enumerate() {
                 let block = j * (division.across.len() - 1) + i;
                 let size = [width as f64, height as f64];
@@ -88,38 +88,21 @@ impl Tables {
             }
         }
         tables.weigh();
-        tables.sparse = tables.sparse_fit(&seen.moved);
+        tables.sparse = kernels.sparse_fit(&seen.moved);
+        for (n, packed) in tables.kernels.iter_mut().enumerate() {
+            let (first, r) = (n / height * LANES, n % height);
+            for (k, packed) in packed.iter_mut().enumerate() {
+                packed.iter_mut().zip(&kernels.line(r, k)[first..]).for_each(|(packed, value)| *packed = *value);
+            }
+        }
         tables
     }
 
-    /// One of three kernels in a row of the window.
+    /// Of the columns from `first`, a multiple of 16, on, row after row of the window, the three kernels.
     #[inline(always)]
-    pub fn kernel(&self, row: usize, sum: usize) -> &[i8] {
-        let first = (row * SUMS + sum) * self.stride;
-        &self.kernels[first..first + self.stride]
-    }
-
-    /// Bytes of the kernels.
-    pub fn bytes(&self) -> usize {
-        self.kernels.len()
-    }
-
-    /// Low-passed slopes along x and y (both negative) and values of a row of blocks, weighted, each without its block's
-    /// mean, as whole numbers.
-    fn fill_kernels(&mut self, smooth: &Slopes, weight: &Grid, rows: std::ops::Range<usize>, across: &[usize]) {
-        let mut rest = Vec::new();
-        for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
-            let sign = if sum == 2 { 1.0 } else { -1.0 };
-            for edges in across.windows(2) {
-                let part = Part { top: rows.start, bottom: rows.end, left: edges[0], right: edges[1] };
-                let largest = without_mean(plane, weight, part, &mut rest);
-                let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
-                for (r, line) in rows.clone().zip(rest.chunks_exact(part.columns())) {
-                    let first = (r * SUMS + sum) * self.stride;
-                    rounded(line, factor, &mut self.kernels[first + edges[0]..first + edges[1]]);
-                }
-            }
-        }
+    pub fn kernels(&self, first: usize) -> &[[[i8; LANES]; SUMS]] {
+        let start = first / LANES * self.height;
+        &self.kernels[start..start + self.height]
     }
 
     /// Fill in the weights by which the sums give the unknowns.
@@ -160,13 +143,45 @@ impl Tables {
             });
         }
     }
+}
 
-    /// See `sparse`; zeros where one row in so many shows nothing.
+/// The three kernels of each row of the window, one after the other.
+struct Kernels {
+    values: Vec<i8>,
+    width: usize,
+}
+
+impl Kernels {
+    /// One of three kernels in a row.
+    fn line(&self, row: usize, sum: usize) -> &[i8] {
+        let first = (row * SUMS + sum) * self.width;
+        &self.values[first..first + self.width]
+    }
+
+    /// Low-passed slopes along x and y (both negative) and values of a row of blocks, weighted, each without its block's
+    /// mean, as whole numbers.
+    fn fill(&mut self, smooth: &Slopes, weight: &Grid, rows: std::ops::Range<usize>, across: &[usize]) {
+        let mut rest = Vec::new();
+        for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
+            let sign = if sum == 2 { 1.0 } else { -1.0 };
+            for edges in across.windows(2) {
+                let part = Part { top: rows.start, bottom: rows.end, left: edges[0], right: edges[1] };
+                let largest = without_mean(plane, weight, part, &mut rest);
+                let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
+                for (r, line) in rows.clone().zip(rest.chunks_exact(part.columns())) {
+                    let first = (r * SUMS + sum) * self.width;
+                    rounded(line, factor, &mut self.values[first + edges[0]..first + edges[1]]);
+                }
+            }
+        }
+    }
+
+    /// See [`Tables::sparse`]; zeros where one row in so many shows nothing.
     fn sparse_fit(&self, moved: &Slopes) -> Matrix<SUMS> {
         let mut response = Matrix::<SUMS>::default();
         for r in (SPARSE / 2..moved.value.rows).step_by(SPARSE) {
             for (k, response) in response.iter_mut().enumerate() {
-                let kernel: Vec<f32> = self.kernel(r, k).iter().map(|&value| f32::from(value)).collect();
+                let kernel: Vec<f32> = self.line(r, k).iter().map(|&value| f32::from(value)).collect();
                 for (m, (plane, sign)) in
                     [(&moved.x, -1.0), (&moved.y, -1.0), (&moved.value, 1.0)].into_iter().enumerate()
                 {
@@ -201,10 +216,15 @@ vectorised! {
             for ((out, value), w) in out.iter_mut().zip(line).zip(w) {
                 *out = w * (value - mean);
             }
-            for values in out.chunks(LANES) {
-                for (largest, value) in largest.iter_mut().zip(values) {
-                    *largest = if value.abs() > *largest { value.abs() } else { *largest };
+            let blocks = out.chunks_exact(LANES);
+            let rest = blocks.remainder();
+            for values in blocks {
+                for c in 0..LANES {
+                    largest[c] = if values[c].abs() > largest[c] { values[c].abs() } else { largest[c] };
                 }
+            }
+            for (largest, value) in largest.iter_mut().zip(rest) {
+                *largest = if value.abs() > *largest { value.abs() } else { *largest };
             }
         }
         largest.into_iter().fold(0.0, f32::max)
@@ -262,7 +282,7 @@ impl Responding {
         &mut self,
         seen: &Seen,
         weight: &Grid,
-        tables: &Tables,
+        kernels: &Kernels,
         rows: std::ops::Range<usize>,
     ) -> Vec<[[f64; RESPONSES]; SUMS]> {
         self.sums.values.fill(0.0);
@@ -270,7 +290,7 @@ impl Responding {
         for r in rows {
             self.fill_model(seen, r, r as f32 - middle as f32);
             for k in 0..SUMS {
-                let kernel = tables.kernel(r, k);
+                let kernel = kernels.line(r, k);
                 quotients(kernel, weight.row(r), self.kernels.row_mut(k), self.model.row_mut(UNKNOWNS + 3 + k));
             }
             accumulate(&self.kernels, &self.model, &mut self.sums);
