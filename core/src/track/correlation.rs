@@ -8,18 +8,30 @@ const ACROSS: usize = 8;
 /// Running sums leave rounding of about 1e-16 of the patch's whole energy where a window is constant.
 const CONSTANT_SHARE: f64 = 1e-12;
 
-/// Sum of squares about the mean of every window of `rows` by `columns` px, from running sums.
-pub fn window_energies<T: Copy + Into<f64>>(patch: &Grid<T>, rows: usize, columns: usize) -> Grid<f64> {
-    let mut out = Grid::filled(patch.rows - rows + 1, patch.columns - columns + 1, 0.0);
-    // Of each column over the rows of the window: the sum of the values and that of their squares.
-    let (mut value, mut square) = (vec![0.0f64; patch.columns], vec![0.0f64; patch.columns]);
-    let add = |r: usize, sign: f64, value: &mut [f64], square: &mut [f64]| {
-        for ((value, square), &pixel) in value.iter_mut().zip(square).zip(patch.row(r)) {
+/// A number of single or double precision.
+pub trait Real: Copy + Into<f64> {}
+
+impl Real for f32 {}
+impl Real for f64 {}
+
+vectorised! {
+    /// Add a row, times a sign, to the sums of the values and of their squares in each column.
+    fn add_row<T: Real>(row: &[T], sign: f64, sums: [&mut [f64]; 2]) {
+        let [value, square] = sums;
+        for ((value, square), &pixel) in value.iter_mut().zip(square).zip(row) {
             let pixel: f64 = pixel.into();
             *value += sign * pixel;
             *square += sign * pixel * pixel;
         }
-    };
+    }
+}
+
+/// Sum of squares about the mean of every window of `rows` by `columns` px, from running sums.
+pub fn window_energies<T: Real>(patch: &Grid<T>, rows: usize, columns: usize) -> Grid<f64> {
+    let mut out = Grid::filled(patch.rows - rows + 1, patch.columns - columns + 1, 0.0);
+    // Of each column over the rows of the window.
+    let (mut value, mut square) = (vec![0.0f64; patch.columns], vec![0.0f64; patch.columns]);
+    let add = |r: usize, sign: f64, value: &mut [f64], square: &mut [f64]| add_row(patch.row(r), sign, [value, square]);
     (0..rows).for_each(|r| add(r, 1.0, &mut value, &mut square));
     for y in 0..out.rows {
         if y > 0 {

@@ -61,7 +61,8 @@ impl<T: Copy> Grid<T> {
 
     /// A copy of a part.
     pub fn part(&self, part: Part) -> Self {
-        let values = (part.top..part.bottom).flat_map(|r| self.row(r)[part.left..part.right].iter().copied()).collect();
+        let mut values = Vec::with_capacity(part.size());
+        (part.top..part.bottom).for_each(|r| values.extend_from_slice(&self.row(r)[part.left..part.right]));
         Self { values, rows: part.rows(), columns: part.columns() }
     }
 

@@ -22,13 +22,20 @@ const SETTLED_PX: f64 = 1e-9;
 /// Under white noise the scatter of 16 blocks exceeds three times its mean about once in 10 000 frames.
 const CORRELATED: f64 = 3.0;
 
-/// The window of `patch` at (top, left) without its mean.
-pub fn centred(patch: &Grid, part: Part) -> Grid {
-    let mut out = patch.part(part);
-    let total: f64 = (0..out.rows).map(|r| f64::from(sum(out.row(r)))).sum();
-    let mean = (total / out.values.len() as f64) as f32;
-    out.values.iter_mut().for_each(|value| *value -= mean);
-    out
+vectorised! {
+    /// A part of a patch without its mean.
+    pub fn centred(patch: &Grid, part: Part) -> Grid {
+        let mut out = patch.part(part);
+        let mut total = 0.0;
+        for r in 0..out.rows {
+            total += f64::from(sum(out.row(r)));
+        }
+        let mean = (total / out.values.len() as f64) as f32;
+        for value in &mut out.values {
+            *value -= mean;
+        }
+        out
+    }
 }
 
 /// Numerator of the ZNCC surface as spline coefficients over shifts of -3 … 3 px (rows y, columns x).
@@ -158,7 +165,10 @@ pub struct BlockSums {
 vectorised! {
     /// Turn `window` (without its mean) into the residual of the `moved` template; ZNCC; None without a match.
     fn without_template(window: &mut Grid, moved: &mut Grid) -> Option<f64> {
-        let total: f64 = (0..moved.rows).map(|r| f64::from(sum(moved.row(r)))).sum();
+        let mut total = 0.0;
+        for r in 0..moved.rows {
+            total += f64::from(sum(moved.row(r)));
+        }
         let mean = (total / moved.values.len() as f64) as f32;
         let (mut product, mut energy, mut own) = (0.0, 0.0, 0.0);
         for r in 0..window.rows {
@@ -183,10 +193,10 @@ vectorised! {
 vectorised! {
     /// Sums of the residual over 4 by 4 blocks of the window; `basis`: template and its gradients along x and y.
     pub fn block_sums(residual: &Grid, basis: &[Grid; 3]) -> [BlockSums; BLOCKS * BLOCKS] {
-        std::array::from_fn(|b| {
+        let mut out = [BlockSums::default(); BLOCKS * BLOCKS];
+        for (b, out) in out.iter_mut().enumerate() {
             let (j, i) = (b / BLOCKS, b % BLOCKS);
             let (left, right) = (i * residual.columns / BLOCKS, (i + 1) * residual.columns / BLOCKS);
-            let mut out = BlockSums::default();
             for r in j * residual.rows / BLOCKS..(j + 1) * residual.rows / BLOCKS {
                 // Sums of one row in single precision: the processor then takes twice as many pixels at once.
                 let line = &residual.row(r)[left..right];
@@ -196,8 +206,8 @@ vectorised! {
                 }
                 out.square += f64::from(dot(line, line));
             }
-            out
-        })
+        }
+        out
     }
 }
 
