@@ -46,11 +46,17 @@ impl Fine {
 
     /// Those of a grid of all.
     pub fn of(grid: &Grid) -> Self {
-        let each_second = |first: usize, columns: usize| {
-            let values = (0..grid.rows).flat_map(|r| grid.row(r)[first..].iter().step_by(2).copied()).collect();
-            Grid { values, rows: grid.rows, columns }
-        };
-        Self { even: each_second(0, grid.columns.div_ceil(2)), odd: each_second(1, grid.columns / 2) }
+        let mut out = Self::zeros(grid.rows, grid.columns);
+        for r in 0..grid.rows {
+            let (even, odd, pairs) = (out.even.row_mut(r), out.odd.row_mut(r), grid.row(r).chunks_exact(2));
+            if let ([last], Some(even)) = (pairs.remainder(), even.last_mut()) {
+                *even = *last;
+            }
+            for ((pair, even), odd) in pairs.zip(even).zip(odd) {
+                (*even, *odd) = (pair[0], pair[1]);
+            }
+        }
+        out
     }
 
     /// All of them in one grid.

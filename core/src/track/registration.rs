@@ -199,3 +199,96 @@ impl Registration {
         climb(&view, plane, &mut banks[0], begin, None)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::correlation::smooth;
+    use super::super::fine_spline::refined;
+    use super::super::peak::Precision;
+    use super::super::spline::{coefficients, combine, weights};
+    use super::super::template::Window;
+    use super::super::vectors::both_ways;
+    use super::*;
+
+    const SIDE: usize = 180;
+    const WINDOW: Window = Window { x: 32, y: 30, width: 116, height: 108 };
+
+    /// Waves of many directions, none of which repeats within the picture.
+    fn scene(x: f64, y: f64) -> f64 {
+        (1..12).fold(120.0, |sum, k| {
+            let (k, angle) = (f64::from(k), 2.4 * f64::from(k));
+            sum + 9.0 * ((0.15 + 0.06 * k) * (x * angle.cos() + y * angle.sin()) + k * k).sin()
+        })
+    }
+
+    fn seen(moved: [f64; 2], change: impl Fn(usize, usize, f64) -> f64) -> Grid {
+        let at = |k: usize| (k / SIDE, k % SIDE);
+        let value = |(r, c): (usize, usize)| change(r, c, scene(c as f64 - moved[0], r as f64 - moved[1]));
+        Grid { values: (0..SIDE * SIDE).map(|k| value(at(k)) as f32).collect(), rows: SIDE, columns: SIDE }
+    }
+
+    fn opened() -> Registration {
+        let level = 120.0;
+        let image = seen([0.0; 2], |_, _, value| value - level);
+        let taps = [-1.0, 4.0, 10.0, 4.0, -1.0].map(|tap| tap / 16.0);
+        let grid = coefficients(&smooth(&image, &taps).map(|&v| f64::from(v))).map(|&v| v as f32);
+        let [top, left] = [WINDOW.y, WINDOW.x].map(|first| first as usize - 2 - 3);
+        let part = Part { top, bottom: top + WINDOW.height + 6, left, right: left + WINDOW.width + 6 };
+        let grid = grid.part(part);
+        let [value, slope] = [0, 1].map(|d| weights(0.0, d));
+        let basis =
+            [(&value, &value), (&value, &slope), (&slope, &value)].map(|(down, across)| combine(&grid, down, across));
+        let mean = basis[0].values.iter().sum::<f32>() / basis[0].values.len() as f32;
+        let basis = [basis[0].map(|value| value - mean), basis[1].clone(), basis[2].clone()];
+        let information = [[[1e6, 0.0], [0.0, 1e6]]; 2];
+        let precision = Precision::new(&basis, information, 0.5, [1.0, 1.0]);
+        let template = Template::new(WINDOW, taps.to_vec(), grid, basis, precision, 0.3);
+        let fine = refined(&image.map(|&v| f64::from(v)));
+        let weight = Grid::filled(WINDOW.height, WINDOW.width, 1.0);
+        let plane = Plane::new([&fine, &fine], (WINDOW.y as usize, WINDOW.x as usize), weight, 0.01, WINDOW).unwrap();
+        let settings = Settings { min_share: 0.2, reference_noise: 1.0, kernel_bytes: 1 << 22 };
+        Registration::new(plane, Arc::new(template), settings)
+    }
+
+    #[test]
+    fn a_frame_gives_its_translation_and_the_same_bits_on_every_processor() {
+        let covered = |r: usize, c: usize, value: f64| if r > 40 && r < 90 && c < 80 { 220.0 } else { value };
+        for (moved, tolerance) in [([0.31, -0.42], 2e-4), ([-1.2, 0.77], 2e-4), ([0.06, 0.0], 2e-4)] {
+            let frames = [seen(moved, |_, _, value| value), seen(moved, covered)];
+            let [usual, portable] = both_ways(|| {
+                let mut registration = opened();
+                frames.each_ref().map(|frame| {
+                    let bytes = frame.map(|&value| value.round() as u8);
+                    let image = Pixels::new(&bytes.values, SIDE, SIDE, SIDE).unwrap();
+                    let pose = registration.look(image, 120.0, &[0.0; 4], None).unwrap();
+                    let exact = registration.look(Pixels::of(frame), 120.0, &[0.0; 4], None).unwrap();
+                    (pose.value, pose.covariance, exact.value, exact.share)
+                })
+            });
+            assert_eq!(usual, portable);
+            for (whole, exact, share) in usual.map(|(whole, _, exact, share)| (whole, exact, share)) {
+                for k in 0..2 {
+                    // Rounding to whole numbers is noise of 0.3 on a contrast of 20.
+                    assert!((whole[k] - moved[k]).abs() < 2e-3, "{whole:?} {moved:?}");
+                    assert!(
+                        (exact[k] - moved[k]).abs() < if share < 1.0 { 1e-3 } else { tolerance },
+                        "{exact:?} {moved:?}"
+                    );
+                }
+            }
+            assert!(usual[0].3 == 1.0 && usual[1].3 < 1.0);
+        }
+    }
+
+    #[test]
+    fn nothing_is_found_outside_the_image_or_where_no_picture_is() {
+        let mut registration = opened();
+        let frame = seen([0.0; 2], |_, _, value| value);
+        assert!(registration.look(Pixels::of(&frame), 120.0, &[400.0, 0.0, 0.0, 0.0], None).is_none());
+        assert!(registration.look(Pixels::of(&Grid::filled(SIDE, SIDE, 9.0)), 120.0, &[0.0; 4], None).is_none());
+        let mut holes = frame;
+        holes.row_mut(50)[60] = f32::NAN;
+        assert!(!registration.all_finite(&Pixels::of(&holes), &[0.0; 4]));
+        assert!(registration.all_finite(&Pixels::of(&holes), &[200.0, 0.0, 0.0, 0.0]));
+    }
+}
