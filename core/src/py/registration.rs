@@ -14,6 +14,9 @@ use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+/// Smaller windows cannot be divided into blocks.
+const MIN_SIDE_PX: usize = 8;
+
 /// See [`Pose`].
 #[pyclass(module = "midspan._core", name = "Pose", frozen, get_all)]
 struct PyPose {
@@ -82,10 +85,10 @@ impl PyRegistration {
         kernel_bytes: usize,
     ) -> PyResult<Self> {
         let (grid, weight, taps) = (super::arrays::grid(&grid), super::arrays::grid(&weight), elements("taps", &taps)?);
-        if taps.len() % 2 == 0 || grid.rows.min(grid.columns) < 2 {
-            return Err(PyValueError::new_err("taps, grid: an odd number of weights and two rows are needed"));
-        }
         let (whole, window) = (template.0.clone(), template.0.window);
+        if taps.len() % 2 == 0 || grid.rows.min(grid.columns) < 2 || window.width.min(window.height) < MIN_SIDE_PX {
+            return Err(PyValueError::new_err("taps, grid, template: an odd number, two rows and 8 px are needed"));
+        }
         let settings = Settings { min_share, reference_noise, kernel_bytes };
         py.detach(|| {
             let low = smooth(&grid.mirrored(taps.len() / 2), taps);

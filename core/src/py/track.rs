@@ -90,6 +90,7 @@ fn read_fine<'py>(
     across: PyReadonlyArray1<'py, f64>,
 ) -> PyResult<Grid32<'py>> {
     let (coefficients, down, across) = (grid(&coefficients), taps("down", &down)?, taps("across", &across)?);
+    at_least("coefficients", &coefficients, fine_spline::FINE_TAPS, fine_spline::FINE_TAPS)?;
     array(py, py.detach(|| fine_spline::read(&Fine::of(&coefficients), &down, &across)))
 }
 

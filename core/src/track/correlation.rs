@@ -146,6 +146,9 @@ vectorised! {
         let lost = taps.len() - 1;
         let (rows, columns) = (patch.rows.saturating_sub(lost), patch.columns.saturating_sub(lost));
         let (mut out, mut line) = (Grid::filled(rows, columns, 0.0), vec![0.0f32; patch.columns]);
+        if out.values.is_empty() {
+            return out;
+        }
         if let Ok(taps) = <[f32; 5]>::try_from(taps) {
             for r in 0..rows {
                 weighted::<5>(std::array::from_fn(|j| patch.row(r + j)), taps, &mut line);

@@ -23,6 +23,8 @@ const UNKNOWNS: usize = 8;
 const WARPS: usize = 5;
 /// Below this share of its row a pivot says that the block holds no texture.
 const SINGULAR: f64 = 1e-9;
+/// No translation is longer, px.
+pub const MAX_PX: f64 = 1e9;
 const LARGEST_HALF: f32 = 32767.0;
 
 /// The nearest eighth of a pixel to a translation, as whole pixels and a phase.
@@ -39,7 +41,7 @@ pub struct Quantised {
 impl Quantised {
     /// Next to a translation x, y in px.
     pub fn new(place: [f64; 2]) -> Self {
-        let steps = place.map(|at| (at * PHASES as f64 + 0.5).floor());
+        let steps = place.map(|at| (at.clamp(-MAX_PX, MAX_PX) * PHASES as f64 + 0.5).floor());
         let whole = steps.map(|steps| (steps as i64 + PHASES / 2).div_euclid(PHASES));
         let part = [0, 1].map(|k| steps[k] as i64 - whole[k] * PHASES + PHASES / 2);
         Self { whole, phase: (part[0] * PHASES + part[1]) as usize, near: steps.map(|steps| steps / PHASES as f64) }

@@ -9,7 +9,7 @@ use super::bank::{Bank, Plane};
 use super::blocks::PoseValue;
 use super::climb::{ALIKE, Pose, UNDISTURBED_SHARE, View, climb};
 use super::grid::{Grid, Part};
-use super::kernels::held_phases;
+use super::kernels::{MAX_PX, held_phases};
 use super::matrix::Matrix;
 use super::pixels::{Pixel, Pixels};
 use super::template::{Fix, Template};
@@ -104,7 +104,7 @@ impl Registration {
     pub fn all_finite<T: Pixel>(&self, image: &Pixels<T>, begin: &PoseValue) -> bool {
         let window = &self.whole.window;
         let along = |first: i64, size: usize, moved: f64, pixels: usize| {
-            let start = first + moved.round() as i64;
+            let start = first + moved.clamp(-MAX_PX, MAX_PX).round() as i64;
             [start - AROUND_PX, start + size as i64 + AROUND_PX].map(|k| k.clamp(0, pixels as i64) as usize)
         };
         let [left, right] = along(window.x, window.width, begin[0], image.columns);
@@ -153,7 +153,7 @@ impl Registration {
 
     /// The peak of the template as a whole next to a pose of the blocks.
     fn whole_at<T: Pixel>(&self, view: &View<T>, pose: &Pose) -> Option<Fix> {
-        let place = [0, 1].map(|k| view.origin[k] + pose.value[k].round_ties_even() as i64);
+        let place = [0, 1].map(|k| view.origin[k] + pose.value[k].clamp(-MAX_PX, MAX_PX).round_ties_even() as i64);
         let fix = self.whole.peak_at(&view.image, view.level, place)?;
         ((fix.x - pose.value[0]).hypot(fix.y - pose.value[1]) <= SEED_PX).then_some(fix)
     }
