@@ -11,7 +11,6 @@ from midspan.records import Floats, Frame, Prediction, Region
 from midspan.simulate.scene.camera import Camera, Pixels, cramer_rao_std_px
 from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import textured_scene
-from midspan.vision.kernels import project
 from midspan.vision.registration import RegistrationSettings, RegistrationTracker
 
 SIDE, REFERENCES, LEARNT, FRAMES = 200, 16, 52, 16
@@ -163,15 +162,9 @@ def speeds(scene: Scene) -> None:
     reference, image = (CAMERA.expose(scene.render(d, -d), rng=rng) for d in (0.0, 0.02))
     tracker = RegistrationTracker(Frame(0, reference), region, RegistrationSettings(learn_frames=0))
     tracker.push(Frame(1, image), NEAR)
-    rows = []
-    for bank in tracker.banks:
-        blocks = len(bank.centres)
-        at = (np.full(blocks, region.y), np.full(blocks, region.x), np.zeros(blocks, dtype=np.int64))
-        edges = (bank.down, bank.across)
-        held = (bank.kernels, bank.steps)
-        kernel = rate(lambda held=held, at=at, e=edges: project(image, 0.0, held, e, at), 1000)
-        rows.append([f"kernel, {blocks} blocks", kernel])
-        goal(f"kernel with {blocks} blocks", kernel, 30_000, unit="regions/s", at_least=True)
+    kernel = rate(lambda: tracker._core.look(image, tracker._offset, (0.0, 0.0, 0.0, 0.0), 0.0), 1000)
+    rows: list[list[object]] = [["from pixels to a pose", kernel]]
+    goal("from pixels to a pose", kernel, 30_000, unit="regions/s", at_least=True)
     places = [(0.8 * np.sin(k / 3), 0.5 * np.cos(k / 4)) for k in range(40)]
     images = [CAMERA.expose(scene.render(*p), rng=rng) for p in places]
     times = count(10**7, 10**7)
@@ -211,7 +204,7 @@ def memory() -> None:
     """Kernels of a large region."""
     image = np.random.default_rng(5).normal(120, 30, (600, 600)).astype(np.float32)
     tracker = RegistrationTracker(Frame(0, image), Region(40, 40, 512, 512), RegistrationSettings())
-    goal("kernels of a region of 512 px", sum(b.kernels.nbytes for b in tracker.banks) / 2**20, 96.0, unit="MB")
+    goal("kernels of a region of 512 px", tracker.kernel_bytes / 2**20, 96.0, unit="MB")
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ pub mod estimator;
 pub mod likelihood;
 pub mod radar;
 pub mod signals;
+pub mod track;
 
 mod py;
 
@@ -19,6 +20,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     py::likelihood::register(module)?;
     py::signals::register(module)?;
+    py::track::register(module)?;
+    py::registration::register(module)?;
     py::radar::register(module)?;
     py::estimator::register(module)?;
     py::printed::register(module)

@@ -1,37 +1,31 @@
 import numpy as np
 import pytest
 
+from midspan._core import fine_weights, read_fine, refined
 from midspan.records import Region
-from midspan.vision.bank import best_smoothing_px, first_plane
-from midspan.vision.fine_spline import fine_weights, planes, read, refined, spread
 from midspan.vision.learning import KeptSamples, Sample, fit, learn_plane
+from midspan.vision.plane import best_smoothing_px, first_plane
 from midspan.vision.spline import coefficients, combine, weights
 
 SIZE = 64
 
 
+def moved(fine, x, y, down=0, across=0):
+    """The fine spline moved by x, y px, or a derivative of it."""
+    return read_fine(fine, fine_weights(-y, down), fine_weights(-x, across))
+
+
 def test_the_finer_spline_continues_the_one_on_the_pixels(make_scene):
     image = make_scene(3).image(SIZE, SIZE)
     coarse, x, y = coefficients(image), 0.31, -0.42
-    value, slope_x, slope_y = planes(refined(image), x, y)
-    inner = np.s_[8:-8, 8:-8]
+    fine, inner = refined(image), np.s_[8:-8, 8:-8]
     grid = coarse[5:-5, 5:-5].astype(np.float32)
-    orders = [(0, 0), (0, 1), (1, 0)]
     # Two splines of fifth order through the same samples: what differs is the second one's interpolation, below 1e-3 of
     # the contrast of 30 DN, and single precision.
-    for got, (down, across) in zip((value, slope_x, slope_y), orders, strict=True):
+    for down, across in ((0, 0), (0, 1), (1, 0)):
+        got = moved(fine, x, y, down, across)
         expected = combine(grid, weights(-y, down), weights(-x, across))
         assert np.abs(got[inner] - expected).max() < 0.03
-
-
-def test_spreading_is_the_transpose_of_reading():
-    rng = np.random.default_rng(0)
-    pixels, grid = rng.normal(size=(9, 12)).astype(np.float32), rng.normal(size=(25, 31)).astype(np.float32)
-    wy, wx = fine_weights(0.2, 0), fine_weights(-0.4, 0)
-    out = np.zeros_like(grid)
-    spread(pixels, wy, wx, out)
-    # ⟨A g, p⟩ = ⟨g, Aᵀ p⟩, in single precision.
-    assert float(np.sum(out * grid)) == pytest.approx(float(np.sum(pixels * read(grid, wy, wx))), rel=1e-5)
 
 
 @pytest.mark.parametrize("highest", [0.35, 0.7])
@@ -45,10 +39,10 @@ def test_a_fit_to_frames_at_many_places_shows_what_one_frame_folds(make_scene, h
     truth = scene.image(SIZE, SIZE, *test)[inner]
 
     def error(fine):
-        return np.std(planes(fine, *test)[0][inner] - truth)
+        return np.std(moved(fine, *test)[inner] - truth)
 
     for _ in range(4):
-        fitted, _ = fit(items, grid, 1e-6)
+        fitted = fit(items, grid, 1e-6)
         if highest < 0.5:
             break
         grid = fitted
@@ -67,11 +61,11 @@ def test_places_are_renewed_together_with_the_picture(make_scene):
         samples = samples.plus(Sample(scene.image(SIZE, SIZE, *place).astype(np.float32), put))
     plane = learn_plane(samples)
     shift = wrong.mean(axis=0) - places.mean(axis=0)
-    moved = read(plane.grid, fine_weights(0.0, 0), fine_weights(0.0, 0))
+    learnt = moved(plane.grid, 0.0, 0.0)
     expected = scene.image(SIZE, SIZE, *shift)
-    gain = np.polyfit(expected[8:-8, 8:-8].ravel(), moved[8:-8, 8:-8].ravel(), 1)
+    gain = np.polyfit(expected[8:-8, 8:-8].ravel(), learnt[8:-8, 8:-8].ravel(), 1)
     # Places wrong by 0.02 px would leave 0.3 DN at slopes of 15 DN/px; what all have in common cannot be known.
-    assert np.std(moved[8:-8, 8:-8] - np.polyval(gain, expected[8:-8, 8:-8])) < 0.15
+    assert np.std(learnt[8:-8, 8:-8] - np.polyval(gain, expected[8:-8, 8:-8])) < 0.15
 
 
 def test_frames_at_one_place_are_one_sample(make_scene):

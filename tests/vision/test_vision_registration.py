@@ -9,7 +9,6 @@ from midspan.records import Frame, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera, cramer_rao_std_px
 from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.registration import RegistrationSettings, RegistrationTracker
-from midspan.vision.undisturbed import Known
 
 SIDE, SIZE = 200, 128
 REGION = Region(36, 36, SIZE, SIZE)
@@ -200,7 +199,7 @@ def test_the_kernels_of_a_large_region_stay_within_their_memory(side):
     rng = np.random.default_rng(6)
     image = gaussian_filter(rng.normal(0, 400, (side + 60, side + 60)), 1.2)
     tracker = RegistrationTracker(picture(0, 120 + image), Region(30, 30, side, side), RegistrationSettings())
-    assert sum(bank.kernels.nbytes for bank in tracker.banks) <= 96 << 20
+    assert 0 < tracker.kernel_bytes <= 96 << 20
 
 
 def test_kernels_that_gave_way_to_others_are_made_again_alike(scenes, monkeypatch):
@@ -212,7 +211,7 @@ def test_kernels_that_gave_way_to_others_are_made_again_alike(scenes, monkeypatc
         return [tracker.push(picture(k + 1, image)) for k, image in enumerate(images * 2)]
 
     whole = tracked()
-    monkeypatch.setattr("midspan.vision.bank.BANK_BYTES", 4 * 12 * SIZE * SIZE)  # four phases
+    monkeypatch.setattr("midspan.vision.registration.KERNEL_BYTES", 4 * 12 * SIZE * SIZE)  # four phases
     assert tracked() == whole
 
 
@@ -344,11 +343,11 @@ def test_the_whole_window_tells_roll_and_zoom_from_light(scenes, roll, zoom, lig
     # Without noise every part of the linear model is there to the second order: what the picture was turned by, and
     # nothing of gain, level and a ramp of gain across the window.
     clean = scenes["natural"].render(0, 0).astype(np.float64)
-    window = RegistrationTracker(picture(0, clean.astype(np.float32)), REGION, RegistrationSettings())._undisturbed
+    core = RegistrationTracker(picture(0, clean.astype(np.float32)), REGION, RegistrationSettings())._core
     gain, level, ramp = light
     seen = turned(clean, roll, zoom) * (gain + ramp * COLUMNS / SIZE) + level
-    found = window.fit(seen, float(np.mean(clean)), np.zeros(4), Known(0.0, np.inf, np.zeros((4, 4))))
+    found = core.pose_in((seen - np.mean(clean)).astype(np.float32), (REGION.x, REGION.y), (0.0,) * 4, True)
     assert found is not None
     # 1e-4 px, and at the window's corners 90 px away 5e-4 px, far below any camera's noise.
-    assert np.abs(found.value[:2]).max() < (1e-5 if light == (1.0, 0.0, 0.0) else 1e-3)
-    assert found.value[2:] == pytest.approx((roll, zoom), abs=1e-6 if light == (1.0, 0.0, 0.0) else 1e-5)
+    assert max(abs(found.x_px), abs(found.y_px)) < (1e-5 if light == (1.0, 0.0, 0.0) else 1e-3)
+    assert (found.roll_rad, found.zoom) == pytest.approx((roll, zoom), abs=1e-6 if light == (1.0, 0.0, 0.0) else 1e-5)

@@ -1,11 +1,14 @@
 //! What Python sees: arrays become slices and results become arrays; nothing is computed here.
 
+pub mod arrays;
 pub mod estimator;
 pub mod likelihood;
 pub mod printed;
 pub mod radar;
+pub mod registration;
 pub mod settings;
 pub mod signals;
+pub mod track;
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;

@@ -8,15 +8,15 @@ doi 10.1109/83.650118). Frames at one place only give their average, interpolate
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Floats, Region
-from midspan.vision.bank import Plane
-from midspan.vision.fine_spline import PER_PX, fine_weights, planes, read, refined, spread
+from midspan.vision.plane import PER_PX, Plane
 from midspan.vision.spline import Floats32
 from midspan.vision.texture import values
 
@@ -31,7 +31,6 @@ MIN_STEP_SHARE = 0.02
 FIRST_PENALTY, PENALTY_SHARE = 0.01, 0.1
 _SMOOTHED_PX = 5
 _INNER = np.s_[PAD_PX:-PAD_PX, PAD_PX:-PAD_PX]
-_INNER_FINE = np.s_[PER_PX * PAD_PX : -PER_PX * PAD_PX, PER_PX * PAD_PX : -PER_PX * PAD_PX]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,13 +71,13 @@ class KeptSamples:
 
 
 def sample(
-    pixels: NDArray[np.generic], window: Region, translation: Floats, offset: float, like: Floats32 | None
+    pixels: NDArray[np.generic], window: Region, translation: tuple[float, float], offset: float, like: Floats32 | None
 ) -> Sample | None:
     """The frame `pixels` less `offset` about the window moved by `translation` (x, y px), level and contrast as `like`.
 
     None where that leaves the image.
     """
-    x, y = (round(float(v)) for v in translation[:2])
+    x, y = (round(v) for v in translation)
     top, left = window.y + y - PAD_PX, window.x + x - PAD_PX
     bottom, right = top + window.height + 2 * PAD_PX, left + window.width + 2 * PAD_PX
     if top < 0 or left < 0 or bottom > pixels.shape[0] or right > pixels.shape[1]:
@@ -101,47 +100,72 @@ def _square(pixels: Floats32) -> float:
 
 def learn_plane(samples: KeptSamples) -> Plane:
     """The template that the samples show together, with the weight of each pixel of the window."""
-    items = list(samples.items)
-    grid = refined(items[0].pixels.astype(np.float64))
+    items = _compiled(samples.items)
+    grid = _core.refined(samples.items[0].pixels.astype(np.float64))
     penalty, least = FIRST_PENALTY, 0.0
+    weights = _weights(samples.items)
     for turn in range(ROUNDS):
-        grid, steps = fit(items, grid, penalty, least)
-        items = [_placed(item, grid) for item in items]
+        grid, steps = _fitted(items, weights, grid, penalty, least)
+        items.place(grid)
+        weights = (*(_down_across(items.shifts)), weights[2])
         if turn == 0:
-            noise = _noise_variance(_residual_square(items[:FIRST_LOOK], grid))
-            penalty = PENALTY_SHARE * noise / max(_roughness(grid), 1e-30)
-            least = MIN_STEP_SHARE * noise * items[0].pixels.size
+            noise = _noise_variance(items.residual_square(grid, FIRST_LOOK))
+            penalty = PENALTY_SHARE * noise / max(_core.roughness(grid), 1e-30)
+            least = MIN_STEP_SHARE * noise * samples.items[0].pixels.size
         elif steps < ITERATIONS:
             break
-    square = _residual_square(items, grid)
+    square = items.residual_square(grid, len(samples.items))
     noise_std = math.sqrt(_noise_variance(square) / samples.frames)
     return Plane(grid, (PAD_PX, PAD_PX), _weight(square[_INNER]), noise_std)
 
 
-def fit(items: list[Sample], start: Floats32, penalty: float, least: float = 0.0) -> tuple[Floats32, int]:
-    """Fine coefficients (2 h + 7, 2 w + 7) that fit the samples, by conjugate gradients from `start`; how many steps.
+def fit(samples: Sequence[Sample], start: Floats32, penalty: float) -> Floats32:
+    """Fine coefficients (2 h + 7, 2 w + 7) that fit the samples, by conjugate gradients from `start`.
 
-    They are preconditioned by what samples at many places make of each frequency: the steps are then few.
-    `penalty`: variance of a frame's noise over that of the coefficients' squared Laplacian. `least`: a step that lowers
-    the sum of squared differences by less is the last.
+    `penalty`: variance of a frame's noise over that of the coefficients' squared Laplacian.
     """
-    down = np.array([fine_weights(-float(item.shift[1]), 0) for item in items])
-    across = np.array([fine_weights(-float(item.shift[0]), 0) for item in items])
-    count = np.array([float(item.count) for item in items])
+    return _fitted(_compiled(samples), _weights(samples), start, penalty, 0.0)[0]
 
-    def normal(grid: Floats32) -> Floats32:
-        out: Floats32 = _through(grid, down, across, count)
-        out += np.float32(penalty) * _fourth(grid)
-        return out
 
-    rest, likely = _spread_all(items, down, across, start.shape), _gain(start.shape, (down, across, count), penalty)
+def _compiled(samples: Sequence[Sample]) -> _core.LearningSamples:
+    """The samples as the core takes them."""
+    return _core.LearningSamples(
+        [(item.pixels, (float(item.shift[0]), float(item.shift[1])), float(item.count)) for item in samples]
+    )
+
+
+def _weights(samples: Sequence[Sample]) -> tuple[Floats, Floats, Floats]:
+    """Weights of the samples' coefficients down and across (n, 9), and their numbers of frames (n,)."""
+    count = np.array([float(item.count) for item in samples])
+    return (*_down_across([item.shift.tolist() for item in samples]), count)
+
+
+def _down_across(shifts: Sequence[Sequence[float]]) -> tuple[Floats, Floats]:
+    """Weights (n, 9) of the coefficients about a pixel for samples at these places (n, 2) px, down and across."""
+    across, down = (np.array([_core.fine_weights(-float(shift[k]), 0) for shift in shifts]) for k in range(2))
+    return down, across
+
+
+def _fitted(
+    samples: _core.LearningSamples,
+    weights: tuple[Floats, Floats, Floats],
+    start: Floats32,
+    penalty: float,
+    least: float,
+) -> tuple[Floats32, int]:
+    """The coefficients of `fit`, and how many steps of conjugate gradients they took.
+
+    These are preconditioned by what samples at many places, of these `weights`, make of each frequency: the steps are
+    then few. `least`: a step that lowers the sum of squared differences by less is the last.
+    """
+    rest, likely = samples.spread(), _gain(start.shape, weights, penalty)
     grid = start.copy()
-    rest -= normal(grid)
+    rest -= samples.normal(grid, penalty)
     direction = _divided(rest, likely)
     square, steps = float(np.vdot(rest, direction)), 0
     while steps < ITERATIONS:
         steps += 1
-        through = normal(direction)
+        through = samples.normal(direction, penalty)
         step = square / max(float(np.vdot(direction, through)), 1e-300)
         grid += np.float32(step) * direction
         if step * square < least or steps == ITERATIONS:
@@ -152,14 +176,6 @@ def fit(items: list[Sample], start: Floats32, penalty: float, least: float = 0.0
         direction *= np.float32(square / max(before, 1e-300))
         direction += towards
     return grid, steps
-
-
-def _spread_all(items: list[Sample], down: Floats, across: Floats, shape: tuple[int, ...]) -> Floats32:
-    """What all samples give to coefficients of this `shape`."""
-    out = np.zeros(shape, dtype=np.float32)
-    for item, wy, wx in zip(items, down, across, strict=True):
-        spread(item.pixels, item.count * wy, wx, out)
-    return out
 
 
 def _gain(shape: tuple[int, ...], weights: tuple[Floats, Floats, Floats], penalty: float) -> Floats32:
@@ -190,64 +206,6 @@ def _divided(grid: Floats32, gain: Floats32) -> Floats32:
     return np.ascontiguousarray(irfft2(spectrum, s=size)[: grid.shape[0], : grid.shape[1]], dtype=np.float32)
 
 
-@njit(cache=True)
-def _through(grid: Floats32, down: Floats, across: Floats, count: Floats) -> Floats32:
-    """What all samples, of these weights (n, 9) and numbers of frames (n,), make of coefficients: each read, and spread
-    again.
-    """
-    out = np.zeros_like(grid)
-    for k in range(len(count)):
-        spread(read(grid, count[k] * down[k], across[k]), down[k], across[k], out)
-    return out
-
-
-@njit(cache=True)
-def _laplacian(grid: Floats, out: Floats) -> None:
-    """Fill `out` with the sum of the four neighbours less four times the value; beyond the edge the value itself."""
-    rows, last = grid.shape[0], grid.shape[1] - 1
-    for r in range(rows):
-        own, up, down, into = grid[r], grid[max(r - 1, 0)], grid[min(r + 1, rows - 1)], out[r]
-        # The two edges apart: the rest then runs without a question, several values at once.
-        for c in (0, last):
-            into[c] = up[c] + down[c] + own[max(c - 1, 0)] + own[min(c + 1, last)] - 4.0 * own[c]
-        before, middle, after = own[: last - 1], own[1:last], own[2:]
-        up, down, into = up[1:last], down[1:last], into[1:last]
-        for c in range(last - 1):
-            into[c] = up[c] + down[c] + before[c] + after[c] - 4.0 * middle[c]
-
-
-@njit(cache=True)
-def _powered(grid: Floats32, twice: int) -> Floats:
-    """The Laplacian applied two times or, `twice` being 2, four times."""
-    out = grid.astype(np.float64)
-    other = np.empty_like(out)
-    for _ in range(twice):
-        _laplacian(out, other)
-        _laplacian(other, out)
-    return out
-
-
-def _fourth(grid: Floats32) -> Floats:
-    """The Laplacian applied four times: the gradient of half the squared Laplacian's squares."""
-    return _powered(grid, 2)
-
-
-def _roughness(grid: Floats32) -> float:
-    """Mean square of the Laplacian's Laplacian."""
-    return float(np.mean(_powered(grid, 1)[8:-8, 8:-8] ** 2))
-
-
-def _expected(item: Sample, grid: Floats32) -> Floats32:
-    x, y = (float(v) for v in item.shift)
-    return read(grid, fine_weights(-y, 0), fine_weights(-x, 0))
-
-
-def _residual_square(items: list[Sample], grid: Floats32) -> Floats:
-    """Mean square (h + 16, w + 16) of what the fit leaves of one frame."""
-    total = sum(item.count * (item.pixels - _expected(item, grid)).astype(np.float64) ** 2 for item in items)
-    return np.asarray(total / max(len(items) - 1, 1), dtype=np.float64)
-
-
 def _noise_variance(square: Floats) -> float:
     """Variance of a frame's noise, from what the fit leaves (`square`), without what moves in front of a part."""
     return float(np.median(_smoothed(square[_INNER])))
@@ -267,44 +225,3 @@ def _weight(variance: Floats) -> Floats32:
     smooth = _smoothed(variance)
     middle = max(float(np.median(smooth)), 1e-30)
     return np.asarray(1.0 / np.clip(smooth / middle, 0.2, 10.0), dtype=np.float32)
-
-
-def _placed(item: Sample, grid: Floats32) -> Sample:
-    """The sample with its place, level and contrast as the template says: one step of least squares."""
-    moved = planes(grid[_INNER_FINE].copy(), float(item.shift[0]), float(item.shift[1]))
-    found = np.linalg.solve(*_normal(moved, item.pixels[_INNER].copy()))
-    gain = found[2] if found[2] > 0.1 else 1.0
-    pixels = ((item.pixels - np.float32(found[3])) / np.float32(gain)).astype(np.float32)
-    step = np.clip(found[:2] / gain, -0.1, 0.1)
-    return replace(item, pixels=pixels, shift=np.clip(item.shift + step, -0.6, 0.6))
-
-
-@njit(cache=True, fastmath=True)
-def _line_products(a: Floats32, b: Floats32) -> float:
-    total = np.float32(0.0)
-    for c in range(len(a)):
-        total += a[c] * b[c]
-    return float(total)
-
-
-@njit(cache=True)
-def _normal(moved: Floats32, pixels: Floats32) -> tuple[Floats, Floats]:
-    """Normal matrix (4, 4) and right side (4,) of pixels (h, w) by shift along x and y, gain and level; `moved`
-    (3, h, w): values and slopes of what they are compared with.
-    """
-    matrix, right = np.zeros((4, 4)), np.zeros(4)
-    ones = np.ones(pixels.shape[1], dtype=np.float32)
-    for r in range(pixels.shape[0]):
-        # Products that are sums along one line lose nothing in single precision.
-        lines = (moved[1, r], moved[2, r], moved[0, r], ones)
-        for i in range(4):
-            right[i] += _line_products(lines[i], pixels[r])
-            for j in range(i + 1):
-                matrix[i, j] += _line_products(lines[i], lines[j])
-    for i in range(4):
-        # The picture moves with the shift, and its values against the slopes.
-        for j in range(i + 1):
-            matrix[i, j] *= (-1.0 if i < 2 else 1.0) * (-1.0 if j < 2 else 1.0)
-            matrix[j, i] = matrix[i, j]
-        right[i] *= -1.0 if i < 2 else 1.0
-    return matrix, right

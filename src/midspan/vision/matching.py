@@ -2,17 +2,17 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
+from midspan._core import Fix
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Region
-from midspan.vision.peak import block_sums, centred, climb, scores, spline_products, variances
 from midspan.vision.region import SMALLEST_SIDE_PX
-from midspan.vision.search import Patch, coarse_factor
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
+from midspan.vision.search import coarse_factor
+from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
 from midspan.vision.texture import (
     check_texture,
     full_scale,
@@ -25,7 +25,6 @@ from midspan.vision.zncc import smooth
 
 INSET_PX = 8  # the template's spline needs this much image around the window
 CONTEXT_PX = 20  # the spline is fitted with this much around it, so that the mirror at its edge is not felt
-ENERGY_TERMS = 11  # polynomial terms an axis for the energy of the shifted template over ±1 px
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,44 +35,29 @@ class Matching:
     min_correlation: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Template:
     """The reference window and all that is computed from it once.
 
-    window: the part of the region that is matched. taps: (2 m + 1,) of the low-pass. pixels: (h, w) filtered and with
-    zero mean. grid: (h + 6, w + 6) spline coefficients.
-    basis: (3, h, w) template and gradients. moments, information, noise: see `midspan.vision.peak.variances`.
-    offset: subtracted from all frames. factor: of decimation.
+    matcher: looks for it in a frame. window: the part of the region that is matched. taps: (2 m + 1,) of the low-pass.
+    pixels: (h, w) filtered and with zero mean. offset: subtracted from all frames. factor: of decimation.
     """
 
+    matcher: _core.Template
     window: Region
     taps: Floats32
     pixels: Floats32
-    grid: Floats32
-    basis: Floats32
-    moments: Floats
-    information: Floats
-    noise: Floats
     offset: float
     factor: int
     expected_correlation: float
     threshold: float
 
-    @cached_property
-    def norm(self) -> Floats:
-        """Polynomial (p, p) of ln √(energy) by the shift; most templates that seed another tracker never need it."""
-        return _log_norm(self.grid)
+    def near(self, image: NDArray[np.generic], place: tuple[int, int], radius: tuple[int, int]) -> Fix | None:
+        """The best peak that is accepted within `radius` px of the window's `place` (x, y) px.
 
-
-@dataclass(frozen=True, slots=True)
-class Fix:
-    """A peak: translation (px), its variances (px²) and the correlation."""
-
-    x_px: float
-    y_px: float
-    variance_x_px2: float
-    variance_y_px2: float
-    quality: float
+        A peak on the rim moves the search there, four times at most.
+        """
+        return self.matcher.near(image, self.offset, place, radius)
 
 
 def make_template(image: NDArray[np.generic], region: Region, matching: Matching) -> Template:
@@ -90,20 +74,16 @@ def make_template(image: NDArray[np.generic], region: Region, matching: Matching
     fisher = _outer(gradient)
     expected, threshold = _correlations(pixels, fisher, sigma**2 * gains[0], matching.min_correlation)
     margin = 2 * (len(taps) // 2)
-    return Template(
-        window=window,
+    matcher = _core.Template(
+        window=(window.x, window.y, window.width, window.height),
         taps=taps,
-        pixels=pixels,
         grid=grid,
         basis=basis,
-        moments=_moments(basis),
         information=np.stack([fisher, _outer(np.stack([smooth(np.pad(g, margin), taps) for g in gradient]))]),
-        noise=np.array([pixels.size, gains[0], pixels.size * gains[1], pixels.size * gains[2]]),
-        offset=offset,
-        factor=coarse_factor(pixels),
-        expected_correlation=expected,
+        gains=(gains[0], pixels.size * gains[1], pixels.size * gains[2]),
         threshold=threshold,
     )
+    return Template(matcher, window, taps, pixels, offset, coarse_factor(pixels), expected, threshold)
 
 
 def _window(region: Region, columns: int, rows: int) -> Region:
@@ -169,12 +149,6 @@ def _informative(basis: Floats32) -> Floats32:
     return np.stack(out).astype(np.float32)
 
 
-def _moments(basis: Floats32) -> Floats:
-    """Products of 1, template and gradients over each block: (16, 4, 4)."""
-    columns = [block_sums(np.ascontiguousarray(plane), basis)[:, :4] for plane in (np.ones_like(basis[0]), *basis)]
-    return np.ascontiguousarray(np.stack(columns, axis=2))
-
-
 def _outer(gradient: Floats32) -> Floats:
     """Sum of g gᵀ (2, 2) over the window."""
     flat = gradient.reshape(2, -1).astype(np.float64)
@@ -194,51 +168,3 @@ def _correlations(pixels: Floats32, fisher: Floats, noise_variance: float, share
     independent = max(pixels.size * min(slopes / variance, 1.0), 1.0)
     chance = min(4.5 / math.sqrt(independent), 0.6)
     return expected, max(share * expected, chance)
-
-
-def _log_norm(grid: Floats32) -> Floats:
-    """Polynomial (p, p; powers of y by powers of x) of ln √(energy of the template shifted by -1 … 1 px)."""
-    nodes = np.cos(np.pi * (np.arange(ENERGY_TERMS) + 0.5) / ENERGY_TERMS)
-    table = np.empty((ENERGY_TERMS, ENERGY_TERMS))
-    for j, y in enumerate(nodes):
-        for i, x in enumerate(nodes):
-            moved = translated(grid, x, y).astype(np.float64)
-            table[j, i] = 0.5 * math.log(max(float(np.var(moved)) * moved.size, 1e-300))
-    inverse = np.linalg.inv(np.vander(nodes, increasing=True))
-    return np.ascontiguousarray(inverse @ table @ inverse.T)
-
-
-def locate(patch: Patch, template: Template, place: tuple[int, int], bias_floor_px: float) -> Fix | None:
-    """The spline peak of ZNCC next to the whole-pixel position `place` (x, y) in `patch`; None without a peak."""
-    x, y = place
-    rows, columns = template.pixels.shape
-    for _ in range(3):
-        top, left = y - patch.y, x - patch.x
-        if top < 0 or left < 0 or top + rows > patch.pixels.shape[0] or left + columns > patch.pixels.shape[1]:
-            return None
-        window = centred(patch.pixels, top, left, rows, columns)
-        dx, dy, found = climb(spline_products(window, template.grid), template.norm)
-        if not found:
-            return None
-        if max(abs(dx), abs(dy)) <= 0.75:
-            return _fix(window, template, (x, y), np.array([dx, dy]), bias_floor_px)
-        x, y = x + round(dx), y + round(dy)
-    return None
-
-
-def _fix(
-    window: Floats32, template: Template, place: tuple[int, int], peak: Floats, bias_floor_px: float
-) -> Fix | None:
-    """Translation, variances and correlation at the sub-pixel `peak` (2,) beside the whole-pixel `place`."""
-    quality, gain, sums = scores(window, template.grid, template.basis, peak)
-    if gain <= 0.0:
-        return None
-    var_x, var_y = variances(sums, template.moments, template.information, template.noise)
-    floor = bias_floor_px**2
-    return Fix(
-        x_px=place[0] - template.window.x + float(peak[0]),
-        y_px=place[1] - template.window.y + float(peak[1]),
-        variance_x_px2=var_x + floor,
-        variance_y_px2=var_y + floor,
-        quality=min(float(quality), 1.0),
-    )

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan._core import Fix
 from midspan.records import Floats, Region
-from midspan.vision.matching import Fix, without_values
+from midspan.vision.matching import without_values
 from midspan.vision.search import Span, cut
 from midspan.vision.zncc import zncc_matrix
 
@@ -51,9 +52,7 @@ def printed_template(image: NDArray[np.generic], region: Region, offset: float) 
     return PrintedTemplate(region, pixels - pixels.mean(), offset, slopes @ slopes.T)
 
 
-def match_printed(
-    image: NDArray[np.generic], template: PrintedTemplate, search_px: float, bias_floor_px: float
-) -> Fix | None:
+def match_printed(image: NDArray[np.generic], template: PrintedTemplate, search_px: float) -> Fix | None:
     """The template's place in a frame's `image`; None without a maximum within `search_px` of the first place."""
     region, rows, columns = template.region, *image.shape
     whole, radius = Span(0, columns - region.width, 0, rows - region.height), int(search_px)
@@ -63,7 +62,7 @@ def match_printed(
     if peak is None:
         return None
     x, y, correlation = peak
-    var_x, var_y = (one + bias_floor_px**2 for one in _variance(template, correlation))
+    var_x, var_y = _variance(template, correlation)
     return Fix(x + span.x0 - region.x, y + span.y0 - region.y, var_x, var_y, correlation)
 
 

@@ -1,12 +1,10 @@
 """Registration tracker: maximum-likelihood kernels in blocks, fused into translation, roll and zoom.
 
-The window is multiplied by kernels made for the template at the nearest eighth of a pixel. Where nothing disturbs it
-that gives one pose of all (see `midspan.vision.undisturbed`); else each block has kernels of its own, which give its
-translation in one step (see `midspan.vision.kernels`), and the blocks are fused so that what covers, shades, turns or
-enlarges a part of the target does not move the result (see `midspan.vision.blocks`). Nothing of the frame is
-interpolated. The template is the reference frame at first; frames that show the target at other sub-pixel places make
-a better one (see `midspan.vision.learning`) with the same zero. Where the expected place does not lead to the target,
-the template tracker looks for it.
+The core multiplies the window by kernels made for the template at the nearest eighth of a pixel and fuses what its
+blocks give, so that what covers, shades, turns or enlarges a part of the target does not move the result (see
+`core/src/track/registration.rs`). The template is the reference frame at first; frames that show the target at other
+sub-pixel places make a better one (see `midspan.vision.learning`) with the same zero. Where the expected place does not
+lead to the target, the template tracker looks for it.
 """
 
 import math
@@ -16,32 +14,27 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
+from midspan._core import Pose
 from midspan.checks import option, refuse
 from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
-from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, Pose, climb
 from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
-from midspan.vision.matching import Fix, locate
+from midspan.vision.plane import Plane, best_smoothing_px, fine_lowpass_taps, first_plane
 from midspan.vision.region import check_size
-from midspan.vision.search import Span, fine_patch
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.template import NEXT_PX, TemplateSettings, TemplateState, TemplateTracker
-from midspan.vision.texture import values
+from midspan.vision.texture import noise_gains, values
 from midspan.vision.tracker import Tracker
-from midspan.vision.undisturbed import Known, UndisturbedWindow
 
 _CERTAIN = np.zeros((4, 4))
+KERNEL_BYTES = 24 << 20  # of kernels in one bank: all 64 phases of a region of 256 px, 16 of one of 512 px
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
 LEARN_SHARE = 0.7  # of the target's information must agree in a frame that is learnt from
 LEARN_TURN_PX = 0.03  # at the window's edge: more roll or zoom would blur what is learnt
 FEWEST_PLACES, PATIENCE = 8, 4
 MOST_LEARNT_FRAMES = 240
-DISTURBED = 1.35  # times the usual noise: 30 degrees of freedom exceed it about once in 500 frames
-SHARE_PLAY = 0.1
 SUSPICIOUS = 4.0  # times the usual noise
-WHOLE_SIDE_PX = 100  # 5 × 5 blocks of 20 px: in smaller windows the levels of the blocks hold more of what they tell
-ALL_SHARE = 0.95  # of the target's information: no block is left out
 MAJORITY = 0.5  # of the target's information: less agrees by chance, or with what moves differently in the region
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
 LEAST_NOISE = 0.5  # of the reference's: less is a picture without noise, whose blocks differ by aliasing
@@ -110,11 +103,10 @@ class RegistrationTracker(Tracker):
     """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: RegistrationState
-    _banks: tuple[Store, Store] | None
 
     def __init__(self, reference: Frame, region: Region, settings: RegistrationSettings) -> None:
         super().__init__(reference, region)
-        self.settings = settings
+        self.settings, self._floor_px2 = settings, settings.bias_floor_px**2
         self._seed = TemplateTracker(
             reference, region, TemplateSettings(search_px=settings.search_px, min_correlation=SEED_CORRELATION)
         )
@@ -122,17 +114,12 @@ class RegistrationTracker(Tracker):
         self._window, self._offset = template.window, template.offset
         self._first = first_plane(reference.pixels, template.window, template.offset)
         self._state = RegistrationState(samples=self._begun())
-        self._take(self._first, np.zeros(4))
+        self._take(self._first, np.zeros(4), _CERTAIN)
 
     @property
-    def banks(self) -> tuple[Store, Store]:
-        """The kernels in use where blocks are asked one by one: few large ones, the most exact, and many small ones,
-        the most robust.
-        """
-        if self._banks is None:
-            few, many = (make_bank(self._plane, self._window, self._smoothing_px, share) for share in (COARSE, FINE))
-            self._banks = few._replace(zero=self._zero), many._replace(zero=self._zero)
-        return self._banks
+    def kernel_bytes(self) -> int:
+        """How many bytes of memory the kernels of the blocks take at most."""
+        return self._core.most_kernel_bytes
 
     @property
     def _usual(self) -> float:
@@ -140,17 +127,15 @@ class RegistrationTracker(Tracker):
         shown = self._state.usual_noise
         return max(shown, LEAST_NOISE * self._first.noise_std) if shown > 0.0 else 0.0
 
-    @property
-    def _unsure(self) -> Floats:
-        """Covariance (4, 4) of the zero."""
-        return _CERTAIN if self._state.learnt is None else self._state.learnt.covariance
-
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
         self._state, learnt = state, state.learnt
         plane = self._first if learnt is None else learnt.plane
         if plane is not self._plane:
-            self._take(plane, np.zeros(4) if learnt is None else learnt.zero)
+            if learnt is None:
+                self._take(plane, np.zeros(4), _CERTAIN)
+            else:
+                self._take(plane, learnt.zero, learnt.covariance)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
@@ -160,11 +145,13 @@ class RegistrationTracker(Tracker):
             self._state = self._state.missed(confused=self._seed.state.confused)
             return lost(frame.time_ns)
         self._state = _after(self._state, frame.time_ns, pose, self._first.noise_std)
-        x, y, floor_px2 = self._state.x_px, self._state.y_px, self.settings.bias_floor_px**2
-        var_x, var_y = float(pose.covariance[0, 0]) + floor_px2, float(pose.covariance[1, 1]) + floor_px2
-        self._keep(frame, pose)
-        strength = FULL_QUALITY * pose.share
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING, strength=strength)
+        if self._state.samples is not None:
+            self._keep(frame, pose, self._state.samples)
+        share, floor_px2 = pose.share, self._floor_px2
+        var_x, var_y = pose.variance_x_px2 + floor_px2, pose.variance_y_px2 + floor_px2
+        return PixelTranslation(
+            frame.time_ns, pose.x_px, pose.y_px, var_x, var_y, share, Status.TRACKING, FULL_QUALITY * share
+        )
 
     def learn(
         self,
@@ -204,38 +191,43 @@ class RegistrationTracker(Tracker):
         """The reference frame as the first to learn from; None where nothing is to be learnt."""
         if self.settings.learn_frames < 2:
             return None
-        first = sample(self.reference.pixels, self._window, np.zeros(2), self._offset, None)
+        first = sample(self.reference.pixels, self._window, (0.0, 0.0), self._offset, None)
         return None if first is None else KeptSamples().plus(first)
 
-    def _take(self, plane: Plane, zero: Floats) -> None:
-        """Compare frames with this template from now on, poses counted from its `zero` (4,)."""
+    def _take(self, plane: Plane, zero: Floats, covariance: Floats) -> None:
+        """Compare frames with this template from now on, poses counted from its `zero` (4,), known to `covariance`."""
         given = self.settings.smoothing_px
-        self._plane = plane
-        self._smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
-        self._undisturbed = UndisturbedWindow(plane, self._window, self._smoothing_px)
-        self._count_from(zero)
-
-    def _count_from(self, zero: Floats) -> None:
-        """Count poses from this one (4,) of the template in use."""
-        self._zero, self._banks = zero, None
-        self._undisturbed.count_from(zero)
+        smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
+        # Frame and template both have noise.
+        self._plane, self._difference_noise = plane, math.sqrt(2.0) * plane.noise_std
+        self._core = _core.Registration(
+            self._seed.template.matcher,
+            grid=plane.grid,
+            origin=plane.origin,
+            weight=plane.weight,
+            taps=fine_lowpass_taps(smoothing_px),
+            gradient_noise=2.0 * plane.noise_std**2 * noise_gains(smoothing_px)[1],
+            min_share=self.settings.min_share,
+            reference_noise=self._first.noise_std,
+            kernel_bytes=KERNEL_BYTES,
+        )
+        self._core.count_from(zero, covariance)
 
     def _with(self, samples: KeptSamples, frame: Frame, pose: Pose) -> KeptSamples:
         """The samples with one more where it shows the target undisturbed, neither turned nor enlarged."""
         far = 0.5 * math.hypot(self._window.width, self._window.height)
-        allowed = LEARN_TURN_PX + 3.0 * far * np.sqrt(np.diag(pose.covariance)[2:])
-        if pose.share < LEARN_SHARE or (far * np.abs(pose.value[2:]) > allowed).any():
+        turns = (pose.roll_rad, pose.variance_roll_rad2), (pose.zoom, pose.variance_zoom)
+        straight = all(far * abs(turn) <= LEARN_TURN_PX + 3.0 * far * math.sqrt(variance) for turn, variance in turns)
+        if pose.share < LEARN_SHARE or not straight:
             return samples
         like = samples.items[0].pixels if samples.items else None
-        new = sample(frame.pixels, self._window, pose.value[:2], self._offset, like)
+        new = sample(frame.pixels, self._window, (pose.x_px, pose.y_px), self._offset, like)
         return samples if new is None else samples.plus(new)
 
-    def _keep(self, frame: Frame, pose: Pose) -> None:
+    def _keep(self, frame: Frame, pose: Pose, before: KeptSamples) -> None:
         """Keep a frame to learn from; with enough of them, at enough places, make the template anew."""
-        if self._state.samples is None:
-            return
-        samples, enough = self._with(self._state.samples, frame, pose), self.settings.learn_frames
-        if samples is self._state.samples:
+        samples, enough = self._with(before, frame, pose), self.settings.learn_frames
+        if samples is before:
             return
         self._state = replace(self._state, samples=samples)
         varied = len(samples.items) >= FEWEST_PLACES
@@ -251,96 +243,51 @@ class RegistrationTracker(Tracker):
             # So few means are fitted without a rest, which says nothing of their noise.
             least = self._first.noise_std / math.sqrt(samples.frames)
             plane = replace(plane, noise_std=max(plane.noise_std, least))
-        self._take(plane, np.zeros(4))
-        covariance, zero = np.zeros((4, 4)), self._undisturbed.moved(samples)
+        self._take(plane, np.zeros(4), _CERTAIN)
+        zero = self._moved(samples, of_window=True)
         # The reference is one frame; the template's own noise is that of a frame over the root of their number.
+        own = np.array(self._core.covariance(zero is not None)) * plane.noise_std**2 * samples.frames
         if zero is None:
-            own = np.linalg.inv(self.banks[0].information.sum(axis=0))
-            zero = _moved(self.banks[0], samples)
-        else:
-            own = self._undisturbed.covariance
-        covariance[:2, :2] = own * plane.noise_std**2 * samples.frames
-        self._count_from(zero)
-        return Learnt(plane, zero, covariance)
+            zero = self._moved(samples, of_window=False)
+        learnt = Learnt(plane, np.zeros(4) if zero is None else zero, np.zeros((4, 4)))
+        learnt.covariance[:2, :2] = own
+        self._core.count_from(learnt.zero, learnt.covariance)
+        return learnt
 
-    def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
-        """The pose since the reference frame: of the whole window where nothing disturbs it, else from blocks or, where
-        these disagree, from the window's correlation if that is the better known.
+    def _moved(self, samples: KeptSamples, *, of_window: bool) -> Floats | None:
+        """How much farther (4,) the samples lie in the template than they were put, in the mean; None: in none.
 
-        Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then,
-        and the most consistent of them err, but the window as a whole does not.
+        of_window: by the window as a whole, else by its large blocks.
         """
-        noise = self._usual
-        if min(self._window.width, self._window.height) >= WHOLE_SIDE_PX:
-            known = Known(noise, math.sqrt(2.0) * self._first.noise_std, self._unsure)
-            if (whole := self._undisturbed.fit(image, offset, begin, known)) is not None:
-                return whole
-        pose = self._of_blocks(image, offset, begin, noise)
-        # Blocks may also disagree in all frames, so that this is their usual noise.
-        usual = min(noise or math.inf, math.sqrt(2.0) * self._first.noise_std)
-        if pose is None or (pose.share > ALL_SHARE and pose.noise < DISTURBED * usual):
-            return pose
-        fix = self._whole_at(image, offset, pose)
-        if fix is None or fix.variance_x_px2 + fix.variance_y_px2 >= np.trace(pose.covariance[:2, :2]):
-            return pose
-        covariance = pose.covariance.copy()
-        covariance[0, 0], covariance[1, 1] = fix.variance_x_px2, fix.variance_y_px2
-        return pose._replace(value=np.array([fix.x_px, fix.y_px, *pose.value[2:]]), covariance=covariance)
-
-    def _whole_at(self, image: NDArray[np.generic], offset: float, pose: Pose) -> Fix | None:
-        """The peak of the template as a whole next to a pose of the blocks."""
-        template = self._seed.template
-        x, y = (round(float(v)) for v in pose.value[:2])
-        x, y = template.window.x + x, template.window.y + y
-        rows, columns = image.shape
-        margin = len(template.taps) // 2 + 1
-        whole = Span(margin, columns - template.window.width - margin, margin, rows - template.window.height - margin)
-        span = whole.around(x, y, 1, 1)
-        if span.empty:
-            return None
-        patch = fine_patch(image, span, template.pixels.shape, taps=template.taps, offset=offset)
-        fix = None if patch is None else locate(patch, template, (x, y), 0.0)
-        if fix is None or math.hypot(fix.x_px - pose.value[0], fix.y_px - pose.value[1]) > SEED_PX:
-            return None
-        return fix
-
-    def _of_blocks(self, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
-        """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
-        unsure = self._unsure
-        few = self._climb(0, image, offset, begin, usual)
-        if few is not None and few.share > UNDISTURBED_SHARE and few.noise < DISTURBED * usual:
-            return few.wider(few.averaged(usual), unsure)
-        many = self._climb(1, image, offset, begin, usual)
-        found = [pose.wider(pose.disturbed(usual), unsure) for pose in (few, many) if pose is not None]
-        if len(found) < 2:
-            return found[0] if found else None
-        few, many = found
-        if usual > 0.0 and (few.noise < ALIKE * usual) != (many.noise < ALIKE * usual):
-            return few if few.noise < many.noise else many
-        spread = [float(p.covariance[0, 0] + p.covariance[1, 1]) for p in found]
-        # A part that covers the target's edge spoils all large blocks alike, and few of the small ones.
-        if few.share > max(UNDISTURBED_SHARE, many.share) and spread[0] < spread[1]:
-            return few
-        return many if many.share > few.share - SHARE_PLAY else few
+        total, count = np.zeros(4), 0
+        for item in samples.items:
+            found = self._core.pose_in(item.pixels, (PAD_PX, PAD_PX), (*item.shift, 0.0, 0.0), of_window)
+            if found is not None:
+                total[:2] += item.count * (np.array([found.x_px, found.y_px]) - item.shift)
+                count += item.count
+        return total / count if count else None
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Pose | None:
         """Climb from the expected place; where that does not lead to the target, from where the template is found."""
-        image, offset = self._usable(frame.pixels)
+        state = self._state
+        expected = state.expected(frame.time_ns, prediction)
+        image, offset = self._usable(frame.pixels, expected)
         if image is None:
             self._remind()
             return None
-        expected = self._state.expected(frame.time_ns, prediction)
-        begin = np.array((*expected, self._state.roll_rad, self._state.zoom))
-        pose = self._look(image, offset, begin) if self._state.lost_frames == 0 else None
+        usual, look = self._usual, self._core.look
+        pose = look(image, offset, (*expected, state.roll_rad, state.zoom), usual) if state.lost_frames == 0 else None
         pose = pose if pose is not None and self._is_target(pose, expected, frame, prediction) else None
-        if pose is not None and pose.share > MAJORITY and self._trusted(pose):
+        if pose is not None and pose.share > MAJORITY and self._trusted(pose, usual):
             return pose
         self._remind()
         found = self._seed.push(frame, prediction)
         if found.status is Status.LOST:
-            return pose if pose is not None and self._trusted(pose) else None
-        other = self._look(image, offset, np.array([found.x_px, found.y_px, begin[2], begin[3]]))
-        if other is None or math.hypot(other.value[0] - found.x_px, other.value[1] - found.y_px) > SEED_PX:
+            return pose if pose is not None and self._trusted(pose, usual) else None
+        place = found.x_px, found.y_px
+        image, offset = self._usable(frame.pixels, place)
+        other = None if image is None else look(image, offset, (*place, state.roll_rad, state.zoom), usual)
+        if other is None or math.hypot(other.x_px - found.x_px, other.y_px - found.y_px) > SEED_PX:
             return self._whole(found)
         few = pose is not None and pose.share < MAJORITY < other.share
         return pose if pose is not None and pose.noise < other.noise and not few else other
@@ -353,9 +300,9 @@ class RegistrationTracker(Tracker):
         self, pose: Pose, expected: tuple[float, float], frame: Frame, prediction: Prediction | None
     ) -> bool:
         """Whether a pose is that of the target, and not of a place that looks like it."""
-        place = pose.value[:2]
-        if math.hypot(place[0] - expected[0], place[1] - expected[1]) <= NEXT_PX:
+        if math.hypot(pose.x_px - expected[0], pose.y_px - expected[1]) <= NEXT_PX:
             return True
+        place = np.array([pose.x_px, pose.y_px])
         return self._seed.identified(frame, place, prediction, self._state) is place
 
     def _whole(self, found: PixelTranslation) -> Pose | None:
@@ -365,45 +312,30 @@ class RegistrationTracker(Tracker):
         """
         if found.quality < WHOLE_CORRELATION * self._seed.expected_correlation:
             return None
-        covariance = np.diag([found.variance_x_px2 + WHOLE_PX**2, found.variance_y_px2 + WHOLE_PX**2, 1e-6, 1e-6])
-        value = np.array([found.x_px, found.y_px, self._state.roll_rad, self._state.zoom])
-        return Pose(True, value, covariance, WHOLE_SHARE, SUSPICIOUS * max(self._usual, self._first.noise_std))
+        value = found.x_px, found.y_px, self._state.roll_rad, self._state.zoom
+        variance = found.variance_x_px2 + WHOLE_PX**2, found.variance_y_px2 + WHOLE_PX**2, 1e-6, 1e-6
+        return Pose(value, variance, WHOLE_SHARE, SUSPICIOUS * max(self._usual, self._first.noise_std))
 
-    def _trusted(self, pose: Pose) -> bool:
+    def _trusted(self, pose: Pose, usual: float) -> bool:
         """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""
-        # Frame and template both have noise.
-        return pose.noise < SUSPICIOUS * max(self._usual, math.sqrt(2.0) * self._plane.noise_std)
+        return pose.noise < SUSPICIOUS * max(usual, self._difference_noise)
 
-    def _usable(self, pixels: NDArray[np.generic]) -> tuple[NDArray[np.generic] | None, float]:
-        if pixels.dtype == np.uint8:
+    def _usable(
+        self, pixels: NDArray[np.generic], expected: tuple[float, float]
+    ) -> tuple[NDArray[np.generic] | None, float]:
+        """The pixels and what is to be subtracted of them; holes about the place are filled, None: too many."""
+        if pixels.dtype.kind != "f" or self._core.all_finite(pixels, *expected):
             return pixels, self._offset
         return values(pixels, self._offset), 0.0
-
-    def _climb(self, which: int, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
-        """The pose that the kernels of bank `which` lead to from `begin` (4,)."""
-        pose = climb(image, offset, self.banks[which], begin, usual)
-        return pose if pose.found and pose.share >= self.settings.min_share else None
-
-
-def _moved(bank: Store, samples: KeptSamples) -> Floats:
-    """How much farther (4,) the samples lie by the kernels of `bank` than they were put."""
-    total, count = np.zeros(4), 0
-    bank = bank._replace(origin=np.full(2, PAD_PX, dtype=np.int64))
-    for item in samples.items:
-        found = climb(item.pixels, 0.0, bank, np.array([*item.shift, 0.0, 0.0]), 0.0)
-        if found.found:
-            total[:2] += item.count * (found.value[:2] - item.shift)
-            count += item.count
-    return total / max(count, 1)
 
 
 def _after(state: RegistrationState, time_ns: int, pose: Pose, noise_std: float) -> RegistrationState:
     """The state after a frame that shows the target."""
-    x, y, roll, zoom = pose.value.tolist()
+    x, y = pose.x_px, pose.y_px
     usual, judged = _judged(state, pose.noise, noise_std)
     speed_x, speed_y = state.speed_to(time_ns, x, y)
     return RegistrationState(
-        x, y, time_ns, speed_x, speed_y, 0, False, roll, zoom, usual, judged, state.samples, state.learnt
+        x, y, time_ns, speed_x, speed_y, 0, False, pose.roll_rad, pose.zoom, usual, judged, state.samples, state.learnt
     )
 
 

@@ -66,13 +66,6 @@ def fine_patch(
     return None if raw is None else Patch(smooth(raw, taps), span.x0, span.y0)
 
 
-def best_position(patch: Patch, template: Floats32) -> tuple[int, int, float]:
-    """The whole-pixel position x, y in the image where ZNCC is largest, and that ZNCC."""
-    surface = zncc_map(patch.pixels, template)
-    y, x = divmod(int(surface.argmax()), surface.shape[1])
-    return patch.x + x, patch.y + y, float(surface[y, x])
-
-
 def coarse_factor(template: Floats32) -> int:
     """By how much (8, 4, 2 or 1) the template may be decimated and keep its texture."""
     variance = float(template.var())

@@ -17,13 +17,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan._core import Fix
 from midspan.checks import refuse
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alternatives, identified
-from midspan.vision.matching import Fix, Matching, locate, make_template
+from midspan.vision.matching import Matching, make_template
 from midspan.vision.printed_template import match_printed, printed_template
 from midspan.vision.region import check_size
-from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
+from midspan.vision.search import Span, coarse_positions, coarse_span
 from midspan.vision.target import FULL_QUALITY, LONGEST_DISTANCE_PX, Motion, lost
 from midspan.vision.tracker import Tracker
 
@@ -95,7 +96,7 @@ class TemplateTracker(Tracker):
         check_size(frame, self._reference)
         if self._printed is not None:
             own = self.settings
-            return self._seen(frame, match_printed(frame.pixels, self._printed, own.search_px, own.bias_floor_px))
+            return self._seen(frame, match_printed(frame.pixels, self._printed, own.search_px))
         fix = self._find(frame, prediction)
         if fix is None:
             return self._seen(frame, None)
@@ -113,14 +114,15 @@ class TemplateTracker(Tracker):
         if fix is None:
             self._state = self._state.missed()
             return lost(frame.time_ns)
+        floor_px2 = self.settings.bias_floor_px**2
         correlation = 0.9 * self._state.correlation + 0.1 * fix.quality
         self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px), correlation=correlation)
         return PixelTranslation(
             time_ns=frame.time_ns,
             x_px=fix.x_px,
             y_px=fix.y_px,
-            variance_x_px2=fix.variance_x_px2,
-            variance_y_px2=fix.variance_y_px2,
+            variance_x_px2=fix.variance_x_px2 + floor_px2,
+            variance_y_px2=fix.variance_y_px2 + floor_px2,
             quality=fix.quality,
             status=Status.TRACKING,
             strength=FULL_QUALITY * fix.quality,
@@ -131,7 +133,7 @@ class TemplateTracker(Tracker):
         place, radius = self._expected(frame.time_ns, prediction)
         image, near = frame.pixels, None
         if max(radius) <= DIRECT_RADIUS_PX:
-            near = self._near(image, place, radius)
+            near = self.template.near(image, place, radius)
             if near is not None and (prediction is not None or self._as_good_as_before(near)):
                 return near
         return self._far(image, place, self._reach(radius, prediction is not None), near)
@@ -168,7 +170,8 @@ class TemplateTracker(Tracker):
     def _around(self, image: NDArray[np.generic], place: Floats) -> Fix | None:
         """The peak next to the target's `place` (2,) px, which is known to a decimated pixel."""
         window, step = self.template.window, self.template.factor + 2
-        return self._near(image, (window.x + round(float(place[0])), window.y + round(float(place[1]))), (step, step))
+        middle = window.x + round(float(place[0])), window.y + round(float(place[1]))
+        return self.template.near(image, middle, (step, step))
 
     def _reach(self, radius: tuple[int, int], predicted: bool) -> float:
         """How far (px) the target is looked for when it is not near its expected place.
@@ -199,25 +202,6 @@ class TemplateTracker(Tracker):
         window, margin = self.template.window, len(self.template.taps) // 2
         return Span(margin, columns - window.width - margin, margin, rows - window.height - margin)
 
-    def _near(self, image: NDArray[np.generic], place: tuple[int, int], radius: tuple[int, int]) -> Fix | None:
-        """The best peak within `radius` of `place`; a peak on the rim moves the search there, four times at most."""
-        template, whole = self.template, self._span()
-        x, y = place
-        for _ in range(5):
-            span = whole.around(x, y, *radius)
-            if span.empty:
-                return None
-            patch = fine_patch(image, span, template.pixels.shape, taps=self.template.taps, offset=template.offset)
-            if patch is None:
-                return None
-            x, y, _ = best_position(patch, template.pixels)
-            rim_x = x in (span.x0, span.x1) and whole.x0 < x < whole.x1
-            rim_y = y in (span.y0, span.y1) and whole.y0 < y < whole.y1
-            if not (rim_x or rim_y):
-                fix = locate(patch, template, (x, y), self.settings.bias_floor_px)
-                return fix if fix is not None and fix.quality >= template.threshold else None
-        return None
-
     def _far(self, image: NDArray[np.generic], place: tuple[int, int], reach: float, near: Fix | None) -> Fix | None:
         """The best of `near` and of the peaks of a decimated search up to `reach` px away."""
         template = self.template
@@ -228,7 +212,7 @@ class TemplateTracker(Tracker):
         step = template.factor // 2 + 2
         found = [near] if near is not None else []
         for position in coarse_positions(image, template.pixels, span, factor=template.factor, offset=template.offset):
-            fix = self._near(image, position, (step, step))
+            fix = template.near(image, position, (step, step))
             if fix is not None:
                 found.append(fix)
         best = max(found, key=lambda f: f.quality, default=None)

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.signals.medians import MEDIAN_DEVIATION
@@ -14,7 +15,6 @@ from midspan.vision.zncc import smooth
 
 TEXTURE_SMOOTHING_PX = 1.5  # noise has mostly gone here, texture that can be tracked has not
 PLAUSIBLE_NOISE = 0.03  # "noise" above this share of full scale is fine texture
-BAD_SHARE = 0.02  # share of pixels without a value that may be filled from their neighbours
 
 
 def gaussian_taps(sigma_px: float) -> Floats:
@@ -41,35 +41,7 @@ def values(pixels: NDArray[np.generic], offset: float) -> Floats32 | None:
 
     The offset goes first, in full precision: float32 alone would lose a small contrast on a large level.
     """
-    if pixels.dtype.kind in "iub" and pixels.dtype.itemsize <= 2:
-        return np.asarray(np.subtract(pixels, np.float32(offset), dtype=np.float32), dtype=np.float32)
-    shifted = (np.asarray(pixels, dtype=np.float64) - offset).astype(np.float32)
-    bad = ~np.isfinite(shifted)
-    if not bad.any():
-        return shifted
-    return _fill(shifted, bad) if bad.mean() <= BAD_SHARE else None
-
-
-def _fill(image: Floats32, bad: NDArray[np.bool_]) -> Floats32:
-    """Replace bad pixels by the mean of their good neighbours, ring by ring."""
-    filled = np.where(bad, 0.0, image).astype(np.float64)
-    known = (~bad).astype(np.float64)
-    while not known.all():
-        total, count = _neighbours(filled), _neighbours(known)
-        new = (known == 0.0) & (count > 0.0)
-        filled[new] = total[new] / count[new]
-        known[new] = 1.0
-    return filled.astype(np.float32)
-
-
-def _neighbours(a: Floats) -> Floats:
-    padded = np.pad(a, 1)
-    rows, columns = a.shape
-    total = np.zeros_like(a)
-    for y in range(3):
-        for x in range(3):
-            total += padded[y : y + rows, x : x + columns]
-    return total
+    return _core.pixel_values(pixels, offset)
 
 
 def noise_std(image: Floats) -> float:

@@ -8,16 +8,14 @@ instead of log det: Y. Peng and others, "RASL", 2012, doi 10.1109/TPAMI.2011.282
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from midspan import _core
 from midspan.records import Floats
 from midspan.vision.reference.light import BLOCKS, TRUST, Mix, steadiness
 
 ROUNDS = 40
 ROUNDS_OF_PART = 10  # of a jackknife, which starts from the whole's solution
 REWEIGHTED = 4
-FARTHEST_PX = 0.3  # that a picture may be moved at once
-ENOUGH_PX = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,37 +51,6 @@ def aligned(mix: Mix) -> Alignment:
     return Alignment(moves, scale * np.einsum("bia,bja->aij", without, without), alone)
 
 
-@njit(cache=True)
 def _least(products: Floats, moves: Floats, rounds: int) -> Floats:
-    """Moves (n, 2) of least log det from `products` (3 n, 3 n) of pictures and slopes, from `moves` on.
-
-    Log det is concave: a weighted sum of squares with the inverse as weights lies above it and touches it, and each
-    round goes to that sum's least.
-    """
-    count = len(moves)
-    moves = moves.copy()
-    for _ in range(rounds):
-        lift = np.zeros((3 * count, count))
-        for i in range(count):
-            lift[i, i] = 1.0
-            lift[count + i, i] = moves[i, 0]
-            lift[2 * count + i, i] = moves[i, 1]
-        moved = products @ lift
-        weight = np.linalg.inv(lift.T @ moved + TRUST**2 * np.eye(count))
-        # Unknowns: along x, then along y, of all pictures but the first.
-        unknown = 2 * (count - 1)
-        curve, pull = np.empty((unknown, unknown)), np.zeros(unknown)
-        for a in range(unknown):
-            i, row = a % (count - 1) + 1, count * (1 + a // (count - 1))
-            for b in range(unknown):
-                j, column = b % (count - 1) + 1, count * (1 + b // (count - 1))
-                curve[a, b] = weight[i, j] * products[row + i, column + j]
-            for j in range(count):
-                pull[a] += weight[i, j] * moved[row + i, j]
-        step = np.linalg.solve(curve, pull)
-        for a in range(unknown):
-            i, axis = a % (count - 1) + 1, a // (count - 1)
-            moves[i, axis] = min(max(moves[i, axis] - step[a], -FARTHEST_PX), FARTHEST_PX)
-        if np.abs(step).max() < ENOUGH_PX:
-            break
-    return moves
+    """Moves (n, 2) of least log det from `products` (3 n, 3 n) of pictures and slopes, from `moves` on."""
+    return _core.least_rank_moves(products, moves, rounds, TRUST)

@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Floats
 from midspan.vision.spline import Floats32
 
 Integers = NDArray[np.int64]
-
-_FLAT = 0.1  # of the mean contrast: what a block without texture may differ by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,31 +41,10 @@ def explained(columns: Floats32, slopes: Floats32, weight: Floats32, seen: Float
     return Explained(amount, left, own, (own @ slope.T).astype(np.float64), (own @ left).astype(np.float64))
 
 
-@njit(cache=True)
 def agreement(seen: Floats32, left: Floats32, cell: Integers, cells: int) -> Floats:
     """How well what is expected is `seen` (both `pixels`,; `left`: the difference), in each of so many cells: 1 alike,
     0 unrelated or one of them without contrast, which is what a thing in front leaves; the level is free.
 
     For cells of equal contrast this is their correlation. Cells without texture agree while nothing is seen in them.
     """
-    sums = np.zeros((cells, 7))
-    for p in range(seen.shape[0]):
-        s, d = float(seen[p]), float(left[p])
-        e = s - d
-        line = sums[cell[p]]
-        line[0] += 1.0
-        line[1] += s
-        line[2] += s * s
-        line[3] += e
-        line[4] += e * e
-        line[5] += d
-        line[6] += d * d
-    energy = np.zeros((3, cells))
-    for b in range(cells):
-        n = max(sums[b, 0], 1.0)
-        for k in range(3):
-            energy[k, b] = (sums[b, 2 + 2 * k] - sums[b, 1 + 2 * k] ** 2 / n) / n
-    # What even the better cells are off by is noise.
-    floor = 2.0 * (_FLAT * energy[1].mean() + 2.0 * np.sort(energy[2])[cells // 8]) + 1e-12
-    agreed: Floats = 1.0 - energy[2] / (energy[0] + energy[1] + floor)
-    return agreed
+    return _core.cell_agreement(seen, left, cell, cells)
