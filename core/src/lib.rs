@@ -8,6 +8,7 @@ pub mod estimator;
 pub mod likelihood;
 pub mod radar;
 pub mod signals;
+pub mod track;
 
 mod py;
 
@@ -20,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     py::likelihood::register(module)?;
     py::signals::register(module)?;
     py::radar::register(module)?;
+    py::picture::register(module)?;
     py::estimator::register(module)?;
     py::printed::register(module)
 }

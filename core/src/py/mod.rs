@@ -2,6 +2,8 @@
 
 pub mod estimator;
 pub mod likelihood;
+pub mod picture;
+pub mod pixels;
 pub mod printed;
 pub mod radar;
 pub mod settings;
