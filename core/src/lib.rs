@@ -21,6 +21,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     py::likelihood::register(module)?;
     py::signals::register(module)?;
     py::radar::register(module)?;
+    py::features::register(module)?;
+    py::phase::register(module)?;
     py::picture::register(module)?;
     py::estimator::register(module)?;
     py::printed::register(module)

@@ -149,3 +149,40 @@ class TargetPicture:
         noise: float,
         before: tuple[NDArray[np.generic], int, int] | None = None,
     ) -> tuple[float, float, float, float]: ...
+
+Taps = tuple[list[float], list[float], list[float]]
+
+def steerable_responses(
+    patch: NDArray[np.float32], down: bool, taps: Taps
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+
+class PhaseTarget:
+    def __init__(
+        self,
+        place: Place,
+        offset: float,
+        taps: Taps,
+        axes: tuple[object, object],
+        ratios: tuple[float, float] | None,
+    ) -> None: ...
+    def near_to(
+        self, pixels: NDArray[np.generic], x: int, y: int
+    ) -> tuple[int, int, float, float, float, float, float] | None: ...
+    def changes(
+        self, pixels: NDArray[np.generic], x: int, y: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None: ...
+
+Keypoints = tuple[Floats, NDArray[np.float32], NDArray[np.int8]]
+
+def surf_blobs(image: NDArray[np.float32], settings: object) -> Keypoints: ...
+def surf_features(pixels: NDArray[np.generic], place: Place, offset: float, settings: object) -> Keypoints: ...
+def doubled_image(image: NDArray[np.float32]) -> NDArray[np.float32]: ...
+
+class FeatureMatcher:
+    def __init__(
+        self, xy: Floats, descriptor: NDArray[np.float32], kind: NDArray[np.int8], ratio: float | None = None
+    ) -> None: ...
+    def among(self, xy: Floats, descriptor: NDArray[np.float32], kind: NDArray[np.int8]) -> tuple[Floats, Floats]: ...
+    def in_image(
+        self, pixels: NDArray[np.generic], place: Place, offset: float, settings: object
+    ) -> tuple[Floats, Floats]: ...

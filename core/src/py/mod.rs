@@ -1,7 +1,9 @@
 //! What Python sees: arrays become slices and results become arrays; nothing is computed here.
 
 pub mod estimator;
+pub mod features;
 pub mod likelihood;
+pub mod phase;
 pub mod picture;
 pub mod pixels;
 pub mod printed;

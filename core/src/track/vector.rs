@@ -6,6 +6,31 @@
 use super::image::{Level, Pixel};
 use std::array::from_fn;
 
+/// A function compiled for any processor and for AVX2; which of the two runs is decided when it is called.
+macro_rules! vectorised {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident $(<$T:ident : $bound:path>)? ($($arg:ident : $ty:ty),* $(,)?)
+     $(-> $out:ty)? $body:block) => {
+        $(#[$doc])*
+        $vis fn $name $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? {
+            #[inline(always)]
+            fn portable $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? $body
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2")]
+            unsafe fn wide $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? {
+                portable($($arg),*)
+            }
+            #[cfg(target_arch = "x86_64")]
+            if $crate::track::vector::is_wide() {
+                // SAFETY: the processor has AVX2, as has just been asked; there is no other condition.
+                return unsafe { wide($($arg),*) };
+            }
+            portable($($arg),*)
+        }
+    };
+}
+pub(crate) use vectorised;
+
 /// Partial sums that a long sum of numbers that are not whole runs in: column c belongs to lane c mod 4.
 pub const LANES: usize = 4;
 // 32 bits hold the squares of 8 bits of so many columns: 32768 · 255² < 2³¹.
@@ -48,6 +73,51 @@ pub fn sums<T: Pixel, const I: usize, const N: usize>(
     from_fn(|n| (lanes[0][n].number() + lanes[1][n].number()) + (lanes[2][n].number() + lanes[3][n].number()))
 }
 
+/// Partial sums of `total` and `dot`.
+const WIDE_LANES: usize = 8;
+
+vectorised! {
+/// The sum of the products of single precision numbers, in double precision.
+pub fn dot(one: &[f32], other: &[f32]) -> f64 {
+    let mut lanes = [0.0; WIDE_LANES];
+    let (one_parts, other_parts) = (one.chunks_exact(WIDE_LANES), other.chunks_exact(WIDE_LANES));
+    let rest = one_parts.remainder().iter().zip(other_parts.remainder());
+    for (one, other) in one_parts.zip(other_parts) {
+        for (lane, (a, b)) in lanes.iter_mut().zip(one.iter().zip(other)) {
+            *lane += f64::from(a * b);
+        }
+    }
+    for (lane, (a, b)) in lanes.iter_mut().zip(rest) {
+        *lane += f64::from(a * b);
+    }
+    folded(lanes)
+}
+}
+
+vectorised! {
+/// The sum of single precision numbers, in double precision.
+pub fn total(values: &[f32]) -> f64 {
+    let mut lanes = [0.0; WIDE_LANES];
+    let parts = values.chunks_exact(WIDE_LANES);
+    let rest = parts.remainder();
+    for part in parts {
+        for (lane, &value) in lanes.iter_mut().zip(part) {
+            *lane += f64::from(value);
+        }
+    }
+    for (lane, &value) in lanes.iter_mut().zip(rest) {
+        *lane += f64::from(value);
+    }
+    folded(lanes)
+}
+}
+
+#[inline(always)]
+fn folded(lanes: [f64; WIDE_LANES]) -> f64 {
+    let [a, b, c, d, e, f, g, h] = lanes;
+    ((a + b) + (c + d)) + ((e + f) + (g + h))
+}
+
 /// Whether the loops for AVX2 are used.
 pub fn is_wide() -> bool {
     #[cfg(test)]
@@ -59,31 +129,6 @@ pub fn is_wide() -> bool {
     #[cfg(not(target_arch = "x86_64"))]
     return false;
 }
-
-/// A function compiled for any processor and for AVX2; which of the two runs is decided when it is called.
-macro_rules! vectorised {
-    ($(#[$doc:meta])* $vis:vis fn $name:ident $(<$T:ident : $bound:path>)? ($($arg:ident : $ty:ty),* $(,)?)
-     $(-> $out:ty)? $body:block) => {
-        $(#[$doc])*
-        $vis fn $name $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? {
-            #[inline(always)]
-            fn portable $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? $body
-
-            #[cfg(target_arch = "x86_64")]
-            #[target_feature(enable = "avx2")]
-            unsafe fn wide $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? {
-                portable($($arg),*)
-            }
-            #[cfg(target_arch = "x86_64")]
-            if $crate::track::vector::is_wide() {
-                // SAFETY: the processor has AVX2, as has just been asked; there is no other condition.
-                return unsafe { wide($($arg),*) };
-            }
-            portable($($arg),*)
-        }
-    };
-}
-pub(crate) use vectorised;
 
 #[cfg(test)]
 thread_local! {

@@ -1,0 +1,405 @@
+//! A target's translation from the mean phases of its active pixels along x and y.
+//!
+//! Z. Ma, J. Choi, P. Liu, H. Sohn, Automation in Construction 140 (2022) 104338, doi 10.1016/j.autcon.2022.104338,
+//! equations 4 and 17: translation = ratio · mean phase. Here both axes are solved together by the slopes of the phases;
+//! pixels whose phase contradicts the others (something stands before them) do not count in a frame, unless they are the
+//! majority.
+
+use super::angles::{angle, cosine};
+use super::picture_noise::median;
+use super::steerable::Responses;
+use super::vector::{dot, total, vectorised};
+use std::f32::consts::PI;
+
+/// The residual is watched in 4 by 4 blocks.
+pub const BLOCKS: usize = 16;
+const ROUNDS: usize = 3;
+const CHECKS: usize = 3;
+const MOST_SIGMA: f64 = 4.0;
+const MOST_BEND_RAD: f64 = 0.3;
+const LEAST_AGREEING: f64 = 0.4;
+const NEARLY_ALL: f64 = 0.99;
+/// Of the mean phases' slopes, (rad/px)².
+const SMALLEST_DETERMINANT: f64 = 1e-3;
+/// Of the square of a normal variable of variance 1.
+const MEDIAN_OF_SQUARE: f64 = 0.4549;
+/// Blocks that the scatter of the mean is told from.
+const LEAST_BLOCKS: usize = 4;
+/// The blocks' variance counts where it exceeds the pixels' by this factor.
+const MUCH_LARGER: f64 = 3.0;
+
+/// An active pixel of the filter along one axis.
+#[derive(Clone, Copy, Debug)]
+pub struct ActivePixel {
+    /// Its place in the flattened region.
+    pub index: usize,
+    /// The reference's even and odd response.
+    pub reference: [f32; 2],
+    /// In the mean; the sum is 1.
+    pub weight: f64,
+    /// Phase by translation along x and y, rad/px.
+    pub slope: [f64; 2],
+    /// Phase by half the squares of x and y and by their product, rad/px².
+    pub curve: [f64; 3],
+    /// Variance of the phase for image noise of variance 1.
+    pub unit: f64,
+    /// The part of the region, below `BLOCKS`.
+    pub block: usize,
+}
+
+/// The active pixels of the filter along one axis, block by block; a column for each of their numbers.
+pub struct AxisModel {
+    index: Vec<u32>,
+    even: Vec<f32>,
+    odd: Vec<f32>,
+    weights: Weights,
+    slope: [Vec<f32>; 2],
+    curve: [Vec<f32>; 3],
+    unit: Vec<f32>,
+    /// Where each block begins, and the last one ends.
+    edges: [usize; BLOCKS + 1],
+    reference_power: f64,
+    gain_error: f64,
+}
+
+/// How much each pixel counts in the mean phase.
+#[derive(Clone)]
+struct Weights {
+    each: Vec<f32>,
+    of_blocks: [f64; BLOCKS],
+    /// Mean phase by translation along x and y, rad/px.
+    slope: [f64; 2],
+    /// Variance of the mean phase for image noise of variance 1, with the noise's correlation between pixels.
+    sensitivity: f64,
+}
+
+/// A translation beyond the region's whole-pixel place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fix {
+    /// Along x and y, px.
+    pub shift: [f64; 2],
+    /// Of the translation along x and y, px².
+    pub variance: [f64; 2],
+    /// Agreement with the reference, 0 to 1.
+    pub coherence: f64,
+}
+
+/// Phases of a frame's active pixels and the power of its responses there.
+struct Phases {
+    /// Less the reference's, rad.
+    change: Vec<f32>,
+    power: Vec<f32>,
+}
+
+impl AxisModel {
+    /// `sensitivity`, `gain_error`: as in [`Weights`], and standard deviation of the gain over the gain.
+    pub fn new(mut pixels: Vec<ActivePixel>, sensitivity: f64, gain_error: f64) -> Self {
+        pixels.sort_by_key(|pixel| pixel.block);
+        let single =
+            |of: &dyn Fn(&ActivePixel) -> f64| pixels.iter().map(|pixel| of(pixel) as f32).collect::<Vec<f32>>();
+        let edges = std::array::from_fn(|block| pixels.partition_point(|pixel| pixel.block < block));
+        let mut model = Self {
+            index: pixels.iter().map(|pixel| pixel.index as u32).collect(),
+            even: pixels.iter().map(|pixel| pixel.reference[0]).collect(),
+            odd: pixels.iter().map(|pixel| pixel.reference[1]).collect(),
+            weights: Weights { each: Vec::new(), of_blocks: [0.0; BLOCKS], slope: [0.0; 2], sensitivity },
+            slope: [single(&|pixel| pixel.slope[0]), single(&|pixel| pixel.slope[1])],
+            curve: [0, 1, 2].map(|k| single(&|pixel| pixel.curve[k])),
+            unit: single(&|pixel| pixel.unit),
+            edges,
+            reference_power: pixels
+                .iter()
+                .map(|p| p.reference.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>())
+                .sum(),
+            gain_error,
+        };
+        model.weights = model.weighted(single(&|pixel| pixel.weight), sensitivity);
+        model
+    }
+
+    /// How many active pixels there are.
+    pub fn len(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Whether there is no active pixel.
+    pub fn is_empty(&self) -> bool {
+        self.index.is_empty()
+    }
+
+    /// Places in the flattened region with the phases there, of a frame's responses.
+    pub fn changes(&self, now: &Responses) -> impl Iterator<Item = (usize, f32)> {
+        let phases = phases(self, now);
+        self.index.iter().map(|&index| index as usize).zip(phases.change)
+    }
+
+    fn weighted(&self, each: Vec<f32>, sensitivity: f64) -> Weights {
+        let of_blocks = std::array::from_fn(|block| total(&each[self.edges[block]..self.edges[block + 1]]));
+        let slope = [0, 1].map(|axis: usize| dot(&each, &self.slope[axis]));
+        Weights { each, of_blocks, slope, sensitivity }
+    }
+
+    /// The median of the squares of the errors by their units, as a variance: the noise of one image.
+    fn noise(&self, error: &[f32]) -> f64 {
+        median(&mut squares_by_unit(error, &self.unit)) / MEDIAN_OF_SQUARE
+    }
+
+    /// The weights without the pixels whose phase is off by more than noise and the linear gain explain; None where next to
+    /// none are, or where most of the weight would go.
+    fn agreeing(&self, error: &[f32], noise: f64) -> Option<Weights> {
+        let mut each = agreeing(&self.weights.each, error, &self.unit, (MOST_SIGMA * MOST_SIGMA * noise) as f32);
+        let share = total(&each);
+        (LEAST_AGREEING..NEARLY_ALL).contains(&share).then(|| {
+            each.iter_mut().for_each(|weight| *weight = (f64::from(*weight) / share) as f32);
+            self.weighted(each, self.weights.sensitivity / share)
+        })
+    }
+
+    /// Variance (rad²) of the mean phase: from the pixels' scatter, or from the blocks' where that is much larger.
+    ///
+    /// The scatter is a median: the phase of few pixels is far from linear in the translation, which is no noise.
+    fn variance(&self, weights: &Weights, error: &[f32], noise: f64) -> f64 {
+        let white = noise * weights.sensitivity;
+        let parts: Vec<[f64; 2]> = (0..BLOCKS)
+            .filter(|&block| weights.of_blocks[block] > 0.0)
+            .map(|block| {
+                let part = self.edges[block]..self.edges[block + 1];
+                [dot(&weights.each[part.clone()], &error[part]), weights.of_blocks[block]]
+            })
+            .collect();
+        if parts.len() < LEAST_BLOCKS {
+            return white;
+        }
+        // Leaving one block out changes the weighted mean by this much.
+        let total: f64 = parts.iter().map(|part| part[0]).sum();
+        let without: Vec<f64> = parts.iter().map(|[sum, share]| (total - sum) / (1.0 - share).max(1e-9)).collect();
+        let count = without.len() as f64;
+        let mean = without.iter().sum::<f64>() / count;
+        let blocks = (count - 1.0) / count * without.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
+        if blocks > MUCH_LARGER * white { blocks } else { white }
+    }
+
+    /// Correlation of the responses once the translation is taken out: 1 for a perfect match.
+    fn coherence(&self, phases: &Phases, error: &[f32]) -> f64 {
+        let both = correlations(&phases.power, &self.even, &self.odd, error);
+        both / (total(&phases.power) * self.reference_power).max(1e-300).sqrt()
+    }
+}
+
+/// Translation from the mean phases of both axes; None where their slopes do not tell x from y, or without pixels.
+pub fn measure(axes: [&AxisModel; 2], now: [&Responses; 2]) -> Option<Fix> {
+    if axes.iter().any(|axis| axis.is_empty()) {
+        return None;
+    }
+    let phases = [0, 1].map(|k| phases(axes[k], now[k]));
+    let every = axes.map(|axis| &axis.weights);
+    let mut solution = Solution::of(axes, &phases, every, [0.0; 2])?;
+    let mut kept: [Option<Weights>; 2] = [None, None];
+    for _ in 0..CHECKS {
+        let agreeing = [0, 1].map(|k| axes[k].agreeing(&solution.errors[k], solution.noise[k]));
+        if agreeing.iter().chain(&kept).all(Option::is_none) {
+            break;
+        }
+        kept = agreeing;
+        let used = [0, 1].map(|k| kept[k].as_ref().unwrap_or(every[k]));
+        solution = Solution::of(axes, &phases, used, solution.shift)?;
+    }
+    let used = [0, 1].map(|k| kept[k].as_ref().unwrap_or(every[k]));
+    let of_phase = solution.variances(axes, used);
+    let Solution { shift, inverse, .. } = solution;
+    let variance = [0, 1].map(|k: usize| {
+        let [a, b] = inverse[k];
+        a * a * of_phase[0] + b * b * of_phase[1] + (axes[k].gain_error * shift[k]).powi(2)
+    });
+    Some(Fix { shift, variance, coherence: solution.coherence(axes, &phases) })
+}
+
+/// Translation along each axis alone, the ratio times the mean phase of all active pixels: equations 4 and 17.
+///
+/// The variance is not the paper's: what one frame's noise makes of the mean phase. None without pixels.
+pub fn measure_printed(axes: [&AxisModel; 2], ratios: [f64; 2], now: [&Responses; 2]) -> Option<Fix> {
+    if axes.iter().any(|axis| axis.is_empty()) {
+        return None;
+    }
+    let phases = [0, 1].map(|k| phases(axes[k], now[k]));
+    let every = axes.map(|axis| &axis.weights);
+    let shift = [0, 1].map(|k| ratios[k] * dot(&every[k].each, &phases[k].change));
+    let solution = Solution::at(axes, &phases, shift, [[0.0; 2]; 2]);
+    let of_phase = solution.variances(axes, every);
+    let variance = [0, 1].map(|k| ratios[k] * ratios[k] * of_phase[k]);
+    Some(Fix { shift, variance, coherence: solution.coherence(axes, &phases) })
+}
+
+/// A translation, what it leaves of each pixel's phase, and the noise of one image (variance) that this shows.
+struct Solution {
+    shift: [f64; 2],
+    inverse: [[f64; 2]; 2],
+    errors: [Vec<f32>; 2],
+    noise: [f64; 2],
+}
+
+impl Solution {
+    /// From the mean phases, taken about what the last estimate expects, so that single pixels near ±π do not wrap.
+    fn of(axes: [&AxisModel; 2], phases: &[Phases; 2], weights: [&Weights; 2], start: [f64; 2]) -> Option<Self> {
+        let [[a, b], [c, d]] = weights.map(|weights| weights.slope);
+        let determinant = a * d - b * c;
+        if determinant.is_nan() || determinant.abs() <= SMALLEST_DETERMINANT {
+            return None;
+        }
+        let inverse = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];
+        let mut shift = start;
+        let mut errors = [Vec::new(), Vec::new()];
+        for _ in 0..ROUNDS {
+            // Where the errors are taken, in their precision, so that no rounding of it is left.
+            shift = shift.map(|value| f64::from(value as f32));
+            let mean = [0, 1].map(|k: usize| {
+                take_errors(axes[k], &phases[k].change, shift, &mut errors[k]);
+                dot(&weights[k].each, &errors[k])
+            });
+            shift = [0, 1].map(|k: usize| shift[k] + inverse[k][0] * mean[0] + inverse[k][1] * mean[1]);
+        }
+        Some(Self::at(axes, phases, shift, inverse))
+    }
+
+    fn at(axes: [&AxisModel; 2], phases: &[Phases; 2], shift: [f64; 2], inverse: [[f64; 2]; 2]) -> Self {
+        let errors = [0, 1].map(|k: usize| {
+            let mut errors = Vec::new();
+            take_errors(axes[k], &phases[k].change, shift, &mut errors);
+            errors
+        });
+        let noise = [0, 1].map(|k: usize| axes[k].noise(&errors[k]));
+        Self { shift, inverse, errors, noise }
+    }
+
+    /// Of the mean phases, rad².
+    fn variances(&self, axes: [&AxisModel; 2], weights: [&Weights; 2]) -> [f64; 2] {
+        [0, 1].map(|k| axes[k].variance(weights[k], &self.errors[k], self.noise[k]))
+    }
+
+    /// The smaller of both axes' coherences.
+    fn coherence(&self, axes: [&AxisModel; 2], phases: &[Phases; 2]) -> f64 {
+        let [x, y] = [0, 1].map(|k| axes[k].coherence(&phases[k], &self.errors[k]));
+        x.min(y)
+    }
+}
+
+vectorised! {
+/// The angle of the complex product lies in -π … π by itself; a difference of two angles would not.
+fn phases(axis: &AxisModel, now: &Responses) -> Phases {
+    let (even, odd) = (&now.even[..], &now.odd[..now.even.len()]);
+    let parts: Vec<[f32; 2]> = axis.index.iter().map(|&k| [even[k as usize], odd[k as usize]]).collect();
+    let reference = axis.even.iter().zip(&axis.odd);
+    let change = parts.iter().zip(reference).map(|(&[a, b], (&c, &d))| angle(b * c - a * d, a * c + b * d)).collect();
+    Phases { change, power: parts.iter().map(|&[a, b]| a * a + b * b).collect() }
+}
+}
+
+vectorised! {
+/// Phases less what a translation explains, wrapped into -π … π.
+fn take_errors(axis: &AxisModel, change: &[f32], shift: [f64; 2], errors: &mut Vec<f32>) {
+    let [x, y] = shift.map(|value| value as f32);
+    let [of_xx, of_yy, of_xy] = [0.5 * x * x, 0.5 * y * y, x * y];
+    let count = change.len();
+    let [slope_x, slope_y] = [&axis.slope[0][..count], &axis.slope[1][..count]];
+    let [curve_xx, curve_yy, curve_xy] = [0, 1, 2].map(|k| &axis.curve[k][..count]);
+    errors.clear();
+    errors.extend((0..count).map(|k| {
+        let bend = curve_xx[k] * of_xx + curve_yy[k] * of_yy + curve_xy[k] * of_xy;
+        let error = change[k] - (slope_x[k] * x + slope_y[k] * y + bend);
+        let turn = if error > PI { 2.0 * PI } else { 0.0 } - if error < -PI { 2.0 * PI } else { 0.0 };
+        error - turn
+    }));
+}
+}
+
+vectorised! {
+fn squares_by_unit(error: &[f32], unit: &[f32]) -> Vec<f32> {
+    error.iter().zip(unit).map(|(error, unit)| error * error / unit).collect()
+}
+}
+
+vectorised! {
+/// The weights of the pixels whose error is within a limit times their unit, else 0.
+fn agreeing(weights: &[f32], error: &[f32], unit: &[f32], limit: f32) -> Vec<f32> {
+    let bend = (MOST_BEND_RAD * MOST_BEND_RAD) as f32;
+    let parts = weights.iter().zip(error).zip(unit);
+    parts.map(|((&weight, &error), &unit)| if error * error <= limit * unit + bend { weight } else { 0.0 }).collect()
+}
+}
+
+vectorised! {
+/// Sum of the products of both amplitudes with the cosine of the error.
+fn correlations(power: &[f32], even: &[f32], odd: &[f32], error: &[f32]) -> f64 {
+    let parts = power.iter().zip(even).zip(odd).zip(error);
+    let each: Vec<f32> =
+        parts.map(|(((a, even), odd), &e)| (a * (even * even + odd * odd)).sqrt() * cosine(e)).collect();
+    total(&each)
+}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::vector::on_both;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Pixels of a plane wave along each axis, and the responses after a translation; one in eleven may be off by `off`.
+    fn waves(shift: [f64; 2], off: f32) -> ([AxisModel; 2], [Responses; 2]) {
+        let both = [0usize, 1].map(|axis| {
+            let mut now = Responses::default();
+            let pixels = (0..160)
+                .map(|k| {
+                    let mut slope = [0.1, -0.07];
+                    slope[axis] = -1.2 - 0.002 * f64::from(k);
+                    let curve = [0.03, -0.02, 0.01];
+                    let [x, y] = shift;
+                    let bend = curve[0] * 0.5 * x * x + curve[1] * 0.5 * y * y + curve[2] * x * y;
+                    let phase = 2.9 + 0.1 * f64::from(k);
+                    let change = slope[0] * x + slope[1] * y + bend + if k % 11 == 3 { f64::from(off) } else { 0.0 };
+                    now.even.push((20.0 * (phase + change).cos()) as f32);
+                    now.odd.push((20.0 * (phase + change).sin()) as f32);
+                    ActivePixel {
+                        index: k as usize,
+                        reference: [(20.0 * phase.cos()) as f32, (20.0 * phase.sin()) as f32],
+                        weight: 1.0 / 160.0,
+                        slope,
+                        curve,
+                        unit: 0.01,
+                        block: (k * 5 % 16) as usize,
+                    }
+                })
+                .collect();
+            (AxisModel::new(pixels, 1e-4, 0.0), now)
+        });
+        let [(x, of_x), (y, of_y)] = both;
+        ([x, y], [of_x, of_y])
+    }
+
+    proptest! {
+        #[test]
+        fn a_translation_is_found_again(x in -0.9..0.9f64, y in -0.9..0.9f64) {
+            let (axes, now) = waves([x, y], 0.0);
+            let found = on_both(|| measure([&axes[0], &axes[1]], [&now[0], &now[1]])).unwrap();
+            // Each round leaves the share of the curvature in the slope, 0.03 · 0.9 / 1.2; three leave 1e-5.
+            prop_assert!((found.shift[0] - x).abs() < 2e-5 && (found.shift[1] - y).abs() < 2e-5, "{:?}", found);
+            prop_assert!((found.coherence - 1.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn pixels_that_contradict_the_others_do_not_count() {
+        let (axes, now) = waves([0.3, -0.2], 1.5);
+        let found = on_both(|| measure([&axes[0], &axes[1]], [&now[0], &now[1]])).unwrap();
+        assert!((found.shift[0] - 0.3).abs() < 1e-5 && (found.shift[1] + 0.2).abs() < 1e-5, "{found:?}");
+        let printed = measure_printed([&axes[0], &axes[1]], [-0.7; 2], [&now[0], &now[1]]).unwrap();
+        let change = |k: usize| axes[k].changes(&now[k]).map(|(_, change)| f64::from(change)).sum::<f64>() / 160.0;
+        assert!((printed.shift[0] + 0.7 * change(0)).abs() < 1e-7);
+        assert!(printed.coherence < 0.95);
+    }
+
+    #[test]
+    fn two_axes_of_one_slope_tell_nothing() {
+        let (axes, now) = waves([0.1, 0.0], 0.0);
+        assert_eq!(measure([&axes[0], &axes[0]], [&now[0], &now[0]]), None);
+    }
+}
