@@ -2,12 +2,14 @@
 
 pub mod estimator;
 pub mod features;
+pub mod lens;
 pub mod likelihood;
 pub mod phase;
 pub mod picture;
 pub mod pixels;
 pub mod printed;
 pub mod radar;
+pub mod scene;
 pub mod settings;
 pub mod signals;
 

@@ -3,7 +3,8 @@
 use super::pixels::{Corners, Pixels, region, view, with_image};
 use crate::track::image::{Image, Pixel, Region};
 use crate::track::patch;
-use crate::track::phase::{self, ActivePixel, AxisModel, BLOCKS};
+use crate::track::phase;
+use crate::track::phase_axis::{ActivePixel, AxisModel, BLOCKS};
 use crate::track::steerable::{self, Axis, MARGIN_PX, Responses, Taps};
 use numpy::{Complex32, IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};

@@ -49,24 +49,19 @@ fn mirrored(index: usize, k: usize, size: usize) -> usize {
 #[inline(always)]
 fn line(row: &[f32], out: &mut Vec<f32>) {
     let columns = row.len();
-    let at_edge = |c: usize| -> f32 { (0..6).map(|k| HALFWAY[k] * row[mirrored(c, k, columns)]).sum() };
-    let inside = columns.saturating_sub(5);
-    for c in 0..BEFORE.min(columns) {
+    let at_edge = |out: &mut Vec<f32>, c: usize| {
         out.push(row[c]);
         if c + 1 < columns {
-            out.push(at_edge(c));
+            out.push((0..6).map(|k| HALFWAY[k] * row[mirrored(c, k, columns)]).sum());
         }
-    }
+    };
+    let inside = columns.saturating_sub(5);
+    (0..BEFORE.min(columns)).for_each(|c| at_edge(out, c));
     for near in row.windows(6).take(inside) {
         let pair = |k: usize| HALFWAY[k] * (near[k] + near[5 - k]);
         out.extend([near[2], pair(0) + pair(1) + pair(2)]);
     }
-    for c in (BEFORE + inside).max(BEFORE.min(columns))..columns {
-        out.push(row[c]);
-        if c + 1 < columns {
-            out.push(at_edge(c));
-        }
-    }
+    (BEFORE + inside..columns).for_each(|c| at_edge(out, c));
 }
 
 #[cfg(test)]

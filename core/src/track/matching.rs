@@ -13,7 +13,8 @@ pub struct Features {
 
 /// Squares beyond this are no distances of descriptors; of features of different kinds.
 const FAR: f32 = 3.0e38;
-const LANES: usize = 8;
+/// Descriptors that one is compared with at a time.
+const BLOCK: usize = 32;
 
 impl Features {
     /// None where there are not as many descriptors of `length` values as kinds.
@@ -36,26 +37,69 @@ impl Features {
     }
 }
 
+/// The features of one kind, in blocks of so many: the first value of each of a block's features, then the second …
+struct Kind {
+    members: Vec<usize>,
+    blocks: Vec<[f32; BLOCK]>,
+}
+
+impl Features {
+    fn of_kind(&self, kind: i8) -> Kind {
+        let members: Vec<usize> = (0..self.len()).filter(|&j| self.kinds[j] == kind).collect();
+        let value =
+            |part: &[usize], k: usize, l: usize| part.get(l).map_or(0.0, |j| self.descriptors[j * self.length + k]);
+        let blocks = members
+            .chunks(BLOCK)
+            .flat_map(|part| (0..self.length).map(move |k| std::array::from_fn(|l| value(part, k, l))));
+        Kind { blocks: blocks.collect(), members }
+    }
+
+    /// Calls `found` with the place of each feature, that of each other one of its kind, and the square of their distance.
+    fn compare(&self, now: &Self, mut found: impl FnMut(usize, usize, f32)) {
+        let mut kinds = self.kinds.clone();
+        kinds.sort_unstable();
+        kinds.dedup();
+        for kind in kinds {
+            let others = now.of_kind(kind);
+            for i in (0..self.len()).filter(|&i| self.kinds[i] == kind) {
+                let one = &self.descriptors[i * self.length..][..self.length];
+                for (block, members) in others.blocks.chunks(self.length).zip(others.members.chunks(BLOCK)) {
+                    members.iter().zip(squares(one, block)).for_each(|(&j, square)| found(i, j, square));
+                }
+            }
+        }
+    }
+}
+
+vectorised! {
+/// Squared distances of a descriptor to a block of others.
+fn squares(one: &[f32], block: &[[f32; BLOCK]]) -> [f32; BLOCK] {
+    let mut sums = [0f32; BLOCK];
+    for (value, others) in one.iter().zip(block) {
+        for (sum, other) in sums.iter_mut().zip(others) {
+            let difference = value - other;
+            *sum += difference * difference;
+        }
+    }
+    sums
+}
+}
+
 /// Matches of two sets, as places in them: features that are each other's nearest; none of fewer than two features.
 pub fn mutual(first: &Features, now: &Features) -> Vec<[usize; 2]> {
     if !first.can_match(now) {
         return Vec::new();
     }
     let mut nearest_first = vec![(FAR, usize::MAX); now.len()];
-    let nearest_now: Vec<(f32, usize)> = (0..first.len())
-        .map(|i| {
-            let mut nearest = (FAR, usize::MAX);
-            for (j, square) in squares(first, i, now).into_iter().enumerate() {
-                if square < nearest.0 {
-                    nearest = (square, j);
-                }
-                if square < nearest_first[j].0 {
-                    nearest_first[j] = (square, i);
-                }
-            }
-            nearest
-        })
-        .collect();
+    let mut nearest_now = vec![(FAR, usize::MAX); first.len()];
+    first.compare(now, |i, j, square| {
+        if square < nearest_now[i].0 {
+            nearest_now[i] = (square, j);
+        }
+        if square < nearest_first[j].0 {
+            nearest_first[j] = (square, i);
+        }
+    });
     let pairs = nearest_now.into_iter().enumerate();
     pairs.filter(|&(i, (_, j))| nearest_first.get(j).is_some_and(|one| one.1 == i)).map(|(i, (_, j))| [i, j]).collect()
 }
@@ -65,48 +109,19 @@ pub fn by_ratio(first: &Features, now: &Features, ratio: f64) -> Vec<[usize; 2]>
     if !first.can_match(now) {
         return Vec::new();
     }
-    (0..first.len())
-        .filter_map(|i| {
-            let (mut nearest, mut second) = ((FAR, usize::MAX), FAR);
-            for (j, square) in squares(first, i, now).into_iter().enumerate() {
-                if square < nearest.0 {
-                    (nearest, second) = ((square, j), nearest.0);
-                } else if square < second {
-                    second = square;
-                }
-            }
-            let clear = f64::from(nearest.0) < ratio * ratio * f64::from(second);
-            (clear && nearest.1 != usize::MAX).then_some([i, nearest.1])
-        })
-        .collect()
-}
-
-vectorised! {
-/// Squared distances of one descriptor to all others.
-fn squares(first: &Features, i: usize, now: &Features) -> Vec<f32> {
-    let one = &first.descriptors[i * first.length..][..first.length];
-    let kind = first.kinds[i];
-    let others = now.descriptors.chunks_exact(first.length).zip(&now.kinds);
-    others.map(|(other, &other_kind)| if other_kind == kind { square(one, other) } else { FAR }).collect()
-}
-}
-
-#[inline(always)]
-fn square(one: &[f32], other: &[f32]) -> f32 {
-    let mut lanes = [0f32; LANES];
-    let (one_parts, other_parts) = (one.chunks_exact(LANES), other.chunks_exact(LANES));
-    let rest = one_parts.remainder().iter().zip(other_parts.remainder());
-    for (one, other) in one_parts.zip(other_parts) {
-        for l in 0..LANES {
-            let difference = one[l] - other[l];
-            lanes[l] += difference * difference;
+    let mut nearest = vec![(FAR, usize::MAX, FAR); first.len()];
+    first.compare(now, |i, j, square| {
+        let (least, _, second) = nearest[i];
+        if square < least {
+            nearest[i] = (square, j, least);
+        } else if square < second {
+            nearest[i].2 = square;
         }
-    }
-    for (lane, (a, b)) in lanes.iter_mut().zip(rest) {
-        *lane += (a - b) * (a - b);
-    }
-    let [a, b, c, d, e, f, g, h] = lanes;
-    ((a + b) + (c + d)) + ((e + f) + (g + h))
+    });
+    let clear = |least: f32, second: f32| f64::from(least) < ratio * ratio * f64::from(second);
+    let matches =
+        nearest.into_iter().enumerate().filter(|(_, (least, j, second))| *j != usize::MAX && clear(*least, *second));
+    matches.map(|(i, (_, j, _))| [i, j]).collect()
 }
 
 #[cfg(test)]
@@ -142,6 +157,10 @@ mod tests {
     fn all_values_of_a_long_descriptor_count() {
         let one: Vec<f32> = (0..61).map(|k| k as f32).collect();
         let other: Vec<f32> = one.iter().map(|value| value + 2.0).collect();
-        assert_eq!(square(&one, &other), 244.0);
+        let [one, other] = [one, other].map(|values| Features::new(values, 61, vec![0]).unwrap());
+        let mut found = Vec::new();
+        on_both(|| squares(&one.descriptors, &other.of_kind(0).blocks)[0]);
+        one.compare(&other, |i, j, square| found.push((i, j, square)));
+        assert_eq!(found, [(0, 0, 244.0)]);
     }
 }

@@ -3,11 +3,14 @@
 pub mod angles;
 pub mod doubled;
 pub mod image;
+pub mod integral;
 pub mod interpolate;
+pub mod lens;
 pub mod light;
 pub mod matching;
 pub mod patch;
 pub mod phase;
+pub mod phase_axis;
 pub mod picture;
 pub mod picture_noise;
 pub mod steerable;

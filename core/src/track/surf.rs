@@ -5,6 +5,7 @@
 //! blob is a maximum of the Hessian's determinant over position and scale, refined by a quadratic in all three.
 
 use super::image::Image;
+use super::integral::Integral;
 use super::surf_descriptor::{Descriptor, describe};
 use super::vector::{dot, total, vectorised};
 
@@ -47,38 +48,6 @@ pub struct Blob {
     pub dark: bool,
 }
 
-/// Sums (rows + 1, columns + 1) of all pixels above and left of a corner.
-pub struct Integral {
-    /// Of the image.
-    pub rows: usize,
-    /// Of the image.
-    pub columns: usize,
-    sums: Vec<f64>,
-}
-
-impl Integral {
-    /// Of the pixels less a level: what lies outside the image counts as 0.
-    pub fn of(image: &Image<'_, f32>, level: f32) -> Self {
-        let (rows, columns) = (image.rows, image.columns);
-        let mut sums = vec![0.0; (rows + 1) * (columns + 1)];
-        for r in 0..rows {
-            let (above, below) = sums[r * (columns + 1)..].split_at_mut(columns + 1);
-            let mut line = 0.0;
-            for ((sum, above), value) in below[1..=columns].iter_mut().zip(&above[1..]).zip(image.row(r)) {
-                line += f64::from(value - level);
-                *sum = above + line;
-            }
-        }
-        Self { rows, columns, sums }
-    }
-
-    /// The sums above a row.
-    #[inline(always)]
-    pub fn row(&self, row: usize) -> &[f64] {
-        &self.sums[row * (self.columns + 1)..][..self.columns + 1]
-    }
-}
-
 /// The blobs of an image, strongest first, with their descriptors.
 pub fn detect(image: &Image<'_, f32>, settings: &Settings) -> Vec<(Blob, Descriptor)> {
     if image.rows == 0 || image.columns == 0 {
@@ -98,7 +67,7 @@ fn moments(image: &Image<'_, f32>) -> (f64, f64) {
     let rows = || (0..image.rows).map(|r| image.row(r));
     let mean = rows().map(total).sum::<f64>() / count;
     let deviations = |row: &[f32]| row.iter().map(|value| value - mean as f32).collect::<Vec<f32>>();
-    let variance = rows().map(|row| deviations(row)).map(|row| dot(&row, &row)).sum::<f64>() / count;
+    let variance = rows().map(deviations).map(|row| dot(&row, &row)).sum::<f64>() / count;
     (mean, variance)
 }
 
@@ -115,23 +84,27 @@ pub fn find(integral: &Integral, settings: &Settings, variance: f64) -> Vec<Blob
         if sizes[LAYERS - 1] + 2 * step > integral.rows.min(integral.columns) {
             break;
         }
-        let layers = sizes.map(|size| hessian(integral, size, step));
-        peaks(&layers, &sizes, step, (settings.threshold * variance) as f32, &mut blobs);
+        let octave = Octave { layers: sizes.map(|size| hessian(integral, size, step)), sizes, step };
+        peaks(integral, &octave, (settings.threshold * variance) as f32, &mut blobs);
     }
     blobs.sort_by(|one, other| other.strength.total_cmp(&one.strength));
     blobs.truncate(settings.most);
     blobs
 }
 
-/// Determinant and trace of the Hessian at every `step`-th pixel (rows, columns), each by its box's area; 0 where a box
-/// leaves the image.
+/// Determinant of the Hessian at every `step`-th pixel (rows, columns), by the boxes' areas; 0 where one leaves the image.
 pub struct Hessian {
     rows: usize,
     columns: usize,
     /// Row by row.
     pub determinant: Vec<f32>,
-    /// Row by row.
-    pub trace: Vec<f32>,
+}
+
+/// The Hessians of filters of neighbouring sizes, px, at every `step`-th pixel.
+struct Octave {
+    layers: [Hessian; LAYERS],
+    sizes: [usize; LAYERS],
+    step: usize,
 }
 
 /// Differences of the integral image's rows that a line of the Hessian is made of, column by column.
@@ -145,7 +118,7 @@ vectorised! {
 /// The Hessian by boxes of `size` px (9, 15, …).
 pub fn hessian(integral: &Integral, size: usize, step: usize) -> Hessian {
     let (rows, columns) = (integral.rows.div_ceil(step), integral.columns.div_ceil(step));
-    let mut found = Hessian { rows, columns, determinant: vec![0.0; rows * columns], trace: vec![0.0; rows * columns] };
+    let mut found = Hessian { rows, columns, determinant: vec![0.0; rows * columns] };
     let (lobe, half) = (size / 3, size / 2);
     let third = lobe / 2;
     let area = 1.0 / (size * size) as f64;
@@ -164,15 +137,12 @@ pub fn hessian(integral: &Integral, size: usize, step: usize) -> Hessian {
         along: vec![0.0; integral.columns + 1],
         mixed: vec![0.0; integral.columns + 1],
     };
-    let (mut of_determinant, mut of_trace) = (vec![0f32; width], vec![0f32; width]);
+    let mut line = vec![0f32; width];
     for i in (first..rows).take_while(|i| i * step <= last_row) {
         row_differences(integral, i * step, [lobe, half, third], &mut lines);
-        line_of_hessian(&lines, begin, [lobe, half, third], area, &mut of_determinant, &mut of_trace);
+        line_of_hessian(&lines, begin, [lobe, half, third], area, &mut line);
         let place = i * columns + first..i * columns + last_column / step + 1;
-        for (value, new) in found.determinant[place.clone()].iter_mut().zip(of_determinant.iter().step_by(step)) {
-            *value = *new;
-        }
-        for (value, new) in found.trace[place].iter_mut().zip(of_trace.iter().step_by(step)) {
+        for (value, new) in found.determinant[place].iter_mut().zip(line.iter().step_by(step)) {
             *value = *new;
         }
     }
@@ -203,16 +173,8 @@ fn difference(one: &[f64], other: &[f64], out: &mut [f64]) {
 }
 
 #[inline(always)]
-fn line_of_hessian(
-    lines: &Lines,
-    begin: usize,
-    [lobe, half, third]: [usize; 3],
-    area: f64,
-    determinant: &mut [f32],
-    trace: &mut [f32],
-) {
+fn line_of_hessian(lines: &Lines, begin: usize, [lobe, half, third]: [usize; 3], area: f64, determinant: &mut [f32]) {
     let width = determinant.len();
-    let trace = &mut trace[..width];
     let across = |from: usize| &lines.across[from..from + width];
     let along = |from: usize| &lines.along[from..from + width];
     let mixed = |from: usize| &lines.mixed[from..from + width];
@@ -226,35 +188,63 @@ fn line_of_hessian(
         let yy = right[j] - left[j];
         let xy = far_right[j] - near_right[j] - near_left[j] + far_left[j];
         determinant[j] = ((xx * yy - CROSS_WEIGHT * xy * xy) * area * area) as f32;
-        trace[j] = ((xx + yy) * area) as f32;
     }
 }
 
+/// Sign of the Hessian's trace at a pixel where the box is inside the image: whether the blob is dark.
+fn is_dark(integral: &Integral, size: usize, r: usize, c: usize) -> bool {
+    let (lobe, half) = (size / 3, size / 2);
+    let third = lobe / 2;
+    let sum = |rows: [usize; 2], columns: [usize; 2]| {
+        let (above, below) = (integral.row(rows[0]), integral.row(rows[1]));
+        below[columns[1]] - below[columns[0]] - (above[columns[1]] - above[columns[0]])
+    };
+    let [wide, narrow] = [half, third].map(|reach| move |at: usize| [at - reach, at + reach + 1]);
+    let band = |at: usize| [at + 1 - lobe, at + lobe];
+    let xx = sum(band(r), wide(c)) - 3.0 * sum(band(r), narrow(c));
+    let yy = sum(wide(r), band(c)) - 3.0 * sum(narrow(r), band(c));
+    xx + yy >= 0.0
+}
+
+vectorised! {
+/// Whether each sample of a row exceeds a threshold and none of its neighbours along each axis exceeds it.
+fn candidates(layers: &[Hessian; 3], row: usize, threshold: f32, out: &mut [bool]) {
+    let columns = layers[1].columns;
+    let count = columns - 2;
+    let [below, here, above] = [0, 1, 2].map(|k| &layers[k].determinant[row * columns + 1..][..count]);
+    let line = &layers[1].determinant[(row - 1) * columns..(row + 2) * columns];
+    let (left, right) = (&line[columns..][..count], &line[columns + 2..][..count]);
+    let (up, down) = (&line[1..][..count], &line[2 * columns + 1..][..count]);
+    for (c, out) in out[1..=count].iter_mut().enumerate() {
+        let value = here[c];
+        let in_row = (value > threshold) & (value >= left[c]) & (value >= right[c]);
+        *out = in_row & (value >= up[c]) & (value >= down[c]) & (value >= below[c]) & (value >= above[c]);
+    }
+}
+}
+
 /// Blobs of an octave: samples that no neighbour in scale and position exceeds.
-fn peaks(layers: &[Hessian; LAYERS], sizes: &[usize; LAYERS], step: usize, threshold: f32, blobs: &mut Vec<Blob>) {
+fn peaks(integral: &Integral, octave: &Octave, threshold: f32, blobs: &mut Vec<Blob>) {
+    let Octave { layers, sizes, step } = octave;
     let (rows, columns) = (layers[0].rows, layers[0].columns);
+    let mut candidate = vec![false; columns];
     for k in 1..LAYERS - 1 {
-        let rim = (sizes[k + 1] / 2).div_ceil(step) + 1;
+        let rim = (sizes[k + 1] / 2).div_ceil(*step) + 1;
+        let Some(three) = layers[k - 1..].first_chunk() else { continue };
         for r in rim..rows.saturating_sub(rim) {
-            let line = &layers[k].determinant[r * columns..][..columns];
-            for c in rim..columns.saturating_sub(rim) {
-                let value = line[c];
-                if value <= threshold || value < line[c + 1] || value < line[c - 1] {
-                    continue; // most samples end here
-                }
-                let near = |dk: usize, dr: usize, dc: usize| {
-                    layers[k + dk - 1].determinant[(r + dr - 1) * columns + c + dc - 1]
-                };
-                if !is_peak(value, near) {
+            candidates(three, r, threshold, &mut candidate);
+            for c in (rim..columns.saturating_sub(rim)).filter(|&c| candidate[c]) {
+                let near = |dk: usize, dr: usize, dc: usize| three[dk].determinant[(r + dr - 1) * columns + c + dc - 1];
+                if !is_peak(near(1, 1, 1), near) {
                     continue;
                 }
                 let Some([scale, down, right]) = refine(near) else { continue };
                 blobs.push(Blob {
-                    x: (c as f64 + right) * step as f64,
-                    y: (r as f64 + down) * step as f64,
+                    x: (c as f64 + right) * *step as f64,
+                    y: (r as f64 + down) * *step as f64,
                     size: sizes[k] as f64 + scale * (sizes[k + 1] - sizes[k]) as f64,
-                    strength: f64::from(value),
-                    dark: layers[k].trace[r * columns + c] >= 0.0,
+                    strength: f64::from(near(1, 1, 1)),
+                    dark: is_dark(integral, sizes[k], r * step, c * step),
                 });
             }
         }
@@ -337,7 +327,7 @@ mod tests {
         for (size, step) in [(9, 1), (15, 1), (27, 2), (39, 4)] {
             let found = on_both(|| {
                 let found = hessian(&integral, size, step);
-                (found.columns, found.determinant, found.trace)
+                (found.columns, found.determinant)
             });
             let ([of_xx, of_xy], half) = (masks(size), size / 2);
             let corner = half.div_ceil(step) * step;
@@ -356,7 +346,7 @@ mod tests {
                 // Results are of single precision: seven digits.
                 let determinant = xx * yy - 0.81 * xy * xy;
                 assert!((f64::from(found.1[place]) - determinant).abs() < 1e-5 * determinant.abs() + 1e-6);
-                assert!((f64::from(found.2[place]) - xx - yy).abs() < 1e-5 * (xx + yy).abs() + 1e-5);
+                assert_eq!(is_dark(&integral, size, r, c), xx + yy >= 0.0);
             }
             assert!(found.1[..half / step * found.0].iter().all(|&value| value == 0.0));
         }

@@ -3,7 +3,8 @@
 //! Four sums (dx, dy, |dx|, |dy|) over 4 by 4 fields of 5 by 5 responses, in the blob's frame or upright. What lies outside
 //! the image is left out.
 
-use super::surf::{Blob, Integral, SCALE_OF_SIZE};
+use super::integral::Integral;
+use super::surf::{Blob, SCALE_OF_SIZE};
 use super::vector::vectorised;
 use std::f64::consts::{PI, TAU};
 
@@ -142,10 +143,14 @@ fn along_axes(integral: &Integral, blob: &Blob, window: &[f64; SIDE]) -> Fields 
         for (((out, bottom), top), middle) in down.iter_mut().zip(bottom).zip(top).zip(middle) {
             *out = (bottom + top) - 2.0 * middle;
         }
-        for (j, [left, centre, right]) in columns.into_iter().enumerate() {
-            let weight = window[i] * window[j];
-            let dx = across[right] + across[left] - 2.0 * across[centre];
-            add(&mut fields, i, j, weight * dx, weight * (down[right] - down[left]));
+        let (across, down) = (&across[..end - begin], &down[..end - begin]);
+        let dx: [f64; SIDE] = std::array::from_fn(|j| {
+            let [left, centre, right] = columns[j];
+            window[i] * window[j] * (across[right] + across[left] - 2.0 * across[centre])
+        });
+        let dy: [f64; SIDE] = std::array::from_fn(|j| window[i] * window[j] * (down[columns[j][2]] - down[columns[j][0]]));
+        for j in 0..SIDE {
+            add(&mut fields, i, j, dx[j], dy[j]);
         }
     }
     fields
