@@ -17,19 +17,20 @@ vectorised! {
 pub fn doubled(image: &Image<'_, f32>) -> Vec<f32> {
     let (rows, columns) = (image.rows, image.columns);
     let width = doubled_side(columns);
-    let mut out = Vec::with_capacity(doubled_side(rows) * width);
-    let mut between = vec![0f32; columns];
-    for r in 0..rows {
-        line(image.row(r), &mut out);
-        if r + 1 < rows {
-            between.fill(0.0);
-            for (k, weight) in HALFWAY.iter().enumerate() {
-                for (sum, value) in between.iter_mut().zip(image.row(mirrored(r, k, rows))) {
-                    *sum += weight * value;
-                }
-            }
-            line(&between, &mut out);
+    let mut out = vec![0f32; doubled_side(rows) * width];
+    let (mut between, mut halves) = (vec![0f32; columns], vec![0f32; columns]);
+    for (r, line) in out.chunks_exact_mut(width.max(1)).enumerate() {
+        if r % 2 == 0 {
+            fill_line(image.row(r / 2), &mut halves, line);
+            continue;
         }
+        between.fill(0.0);
+        for (k, weight) in HALFWAY.iter().enumerate() {
+            for (sum, value) in between.iter_mut().zip(image.row(mirrored(r / 2, k, rows))) {
+                *sum += weight * value;
+            }
+        }
+        fill_line(&between, &mut halves, line);
     }
     out
 }
@@ -46,22 +47,24 @@ fn mirrored(index: usize, k: usize, size: usize) -> usize {
     if place < size { place } else { period - place }
 }
 
+/// A row and what lies halfway between its pixels, `halves`, one after the other.
 #[inline(always)]
-fn line(row: &[f32], out: &mut Vec<f32>) {
+fn fill_line(row: &[f32], halves: &mut [f32], line: &mut [f32]) {
     let columns = row.len();
-    let at_edge = |out: &mut Vec<f32>, c: usize| {
-        out.push(row[c]);
-        if c + 1 < columns {
-            out.push((0..6).map(|k| HALFWAY[k] * row[mirrored(c, k, columns)]).sum());
-        }
-    };
     let inside = columns.saturating_sub(5);
-    (0..BEFORE.min(columns)).for_each(|c| at_edge(out, c));
-    for near in row.windows(6).take(inside) {
+    for (half, near) in halves[BEFORE.min(columns)..].iter_mut().zip(row.windows(6)) {
         let pair = |k: usize| HALFWAY[k] * (near[k] + near[5 - k]);
-        out.extend([near[2], pair(0) + pair(1) + pair(2)]);
+        *half = pair(0) + pair(1) + pair(2);
     }
-    (BEFORE + inside..columns).for_each(|c| at_edge(out, c));
+    for c in (0..BEFORE.min(columns)).chain(BEFORE + inside..columns) {
+        halves[c] = (0..6).map(|k| HALFWAY[k] * row[mirrored(c, k, columns)]).sum();
+    }
+    for ((two, value), half) in line.chunks_mut(2).zip(row).zip(halves) {
+        two[0] = *value;
+        if let Some(place) = two.get_mut(1) {
+            *place = *half;
+        }
+    }
 }
 
 #[cfg(test)]

@@ -90,7 +90,12 @@ impl Region {
     pub fn moved(self, x: i64, y: i64, margin: usize) -> Self {
         let more = margin as i64;
         let (width, height) = (self.width + 2 * margin, self.height + 2 * margin);
-        Self { x: self.x.saturating_add(x) - more, y: self.y.saturating_add(y) - more, width, height }
+        Self {
+            x: self.x.saturating_add(x).saturating_sub(more),
+            y: self.y.saturating_add(y).saturating_sub(more),
+            width,
+            height,
+        }
     }
 }
 

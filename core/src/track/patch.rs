@@ -26,9 +26,11 @@ pub fn values<T: Pixel>(image: &Image<'_, T>, offset: f64) -> Option<Vec<f32>> {
 
 vectorised! {
 fn shifted<T: Pixel>(image: &Image<'_, T>, offset: f64) -> Vec<f32> {
-    let mut values = Vec::with_capacity(image.rows * image.columns);
-    for r in 0..image.rows {
-        values.extend(image.row(r).iter().map(|pixel| pixel.less(offset)));
+    let mut values = vec![0f32; image.rows * image.columns];
+    for (r, row) in values.chunks_exact_mut(image.columns.max(1)).enumerate() {
+        for (value, pixel) in row.iter_mut().zip(image.row(r)) {
+            *value = pixel.less(offset);
+        }
     }
     values
 }

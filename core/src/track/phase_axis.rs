@@ -176,11 +176,19 @@ vectorised! {
 ///
 /// The angle of the complex product lies in -π … π by itself; a difference of two angles would not.
 pub fn phases(axis: &AxisModel, now: &Responses) -> Phases {
-    let (even, odd) = (&now.even[..], &now.odd[..now.even.len()]);
-    let parts: Vec<[f32; 2]> = axis.index.iter().map(|&k| [even[k as usize], odd[k as usize]]).collect();
-    let reference = axis.even.iter().zip(&axis.odd);
-    let change = parts.iter().zip(reference).map(|(&[a, b], (&c, &d))| angle(b * c - a * d, a * c + b * d)).collect();
-    Phases { change, power: parts.iter().map(|&[a, b]| a * a + b * b).collect() }
+    let count = axis.index.len();
+    let (mut even, mut odd) = (vec![0f32; count], vec![0f32; count]);
+    for ((a, b), &index) in even.iter_mut().zip(&mut odd).zip(&axis.index) {
+        (*a, *b) = (now.even[index as usize], now.odd[index as usize]);
+    }
+    let (mut change, mut power) = (vec![0f32; count], vec![0f32; count]);
+    for ((((change, &a), &b), &c), &d) in change.iter_mut().zip(&even).zip(&odd).zip(&axis.even).zip(&axis.odd) {
+        *change = angle(b * c - a * d, a * c + b * d);
+    }
+    for ((power, &a), &b) in power.iter_mut().zip(&even).zip(&odd) {
+        *power = a * a + b * b;
+    }
+    Phases { change, power }
 }
 }
 
@@ -192,19 +200,23 @@ pub fn take_errors(axis: &AxisModel, change: &[f32], shift: [f64; 2], errors: &m
     let count = change.len();
     let [slope_x, slope_y] = [&axis.slope[0][..count], &axis.slope[1][..count]];
     let [curve_xx, curve_yy, curve_xy] = [0, 1, 2].map(|k| &axis.curve[k][..count]);
-    errors.clear();
-    errors.extend((0..count).map(|k| {
+    errors.resize(count, 0.0);
+    for (k, out) in errors[..count].iter_mut().enumerate() {
         let bend = curve_xx[k] * of_xx + curve_yy[k] * of_yy + curve_xy[k] * of_xy;
         let error = change[k] - (slope_x[k] * x + slope_y[k] * y + bend);
         let turn = if error > PI { 2.0 * PI } else { 0.0 } - if error < -PI { 2.0 * PI } else { 0.0 };
-        error - turn
-    }));
+        *out = error - turn;
+    }
 }
 }
 
 vectorised! {
 fn squares_by_unit(error: &[f32], unit: &[f32]) -> Vec<f32> {
-    error.iter().zip(unit).map(|(error, unit)| error * error / unit).collect()
+    let mut squares = vec![0f32; error.len()];
+    for ((square, error), unit) in squares.iter_mut().zip(error).zip(unit) {
+        *square = error * error / unit;
+    }
+    squares
 }
 }
 
@@ -212,17 +224,21 @@ vectorised! {
 /// The weights of the pixels whose error is within a limit times their unit, else 0.
 fn agreeing(weights: &[f32], error: &[f32], unit: &[f32], limit: f32) -> Vec<f32> {
     let bend = (MOST_BEND_RAD * MOST_BEND_RAD) as f32;
-    let parts = weights.iter().zip(error).zip(unit);
-    parts.map(|((&weight, &error), &unit)| if error * error <= limit * unit + bend { weight } else { 0.0 }).collect()
+    let mut kept = vec![0f32; weights.len()];
+    for (((kept, &weight), &error), &unit) in kept.iter_mut().zip(weights).zip(error).zip(unit) {
+        *kept = if error * error <= limit * unit + bend { weight } else { 0.0 };
+    }
+    kept
 }
 }
 
 vectorised! {
 /// Sum of the products of both amplitudes with the cosine of the error.
 fn correlations(power: &[f32], even: &[f32], odd: &[f32], error: &[f32]) -> f64 {
-    let parts = power.iter().zip(even).zip(odd).zip(error);
-    let each: Vec<f32> =
-        parts.map(|(((a, even), odd), &e)| (a * (even * even + odd * odd)).sqrt() * cosine(e)).collect();
+    let mut each = vec![0f32; power.len()];
+    for ((((each, a), even), odd), &e) in each.iter_mut().zip(power).zip(even).zip(odd).zip(error) {
+        *each = (a * (even * even + odd * odd)).sqrt() * cosine(e);
+    }
     total(&each)
 }
 }

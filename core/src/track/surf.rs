@@ -152,23 +152,19 @@ pub fn hessian(integral: &Integral, size: usize, step: usize) -> Hessian {
 
 #[inline(always)]
 fn row_differences(integral: &Integral, r: usize, [lobe, half, third]: [usize; 3], lines: &mut Lines) {
-    difference(integral.row(r + lobe), integral.row(r + 1 - lobe), &mut lines.across);
-    difference(integral.row(r + half + 1), integral.row(r - half), &mut lines.along);
+    let (bottom, top) = (integral.row(r + lobe), integral.row(r + 1 - lobe));
+    for ((out, bottom), top) in lines.across.iter_mut().zip(bottom).zip(top) {
+        *out = bottom - top;
+    }
+    let (bottom, top) = (integral.row(r + half + 1), integral.row(r - half));
     let (below, above) = (integral.row(r + third + 1), integral.row(r - third));
-    for ((value, below), above) in lines.along.iter_mut().zip(below).zip(above) {
-        *value -= 3.0 * (below - above);
+    for ((((out, bottom), top), below), above) in lines.along.iter_mut().zip(bottom).zip(top).zip(below).zip(above) {
+        *out = (bottom - top) - 3.0 * (below - above);
     }
-    difference(integral.row(r), integral.row(r - lobe), &mut lines.mixed);
-    let (far_below, below) = (integral.row(r + lobe + 1), integral.row(r + 1));
-    for ((value, far), near) in lines.mixed.iter_mut().zip(far_below).zip(below) {
-        *value -= far - near;
-    }
-}
-
-#[inline(always)]
-fn difference(one: &[f64], other: &[f64], out: &mut [f64]) {
-    for ((out, one), other) in out.iter_mut().zip(one).zip(other) {
-        *out = one - other;
+    let (here, above) = (integral.row(r), integral.row(r - lobe));
+    let (far, below) = (integral.row(r + lobe + 1), integral.row(r + 1));
+    for ((((out, here), above), far), below) in lines.mixed.iter_mut().zip(here).zip(above).zip(far).zip(below) {
+        *out = (here - above) - (far - below);
     }
 }
 

@@ -117,6 +117,17 @@ fn add(fields: &mut Fields, i: usize, j: usize, dx: f64, dy: f64) {
     field[3] += dy.abs();
 }
 
+/// Places of 20 wavelets along an axis: where each begins, its middle and its end.
+#[inline(always)]
+fn places(centre: f64, scale: f64, reach: i64, end: usize) -> [[usize; 3]; SIDE] {
+    let mut places = [[0; 3]; SIDE];
+    for (k, wavelet) in places.iter_mut().enumerate() {
+        let place = (centre + scale * (k as f64 - 9.5)).round_ties_even() as i64;
+        *wavelet = [inside(place - reach, end), inside(place, end), inside(place + reach, end)];
+    }
+    places
+}
+
 vectorised! {
 /// Sums without orientation: all wavelets lie on 20 rows and 20 columns.
 ///
@@ -124,15 +135,9 @@ vectorised! {
 fn along_axes(integral: &Integral, blob: &Blob, window: &[f64; SIDE]) -> Fields {
     let scale = blob.size * SCALE_OF_SIZE;
     let reach = scale.round_ties_even().max(1.0) as i64;
-    let places = |centre: f64, end: usize| -> [[usize; 3]; SIDE] {
-        std::array::from_fn(|k| {
-            let place = (centre + scale * (k as f64 - 9.5)).round_ties_even() as i64;
-            [inside(place - reach, end), inside(place, end), inside(place + reach, end)]
-        })
-    };
-    let (rows, columns) = (places(blob.y, integral.rows), places(blob.x, integral.columns));
+    let (rows, mut columns) = (places(blob.y, scale, reach, integral.rows), places(blob.x, scale, reach, integral.columns));
     let (begin, end) = (columns[0][0], columns[SIDE - 1][2] + 1);
-    let columns = columns.map(|places| places.map(|place| place - begin));
+    columns.iter_mut().flatten().for_each(|place| *place -= begin);
     let (mut across, mut down) = (vec![0.0; end - begin], vec![0.0; end - begin]);
     let mut fields = [[0.0; 4]; VALUES / 4];
     for (i, places) in rows.into_iter().enumerate() {
@@ -144,13 +149,18 @@ fn along_axes(integral: &Integral, blob: &Blob, window: &[f64; SIDE]) -> Fields 
             *out = (bottom + top) - 2.0 * middle;
         }
         let (across, down) = (&across[..end - begin], &down[..end - begin]);
-        let dx: [f64; SIDE] = std::array::from_fn(|j| {
-            let [left, centre, right] = columns[j];
-            window[i] * window[j] * (across[right] + across[left] - 2.0 * across[centre])
-        });
-        let dy: [f64; SIDE] = std::array::from_fn(|j| window[i] * window[j] * (down[columns[j][2]] - down[columns[j][0]]));
-        for j in 0..SIDE {
-            add(&mut fields, i, j, dx[j], dy[j]);
+        let (mut dx, mut dy) = ([0.0; SIDE], [0.0; SIDE]);
+        for (j, [left, centre, right]) in columns.iter().copied().enumerate() {
+            dx[j] = window[i] * window[j] * (across[right] + across[left] - 2.0 * across[centre]);
+            dy[j] = window[i] * window[j] * (down[right] - down[left]);
+        }
+        let strip = fields[SIDE / FIELD * (i / FIELD)..].iter_mut();
+        for ((field, dx), dy) in strip.zip(dx.chunks_exact(FIELD)).zip(dy.chunks_exact(FIELD)) {
+            let sum = |values: &[f64]| ((values[0] + values[1]) + (values[2] + values[3])) + values[4];
+            let size = |values: &[f64]| {
+                ((values[0].abs() + values[1].abs()) + (values[2].abs() + values[3].abs())) + values[4].abs()
+            };
+            *field = [field[0] + sum(dx), field[1] + sum(dy), field[2] + size(dx), field[3] + size(dy)];
         }
     }
     fields
