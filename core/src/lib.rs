@@ -7,6 +7,7 @@
 pub mod estimator;
 pub mod likelihood;
 pub mod radar;
+pub mod scene;
 pub mod signals;
 pub mod track;
 
@@ -19,10 +20,15 @@ use pyo3::prelude::*;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     py::likelihood::register(module)?;
+    py::scene::register(module)?;
     py::signals::register(module)?;
     py::track::register(module)?;
     py::registration::register(module)?;
     py::radar::register(module)?;
+    py::features::register(module)?;
+    py::lens::register(module)?;
+    py::phase::register(module)?;
+    py::picture::register(module)?;
     py::estimator::register(module)?;
     py::printed::register(module)
 }

@@ -245,3 +245,94 @@ class LearningSamples:
     def shifts(self) -> list[list[float]]: ...
 
 def roughness(coefficients: Floats32) -> float: ...
+
+CARDINAL_REACH_PX: int
+
+Place = tuple[int, int, int, int]
+
+def is_dark(pixels: NDArray[np.generic], step: int) -> bool: ...
+def changed(
+    pixels: NDArray[np.generic], place: Place, before: NDArray[np.generic] | None = None
+) -> NDArray[np.generic] | None: ...
+def codec_traces(pixels: NDArray[np.generic], place: Place) -> tuple[float, float, float]: ...
+def picture_noise_of(
+    now: NDArray[np.float32],
+    now_shift: tuple[float, float],
+    then: NDArray[np.float32],
+    then_shift: tuple[float, float],
+) -> tuple[float, float]: ...
+
+class LightReference:
+    def __init__(self, pixels: NDArray[np.generic], place: Place) -> None: ...
+    def unlike(self, pixels: NDArray[np.generic], x_px: float, y_px: float) -> float | None: ...
+
+class TargetPicture:
+    def __init__(self, pixels: NDArray[np.generic], place: Place) -> None: ...
+    @property
+    def ends(self) -> float: ...
+    def look(
+        self,
+        pixels: NDArray[np.generic],
+        x: int,
+        y: int,
+        noise: float,
+        before: tuple[NDArray[np.generic], int, int] | None = None,
+    ) -> tuple[float, float, float, float]: ...
+
+Taps = tuple[list[float], list[float], list[float]]
+
+def steerable_responses(
+    patch: NDArray[np.float32], down: bool, taps: Taps
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+
+class PhaseTarget:
+    def __init__(
+        self,
+        place: Place,
+        offset: float,
+        taps: Taps,
+        axes: tuple[object, object],
+        ratios: tuple[float, float] | None,
+    ) -> None: ...
+    def near_to(
+        self, pixels: NDArray[np.generic], x: int, y: int
+    ) -> tuple[int, int, float, float, float, float, float] | None: ...
+    def changes(
+        self, pixels: NDArray[np.generic], x: int, y: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None: ...
+
+Keypoints = tuple[Floats, NDArray[np.float32], NDArray[np.int8]]
+
+def surf_blobs(image: NDArray[np.float32], settings: object) -> Keypoints: ...
+def surf_features(pixels: NDArray[np.generic], place: Place, offset: float, settings: object) -> Keypoints: ...
+def doubled_image(image: NDArray[np.float32]) -> NDArray[np.float32]: ...
+
+class FeatureMatcher:
+    def __init__(
+        self, xy: Floats, descriptor: NDArray[np.float32], kind: NDArray[np.int8], ratio: float | None = None
+    ) -> None: ...
+    def among(self, xy: Floats, descriptor: NDArray[np.float32], kind: NDArray[np.int8]) -> tuple[Floats, Floats]: ...
+    def in_image(
+        self, pixels: NDArray[np.generic], place: Place, offset: float, settings: object
+    ) -> tuple[Floats, Floats]: ...
+
+def render_scene(
+    coefficients: NDArray[np.float32],
+    shape: tuple[int, int],
+    margin: int,
+    x_px: Floats,
+    y_px: Floats,
+    order: tuple[int, int],
+) -> NDArray[np.float32]: ...
+def paint_boxes(shape: tuple[int, int], level: float, boxes: NDArray[np.int64], tones: Floats) -> Floats: ...
+def modal_response(
+    force: Floats, transition: list[list[float]], load_now: list[float], load_next: list[float]
+) -> Floats: ...
+def follow_with_play(path: Floats, width: float) -> Floats: ...
+
+class LensModel:
+    def __init__(
+        self, matrix: tuple[float, float, float, float], fisheye: bool, coefficients: list[float], limit: float
+    ) -> None: ...
+    def straight(self, places: Floats) -> tuple[Floats, Floats]: ...
+    def shown(self, places: Floats) -> tuple[Floats, Floats]: ...

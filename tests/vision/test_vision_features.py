@@ -9,7 +9,7 @@ from midspan.records import Frame, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.features import FeatureSettings, FeatureTracker, average, earlier_rules, good_matches
-from midspan.vision.keypoints import DETECTORS, Keypoints, mutual_matches, ratio_matches
+from midspan.vision.keypoints import DETECTORS
 
 SIZE = 200
 REGION = Region(60, 60, 80, 80)
@@ -237,12 +237,6 @@ def test_settings_outside_their_range_are_refused_by_name(key, value):
         FeatureSettings(**{key: value})
 
 
-def keypoints(descriptors, kind=None):
-    rows = np.array(descriptors, dtype=np.float32)
-    kinds = np.zeros(len(rows), dtype=np.int8) if kind is None else np.array(kind, dtype=np.int8)
-    return Keypoints(np.zeros((len(rows), 2)), rows, kinds)
-
-
 def test_a_missing_contrib_module_is_named_with_what_to_install(reference, monkeypatch):
     cv2 = pytest.importorskip("cv2")
     for holder in (cv2, getattr(cv2, "xfeatures2d", None)):
@@ -250,22 +244,6 @@ def test_a_missing_contrib_module_is_named_with_what_to_install(reference, monke
             monkeypatch.delattr(holder, "AKAZE_create", raising=False)
     with pytest.raises(UsageError, match=r"contrib.*opencv-contrib-python-headless"):
         tracker(reference, detector="akaze")
-
-
-def test_matches_are_mutual_nearest_neighbours_of_the_same_kind():
-    first = keypoints([[0, 0], [10, 0], [0.4, 0], [0, 20]], kind=[1, 1, 1, -1])
-    now = keypoints([[0, 20.5], [9, 0], [0.1, 0]], kind=[1, 1, 1])
-    # 0 and 2 both point to now[2], which is nearer to 0; 3 has no partner of its kind
-    assert mutual_matches(first, now).tolist() == [[0, 2], [1, 1]]
-    assert mutual_matches(first, keypoints([[0, 0]])).tolist() == []
-
-
-def test_the_ratio_test_keeps_only_what_is_clearly_nearest():
-    first = keypoints([[0, 0], [10, 0]])
-    now = keypoints([[0, 1.0], [0, 1.5], [10, 0.1]])
-    # 1.0 / 1.5 = 0.667 is above 0.65
-    assert ratio_matches(first, now, 0.65).tolist() == [[1, 2]]
-    assert ratio_matches(first, now, 0.7).tolist() == [[0, 0], [1, 2]]
 
 
 def test_the_mean_of_the_good_matches_is_equation_30_with_the_variance_of_a_mean():

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from midspan import _core
 from midspan.records import Frame, PixelTranslation, Region, Status
 from midspan.signals.health import runs
 from midspan.simulate.scene.texture import textured_scene
-from midspan.vision.light import LIGHT_PX, USUAL_LOOKS, LightState, LightWatch, is_dark, unlike
+from midspan.vision.light import LIGHT_PX, USUAL_LOOKS, LightState, LightWatch, is_dark
 
 REGION = Region(16, 14, 60, 54)
 
@@ -35,6 +36,15 @@ def watched(scenes, turned, gain=lambda t: 1.0, front=lambda t: False, seconds=6
         found = PixelTranslation(frame.time_ns, 0.0, y, 1e-5, 1e-5, 1.0, Status.TRACKING)
         told.append(np.sqrt(watch.push(frame, found)))
     return np.array(told)
+
+
+def unlike(reference, seen):
+    """The share by the core of two pictures whose pixels are enlarged to the squares that it takes means of."""
+    one, other = (
+        np.pad(np.kron(picture, np.ones((3, 3))), (0, 1)).astype(reference.dtype) for picture in (reference, seen)
+    )
+    place = (0, 0, 3 * reference.shape[1], 3 * reference.shape[0])
+    return _core.LightReference(one, place).unlike(other, 0.0, 0.0)
 
 
 def test_the_share_that_is_not_the_reference_s_is_the_sine_s_square_of_the_turn():
@@ -96,13 +106,17 @@ def by_the_block(reference, seen, full):
 
 
 @pytest.mark.parametrize("shape", [(5, 5), (8, 21), (21, 33), (40, 43)])
-@pytest.mark.parametrize("full", [np.inf, 130.0, -1e9])
-def test_the_share_in_one_pass_is_that_of_the_blocks_one_by_one(shape, full):
+@pytest.mark.parametrize("level", [100.0, 240.0, 400.0])
+def test_the_share_in_one_pass_is_that_of_the_blocks_one_by_one(shape, level):
     rng = np.random.default_rng(1)
-    one = 100.0 + 30.0 * rng.standard_normal(shape)
+    one = level + 30.0 * rng.standard_normal(shape)
     other = 0.5 * one + 20.0 * rng.standard_normal(shape)
     # Sums of squares instead of means taken off first: rounding at 1e5 of 1e16.
-    assert unlike(one, other, full) == pytest.approx(by_the_block(one, other, full), abs=1e-10)
+    assert unlike(one, other) == pytest.approx(by_the_block(one, other, np.inf), abs=1e-10)
+    one, other = (np.clip(np.rint(picture), 0, 255).astype(np.uint8) for picture in (one, other))
+    assert unlike(one, other) == pytest.approx(
+        by_the_block(*(p.astype(np.float64) for p in (one, other)), 250.0), abs=1e-10
+    )
 
 
 def test_a_watch_goes_on_from_a_state(scenes):

@@ -6,21 +6,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.ndimage import shift as moved_by_spline
 
+from midspan import _core
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import TEXTURES, textured_scene
-from midspan.vision.picture_difference import (
-    REACH_PX,
-    Square,
-    blockiness,
-    cardinal_taps,
-    difference,
-    frozen_texture,
-    share_at_ends,
-    stair_share,
-)
+from midspan.vision.compression import Square, difference
 from midspan.vision.picture_quality import PictureWatch
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.tracker import open_tracker
@@ -73,16 +64,6 @@ def watched(pictures, path=PATH, name="template", region=REGION):
 def reported_over_true(track, path=PATH):
     error = float(np.sqrt(np.nanmean((track.y_px - path)[1:] ** 2)))
     return math.sqrt(float(np.nanmedian(track.variance_y_px2[1:]))) / error
-
-
-@pytest.mark.parametrize("shift_px", [-1.0, -0.4, 0.0, 0.25, 0.9])
-def test_the_cardinal_taps_move_a_line_as_the_quintic_spline_does(shift_px):
-    line = np.random.default_rng(3).normal(size=101)
-    expected = moved_by_spline(line, -shift_px, order=5, mode="mirror")
-    taps = cardinal_taps(shift_px)
-    found = [taps @ line[k - REACH_PX : k + REACH_PX + 1] for k in range(30, 70)]
-    # The cardinal spline is cut off where it has fallen to some 1e-4.
-    np.testing.assert_allclose(found, expected[30:70], atol=2e-3)
 
 
 @pytest.mark.parametrize("noise_std", [1.0, 3.0])
@@ -197,17 +178,23 @@ def test_the_scale_s_own_share_grows_with_compression_and_falls_with_motion():
     assert second < 0.5 * first
 
 
+def frozen_share(now, before, left):
+    """Share of the texture in blocks that stood still, of pictures whose first column is `left` in the frame."""
+    now, before = (np.pad(picture, ((0, 0), (left, 0))) for picture in (now, before))
+    place = (left, 0, now.shape[1] - left, now.shape[0])
+    return _core.TargetPicture(now, place).look(now, left, 0, 0.0, (before[:, left:].copy(), left, 0))[3]
+
+
 def test_the_share_of_frozen_blocks_counts_by_their_texture_on_the_picture_s_own_grid():
     rng = np.random.default_rng(2)
     before = rng.integers(0, 255, (64, 64)).astype(np.uint8)
     now = before + np.uint8(1)
     now[:, :32] = before[:, :32]
     # The cut begins 3 columns into the picture: blocks lie at its columns 5, 13 …, three of seven in the frozen half.
-    frozen, whole = frozen_texture(now[:, 3:], before[:, 3:], 3, 0)
-    assert frozen / whole == pytest.approx(3 / 7, rel=0.1)
-    assert frozen_texture(now + np.uint8(1), before, 0, 0) == (0.0, 0.0)
+    assert frozen_share(now[:, 3:], before[:, 3:], 3) == pytest.approx(3 / 7, rel=0.1)
+    assert frozen_share(now + np.uint8(1), before, 0) == 0.0
     flat = np.full((64, 64), 7, dtype=np.uint8)
-    assert frozen_texture(flat, flat, 0, 0) == (0.0, 0.0)
+    assert frozen_share(flat, flat, 0) == 0.0
 
 
 def test_what_stands_still_widens_by_its_share_of_the_step():
@@ -229,13 +216,16 @@ def test_what_stands_still_widens_by_its_share_of_the_step():
 
 
 def test_blocks_of_one_tone_and_steps_between_blocks_are_seen_and_bricks_are_not():
+    def traces(picture):
+        return _core.codec_traces(picture, (0, 0, picture.shape[1], picture.shape[0]))[:2]
+
     tones = np.random.default_rng(6).integers(20, 230, (12, 12)).astype(np.uint8)
-    stairs = np.kron(tones, np.ones((8, 8), dtype=np.uint8))
-    assert stair_share(stairs, 0, 0) == 1.0
-    assert blockiness(stairs, 0, 0) > 100.0
-    assert stair_share(np.full((96, 96), 90, dtype=np.uint8), 0, 0) == 0.0
+    blocky, stairs = traces(np.kron(tones, np.ones((8, 8), dtype=np.uint8)))
+    assert stairs == 1.0
+    assert blocky > 100.0
+    assert traces(np.full((96, 96), 90, dtype=np.uint8))[1] == 0.0
     bricks = np.where(np.arange(96)[:, None] % 4 == 0, 180, 120) + np.random.default_rng(7).integers(0, 9, (96, 96))
-    assert abs(blockiness(bricks.astype(np.uint8), 0, 0)) < 0.1
+    assert abs(traces(bricks.astype(np.uint8))[0]) < 0.1
 
 
 @pytest.mark.parametrize("lens_px", [1.5, 2.5])
@@ -265,6 +255,9 @@ def test_light_cut_off_at_full_scale_is_told_of_and_widened(bits):
 
 
 def test_ten_bits_cut_off_in_a_file_of_sixteen_are_seen_and_a_float_has_no_scale():
+    def share_at_ends(picture):
+        return _core.codec_traces(picture, (0, 0, picture.shape[1], picture.shape[0]))[2]
+
     counts = np.random.default_rng(8).normal(700, 250, (64, 64)).clip(0, 1023)
     assert share_at_ends(counts.astype(np.uint16)) > 0.05
     assert share_at_ends(counts) == 0.0

@@ -1,7 +1,7 @@
 //! `likelihood` for Python.
 
 use super::{elements, pairs, same_length};
-use crate::likelihood::{response, whitening};
+use crate::likelihood::{play, response, whitening};
 use numpy::ndarray::ArrayView2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -78,8 +78,19 @@ fn derivative<'py>(
     Ok(py.detach(|| response::derivative(edges, cubics, time, order)).into_pyarray(py))
 }
 
+/// See [`play::play`].
+#[pyfunction]
+fn follow_with_play<'py>(
+    py: Python<'py>,
+    path: PyReadonlyArray1<'py, f64>,
+    width: f64,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    Ok(play::play(elements("path", &path)?, width).into_pyarray(py))
+}
+
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("BIAS_WALK_RATIO", whitening::BIAS_WALK_RATIO)?;
+    module.add_function(wrap_pyfunction!(follow_with_play, module)?)?;
     module.add_function(wrap_pyfunction!(whiten, module)?)?;
     module.add_function(wrap_pyfunction!(integrate, module)?)?;
     module.add_function(wrap_pyfunction!(derivative, module)?)

@@ -2,10 +2,16 @@
 
 pub mod arrays;
 pub mod estimator;
+pub mod features;
+pub mod lens;
 pub mod likelihood;
+pub mod phase;
+pub mod picture;
+pub mod pixels;
 pub mod printed;
 pub mod radar;
 pub mod registration;
+pub mod scene;
 pub mod settings;
 pub mod signals;
 pub mod track;

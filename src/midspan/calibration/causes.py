@@ -22,10 +22,10 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.calibration.agreement import least_lead
 from midspan.calibration.fit import Pair
 from midspan.records import Floats
@@ -198,7 +198,7 @@ class _Compared:
         even = np.arange(self.start_s, float(self.time_s[-1]) + 1.0, 1.0 / self.rate_hz)
         path = plain(even)
         size = float(np.std(path))
-        followed = (np.interp(self.time_s, even, _play(path, width * size)) for width in PLAYS)
+        followed = (np.interp(self.time_s, even, _core.follow_with_play(path, width * size)) for width in PLAYS)
         return _lowest(np.array([float(np.sum((y - self.free(one)) ** 2)) for one in followed]))
 
     def _with_tone(self, difference: Floats) -> float:
@@ -248,14 +248,3 @@ def _without(columns: list[Floats], values: Floats) -> float:
     """Residual squares of values (n,) by least squares on columns (n,)."""
     matrix = np.column_stack(columns)
     return float(np.sum((values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]) ** 2))
-
-
-@njit(cache=True)
-def _play(path: Floats, width: float) -> Floats:
-    """What follows a path (n,) with a play of a width about it."""
-    out = np.empty_like(path)
-    half, at = 0.5 * width, path[0]
-    for k in range(len(path)):
-        at = min(max(at, path[k] - half), path[k] + half)
-        out[k] = at
-    return out

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.engine.rolling_shutter import row_of, rows_share
 from midspan.engine.target_opening import Opening
 from midspan.records import NANOSECONDS, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.fair_variance import FairVariance, UsualVariances
 from midspan.vision.lens import ideal_translation, shown_prediction
 from midspan.vision.light import LightState, LightWatch
-from midspan.vision.picture_difference import same
 from midspan.vision.picture_quality import PictureState, PictureWatch
 from midspan.vision.target import lost
 
@@ -140,11 +140,11 @@ class TargetChain:
         Even the second equal picture tells nothing of its own time, by which the target has moved on.
         """
         region = self.region
-        now = frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-        if self._seen is not None and same(now, self._seen):
+        now = _core.changed(frame.pixels, (region.x, region.y, region.width, region.height), self._seen)
+        if now is None:
             self.frozen_frames += 1
             return True
-        self._seen = now.copy()
+        self._seen = now
         return False
 
     def _late_ns(self, frame: Frame, found: PixelTranslation) -> int:

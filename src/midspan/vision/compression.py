@@ -16,17 +16,11 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
+from midspan._core import CARDINAL_REACH_PX
 from midspan.records import Frame, PixelTranslation, Region
 from midspan.signals.running_median import RunningMedian
-from midspan.vision.picture_difference import (
-    REACH_PX,
-    Difference,
-    Square,
-    blockiness,
-    difference,
-    share_at_ends,
-    stair_share,
-)
+from midspan.vision.spline import Floats32
 
 CHECK_FRAMES = 96  # one in so many frames is compared with earlier ones
 FIRST_CHECKS, FIRST_FRAMES = 5, 8  # and one in so many until so many checks have told something
@@ -49,6 +43,34 @@ STAIR_STD_PX = 0.4  # where nothing but flat blocks is left
 ONLY_STAIRS = 3.0  # blockiness
 STANDSTILL, STANDSTILL_STD_PX = 0.3, 0.06  # share of the texture that stands still, and what the encoder then withholds
 SCALE_LOSS = 0.6  # of the scale, for a codec's standard deviation as large as the motion's
+
+
+@dataclass(frozen=True, slots=True)
+class Square:
+    """A square of a picture about the target: `pixels` (n, n) and where the target lies in it beyond whole pixels.
+
+    shift: (x, y) of -0.5 to 0.5 px.
+    """
+
+    pixels: Floats32
+    shift: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Noise of one picture as the difference of two registered ones shows it, in grey levels.
+
+    fine: in the finest detail, where cameras have most of their noise and codecs leave least of it; broad: over all
+    detail. Without a codec the two are the same.
+    """
+
+    fine: float
+    broad: float
+
+
+def difference(now: Square, then: Square) -> Difference:
+    """The noise (grey levels) of `now` against `then`, moved to the same place and brought to the same contrast."""
+    return Difference(*_core.picture_noise_of(now.pixels, now.shift, then.pixels, then.shift))
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,10 +239,8 @@ class CodecWatch:
             # A frozen picture tells nothing of the codec; it is told of as such.
             if np.array_equal(sample.pixels, last.pixels):
                 return
-            cut = pixels[seen.y : seen.y + seen.height, seen.x : seen.x + seen.width]
-            steps = blockiness(cut, seen.x, seen.y), stair_share(cut, seen.x, seen.y)
-            begun = Comparison(sample, (last, earlier, reference), (), *steps, share_at_ends(cut))
-            self._under_way = begun
+            traces = _core.codec_traces(pixels, (seen.x, seen.y, seen.width, seen.height))
+            self._under_way = Comparison(sample, (last, earlier, reference), (), *traces)
         self._earlier = sample or self._earlier
 
     def _go_on(self, under_way: Comparison) -> None:
@@ -255,7 +275,7 @@ class CodecWatch:
         """The square about the target's middle; None where it leaves the image or a pixel has no value."""
         if self._size < LEAST_SAMPLE_PX:
             return None
-        n = self._size + 2 * REACH_PX
+        n = self._size + 2 * CARDINAL_REACH_PX
         dx, dy = round(x_px), round(y_px)
         left = self._region.x + dx + (self._region.width - n) // 2
         top = self._region.y + dy + (self._region.height - n) // 2
@@ -269,7 +289,7 @@ def _sample_size(shape: tuple[int, ...], region: Region) -> int:
     """Side (px) of the square that is compared: with what the spline reaches for it lies inside the image."""
     x, y = region.x + region.width // 2, region.y + region.height // 2
     room = min(x, y, shape[1] - x, shape[0] - y)
-    return min(SAMPLE_PX, region.width, region.height, 2 * (room - REACH_PX - 2))
+    return min(SAMPLE_PX, region.width, region.height, 2 * (room - CARDINAL_REACH_PX - 2))
 
 
 def _inherited(before: Difference, then: Difference) -> float:

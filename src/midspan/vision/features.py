@@ -8,16 +8,17 @@ vision measurements", 2022, doi 10.1111/mice.12767: the region follows the predi
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints, mutual_matches, ratio_matches
+from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.rejection import (
     consensus,
@@ -127,6 +128,8 @@ class FeatureTracker(Tracker):
         self._factor = coarse_factor(self._template)
         self._detector = _detector(reference.pixels, region, settings, self._offset)
         self._features = self._reference_features()
+        ratio = settings.ratio if settings.technique == "existing" else None
+        self._matcher = _core.FeatureMatcher(self._features.xy, self._features.descriptor, self._features.kind, ratio)
         self._state = Motion()
 
     @property
@@ -228,31 +231,49 @@ class FeatureTracker(Tracker):
 
     def _detect(self, image: NDArray[np.generic], region: Region) -> Keypoints:
         """Features of the region and its margin, as far as they lie inside the image."""
-        rows, columns = image.shape
-        left, top = max(region.x - MARGIN_PX, 0), max(region.y - MARGIN_PX, 0)
-        right = min(region.x + region.width + MARGIN_PX, columns)
-        bottom = min(region.y + region.height + MARGIN_PX, rows)
-        # A cut this small has no room for three matches.
-        pixels = values(image[top:bottom, left:right], self._offset) if min(right - left, bottom - top) >= 12 else None
-        if pixels is None:
+        place = _with_margin(region, image.shape)
+        if place is None:
             return Keypoints(np.empty((0, 2)), np.empty((0, 1), dtype=np.float32), np.empty(0, dtype=np.int8))
-        share = pixels.size / (region.width * region.height)
-        return self._detector.detect(pixels, (left, top), math.ceil(self.settings.max_features * max(share, 1.0)))
+        return self._detector.detect(image, place, self._offset, self._most(place))
+
+    def _most(self, place: tuple[int, int, int, int]) -> int:
+        """How many features to keep of a part of the image."""
+        share = place[2] * place[3] / (self._region.width * self._region.height)
+        return math.ceil(self.settings.max_features * max(share, 1.0))
+
+    def _matches(self, image: NDArray[np.generic], region: Region) -> tuple[Floats, Floats] | None:
+        """Positions (n, 2) then and now of the features of the reference that match some of the region."""
+        if self.settings.detector != "surf":
+            now = self._detect(image, region)
+            return self._matcher.among(now.xy, now.descriptor, now.kind)
+        place = _with_margin(region, image.shape)
+        if place is None:
+            return None
+        surf = replace(self._detector.settings, most=self._most(place))
+        return self._matcher.in_image(image, place, self._offset, surf)
 
     def _match(self, frame: Frame, region: Region, prediction: Prediction | None) -> Matched | None:
         """The good matches between the reference and `region` of the frame; None when they are too few or disagree."""
-        settings, first, now = self.settings, self._features, self._detect(frame.pixels, region)
-        existing = settings.technique == "existing"
-        matches = ratio_matches(first, now, settings.ratio) if existing else mutual_matches(first, now)
-        if len(matches) < LEAST_MATCHES:
+        settings, matches = self.settings, self._matches(frame.pixels, region)
+        if matches is None or len(matches[0]) < LEAST_MATCHES:
             return None
-        then, here = first.xy[matches[:, 0]], now.xy[matches[:, 1]]
-        if existing:
+        then, here = matches
+        if settings.technique == "existing":
             good = earlier_rules(here - then, settings)
         else:
             rng = np.random.default_rng((settings.seed, frame.time_ns % 2**63))
             good = good_matches(then, here, settings, prediction=prediction, rng=rng)
-        return average((here - then)[good], len(matches), settings)
+        return average((here - then)[good], len(then), settings)
+
+
+def _with_margin(region: Region, shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
+    """The part (x, y, width, height) of an image of this shape that is a region and its margin; None without room."""
+    rows, columns = shape
+    left, top = max(region.x - MARGIN_PX, 0), max(region.y - MARGIN_PX, 0)
+    right = min(region.x + region.width + MARGIN_PX, columns)
+    bottom = min(region.y + region.height + MARGIN_PX, rows)
+    # A part this small has no room for three matches.
+    return (left, top, right - left, bottom - top) if min(right - left, bottom - top) >= 12 else None
 
 
 def good_matches(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Prediction, Region, Status
@@ -26,26 +27,24 @@ from midspan.vision.phase_model import (
     INSET_PX,
     SPLIT_FRAMES,
     Learning,
-    PhaseFix,
     PhaseModel,
     first_model,
     learnt_model,
-    measure,
-    measure_printed,
     reference_field,
     region_patch,
+    target_of,
+    whole_region,
 )
 from midspan.vision.printed_phase import PrintedRule, printed_model
 from midspan.vision.region import SMALLEST_SIDE_PX, check_size
 from midspan.vision.spline import Floats32
-from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
+from midspan.vision.steerable import AXES, quadrature
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
 from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_settings
 
 MOST_LEARNT_FRAMES, PRINTED_FRAMES = 240, 500  # printed: 50 s at 10 frames a second
 MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
-FARTHEST_RESIDUAL_PX = 0.6  # a residual above this moves the region once more: half a pixel, and some play
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 
 
@@ -123,6 +122,15 @@ class PhaseState(Motion):
     model: PhaseModel | None = field(default=None, compare=False)
 
 
+@dataclass(frozen=True, slots=True)
+class PhaseFix:
+    """A translation along x and y in px, its variances in px², and coherence 0 to 1."""
+
+    translation_px: tuple[float, float]
+    variance_px2: tuple[float, float]
+    coherence: float
+
+
 class PhaseTracker(Tracker):
     """Local phase about the predicted or the last place; see `midspan.vision.tracker.Tracker` for its interface.
 
@@ -154,6 +162,7 @@ class PhaseTracker(Tracker):
         self._first = first_model(
             self._fields, weighted=settings.weighted and not settings.literal, everywhere=everywhere
         )
+        self._measured_with: tuple[PhaseModel, _core.PhaseTarget] | None = None
         self._state = PhaseState(matcher=self._matcher.state)
 
     def restore(self, state: PhaseState) -> None:
@@ -187,9 +196,9 @@ class PhaseTracker(Tracker):
         if fix is None:
             self._state = self._state.missed()
             return lost(frame.time_ns)
-        x, y = (float(v) for v in fix.shift_px)
+        x, y = fix.translation_px
         self._state = self._state.seen(frame.time_ns, (x, y))
-        var_x, var_y = (float(v) + self.settings.bias_floor_px**2 for v in fix.variance_px2)
+        var_x, var_y = (variance + self.settings.bias_floor_px**2 for variance in fix.variance_px2)
         strength = FULL_QUALITY * fix.coherence
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING, strength=strength)
 
@@ -258,7 +267,7 @@ class PhaseTracker(Tracker):
     def _observe(self, frames: Sequence[Frame], given: Floats | None, axis: int) -> Learning:
         """Phases of all pixels and the residual motion, with the region moved by the matcher's whole pixels."""
         matcher = self._open_matcher()
-        every = np.arange(self._window.width * self._window.height)
+        target = target_of(whole_region(self._fields), self._window, self._offset, self.settings.spacing)
         phases: tuple[list[Floats32], list[Floats32]] = ([], [])
         residual = []
         for k, frame in enumerate(frames):
@@ -267,15 +276,15 @@ class PhaseTracker(Tracker):
             if found.status is not Status.TRACKING or (given is not None and not math.isfinite(given[k])):
                 continue
             place = (round(found.x_px), round(found.y_px))
-            now = self._responses(frame.pixels, place)
-            if now is None:
+            changes = target.changes(frame.pixels, *place)
+            if changes is None:
                 continue
             moved = [found.x_px, found.y_px]
             if given is not None:
                 moved[axis] = float(given[k])
             residual.append([moved[0] - place[0], moved[1] - place[1]])
-            for kept, n, f in zip(phases, now, self._fields, strict=True):
-                kept.append(phase_change(n, f.response.ravel(), every))
+            for kept, change in zip(phases, changes, strict=True):
+                kept.append(change)
         if len(residual) < 5:
             raise DataError(f"Learning needs at least 5 frames that show the target; received {len(residual)}.")
         return Learning((np.stack(phases[0]), np.stack(phases[1])), np.array(residual))
@@ -322,43 +331,28 @@ class PhaseTracker(Tracker):
     def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
         """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.
 
-        The linear gain holds for small residuals only.
+        The linear gain holds for small residuals only. literal: `place` stays, and any agreement is enough.
         """
-        if self.settings.literal:
-            return self._printed(frame, place)
-        x, y = place
-        for _ in range(4):
-            now = self._responses(frame.pixels, (x, y))
-            fix = None if now is None else measure(self.model, now)
-            if now is None or fix is None or not np.all(np.isfinite(fix.shift_px)):
-                return None
-            if float(np.max(np.abs(fix.shift_px))) <= FARTHEST_RESIDUAL_PX:
-                if fix.coherence < self._least_coherence:
-                    return None
-                if self.settings.form == "gradient":
-                    fix = replace(fix, shift_px=self._gradient_form(frame.pixels, (x, y)))
-                return replace(fix, shift_px=fix.shift_px + np.array([x, y]))
-            x, y = x + round(float(fix.shift_px[0])), y + round(float(fix.shift_px[1]))
-        return None
-
-    def _printed(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
-        """Equation 17, or 3, about the whole-pixel `place`; None outside the image."""
-        now = self._responses(frame.pixels, place)
-        if now is None:
+        found = self._target.near_to(frame.pixels, *place)
+        if found is None:
             return None
-        fix = measure_printed(self.model, now)
+        x, y, right, down, variance_x, variance_y, coherence = found
+        if not self.settings.literal and coherence < self._least_coherence:
+            return None
         if self.settings.form == "gradient":
-            fix = replace(fix, shift_px=self._gradient_form(frame.pixels, place))
-        return replace(fix, shift_px=fix.shift_px + np.array(place)) if np.isfinite(fix.shift_px).all() else None
+            right, down = self._gradient_form(frame.pixels, (x, y)).tolist()
+            if self.settings.literal and not math.isfinite(right + down):
+                return None
+        return PhaseFix((x + right, y + down), (variance_x, variance_y), coherence)
 
-    def _responses(
-        self, pixels: NDArray[np.generic], place: tuple[int, int]
-    ) -> tuple[tuple[Floats32, Floats32], tuple[Floats32, Floats32]] | None:
-        """Responses along x and y of the region moved by `place`; None outside the image or without values."""
-        patch = self._patch(pixels, place, MARGIN_PX)
-        if patch is None:
-            return None
-        return responses(patch, "x", self.settings.spacing), responses(patch, "y", self.settings.spacing)
+    @property
+    def _target(self) -> _core.PhaseTarget:
+        """What measures frames with the model in use."""
+        if self._measured_with is None or self._measured_with[0] is not self.model:
+            printed = self.settings.literal
+            target = target_of(self.model, self._window, self._offset, self.settings.spacing, printed=printed)
+            self._measured_with = self.model, target
+        return self._measured_with[1]
 
     def _patch(self, pixels: NDArray[np.generic], place: tuple[int, int], margin: int) -> Floats32 | None:
         rows, columns = region_patch(self._window, *place, margin)

@@ -1,17 +1,18 @@
-"""Features of an image cut, by SURF or OpenCV's detectors, and their matches by the nearest descriptor."""
+"""Features of an image cut, by SURF or OpenCV's detectors."""
 
 import importlib
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.vision.spline import Floats32
-from midspan.vision.surf import SurfSettings, detect_surf, doubled
+from midspan.vision.surf import SurfSettings
+from midspan.vision.texture import values
 
 DETECTORS = {
     "surf": "box-filter blobs (Bay 2006), the published choice; may still be patented in some countries",
@@ -21,7 +22,6 @@ DETECTORS = {
 }
 # OpenCV's detectors other than SIFT find nothing in a small region unless it is enlarged; SIFT enlarges it itself.
 ENLARGED = ("surf", "akaze", "orb")
-FAR = np.float32(3.0e38)
 # ORB's corners lie on whole pixels of its pyramid: an error that all of them share and their scatter does not show.
 GRID_STD_PX = {"orb": 0.07}
 
@@ -52,18 +52,28 @@ class Detector:
         self.name, self.settings = name, settings
         self.level, self.span = level, span
 
-    def detect(self, image: Floats32, origin: tuple[int, int], most: int) -> Keypoints:
-        """At most `most` features of `image` (rows, columns), whose first pixel is `origin` (x, y) of the whole one."""
-        enlarged = self.name in ENLARGED
-        pixels = doubled(image) if enlarged else image
+    def detect(
+        self, image: NDArray[np.generic], place: tuple[int, int, int, int], offset: float, most: int
+    ) -> Keypoints:
+        """At most `most` features of the part at `place` (x, y, width, height) of an image.
+
+        `offset` is taken off its pixels. No features where more than 2 % of them have no value.
+        """
         if self.name == "surf":
-            blobs = detect_surf(pixels, replace(self.settings, most=most))
-            xy, descriptor, kind = np.stack([blobs.x, blobs.y], axis=1), blobs.descriptor, blobs.bright
-        else:
-            grey = np.clip(np.rint((pixels - self.level) * (255.0 / self.span)), 0, 255).astype(np.uint8)
-            xy, descriptor = _by_opencv(grey, self.name, most)
-            kind = np.zeros(len(xy), dtype=np.int8)
-        return Keypoints(xy * (0.5 if enlarged else 1.0) + np.array(origin, dtype=np.float64), descriptor, kind)
+            return Keypoints(*_core.surf_features(image, place, offset, replace(self.settings, most=most)))
+        x, y, width, height = place
+        pixels = values(image[y : y + height, x : x + width], offset)
+        if pixels is None:
+            return Keypoints(np.empty((0, 2)), np.empty((0, 1), dtype=np.float32), np.empty(0, dtype=np.int8))
+        enlarged = self.name in ENLARGED
+        pixels = _core.doubled_image(pixels) if enlarged else pixels
+        grey = np.clip(np.rint((pixels - self.level) * (255.0 / self.span)), 0, 255).astype(np.uint8)
+        xy, descriptor = _by_opencv(grey, self.name, most)
+        return Keypoints(
+            xy * (0.5 if enlarged else 1.0) + np.array([x, y], dtype=np.float64),
+            descriptor,
+            np.zeros(len(xy), dtype=np.int8),
+        )
 
 
 def _by_opencv(grey: NDArray[np.uint8], name: str, most: int) -> tuple[Floats, Floats32]:
@@ -93,49 +103,3 @@ def _opencv_detector(name: str, most: int) -> Any:
             "installed. Install opencv-contrib-python-headless, or choose the detector 'sift'."
         )
     return make(threshold=1e-4)
-
-
-@njit(cache=True, fastmath=True)
-def squared_distances(a: Floats32, b: Floats32, kind_a: NDArray[np.int8], kind_b: NDArray[np.int8]) -> Floats32:
-    """Squared distances (n, m) of all descriptors (n, k) from all others (m, k); very large between kinds."""
-    out = np.empty((a.shape[0], b.shape[0]), dtype=np.float32)
-    for i in range(a.shape[0]):
-        for j in range(b.shape[0]):
-            if kind_a[i] != kind_b[j]:
-                out[i, j] = FAR
-                continue
-            total = np.float32(0.0)
-            for k in range(a.shape[1]):
-                d = a[i, k] - b[j, k]
-                total += d * d
-            out[i, j] = total
-    return out
-
-
-def mutual_matches(first: Keypoints, now: Keypoints) -> NDArray[np.int64]:
-    """Matches (n, 2) as indices into `first` and `now`: features that are each other's nearest by descriptor."""
-    square = _squares(first, now)
-    if square is None:
-        return np.empty((0, 2), dtype=np.int64)
-    nearest, rows = square.argmin(axis=1), np.arange(len(first))
-    keep = (square.argmin(axis=0)[nearest] == rows) & (square[rows, nearest] < FAR)
-    return np.stack([rows[keep], nearest[keep]], axis=1).astype(np.int64)
-
-
-def ratio_matches(first: Keypoints, now: Keypoints, ratio: float) -> NDArray[np.int64]:
-    """Matches (n, 2) of each feature of `first` whose nearest in `now` is nearer than `ratio` times the second "
-    "nearest."""
-    square = _squares(first, now)
-    if square is None:
-        return np.empty((0, 2), dtype=np.int64)
-    two = np.partition(square, 1, axis=1)[:, :2].astype(np.float64)
-    keep = two[:, 0] < ratio**2 * two[:, 1]
-    return np.stack([np.flatnonzero(keep), square.argmin(axis=1)[keep]], axis=1).astype(np.int64)
-
-
-def _squares(first: Keypoints, now: Keypoints) -> Floats32 | None:
-    """Squared distances of the descriptors, None when there are too few features for a match."""
-    if len(first) < 2 or len(now) < 2 or first.descriptor.shape[1] != now.descriptor.shape[1]:
-        return None
-    square: Floats32 = squared_distances(first.descriptor, now.descriptor, first.kind, now.kind)
-    return square

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan import _core
 from midspan.checks import ValueRange, finite, option, positive, refuse, within
 from midspan.errors import UsageError
 from midspan.notices import Notice
@@ -21,6 +22,9 @@ from midspan.vision.target import lost
 # Numbers of coefficients that each model can have, as OpenCV orders them.
 MODELS: dict[str, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12), "fisheye": (4,)}
 HALF_A_PIXEL = 0.5
+COEFFICIENTS = 12
+# Rays further from the axis than this are not given a place on a plane: 85°.
+STEEPEST = math.tan(math.radians(85.0))
 # Beyond these a lens is no camera's: a thousand times the focal lengths and sizes of real ones.
 MATRIX_PX, DISTORTION, MAX_SIZE_PX = ValueRange(-1e7, 1e7, "px"), ValueRange(-1e6, 1e6), 1_000_000
 
@@ -97,12 +101,10 @@ def straight(places: Floats, lens: Lens) -> tuple[Floats, Floats]:
     Returns places (n, 2) in px and derivatives (n, 2, 2) of them by the shown ones; NaN outside the frame or where the
     model is not unique (its radius no longer grows, or more than 85° from the axis).
     """
-    from midspan.vision.distortion import straightened
-
     places = np.atleast_2d(np.asarray(places, dtype=np.float64))
     inside = np.all((places >= -HALF_A_PIXEL) & (places <= np.array(lens.size) - HALF_A_PIXEL), axis=1)
-    found = straightened(np.where(inside[:, None], places, np.nan), *_prepared(lens))
-    return found[:, :2], found[:, 2:].reshape(-1, 2, 2)
+    found, slopes = _model(lens).straight(np.where(inside[:, None], places, np.nan))
+    return found, slopes.reshape(-1, 2, 2)
 
 
 def bent(places: Floats, lens: Lens) -> tuple[Floats, Floats]:
@@ -110,10 +112,8 @@ def bent(places: Floats, lens: Lens) -> tuple[Floats, Floats]:
 
     Returns places (n, 2) in px and derivatives (n, 2, 2); NaN where the model is not unique.
     """
-    from midspan.vision.distortion import shown
-
-    found = shown(np.atleast_2d(np.asarray(places, dtype=np.float64)), *_prepared(lens))
-    return found[:, :2], found[:, 2:].reshape(-1, 2, 2)
+    found, slopes = _model(lens).shown(np.atleast_2d(np.asarray(places, dtype=np.float64)))
+    return found, slopes.reshape(-1, 2, 2)
 
 
 def check_lens(lens: Lens, region: Region, columns: int, rows: int) -> None:
@@ -211,11 +211,34 @@ def _middle(region: Region, lens: Lens) -> tuple[Floats, Floats, Floats]:
 
 
 @lru_cache(maxsize=64)
-def _prepared(lens: Lens) -> tuple[Floats, bool, Floats, float]:
-    """What the compiled functions take: matrix, whether it is a fisheye, twelve coefficients, the radial limit."""
-    from midspan.vision.distortion import COEFFICIENTS, radial_limit
-
+def _model(lens: Lens) -> _core.LensModel:
+    """The lens for the core: of every model twelve coefficients, filled up with zeros."""
     coefficients = np.zeros(COEFFICIENTS)
     coefficients[: len(lens.distortion)] = lens.distortion
     fisheye = lens.model == "fisheye"
-    return np.array(lens.matrix, dtype=np.float64), fisheye, coefficients, radial_limit(coefficients, fisheye)
+    return _core.LensModel(lens.matrix, fisheye, coefficients.tolist(), radial_limit(coefficients, fisheye))
+
+
+def radial_limit(k: Floats, fisheye: bool) -> float:
+    """Largest distance of a ray from the axis (on the plane at 1) up to which the model's radius still grows.
+
+    k: the twelve coefficients. Beyond it two rays fall on one place of the picture, so nothing can be said there.
+    """
+    if fisheye:
+        # d(theta_d)/d(theta) as a polynomial in theta²
+        slope = np.polynomial.Polynomial([1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]])
+        angle = math.sqrt(_first_root(slope))
+        return min(math.tan(angle), STEEPEST) if angle < 0.5 * math.pi else STEEPEST
+    # r N / D as functions of u = r²; its slope changes sign where (N + 2 u N') D = 2 u N D'
+    above = np.polynomial.Polynomial([1.0, k[0], k[1], k[4]])
+    below = np.polynomial.Polynomial([1.0, k[5], k[6], k[7]])
+    twice = np.polynomial.Polynomial([0.0, 2.0])
+    slope = (above + twice * above.deriv()) * below - twice * above * below.deriv()
+    return min(math.sqrt(min(_first_root(slope), _first_root(below))), STEEPEST)
+
+
+def _first_root(polynomial: "np.polynomial.Polynomial") -> float:
+    roots = polynomial.trim().roots()
+    real = roots[np.abs(roots.imag) < 1e-9 * (1.0 + np.abs(roots))].real
+    positive = real[real > 0.0]
+    return float(positive.min()) if positive.size else math.inf

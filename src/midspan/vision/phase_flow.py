@@ -4,7 +4,6 @@ Equations 1 to 4 of the paper on hybrid phase and feature matching; the gradient
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import Floats
@@ -14,24 +13,14 @@ from midspan.vision.steerable import Complex64
 SMALLEST_SLOPE = 0.1  # rad/px: below it the gradient form would divide by next to nothing
 
 
-@njit(cache=True)
-def _angles(now_even: Floats32, now_odd: Floats32, reference: Complex64, index: NDArray[np.int64]) -> Floats32:
-    even, odd = now_even.ravel(), now_odd.ravel()
-    out = np.empty(index.shape[0], dtype=np.float32)
-    for k in range(index.shape[0]):
-        a, b = even[index[k]], odd[index[k]]
-        c, d = reference[k].real, reference[k].imag
-        out[k] = np.arctan2(b * c - a * d, a * c + b * d)
-    return out
-
-
 def phase_change(now: tuple[Floats32, Floats32], reference: Complex64, index: NDArray[np.int64]) -> Floats32:
     """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index`: (k,) rad.
 
     `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π by itself;
     a difference of two angles would not.
     """
-    return _angles(now[0], now[1], reference, index)
+    here = (now[0] + 1j * now[1]).ravel()[index]
+    return np.asarray(np.angle(here * np.conj(reference)), dtype=np.float32)
 
 
 def phase_slopes(field: Complex64) -> tuple[Floats, Floats]:

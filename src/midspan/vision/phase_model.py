@@ -5,16 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Floats, Region
 from midspan.signals.health import Mask
-from midspan.signals.medians import MEDIAN_OF_SQUARE
 from midspan.vision.active_pixels import by_amplitude, by_correlation, slope_and_r_squared
-from midspan.vision.phase_flow import phase_change, phase_curvatures, phase_slopes
+from midspan.vision.phase_flow import phase_curvatures, phase_slopes
 from midspan.vision.spline import Floats32
-from midspan.vision.steerable import AXES, MARGIN_PX, Complex64, noise_power, quadrature, spread_back
+from midspan.vision.steerable import AXES, MARGIN_PX, Complex64, noise_power, quadrature, spread_back, taps_of
 from midspan.vision.texture import noise_std
 
 BLOCKS = 4  # the residual is watched in 4 by 4 blocks
@@ -25,13 +24,6 @@ GAIN_ERROR_OF_NOISE = 0.35
 SPLIT_FRAMES = 20
 LEAST_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
 LEAST_R_SQUARED = 0.5
-ROUNDS = 3
-CHECKS = 3
-MOST_SIGMA = 4.0
-MOST_BEND_RAD = 0.3
-LEAST_AGREEING = 0.4
-NEARLY_ALL = 0.99
-SMALLEST_DETERMINANT = 1e-3  # (rad/px)², of the mean phases' slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +129,13 @@ class Field:
             index, reference, weight, slope, self.curve[index], unit, block, float(np.sum(spread**2)), gain_error
         )
 
+    def everywhere(self) -> PhaseAxis:
+        """The model with all pixels, alike."""
+        count = self.response.size
+        same, none = np.ones(count), np.zeros(count, dtype=np.int64)
+        index, reference = np.arange(count), self.response.ravel()
+        return PhaseAxis(index, reference, same / count, self.slope, self.curve, same, none, 0.0, 0.0)
+
 
 def reference_field(patch: Floats32, axis: str, spacing: float) -> Field:
     """Responses and phase slopes of a reference `patch` with `INSET_PX` more than the region on every side."""
@@ -235,155 +234,25 @@ def squares(shift: Floats) -> Floats:
     return np.stack([0.5 * x * x, 0.5 * y * y, x * y], axis=-1)
 
 
-@njit(cache=True)
-def _errors(phase: Floats32, slope: Floats, curve: Floats, shift: Floats) -> Floats32:
-    """Phase (k,) less what the translation `shift` (2,) px explains, wrapped into -π … π."""
-    out = np.empty(phase.shape[0], dtype=np.float32)
-    x, y = shift[0], shift[1]
-    for k in range(phase.shape[0]):
-        bend = curve[k, 0] * (0.5 * x * x) + curve[k, 1] * (0.5 * y * y) + curve[k, 2] * (x * y)
-        error = phase[k] - (slope[k, 0] * x + slope[k, 1] * y + bend)
-        if error > np.pi:
-            error -= 2.0 * np.pi
-        elif error < -np.pi:
-            error += 2.0 * np.pi
-        out[k] = error
-    return out
+def target_of(
+    model: PhaseModel, window: Region, offset: float, spacing: float, *, printed: bool = False
+) -> _core.PhaseTarget:
+    """What measures frames with this model: the pixels of `window` less `offset`, filtered with taps every `spacing`.
 
-
-@njit(cache=True)
-def _mean(values: Floats32, weight: Floats) -> float:
-    total = 0.0
-    for k in range(values.shape[0]):
-        total += weight[k] * values[k]
-    return total
-
-
-@njit(cache=True)
-def _block_sums(error: Floats32, weight: Floats, block: NDArray[np.int64]) -> Floats:
-    """Sums (2, 16) over the blocks of weight · error and of the weights."""
-    out = np.zeros((2, BLOCKS * BLOCKS))
-    for k in range(error.shape[0]):
-        out[0, block[k]] += weight[k] * error[k]
-        out[1, block[k]] += weight[k]
-    return out
-
-
-@njit(cache=True, fastmath=True)
-def _coherence(
-    now: tuple[Floats32, Floats32], error: Floats32, reference: Complex64, index: NDArray[np.int64]
-) -> float:
-    """Correlation of the responses once the translation is taken out: 1 for a perfect match."""
-    even, odd = now[0].ravel(), now[1].ravel()
-    both, own, other = 0.0, 0.0, 0.0
-    for k in range(index.shape[0]):
-        a = even[index[k]] ** 2 + odd[index[k]] ** 2
-        r = reference[k].real ** 2 + reference[k].imag ** 2
-        both += np.sqrt(a * r) * np.cos(error[k])
-        own += a
-        other += r
-    return float(both / np.sqrt(max(own * other, 1e-300)))
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseFix:
-    """A translation (2,) px beside the region's whole-pixel place, its variances (2,) px², and coherence 0 to 1."""
-
-    shift_px: Floats
-    variance_px2: Floats
-    coherence: float
-
-
-def measure(model: PhaseModel, now: Sequence[tuple[Floats32, Floats32]]) -> PhaseFix | None:
-    """Translation from the mean phases of both axes; None when their slopes do not tell x from y.
-
-    `now` are the responses (even, odd) of the frame's region along x and y. Active pixels whose phase contradicts the
-    others (something stands before them) do not count in this frame, unless they are the majority.
+    Both axes are solved together, and active pixels whose phase contradicts the others (something stands before them)
+    do not count in a frame, unless they are the majority.
+    printed: each axis alone, the ratio times the mean phase of all active pixels (equations 4 and 17); the variance is
+    then not the paper's, but what one frame's noise makes of it.
     """
-    phases = [phase_change(n, axis.reference, axis.index) for n, axis in zip(now, model.axes, strict=True)]
-    found = _solve(model.axes, phases, np.zeros(2))
-    if found is None:
-        return None
-    shift, errors = found
-    axes = model.axes
-    for _ in range(CHECKS):
-        agreeing = [_agreeing(axis, error) for axis, error in zip(model.axes, errors, strict=True)]
-        if all(a is b for a, b in zip(agreeing, axes, strict=True)):
-            break
-        axes = (agreeing[0], agreeing[1])
-        found = _solve(axes, phases, shift)
-        if found is None:
-            return None
-        shift, errors = found
-    inverse = np.linalg.inv(np.stack([axis.mean_slope for axis in axes]))
-    variance = np.array([_variance(e, a) for e, a in zip(errors, axes, strict=True)])
-    rows = zip(now, errors, model.axes, strict=True)
-    coherence = min(_coherence(n, e, a.reference, a.index) for n, e, a in rows)
-    gain_errors = np.array([axis.gain_error for axis in model.axes])
-    return PhaseFix(shift, np.asarray((inverse**2) @ variance) + (gain_errors * shift) ** 2, coherence)
+    place = (window.x, window.y, window.width, window.height)
+    ratios = model.gains_px_per_rad if printed else None
+    return _core.PhaseTarget(place, offset, taps_of(spacing), model.axes, ratios)
 
 
-def measure_printed(model: PhaseModel, now: Sequence[tuple[Floats32, Floats32]]) -> PhaseFix:
-    """Translation along each axis alone, the ratio times the mean phase of all active pixels: equations 4 and 17.
-
-    The variance is not the paper's: what one frame's noise makes of the mean phase.
-    """
-    phases = [phase_change(n, axis.reference, axis.index) for n, axis in zip(now, model.axes, strict=True)]
-    ratios = np.array(model.gains_px_per_rad)
-    shift = ratios * np.array([_mean(p, a.weight) for p, a in zip(phases, model.axes, strict=True)])
-    errors = [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, model.axes, strict=True)]
-    variance = ratios**2 * np.array([_variance(e, a) for e, a in zip(errors, model.axes, strict=True)])
-    rows = zip(now, errors, model.axes, strict=True)
-    return PhaseFix(shift, variance, min(_coherence(n, e, a.reference, a.index) for n, e, a in rows))
-
-
-def _solve(
-    axes: tuple[PhaseAxis, PhaseAxis], phases: Sequence[Floats32], start: Floats
-) -> tuple[Floats, list[Floats32]] | None:
-    """Translation (2,) px from the mean phases, and what it leaves of each pixel's phase.
-
-    The mean is taken about what the last estimate expects, so that single pixels near ±π do not wrap.
-    """
-    slopes = np.stack([axis.mean_slope for axis in axes])
-    if not abs(float(np.linalg.det(slopes))) > SMALLEST_DETERMINANT:
-        return None
-    inverse = np.linalg.inv(slopes)
-    shift = start
-    for _ in range(ROUNDS):
-        errors = [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, axes, strict=True)]
-        shift = shift + inverse @ np.array([_mean(e, a.weight) for e, a in zip(errors, axes, strict=True)])
-    return shift, [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, axes, strict=True)]
-
-
-def _agreeing(axis: PhaseAxis, error: Floats32) -> PhaseAxis:
-    """The axis without the pixels whose phase is off by more than noise and the linear gain explain.
-
-    The same axis when next to none are, or when most of the weight would go.
-    """
-    square = error**2
-    noise = float(np.median(square / axis.unit)) / MEDIAN_OF_SQUARE
-    weight = np.where(square <= MOST_SIGMA**2 * noise * axis.unit + MOST_BEND_RAD**2, axis.weight, 0.0)
-    share = float(weight.sum())
-    if not LEAST_AGREEING <= share < NEARLY_ALL:
-        return axis
-    return replace(axis, weight=weight / share, sensitivity=axis.sensitivity / share)
-
-
-def _variance(error: Floats32, axis: PhaseAxis) -> float:
-    """Variance (rad²) of the mean phase: from the pixels' scatter, or from the blocks' where that is much larger.
-
-    The scatter is a median: the phase of few pixels is far from linear in the translation, which is no noise.
-    """
-    white = float(np.median(error**2 / axis.unit)) / MEDIAN_OF_SQUARE * axis.sensitivity
-    sums, share = _block_sums(error, axis.weight, axis.block)
-    used = share > 0.0
-    count = int(np.count_nonzero(used))
-    if count < 4:
-        return white
-    # Leaving one block out changes the weighted mean by this much.
-    without = (sums.sum() - sums[used]) / np.maximum(1.0 - share[used], 1e-9)
-    blocks = (count - 1) * float(np.var(without))
-    return blocks if blocks > 3.0 * white else white
+def whole_region(fields: Sequence[Field]) -> PhaseModel:
+    """The model of which every pixel of the region is active, all alike: for the phases of all."""
+    x, y = (field.everywhere() for field in fields)
+    return PhaseModel(x, y)
 
 
 def region_patch(region: Region, x: int, y: int, margin: int) -> tuple[slice, slice]:

@@ -11,17 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Frame, PixelTranslation, Region, Status
 from midspan.signals.running_median import RunningMedian
 from midspan.vision.compression import CodecState, CodecWatch, Compression
 from midspan.vision.fair_variance import USUAL_FRAMES
 from midspan.vision.picture_counts import PictureCounts
-from midspan.vision.picture_difference import detail, frozen_texture, share_at_ends, sharpness
 from midspan.vision.region import clamp, shift
 
-ROWS_LOOKED_AT = 32  # for the detail of each frame
-# For its saturated share, every so many rows: light that drives pixels to full scale covers more than one of them.
-ENDS_ROWS = 64
 FROZEN_MEAN_FRAMES = 96  # the usual share of texture that stood still is a mean over about so many
 FROZEN_FRAMES = 9  # the steps of so many frames are taken for the target's speed
 MOST_FROZEN = 0.9
@@ -100,11 +97,7 @@ class PictureWatch:
 
     def __init__(self, reference: Frame, region: Region, *, lossless: bool = False) -> None:
         self._region, self._lossless = region, lossless
-        self._every = max(region.height // ROWS_LOOKED_AT, 1)
-        cut = _cut(reference.pixels, region)
-        self._zero = detail(cut, self._every)
-        self._step = max(region.height // ENDS_ROWS, 1)
-        self._ends = share_at_ends(cut[:: self._step])
+        self._picture = _core.TargetPicture(reference.pixels, (region.x, region.y, region.width, region.height))
         self._codec = CodecWatch(reference, region)
         self.restore(PictureState(self._codec.state))
 
@@ -131,12 +124,15 @@ class PictureWatch:
             self._before, self._lags = None, (Lag(), Lag())
             return NOTHING
         place = self._place(frame.pixels.shape, found)
-        cut = _cut(frame.pixels, place)
-        if not self._lossless:
-            self._follow_frozen(frame.pixels, found, place, cut)
         self._codec.push(frame.pixels, found, place)
-        sharp = self._sharpness(cut)
-        share = max(share_at_ends(cut[:: self._step]), self._ends)
+        before = None if self._before is None else (self._before[1], self._before[0].x, self._before[0].y)
+        noise = self._codec.usual.noise**2
+        x, y, ends, frozen = self._picture.look(frame.pixels, place.x, place.y, noise, before)
+        if not self._lossless:
+            self._before = place, _cut(frame.pixels, place).copy()
+            self._follow_frozen(frozen, found)
+            self._keep_sharpness(x, y)
+        sharp, share = (x, y), max(ends, self._picture.ends)
         saturated = share / max(1.0 - share, 0.02) if share > SATURATED_SHARE else 0.0
         self.counts.add(found, sharp, saturated)
         added = self.compression.std_px**2 + SATURATED_STD_PX**2 * saturated
@@ -156,7 +152,7 @@ class PictureWatch:
     @property
     def saturated_share(self) -> float:
         """Share of the region's pixels at the end of the scale, 0 to 1: the usual frame's or the reference's."""
-        return max(self._codec.usual.ends, self._ends)
+        return max(self._codec.usual.ends, self._picture.ends)
 
     def relative_scale_std(self, axis: str) -> float:
         """Relative standard deviation that compression adds to a scale factor estimated on the frames so far."""
@@ -168,31 +164,19 @@ class PictureWatch:
         """Whether the usual frame has another sharpness than the reference."""
         return any(_change(median.value) <= BLURRED for median in self._sharp)
 
-    def _follow_frozen(
-        self, pixels: NDArray[np.generic], found: PixelTranslation, place: Region, cut: NDArray[np.generic]
-    ) -> None:
-        """Follow what a codec left standing still."""
-        frozen = self._frozen(pixels)
-        self._before = place, cut.copy()
-        self._frozen_share += (frozen - self._frozen_share) / min(self._codec.frames + 1, FROZEN_MEAN_FRAMES)
+    def _follow_frozen(self, frozen: float, found: PixelTranslation) -> None:
+        """Follow what a codec left standing still: a share of the texture, in a frame with the target at `found`."""
+        self._frozen_share += (frozen - self._frozen_share) / min(self._codec.frames, FROZEN_MEAN_FRAMES)
         self._lags = self._lags[0].after(found.x_px, frozen), self._lags[1].after(found.y_px, frozen)
 
-    def _frozen(self, pixels: NDArray[np.generic]) -> float:
-        """Share of the texture in blocks that are bit for bit those of the frame before, where the target was then."""
-        if self._before is None:
-            return 0.0
-        then, cut = self._before
-        frozen, whole = frozen_texture(_cut(pixels, then), cut, then.x, then.y)
-        return frozen / whole if whole > 0.0 else 0.0
+    def _keep_sharpness(self, x: float, y: float) -> None:
+        """Count the detail of a frame's target over the reference's, square and without noise, for the usual one.
 
-    def _sharpness(self, cut: NDArray[np.generic]) -> tuple[float, float]:
-        """Detail along x and y of a frame's target over the reference's, square and without noise."""
-        x, y = sharpness(cut, self._every, self._zero, self._codec.usual.noise**2)
-        # They tell of what a codec did, see `compression`.
-        if not self._lossless and math.isfinite(x + y):
+        They tell of what a codec did, see `compression`.
+        """
+        if math.isfinite(x + y):
             for median, value in zip(self._sharp, (x, y), strict=True):
                 median.push(value)
-        return x, y
 
     def _place(self, shape: tuple[int, ...], found: PixelTranslation) -> Region:
         """The region moved by whole pixels, inside the image."""

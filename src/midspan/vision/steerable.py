@@ -8,9 +8,9 @@ local phase.
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Floats
 from midspan.vision.spline import Floats32
 
@@ -34,6 +34,12 @@ def filter_taps(spacing: float = SPACING) -> tuple[Floats, Floats, Floats]:
     return even - across * (even.sum() / across.sum()), odd, across
 
 
+def taps_of(spacing: float) -> tuple[list[float], list[float], list[float]]:
+    """The same taps as lists."""
+    even, odd, across = filter_taps(spacing)
+    return even.tolist(), odd.tolist(), across.tolist()
+
+
 @cache
 def noise_power(spacing: float = SPACING) -> tuple[float, float]:
     """Variance of the even and the odd response to white noise of variance 1."""
@@ -42,48 +48,9 @@ def noise_power(spacing: float = SPACING) -> tuple[float, float]:
     return float(np.sum(even**2)) * wide, float(np.sum(odd**2)) * wide
 
 
-@njit(cache=True, fastmath=True)
-def _along_x(patch: Floats32, even: Floats32, odd: Floats32, across: Floats32) -> tuple[Floats32, Floats32]:
-    taps = even.shape[0]
-    rows, columns = patch.shape[0] - taps + 1, patch.shape[1] - taps + 1
-    g, h = np.zeros((rows, columns), dtype=np.float32), np.zeros((rows, columns), dtype=np.float32)
-    line = np.empty(patch.shape[1], dtype=np.float32)
-    for r in range(rows):
-        line[:] = np.float32(0.0)
-        for j in range(taps):
-            for c in range(patch.shape[1]):
-                line[c] += across[j] * patch[r + j, c]
-        for i in range(taps):
-            for c in range(columns):
-                g[r, c] += even[i] * line[c + i]
-                h[r, c] += odd[i] * line[c + i]
-    return g, h
-
-
-@njit(cache=True, fastmath=True)
-def _along_y(patch: Floats32, even: Floats32, odd: Floats32, across: Floats32) -> tuple[Floats32, Floats32]:
-    taps = even.shape[0]
-    rows, columns = patch.shape[0] - taps + 1, patch.shape[1] - taps + 1
-    g, h = np.zeros((rows, columns), dtype=np.float32), np.zeros((rows, columns), dtype=np.float32)
-    level, slope = np.empty(patch.shape[1], dtype=np.float32), np.empty(patch.shape[1], dtype=np.float32)
-    for r in range(rows):
-        level[:] = np.float32(0.0)
-        slope[:] = np.float32(0.0)
-        for j in range(taps):
-            for c in range(patch.shape[1]):
-                level[c] += even[j] * patch[r + j, c]
-                slope[c] += odd[j] * patch[r + j, c]
-        for i in range(taps):
-            for c in range(columns):
-                g[r, c] += across[i] * level[c + i]
-                h[r, c] += across[i] * slope[c + i]
-    return g, h
-
-
 def responses(patch: Floats32, axis: str, spacing: float = SPACING) -> tuple[Floats32, Floats32]:
     """Even and odd response of `patch` (rows + 8, columns + 8) along `axis` "x" or "y": two arrays (rows, columns)."""
-    even, odd, across = (taps.astype(np.float32) for taps in filter_taps(spacing))
-    return (_along_x if axis == "x" else _along_y)(np.ascontiguousarray(patch), even, odd, across)
+    return _core.steerable_responses(patch, axis == "y", taps_of(spacing))
 
 
 def quadrature(patch: Floats32, axis: str, spacing: float = SPACING) -> Complex64:

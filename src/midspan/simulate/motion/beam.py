@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.checks import positive, refuse
 from midspan.records import Floats
 from midspan.simulate.motion.motion import FineSteps, Motion, Pulse, Sines, Sum, Window
@@ -33,16 +33,6 @@ class Beam:
         root = np.sqrt(self.rigidity_n_m2 / self.mass_kg_m)
         result: Floats = number**2 * np.pi / (2 * self.length_m**2) * root
         return result
-
-
-@njit(cache=True)
-def _respond(force: Floats, transition: Floats, load_now: Floats, load_next: Floats, states: Floats) -> None:
-    """Fill `states` (n, 2) with displacement and velocity of one mode under a force linear between the steps."""
-    for k in range(1, force.shape[0]):
-        x, v = states[k - 1, 0], states[k - 1, 1]
-        for i in range(2):
-            driven = load_now[i] * force[k - 1] + load_next[i] * force[k]
-            states[k, i] = transition[i, 0] * x + transition[i, 1] * v + driven
 
 
 def _recurrence(omega: float, damping: float, step_s: float) -> tuple[Floats, Floats, Floats]:
@@ -75,8 +65,7 @@ def respond(beam: Beam, force_n: Floats, *, step_rate_hz: float = 4000.0, start_
     for frequency in beam.frequencies_hz():
         omega = float(2 * np.pi * frequency)
         transition, load_now, load_next = _recurrence(omega, beam.damping, 1 / step_rate_hz)
-        states = np.zeros((len(pressure), 2))
-        _respond(pressure, transition, load_now, load_next, states)
+        states = _core.modal_response(pressure, transition.tolist(), load_now.tolist(), load_next.tolist())
         acceleration = pressure - 2 * beam.damping * omega * states[:, 1] - omega**2 * states[:, 0]
         total += np.stack([states[:, 0], states[:, 1], acceleration])
     return FineSteps(start_s, 1 / step_rate_hz, total[0], total[1], total[2])

@@ -7,9 +7,9 @@ box), and interpolated by a quintic B-spline whose coefficients are exact for th
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.checks import positive, refuse
 from midspan.records import Floats
 
@@ -18,76 +18,6 @@ LENS_PX = 0.6  # standard deviation of the lens blur of a good camera, px
 REACH_PX = 16.0  # largest translation that can be rendered, px, unless told
 
 Image = NDArray[np.float32]
-
-
-@njit(cache=True)
-def _spline(x: float) -> float:
-    """The quintic B-spline at x."""
-    a = abs(x)
-    if a < 1.0:
-        return 11.0 / 20 - a**2 / 2 + a**4 / 4 - a**5 / 12
-    if a < 2.0:
-        return 17.0 / 40 + 5 * a / 8 - 7 * a**2 / 4 + 5 * a**3 / 4 - 3 * a**4 / 8 + a**5 / 24
-    return (3 - a) ** 5 / 120 if a < 3.0 else 0.0
-
-
-@njit(cache=True)
-def _spline_slope(x: float) -> float:
-    """The derivative of the quintic B-spline at x."""
-    a = abs(x)
-    if a < 1.0:
-        slope = -a + a**3 - 5 * a**4 / 12
-    elif a < 2.0:
-        slope = 5.0 / 8 - 7 * a / 2 + 15 * a**2 / 4 - 3 * a**3 / 2 + 5 * a**4 / 24
-    else:
-        slope = -((3 - a) ** 4) / 24 if a < 3.0 else 0.0
-    return slope if x >= 0 else -slope
-
-
-@njit(cache=True)
-def _weights(places: Floats, derivative: bool, first: int, out: Floats) -> None:
-    """Weights `out` (sub, taps) of the samples first, first + 1 … for reading at each of `places` (sub,)."""
-    for s in range(places.shape[0]):
-        for j in range(out.shape[1]):
-            x = places[s] - (first + j)
-            out[s, j] = _spline_slope(x) if derivative else _spline(x)
-
-
-@njit(cache=True, fastmath=True)
-def _gather(coefficients: NDArray[np.float32], weight: Image, starts: NDArray[np.int64], out: Image) -> None:
-    """Sum weighted coefficients (samples down, SAMPLES phases, columns) into `out` (rows, columns).
-
-    `weight` (1 or rows, taps down, taps across) and `starts` (1 or rows, 2: down, across) serve all rows or one each.
-    """
-    columns = out.shape[1]
-    for r in range(out.shape[0]):
-        k = r if weight.shape[0] > 1 else 0
-        row = out[r]
-        for j in range(weight.shape[1]):
-            layer = coefficients[SAMPLES * r + starts[k, 0] + j]
-            for i in range(weight.shape[2]):
-                w = weight[k, j, i]
-                if w != 0:
-                    place = starts[k, 1] + i
-                    # Places count from 0 here, so that Numba sees none below it and takes several of a line at once.
-                    line = layer[place % SAMPLES, place // SAMPLES : place // SAMPLES + columns]
-                    for c in range(columns):
-                        row[c] += w * line[c]
-
-
-def _taps(x_px: Floats, y_px: Floats, margin: int, order: tuple[int, int]) -> tuple[Image, NDArray[np.int64]]:
-    """Weights (rows, taps, taps) and starts (rows, 2) for the mean over sub-exposures at x_px, y_px (rows, sub)."""
-    down, across = SAMPLES * (margin - y_px), SAMPLES * (margin - x_px)
-    low = np.stack([np.floor(down.min(axis=1)), np.floor(across.min(axis=1))], axis=1).astype(np.int64) - 2
-    high = np.stack([np.floor(down.max(axis=1)), np.floor(across.max(axis=1))], axis=1).astype(np.int64) + 3
-    rows, (tall, wide) = len(down), (high - low).max(axis=0) + 1
-    weight = np.empty((rows, tall, wide), dtype=np.float32)
-    for r in range(rows):
-        w_down, w_across = np.empty((down.shape[1], tall)), np.empty((down.shape[1], wide))
-        _weights(down[r], order[1] == 1, int(low[r, 0]), w_down)
-        _weights(across[r], order[0] == 1, int(low[r, 1]), w_across)
-        weight[r] = w_down.T @ w_across / down.shape[1]
-    return weight, low
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +54,8 @@ class Scene:
         furthest = max(float(np.abs(x).max()), float(np.abs(y).max()))
         if not furthest <= self.reach_px:
             raise refuse("translation", f"within ±{self.reach_px:g} px of this scene", furthest, "Enlarge reach_px.")
-        weight, starts = _taps(x, y, _margin(self.reach_px), order)
-        image = np.zeros((self.rows, self.columns), dtype=np.float32)
-        _gather(self.coefficients, weight, starts, image)
-        return image
+        shape = self.rows, self.columns
+        return _core.render_scene(self.coefficients, shape, _margin(self.reach_px), x, y, order)
 
 
 def _margin(reach_px: float) -> int:

@@ -1,9 +1,8 @@
 """Textures for scenes, drawn at eight samples a pixel in DN (0 … 255): what structures stand in front of."""
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.checks import option
 from midspan.records import Floats
 from midspan.simulate.scene.scene import REACH_PX, SAMPLES, Scene, canvas_shape, scene_of
@@ -49,16 +48,6 @@ def natural(shape: tuple[int, int], std_dn: float, *, rng: np.random.Generator) 
     return canvas
 
 
-@njit(cache=True)
-def _paint(canvas: NDArray[np.float64], boxes: NDArray[np.int64], tones: Floats) -> None:
-    """Paint rectangles (n, 4: top, left, height, width) one over the other, wrapping around the edges."""
-    for k in range(boxes.shape[0]):
-        for r in range(boxes[k, 2]):
-            line = canvas[(boxes[k, 0] + r) % canvas.shape[0]]
-            for c in range(boxes[k, 3]):
-                line[(boxes[k, 1] + c) % canvas.shape[1]] = tones[k]
-
-
 def blocks(shape: tuple[int, int], *, rng: np.random.Generator) -> Floats:
     """Dead leaves (samples down, across): rectangles of 2 to 40 px, small ones commonest, of even tones 30 … 225 DN."""
     area_px = shape[0] * shape[1] / SAMPLES**2
@@ -67,9 +56,7 @@ def blocks(shape: tuple[int, int], *, rng: np.random.Generator) -> Floats:
     sizes = SAMPLES / np.sqrt(rng.uniform(1 / 40.0**2, 1 / 2.0**2, (count, 2)))
     corners = rng.integers(0, np.array(shape), (count, 2))
     boxes = np.concatenate([corners, np.rint(sizes).astype(np.int64)], axis=1)
-    canvas = np.full(shape, 128.0)
-    _paint(canvas, boxes, rng.uniform(30, 225, count))
-    return canvas
+    return _core.paint_boxes(shape, 128.0, boxes, rng.uniform(30, 225, count))
 
 
 def facade(shape: tuple[int, int], *, rng: np.random.Generator) -> Floats:

@@ -1,0 +1,161 @@
+//! Images as they lie in memory: rows of pixels at any distance from each other, and parts of them without a copy.
+
+use std::ops::{Add, Mul, Sub};
+
+/// A number that pixels are computed with.
+pub trait Level: Copy + Default + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
+    /// Whether it is a whole number.
+    const WHOLE: bool;
+    /// As a 64 bit floating point number.
+    fn number(self) -> f64;
+    /// Without its sign.
+    fn magnitude(self) -> Self;
+}
+
+macro_rules! level {
+    ($($kind:ty, $whole:expr;)*) => {
+        $(impl Level for $kind {
+            const WHOLE: bool = $whole;
+            #[inline(always)]
+            fn number(self) -> f64 {
+                self as f64
+            }
+            #[inline(always)]
+            fn magnitude(self) -> Self {
+                self.abs()
+            }
+        })*
+    };
+}
+level! {
+    i32, true;
+    i64, true;
+    f64, false;
+}
+
+/// A kind of pixel; `Level` holds the squares of its differences.
+pub trait Pixel: Copy + PartialEq + PartialOrd + Send + Sync {
+    /// What it is computed with.
+    type Level: Level;
+    /// Full scale where it is a whole number: cameras put 10 or 12 bits into 16, so that of these it is a guess.
+    const FULL_SCALE: Option<f64>;
+    /// As what it is computed with.
+    fn level(self) -> Self::Level;
+    /// Less an offset, in the precision that it has: a small contrast on a large level must not be lost.
+    fn less(self, offset: f64) -> f32;
+}
+
+macro_rules! pixel {
+    ($($kind:ty, $level:ty, $scale:expr, |$value:ident, $offset:ident| $less:expr;)*) => {
+        $(impl Pixel for $kind {
+            type Level = $level;
+            const FULL_SCALE: Option<f64> = $scale;
+            #[inline(always)]
+            fn level(self) -> $level {
+                self as $level
+            }
+            #[inline(always)]
+            fn less(self, $offset: f64) -> f32 {
+                let $value = self;
+                $less
+            }
+        })*
+    };
+}
+pixel! {
+    u8, i32, Some(255.0), |value, offset| f32::from(value) - offset as f32;
+    u16, i64, Some(1023.0), |value, offset| f32::from(value) - offset as f32;
+    i16, i64, Some(1023.0), |value, offset| f32::from(value) - offset as f32;
+    i32, f64, Some(1023.0), |value, offset| (f64::from(value) - offset) as f32;
+    i64, f64, Some(1023.0), |value, offset| (value as f64 - offset) as f32;
+    f32, f64, None, |value, offset| (f64::from(value) - offset) as f32;
+    f64, f64, None, |value, offset| (value - offset) as f32;
+}
+
+/// A place in an image, or a part of one: first column and row, and how many of each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Region {
+    /// First column.
+    pub x: i64,
+    /// First row.
+    pub y: i64,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl Region {
+    /// Moved by whole pixels, with so many more on every side.
+    pub fn moved(self, x: i64, y: i64, margin: usize) -> Self {
+        let more = margin as i64;
+        let (width, height) = (self.width + 2 * margin, self.height + 2 * margin);
+        Self {
+            x: self.x.saturating_add(x).saturating_sub(more),
+            y: self.y.saturating_add(y).saturating_sub(more),
+            width,
+            height,
+        }
+    }
+}
+
+/// An image, or a part of one.
+#[derive(Clone, Copy)]
+pub struct Image<'a, T> {
+    pixels: &'a [T],
+    /// How many rows.
+    pub rows: usize,
+    /// How many columns.
+    pub columns: usize,
+    stride: usize,
+}
+
+impl<'a, T: Copy> Image<'a, T> {
+    /// Rows of `columns` pixels whose first ones lie `stride` pixels apart; None where `pixels` do not hold them.
+    pub fn new(pixels: &'a [T], rows: usize, columns: usize, stride: usize) -> Option<Self> {
+        let needed = rows.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(columns))?;
+        (needed <= pixels.len() && columns <= stride.max(columns)).then_some(Self { pixels, rows, columns, stride })
+    }
+
+    /// A row's pixels.
+    #[inline(always)]
+    pub fn row(&self, row: usize) -> &'a [T] {
+        assert!(row < self.rows);
+        &self.pixels[row * self.stride..][..self.columns]
+    }
+
+    /// The part of the image in a region; None where that is not wholly inside.
+    pub fn cut(&self, region: Region) -> Option<Self> {
+        let (x, y) = (usize::try_from(region.x).ok()?, usize::try_from(region.y).ok()?);
+        let (right, bottom) = (x.checked_add(region.width)?, y.checked_add(region.height)?);
+        if right > self.columns || bottom > self.rows || region.width == 0 || region.height == 0 {
+            return None;
+        }
+        let pixels = &self.pixels[y * self.stride + x..];
+        Some(Self { pixels, rows: region.height, columns: region.width, stride: self.stride })
+    }
+
+    /// One in `step` rows.
+    pub fn thinned(&self, step: usize) -> Self {
+        Self { rows: self.rows.div_ceil(step), stride: self.stride * step, ..*self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_is_the_pixels_of_its_rows_and_columns_and_one_that_leaves_the_image_is_none() {
+        let pixels: Vec<u8> = (0..60).collect();
+        let image = Image::new(&pixels, 6, 8, 10).unwrap();
+        let part = image.cut(Region { x: 5, y: 2, width: 3, height: 4 }).unwrap();
+        assert_eq!(part.row(0), [25, 26, 27]);
+        assert_eq!(part.thinned(2).row(1), [45, 46, 47]);
+        assert_eq!((part.thinned(3).rows, part.thinned(9).rows), (2, 1));
+        for (x, y, width, height) in [(6, 2, 3, 4), (5, 3, 3, 4), (-1, 0, 3, 3), (0, 0, 0, 3)] {
+            assert!(image.cut(Region { x, y, width, height }).is_none());
+        }
+        assert!(Image::new(&pixels, 7, 8, 10).is_none());
+    }
+}

@@ -1,0 +1,169 @@
+//! Loops over pixels, compiled twice: for any processor, and for one with AVX2 where there is one.
+//!
+//! Both are the same code. Sums run in [`LANES`] partial sums whatever the processor, and no product is fused with a
+//! sum, so that the results are equal bit for bit.
+
+use super::image::{Level, Pixel};
+use std::array::from_fn;
+
+/// A function compiled for any processor and for AVX2; which of the two runs is decided when it is called.
+///
+/// The work is to be done in loops: what an iterator collects may stay a function of its own, compiled for any processor.
+macro_rules! vectorised {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident $(<$T:ident : $bound:path>)? ($($arg:ident : $ty:ty),* $(,)?)
+     $(-> $out:ty)? $body:block) => {
+        $(#[$doc])*
+        $vis fn $name $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? {
+            #[inline(always)]
+            fn portable $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? $body
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2")]
+            unsafe fn wide $(<$T: $bound>)? ($($arg: $ty),*) $(-> $out)? {
+                portable($($arg),*)
+            }
+            #[cfg(target_arch = "x86_64")]
+            if $crate::track::vector::is_wide() {
+                // SAFETY: the processor has AVX2, as has just been asked; there is no other condition.
+                return unsafe { wide($($arg),*) };
+            }
+            portable($($arg),*)
+        }
+    };
+}
+pub(crate) use vectorised;
+
+/// Partial sums that a long sum of numbers that are not whole runs in: column c belongs to lane c mod 4.
+pub const LANES: usize = 4;
+// 32 bits hold the squares of 8 bits of so many columns: 32768 · 255² < 2³¹.
+const PART: usize = 32768;
+
+/// Sums (N,) over the columns of rows of equal length of what `term` makes of a pixel of each.
+///
+/// Sums of whole numbers are exact in whatever order they are taken, which leaves it to the compiler.
+#[inline(always)]
+pub fn sums<T: Pixel, const I: usize, const N: usize>(
+    rows: [&[T]; I],
+    term: impl Fn([T::Level; I]) -> [T::Level; N],
+) -> [f64; N] {
+    let count = rows[0].len();
+    let rows = rows.map(|row| &row[..count]);
+    if T::Level::WHOLE {
+        let mut total = [0.0; N];
+        for begin in (0..count).step_by(PART) {
+            let mut sum = [T::Level::default(); N];
+            // Each of the rows has an element `c`.
+            #[allow(clippy::needless_range_loop)]
+            for c in begin..count.min(begin + PART) {
+                let terms = term(from_fn(|i| rows[i][c].level()));
+                for n in 0..N {
+                    sum[n] = sum[n] + terms[n];
+                }
+            }
+            total = from_fn(|n| total[n] + sum[n].number());
+        }
+        return total;
+    }
+    let mut lanes = [[T::Level::default(); N]; LANES];
+    for c in 0..count {
+        let terms = term(from_fn(|i| rows[i][c].level()));
+        let lane = &mut lanes[c % LANES];
+        for n in 0..N {
+            lane[n] = lane[n] + terms[n];
+        }
+    }
+    from_fn(|n| (lanes[0][n].number() + lanes[1][n].number()) + (lanes[2][n].number() + lanes[3][n].number()))
+}
+
+/// Partial sums of `total` and `dot`.
+const WIDE_LANES: usize = 8;
+
+vectorised! {
+/// The sum of the products of single precision numbers, in double precision.
+pub fn dot(one: &[f32], other: &[f32]) -> f64 {
+    let mut lanes = [0.0; WIDE_LANES];
+    let (one_parts, other_parts) = (one.chunks_exact(WIDE_LANES), other.chunks_exact(WIDE_LANES));
+    let rest = one_parts.remainder().iter().zip(other_parts.remainder());
+    for (one, other) in one_parts.zip(other_parts) {
+        for (lane, (a, b)) in lanes.iter_mut().zip(one.iter().zip(other)) {
+            *lane += f64::from(a * b);
+        }
+    }
+    for (lane, (a, b)) in lanes.iter_mut().zip(rest) {
+        *lane += f64::from(a * b);
+    }
+    folded(lanes)
+}
+}
+
+vectorised! {
+/// The sum of single precision numbers, in double precision.
+pub fn total(values: &[f32]) -> f64 {
+    let mut lanes = [0.0; WIDE_LANES];
+    let parts = values.chunks_exact(WIDE_LANES);
+    let rest = parts.remainder();
+    for part in parts {
+        for (lane, &value) in lanes.iter_mut().zip(part) {
+            *lane += f64::from(value);
+        }
+    }
+    for (lane, &value) in lanes.iter_mut().zip(rest) {
+        *lane += f64::from(value);
+    }
+    folded(lanes)
+}
+}
+
+#[inline(always)]
+fn folded(lanes: [f64; WIDE_LANES]) -> f64 {
+    let [a, b, c, d, e, f, g, h] = lanes;
+    ((a + b) + (c + d)) + ((e + f) + (g + h))
+}
+
+/// Whether the loops for AVX2 are used.
+pub fn is_wide() -> bool {
+    #[cfg(test)]
+    if PORTABLE.get() {
+        return false;
+    }
+    #[cfg(target_arch = "x86_64")]
+    return is_x86_feature_detected!("avx2");
+    #[cfg(not(target_arch = "x86_64"))]
+    return false;
+}
+
+#[cfg(test)]
+thread_local! {
+    static PORTABLE: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+/// What some work gives with and without AVX2, after asserting that the two are the same.
+#[cfg(test)]
+pub fn on_both<R: PartialEq + std::fmt::Debug>(work: impl Fn() -> R) -> R {
+    PORTABLE.set(true);
+    let portable = work();
+    PORTABLE.set(false);
+    assert_eq!(portable, work());
+    portable
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn sums_are_those_of_the_columns_one_by_one(row in prop::collection::vec(0u8..255, 1..100)) {
+            let [total, square] = sums([&row[..]], |[v]| [v, v * v]);
+            prop_assert_eq!(total, row.iter().map(|&v| f64::from(v)).sum::<f64>());
+            prop_assert_eq!(square, row.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>());
+        }
+    }
+
+    #[test]
+    fn wide_rows_do_not_overflow_their_lanes() {
+        let row = vec![255u8; 300_001];
+        assert_eq!(sums([&row[..]], |[v]| [v * v]), [300_001.0 * 255.0 * 255.0]);
+    }
+}
