@@ -135,7 +135,7 @@ def seeds(kind: Kind, options: argparse.Namespace) -> Sequence[int]:
 
 def run_apart(folder: Path) -> list[Outcome]:
     """Run the same command line in PROCESSES processes of one thread each, and read what they wrote."""
-    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     folder.mkdir(parents=True, exist_ok=True)
     tables = [folder / f"{part}.csv" for part in range(PROCESSES)]
     command = [sys.executable, "-m", "benchmarks.honesty", *(word for word in sys.argv[1:] if word != "honesty")]

@@ -27,7 +27,7 @@ FRAMES, LIMIT_S = 2000, 600.0
 ROUNDS, SHORT_S = 3, 5.0  # a work that takes longer is done once: chance changes it less than its factor
 DURATION_S, SNR_DB = 1000.0, 40.0
 PHASES = np.array([0.3, 1.7, 2.9, 4.1, 5.3])
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TRACKERS = tuple(WORKS)[:4]
 PAGE = """# Other software, in one run
 

@@ -80,10 +80,8 @@ def rms(found: Floats) -> float:
 
 def main() -> None:
     import cv2
-    import numba
 
     cv2.setNumThreads(1)
-    numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as name:
         whole, short = Path(name) / "whole.npy", Path(name) / "short.npy"
         write(whole)

@@ -268,10 +268,8 @@ def decoding_share(folder: Path, count: int) -> None:
 
 def main() -> None:
     import cv2
-    import numba
 
     cv2.setNumThreads(1)
-    numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as name:
         beside_peers(Path(name))
         for count in HD_LENGTHS:

@@ -21,29 +21,6 @@ settings.register_profile("any machine", deadline=None, derandomize=True, suppre
 settings.load_profile("any machine")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Compiled loops of the estimator that are older than its sources are thrown away.
-
-    Numba keeps them by the file that a function stands in, and does not see that a function which is inlined there has
-    changed in another file.
-    """
-    room = Path(__file__).parents[1] / "src" / "midspan" / "fusion"
-    kept = list((room / "__pycache__").glob("*.nb?"))
-    newest = max(file.stat().st_mtime for file in room.glob("*.py"))
-    if not hasattr(config, "workerinput") and any(file.stat().st_mtime < newest for file in kept):
-        for file in kept:
-            file.unlink(missing_ok=True)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What compiles the estimator runs first.
-
-    Another worker begins in the middle of the tests, and finds the estimator compiled when it needs it: both would
-    compile it at the same time otherwise, a minute each.
-    """
-    items.sort(key=lambda item: item.get_closest_marker("compiles") is None)
-
-
 FOOTBRIDGE = Scenario(
     line="a small footbridge for tests",
     title="small footbridge",

@@ -111,7 +111,6 @@ def test_a_bias_that_drifts_is_told_from_none_in_a_record_of_any_length(length_s
         assert rates == [0.0, pytest.approx(0.2 / 60.0, rel=0.05)]
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("drifts", [False, True])
 def test_whitened_innovations_are_those_of_the_filter(drifts):
     # Second route: the fusion filter itself, on the scaled signals, with the same noise levels and no gate.

@@ -5,7 +5,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable
-from functools import cache
 from typing import Any, TypeVar
 
 import click
@@ -75,7 +74,6 @@ class Console:
             return
         from tqdm import tqdm
 
-        _tell_of_compiling()
         if what != self._what:
             self.done()
             self._what = what
@@ -95,26 +93,6 @@ class Console:
         if self._bar is not None:
             self._bar.close()
         self._bar, self._what = None, ""
-
-
-@cache
-def _tell_of_compiling() -> None:
-    """Print a line when Numba first compiles something that its cache does not hold, which takes up to a minute."""
-    from numba.core import event
-
-    class Teller(event.Listener):
-        told = False
-
-        def on_start(self, event: Any) -> None:
-            if not self.told:
-                self.told = True
-                click.echo("midspan: compiling kernels for this machine, once; this takes up to a minute.", err=True)
-
-        def on_end(self, event: Any) -> None:
-            pass
-
-    register: Any = event.register
-    register("numba:compile", Teller())
 
 
 def _finite(value: Any) -> Any:

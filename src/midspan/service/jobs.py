@@ -1,4 +1,4 @@
-"""Long work in processes of their own: calibrating a captured recording, and compiling what opening a point needs."""
+"""Long work in a process of its own: calibrating a captured recording."""
 
 import asyncio
 import json
@@ -8,20 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from midspan.errors import DataError, UntrustedError
-from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration
+from midspan.settings.stored.calibration import CALIBRATION_FILE
 
 # A calibration of an hour's recording takes minutes.
 LONGEST_S = 1800.0
 # Of the process, as of POSIX (0 usual, 19 least urgent): a tenth of the processor where the engine needs it all.
 NICENESS = 10
 COMMAND = "from midspan.cli.main import main; main()"
-OPENING = """
-import sys
-from pathlib import Path
-from midspan.service.opening import opened
-from midspan.settings.stored.calibration_file import load_calibration
-opened(Path(sys.argv[1]), "point", load_calibration(sys.argv[2]), 1)
-"""
 
 
 async def calibrated_folder(folder: Path) -> str:
@@ -37,15 +30,6 @@ async def calibrated_folder(folder: Path) -> str:
     except (ValueError, KeyError, TypeError):
         text = f"The calibration's process ended with code {code}."
     raise UntrustedError(text) if code == UntrustedError.exit_code else DataError(text)
-
-
-async def compiled(folder: Path, calibration: Calibration) -> None:
-    """Open a captured recording once where nobody waits for it, so that what this compiles is in Numba's cache.
-
-    Compiling takes up to a minute, and holds up the process that it is done in. What goes wrong is left to the opening.
-    """
-    file = await asyncio.to_thread(calibration.save, folder)
-    await _ran(OPENING, str(folder), str(file))
 
 
 async def _ran(program: str, *arguments: str) -> tuple[int | None, bytes]:

@@ -19,7 +19,7 @@ from midspan.service.calibrations import accepted, added, loaded, number_in_forc
 from midspan.service.cutting import needed
 from midspan.service.figures import figures
 from midspan.service.intake import MQTT, Intake
-from midspan.service.jobs import calibrated_folder, compiled
+from midspan.service.jobs import calibrated_folder
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, rows_of, summary
@@ -65,8 +65,6 @@ class Service:
         self._old_ns: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._jobs: set[asyncio.Task[None]] = set()
-        # Methods and kinds of sensors that a point was opened with, so that nothing is left to compile.
-        self._compiled: set[tuple[str, ...]] = set()
         # One calibration at a time, and one opening, which waits for none: the engine needs the processor.
         self._one_at_a_time = {"calibrate": asyncio.Lock(), "open": asyncio.Lock()}
 
@@ -229,10 +227,6 @@ class Service:
     async def _open(self, one: Running, job: Job) -> None:
         live = one.live
         calibration = await asyncio.to_thread(self._calibration, one)
-        kernels = (live.plan.settings.method, *sorted(one.kind(name) for name in live.plan.sources))
-        if kernels not in self._compiled:
-            await compiled(job.folder, calibration)
-            self._compiled.add(kernels)
         found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
         self._intake.cut(one, *(other for other in (live.opened, found) if other is not None))
         live.is_opened(found)

@@ -15,7 +15,7 @@ import numpy as np
 from midspan.records import NANOSECONDS, Arrival, Frame, Readings, Region
 from midspan.service.cutting import part_of, whole_frame
 
-# Records wait for at most so long: the first opening compiles, and the points of a site open one after another.
+# Records wait for at most so long: the points of a site are calibrated and opened one after another.
 MAX_WAIT_S = 600.0
 # The frames of a point that wait take so many bytes of the disk at most; the oldest are dropped then. Regions of
 # 256 x 256 px at 25 frames a second, with what is around them, reach it after 160 s, those of 128 x 128 px after 600 s.
