@@ -1,18 +1,13 @@
 import numpy as np
 import pytest
 
-from midspan._core import fine_weights, read_fine, refined
+from midspan._core import read_fine, refined
 from midspan.records import Region
 from midspan.vision.learning import KeptSamples, Sample, fit, learn_plane
 from midspan.vision.plane import best_smoothing_px, first_plane
 from midspan.vision.spline import coefficients, combine, weights
 
 SIZE = 64
-
-
-def moved(fine, x, y, down=0, across=0):
-    """The fine spline moved by x, y px, or a derivative of it."""
-    return read_fine(fine, fine_weights(-y, down), fine_weights(-x, across))
 
 
 def test_the_finer_spline_continues_the_one_on_the_pixels(make_scene):
@@ -23,7 +18,7 @@ def test_the_finer_spline_continues_the_one_on_the_pixels(make_scene):
     # Two splines of fifth order through the same samples: what differs is the second one's interpolation, below 1e-3 of
     # the contrast of 30 DN, and single precision.
     for down, across in ((0, 0), (0, 1), (1, 0)):
-        got = moved(fine, x, y, down, across)
+        got = read_fine(fine, x, y, down, across)
         expected = combine(grid, weights(-y, down), weights(-x, across))
         assert np.abs(got[inner] - expected).max() < 0.03
 
@@ -39,7 +34,7 @@ def test_a_fit_to_frames_at_many_places_shows_what_one_frame_folds(make_scene, h
     truth = scene.image(SIZE, SIZE, *test)[inner]
 
     def error(fine):
-        return np.std(moved(fine, *test)[inner] - truth)
+        return np.std(read_fine(fine, *test)[inner] - truth)
 
     for _ in range(4):
         fitted = fit(items, grid, 1e-6)
@@ -61,7 +56,7 @@ def test_places_are_renewed_together_with_the_picture(make_scene):
         samples = samples.plus(Sample(scene.image(SIZE, SIZE, *place).astype(np.float32), put))
     plane = learn_plane(samples)
     shift = wrong.mean(axis=0) - places.mean(axis=0)
-    learnt = moved(plane.grid, 0.0, 0.0)
+    learnt = read_fine(plane.grid, 0.0, 0.0)
     expected = scene.image(SIZE, SIZE, *shift)
     gain = np.polyfit(expected[8:-8, 8:-8].ravel(), learnt[8:-8, 8:-8].ravel(), 1)
     # Places wrong by 0.02 px would leave 0.3 DN at slopes of 15 DN/px; what all have in common cannot be known.

@@ -2,7 +2,7 @@
 
 use super::arrays::{Image, array, grid, with_pixels};
 use super::{elements, pairs, same_length};
-use crate::track::fine_spline::Fine;
+use crate::track::fine_spline::{Fine, Taps};
 use crate::track::grid::{Grid, Part};
 use crate::track::peak::Precision;
 use crate::track::spline::{self, TAPS};
@@ -81,15 +81,20 @@ fn fine_weights<'py>(py: Python<'py>, shift: f64, derivative: usize) -> PyResult
     Ok(fine_spline::fine_weights(shift, order(derivative)?).to_vec().into_pyarray(py))
 }
 
-/// See [`fine_spline::read`].
+/// The fine spline moved by x and y (-0.5 to 0.5 px), or its derivative of some order down and across. See
+/// [`fine_spline::read`].
 #[pyfunction]
+#[pyo3(signature = (coefficients, x, y, down = 0, across = 0))]
 fn read_fine<'py>(
     py: Python<'py>,
     coefficients: PyReadonlyArray2<'py, f32>,
-    down: PyReadonlyArray1<'py, f64>,
-    across: PyReadonlyArray1<'py, f64>,
+    x: f64,
+    y: f64,
+    down: usize,
+    across: usize,
 ) -> PyResult<Grid32<'py>> {
-    let (coefficients, down, across) = (grid(&coefficients), taps("down", &down)?, taps("across", &across)?);
+    let (coefficients, down, across) =
+        (grid(&coefficients), Taps::new(-y, order(down)?), Taps::new(-x, order(across)?));
     at_least("coefficients", &coefficients, fine_spline::FINE_TAPS, fine_spline::FINE_TAPS)?;
     array(py, py.detach(|| fine_spline::read(&Fine::of(&coefficients), &down, &across)))
 }

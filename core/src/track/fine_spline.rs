@@ -24,6 +24,39 @@ pub fn fine_weights(shift: f64, derivative: usize) -> [f64; FINE_TAPS] {
     std::array::from_fn(|j| scale * quintic(j as f64 - MARGIN as f64 - PER_PX as f64 * shift, derivative))
 }
 
+/// How many of them are not 0.
+const SUPPORT: usize = 6;
+/// How many of these are of even, and of odd, coefficients.
+const EACH: usize = SUPPORT / PER_PX;
+
+/// The weights of [`fine_weights`] that are not 0.
+#[derive(Clone, Copy)]
+pub struct Taps {
+    first: usize,
+    weight: [f32; SUPPORT],
+}
+
+impl Taps {
+    /// See [`fine_weights`].
+    pub fn new(shift: f64, derivative: usize) -> Self {
+        let all = fine_weights(shift, derivative);
+        let first = ((PER_PX as f64 * shift).floor() + 2.0).clamp(0.0, (FINE_TAPS - SUPPORT) as f64) as usize;
+        Self { first, weight: std::array::from_fn(|j| all[first + j] as f32) }
+    }
+
+    /// Times a factor.
+    pub fn times(self, factor: f64) -> Self {
+        Self { weight: self.weight.map(|weight| weight * factor as f32), ..self }
+    }
+
+    /// Those of even (`part` 0) or odd coefficients, with by how many pixels the first of them lies before.
+    #[inline(always)]
+    fn each_second(&self, part: usize) -> (usize, [f32; EACH]) {
+        let before = (self.first + 1 - part) / PER_PX;
+        (before, std::array::from_fn(|m| self.weight[PER_PX * (before + m) + part - self.first]))
+    }
+}
+
 /// How many pixels lie on so many coefficients.
 pub fn pixels(coefficients: usize) -> usize {
     (coefficients.saturating_sub(FINE_TAPS)) / PER_PX + usize::from(coefficients >= FINE_TAPS)
@@ -106,27 +139,23 @@ impl Line {
 
     /// Fill with the sums of nine rows of coefficients from `row` on, about pixels from `left` on, each times its weight.
     #[inline(always)]
-    fn down(&mut self, grid: &Fine, row: usize, left: usize, weight: &[f32; FINE_TAPS]) {
-        weighted::<FINE_TAPS>(std::array::from_fn(|j| &grid.even.row(row + j)[left..]), *weight, &mut self.even);
-        weighted::<FINE_TAPS>(std::array::from_fn(|j| &grid.odd.row(row + j)[left..]), *weight, &mut self.odd);
+    fn down(&mut self, grid: &Fine, row: usize, left: usize, taps: &Taps) {
+        let row = row + taps.first;
+        weighted::<SUPPORT>(std::array::from_fn(|j| &grid.even.row(row + j)[left..]), taps.weight, &mut self.even);
+        weighted::<SUPPORT>(std::array::from_fn(|j| &grid.odd.row(row + j)[left..]), taps.weight, &mut self.odd);
     }
 
     /// Fill `out` with the weighted sums of nine coefficients about each pixel.
     #[inline(always)]
-    fn across(&self, weight: &[f32; FINE_TAPS], out: &mut [f32]) {
-        let lines = std::array::from_fn(|i| if i % 2 == 0 { &self.even[i / 2..] } else { &self.odd[i / 2..] });
-        weighted::<FINE_TAPS>(lines, *weight, out);
+    fn across(&self, taps: &Taps, out: &mut [f32]) {
+        let line = |i: usize| if i % 2 == 0 { &self.even[i / 2..] } else { &self.odd[i / 2..] };
+        weighted::<SUPPORT>(std::array::from_fn(|j| line(taps.first + j)), taps.weight, out);
     }
-}
-
-#[inline(always)]
-fn single(weight: [f64; FINE_TAPS]) -> [f32; FINE_TAPS] {
-    weight.map(|w| w as f32)
 }
 
 vectorised! {
     /// Values (rows, columns) on the pixels of the coefficients; weights down and across.
-    pub fn read(grid: &Fine, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS]) -> Grid {
+    pub fn read(grid: &Fine, down: &Taps, across: &Taps) -> Grid {
         let size = grid.pixels();
         let mut out = Grid::filled(size.rows(), size.columns(), 0.0);
         read_into(grid, down, across, &mut out);
@@ -136,11 +165,11 @@ vectorised! {
 
 /// Fill `out` with what [`read`] gives.
 #[inline(always)]
-pub fn read_into(grid: &Fine, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS], out: &mut Grid) {
-    let (down, across, mut line) = (single(*down), single(*across), Line::new(out.columns));
+pub fn read_into(grid: &Fine, down: &Taps, across: &Taps, out: &mut Grid) {
+    let mut line = Line::new(out.columns);
     for r in 0..out.rows {
-        line.down(grid, PER_PX * r, 0, &down);
-        line.across(&across, out.row_mut(r));
+        line.down(grid, PER_PX * r, 0, down);
+        line.across(across, out.row_mut(r));
     }
 }
 
@@ -160,29 +189,20 @@ impl Spreading {
 
 /// Add to the coefficients `out` what [`read`] would take from each to `pixels`: its transpose.
 #[inline(always)]
-pub fn spread_into(
-    pixels: &Grid,
-    down: &[f64; FINE_TAPS],
-    across: &[f64; FINE_TAPS],
-    spreading: &mut Spreading,
-    out: &mut Fine,
-) {
-    let (down, across) = (single(*down), single(*across));
-    // Even and odd coefficients have sums of equal length, with a tenth weight of 0.
-    let half = |weight: &[f32; FINE_TAPS], part: usize| -> [f32; HALF + 1] {
-        std::array::from_fn(|m| weight.get(PER_PX * (HALF - m) + part).copied().unwrap_or(0.0))
-    };
+pub fn spread_into(pixels: &Grid, down: &Taps, across: &Taps, spreading: &mut Spreading, out: &mut Fine) {
     let Spreading { lines, line } = spreading;
     for r in 0..pixels.rows {
         line[HALF..HALF + pixels.columns].copy_from_slice(pixels.row(r));
-        let parts: [&[f32]; HALF + 1] = std::array::from_fn(|m| &line[m..]);
-        weighted::<{ HALF + 1 }>(parts, half(&across, 0), lines.even.row_mut(r + HALF));
-        weighted::<{ HALF + 1 }>(parts, half(&across, 1), lines.odd.row_mut(r + HALF));
+        for (part, lines) in [&mut lines.even, &mut lines.odd].into_iter().enumerate() {
+            let (before, weight) = across.each_second(part);
+            weighted::<EACH>(std::array::from_fn(|m| &line[HALF - before - m..]), weight, lines.row_mut(r + HALF));
+        }
     }
     for r in 0..out.even.rows {
-        let weight = half(&down, r % PER_PX);
+        let (before, weight) = down.each_second(r % PER_PX);
+        let row = r / PER_PX + HALF - before;
         for (lines, out) in [(&lines.even, &mut out.even), (&lines.odd, &mut out.odd)] {
-            add_weighted::<{ HALF + 1 }>(std::array::from_fn(|m| lines.row(r / PER_PX + m)), weight, out.row_mut(r));
+            add_weighted::<EACH>(std::array::from_fn(|m| lines.row(row - m)), weight, out.row_mut(r));
         }
     }
 }
@@ -212,8 +232,8 @@ pub struct Curvatures {
 vectorised! {
     /// Values and slopes of the spline image moved by (x, y) px, each -0.5 to 0.5, in a `part` of its pixels.
     pub fn slopes(grid: &Fine, part: Part, x: f64, y: f64) -> Slopes {
-        let [down, steep] = [0, 1].map(|d| single(fine_weights(-y, d)));
-        let [across, along] = [0, 1].map(|d| single(fine_weights(-x, d)));
+        let [down, steep] = [0, 1].map(|d| Taps::new(-y, d));
+        let [across, along] = [0, 1].map(|d| Taps::new(-x, d));
         let mut line = Line::new(part.columns());
         let [mut value, mut slope_x, mut slope_y] = std::array::from_fn(|_| Grid::filled(part.rows(), part.columns(), 0.0));
         for r in 0..part.rows() {
@@ -231,7 +251,7 @@ vectorised! {
 vectorised! {
     /// What [`slopes`] gives, and second derivatives of the same image.
     pub fn bends(grid: &Fine, part: Part, x: f64, y: f64) -> (Slopes, Curvatures) {
-        let [down, across] = [y, x].map(|shift| [0, 1, 2].map(|d| single(fine_weights(-shift, d))));
+        let [down, across] = [y, x].map(|shift| [0, 1, 2].map(|d| Taps::new(-shift, d)));
         let mut line = Line::new(part.columns());
         // By the order of the derivative down, and that across.
         let [mut flat, mut steep, mut bent]: [[Grid; 3]; 3] =
@@ -285,7 +305,7 @@ mod tests {
     use super::*;
 
     vectorised! {
-        fn spread(pixels: &Grid, down: &[f64; FINE_TAPS], across: &[f64; FINE_TAPS], out: &mut Fine) {
+        fn spread(pixels: &Grid, down: &Taps, across: &Taps, out: &mut Fine) {
             spread_into(pixels, down, across, &mut Spreading::new(pixels.rows, pixels.columns), out);
         }
     }
@@ -307,9 +327,10 @@ mod tests {
 
     #[test]
     fn spreading_is_the_transpose_of_reading() {
-        for (rows, columns) in [(9, 12), (16, 31)] {
+        for (rows, columns, y, x) in [(9, 12, 0.2, -0.4), (16, 31, -0.6, 0.6), (12, 12, 0.0, 0.5), (12, 12, -0.5, -0.1)]
+        {
             let (picture, grid) = (noise(rows, columns, 3), noise(2 * rows + BEYOND, 2 * columns + BEYOND, 5));
-            let (down, across) = (fine_weights(0.2, 0), fine_weights(-0.4, 0));
+            let (down, across) = (Taps::new(y, 0), Taps::new(x, 1));
             let [out, portable] = both_ways(|| {
                 let mut out = Fine::zeros(grid.rows, grid.columns);
                 spread(&picture, &down, &across, &mut out);
@@ -320,6 +341,19 @@ mod tests {
             // ⟨A g, p⟩ = ⟨g, Aᵀ p⟩, in single precision.
             let (one, other) = (product(&out, &grid), product(&picture, &read(&Fine::of(&grid), &down, &across)));
             assert!((one - other).abs() < 1e-5 * product(&picture, &picture), "{one} {other}");
+        }
+    }
+
+    #[test]
+    fn the_weights_left_out_are_none() {
+        for k in -24..=24 {
+            for derivative in 0..3 {
+                let shift = f64::from(k) / 40.0;
+                let (all, taps) = (fine_weights(shift, derivative), Taps::new(shift, derivative));
+                let kept: f64 = all[taps.first..taps.first + SUPPORT].iter().map(|weight| weight.abs()).sum();
+                // Truncated powers leave rounding where the spline has ended.
+                assert!((all.iter().map(|weight| weight.abs()).sum::<f64>() - kept).abs() < 1e-11);
+            }
         }
     }
 

@@ -6,7 +6,7 @@
 //! pictures through a lens falls (after Elad and Feuer, 1997, doi 10.1109/83.650118). Here are the normal equations of
 //! that; Python solves them by conjugate gradients.
 
-use super::fine_spline::{Fine, Spreading, fine_weights, read_into, slopes, spread_into};
+use super::fine_spline::{Fine, Spreading, Taps, read_into, slopes, spread_into};
 use super::grid::{Grid, Part};
 use super::matrix::{Matrix, inverse_with_pivots, times};
 use super::vectors::{dot, vectorised};
@@ -84,7 +84,7 @@ impl Samples {
 
 vectorised! {
     fn expected_of(item: &Sample, grid: &Fine, out: &mut Grid) {
-        read_into(grid, &fine_weights(-item.shift[1], 0), &fine_weights(-item.shift[0], 0), out);
+        read_into(grid, &Taps::new(-item.shift[1], 0), &Taps::new(-item.shift[0], 0), out);
     }
 }
 
@@ -93,8 +93,8 @@ vectorised! {
         let size = out.pixels();
         let mut spreading = Spreading::new(size.rows(), size.columns());
         for item in items {
-            let [across, down] = item.shift.map(|shift| fine_weights(-shift, 0));
-            spread_into(&item.pixels, &down.map(|weight| item.count * weight), &across, &mut spreading, out);
+            let [across, down] = item.shift.map(|shift| Taps::new(-shift, 0));
+            spread_into(&item.pixels, &down.times(item.count), &across, &mut spreading, out);
         }
     }
 }
@@ -105,8 +105,8 @@ vectorised! {
         let mut pixels = Grid::filled(size.rows(), size.columns(), 0.0);
         let mut spreading = Spreading::new(size.rows(), size.columns());
         for item in items {
-            let [across, down] = item.shift.map(|shift| fine_weights(-shift, 0));
-            read_into(grid, &down.map(|weight| item.count * weight), &across, &mut pixels);
+            let [across, down] = item.shift.map(|shift| Taps::new(-shift, 0));
+            read_into(grid, &down.times(item.count), &across, &mut pixels);
             spread_into(&pixels, &down, &across, &mut spreading, out);
         }
     }

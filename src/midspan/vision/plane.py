@@ -127,5 +127,4 @@ def _block_noise(raw: Floats32) -> float:
 
 def _slopes(grid: Floats32) -> Floats:
     """Slopes along x and y (2, rows, columns)."""
-    value, slope = _core.fine_weights(0.0, 0), _core.fine_weights(0.0, 1)
-    return np.stack([_core.read_fine(grid, value, slope), _core.read_fine(grid, slope, value)]).astype(np.float64)
+    return np.stack([_core.read_fine(grid, 0.0, 0.0, 0, 1), _core.read_fine(grid, 0.0, 0.0, 1, 0)]).astype(np.float64)
