@@ -97,17 +97,25 @@ def test_a_delay_that_several_causes_make_is_called_none_of_them(tmp_path):
     assert "a low-pass in the accelerometer's logger" in text
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_clock_that_steps_in_the_calibration_window_is_corrected(seed, tmp_path):
-    # Half of the readings were left out as outliers, and the rest of the record was 3.7 mm wrong at a stated 0.2.
-    write(tmp_path, "step", 0.3, seed)
+@pytest.mark.parametrize(("step_s", "seed"), [(0.3, 0), (0.3, 1), (0.3, 2), (0.5, 0)])
+def test_a_clock_that_steps_in_the_calibration_window_is_corrected(step_s, seed, tmp_path):
+    # Half of the readings were left out as outliers, or the step was taken for the accelerometer's noise, and the rest
+    # of the record was 3.7 mm wrong at a stated 0.2.
+    write(tmp_path, "step", step_s, seed)
     result = midspan.estimate(tmp_path)
     time, moved, _ = swaying(np.random.default_rng(seed))
     error = result.displacement_mm - 2.0 * np.interp(result.time_s, time, moved)
-    error = (error - np.mean(error))[np.abs(result.time_s - 30.0) > 1.0]
+    error = (error - np.mean(error))[np.abs(result.time_s - 30.0) > 1.5]
     assert np.std(error) < 0.05
-    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm[np.abs(result.time_s - 30.0) > 1.0]) > 0.9
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm[np.abs(result.time_s - 30.0) > 1.5]) > 0.9
     assert any("its clock jumped" in str(line) for line in result.warnings)
+
+
+@pytest.mark.parametrize(("step_s", "seed"), [(0.5, 1), (1.0, 2)])
+def test_a_clock_that_steps_farther_than_is_found_is_refused_and_named(step_s, seed, tmp_path):
+    write(tmp_path, "step", step_s, seed)
+    with pytest.raises(UntrustedError, match="clock"):
+        midspan.estimate(tmp_path)
 
 
 def test_values_that_are_left_out_in_great_number_are_said(tmp_path):

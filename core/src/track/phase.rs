@@ -184,6 +184,17 @@ mod tests {
     }
 
     #[test]
+    fn pixels_without_a_response_draw_to_no_place() {
+        let (axes, mut now) = waves([0.45, -0.4], 0.0);
+        for of in &mut now {
+            of.even[20..36].fill(0.0);
+            of.odd[20..36].fill(0.0);
+        }
+        let found = on_both(|| measure([&axes[0], &axes[1]], [&now[0], &now[1]])).unwrap();
+        assert!((found.shift[0] - 0.45).abs() < 1e-4 && (found.shift[1] + 0.4).abs() < 1e-4, "{found:?}");
+    }
+
+    #[test]
     fn two_axes_of_one_slope_tell_nothing() {
         let (axes, now) = waves([0.1, 0.0], 0.0);
         assert_eq!(measure([&axes[0], &axes[0]], [&now[0], &now[0]]), None);

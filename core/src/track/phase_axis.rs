@@ -6,7 +6,7 @@ use super::angles::{angle, cosine};
 use super::picture_noise::median;
 use super::steerable::Responses;
 use super::vector::{dot, total, vectorised};
-use std::f32::consts::PI;
+use std::f32::consts::{FRAC_PI_2, PI};
 
 /// The residual is watched in 4 by 4 blocks.
 pub const BLOCKS: usize = 16;
@@ -14,6 +14,8 @@ const MOST_SIGMA: f64 = 4.0;
 const MOST_BEND_RAD: f64 = 0.3;
 const LEAST_AGREEING: f64 = 0.4;
 const NEARLY_ALL: f64 = 0.99;
+/// A response of less than this share of the reference's power is none: rounding leaves 1e-12.
+const SILENT: f32 = 1e-6;
 /// Of the square of a normal variable of variance 1.
 const MEDIAN_OF_SQUARE: f64 = 0.4549;
 /// Blocks that the scatter of the mean is told from.
@@ -174,7 +176,9 @@ impl AxisModel {
 vectorised! {
 /// Phases of a frame's responses.
 ///
-/// The angle of the complex product lies in -π … π by itself; a difference of two angles would not.
+/// The angle of the complex product lies in -π … π by itself; a difference of two angles would not. Where there is next
+/// to no response (an even surface stands before the target) there is no phase: a quarter of a turn, one way and the other,
+/// agrees with no translation and draws to none, where 0 would draw to the place that the region was moved to.
 pub fn phases(axis: &AxisModel, now: &Responses) -> Phases {
     let count = axis.index.len();
     let (mut even, mut odd) = (vec![0f32; count], vec![0f32; count]);
@@ -187,6 +191,11 @@ pub fn phases(axis: &AxisModel, now: &Responses) -> Phases {
     }
     for ((power, &a), &b) in power.iter_mut().zip(&even).zip(&odd) {
         *power = a * a + b * b;
+    }
+    for (k, change) in change.iter_mut().enumerate() {
+        let least = SILENT * (axis.even[k] * axis.even[k] + axis.odd[k] * axis.odd[k]);
+        let quarter = if k % 2 == 0 { FRAC_PI_2 } else { -FRAC_PI_2 };
+        *change = if power[k] < least { quarter } else { *change };
     }
     Phases { change, power }
 }

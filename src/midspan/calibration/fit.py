@@ -403,10 +403,13 @@ def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
         if 0.5 * step * step * information < MIN_GAIN:
             break
         for _ in range(HALVINGS):
-            other = evaluate(pair, float(np.clip(fit.offset_s + step, *span)), fit.corner)
-            best = max(best, other, key=_likelihood)
-            if best is other:
-                break
+            offset_s = float(np.clip(fit.offset_s + step, *span))
+            # At the end of the overlap nothing may be left to compare.
+            if len(pair.used(offset_s)) >= MIN_FRAMES:
+                other = evaluate(pair, offset_s, fit.corner)
+                best = max(best, other, key=_likelihood)
+                if best is other:
+                    break
             step *= 0.5
         if best is fit:
             break

@@ -14,6 +14,7 @@ from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.held_values import held_values
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
+from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
@@ -180,10 +181,12 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
-    if (share := left_out(pair, found.pair)) > MANY_LEFT_OUT:
-        even = on_one_clock(series, first, pair, found.fit) if clock_steps else None
+    many = (share := left_out(pair, found.pair)) > MANY_LEFT_OUT
+    if clock_steps and (many or exceeds_own_noise(*found.noise)):
+        even = _on_one_even_clock(given, series, pair)
         if even is not None:
-            return learn(given, even, clock_steps=False)
+            return even
+    if many:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
@@ -203,6 +206,19 @@ def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> Noi
         "holds it."
     )
     return replace(learnt, warnings=(*learnt.warnings, Notice("outliers", text)))
+
+
+def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCalibration | None:
+    """The calibration without the steps of the sensor's clock, where both sensors then agree to their own noise."""
+    even = on_one_clock(series, _beside(given, series).first_ns, pair)
+    if even is None:
+        return None
+    try:
+        learnt = learn(given, even, clock_steps=False)
+    except UntrustedError:
+        return None
+    assert learnt.findings is not None
+    return None if exceeds_own_noise(*learnt.findings.noise) else learnt
 
 
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:

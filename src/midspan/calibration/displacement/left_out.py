@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.causes import Cause, likeliest_cause
+from midspan.calibration.causes import likeliest_cause
 from midspan.calibration.clock import Compared
 from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.displacement.cause_words import disagreement
 from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.noise import without_outliers
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeSeries
@@ -27,14 +28,15 @@ def left_out(pair: Pair, cleaned: Pair) -> float:
     return float(np.mean(np.isinf(cleaned.rows[usable, 2]))) if usable.any() else 0.0
 
 
-def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair, fit: Fit) -> TimeSeries | None:
-    """The values with the steps of their clock taken out of the stamps; None where a step does not explain them.
+def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries | None:
+    """The values with the steps of their clock taken out of the stamps; None where none is found.
 
-    origin_ns: what the pair's times count from; fit: of those that agree. Values that may lie on either side are NaN.
+    origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
     """
-    cause = likeliest_cause(pair, fit.offset_s)
-    if cause is None or not cause.named or cause.cause is not Cause.STEP:
-        return None
+    # A step leaves one half without any, in which the sensors agree; in the other it looks like the accelerometer's
+    # noise.
+    halves = [without_outliers(replace(pair, rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
+    fit = min(halves, key=lambda one: one.input_density)
     used = pair.used(fit.offset_s)
     samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
     metres = pair.rows[used] / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
