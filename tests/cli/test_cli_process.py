@@ -214,3 +214,9 @@ def test_a_current_folder_that_is_gone_is_a_sentence(tmp_path):
     )
     assert done.returncode == 2
     assert "the current folder no longer exists" in done.stderr
+
+
+def test_the_package_is_a_command(tmp_path):
+    done = subprocess.run([sys.executable, "-m", "midspan", "formats"], cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == 0
+    assert b"csv" in done.stdout.lower()
