@@ -157,7 +157,7 @@ impl PhaseTarget {
         Ok(Self { region, offset, taps: taps.halves(), axes, ratios })
     }
 
-    /// The translation about a whole-pixel place; None outside the image, without values or where it cannot be told.
+    /// The translation about a whole-pixel place; None outside the image, without values or where it cannot be determined.
     fn near_to(&self, pixels: &Bound<'_, PyAny>, x: i64, y: i64) -> PyResult<Option<Found>> {
         Ok(with_image!(Pixels::of(pixels)?, image => self.near(image, x, y)))
     }

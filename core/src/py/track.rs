@@ -20,7 +20,7 @@ fn order(derivative: usize) -> PyResult<usize> {
     if derivative > 2 { Err(PyValueError::new_err("derivative: 0, 1 or 2 is needed")) } else { Ok(derivative) }
 }
 
-/// So many weights; a ValueError with their name where there are others.
+/// That number of weights; a ValueError with their name where there are others.
 fn taps<const N: usize>(name: &str, weights: &PyReadonlyArray1<'_, f64>) -> PyResult<[f64; N]> {
     let weights = elements(name, weights)?;
     weights.try_into().map_err(|_| PyValueError::new_err(format!("{name}: {} weights, not {N}", weights.len())))

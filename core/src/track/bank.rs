@@ -75,7 +75,7 @@ pub struct Division {
 }
 
 impl Division {
-    /// At most so many blocks along each axis, of at least `least` px.
+    /// At most that number of blocks along each axis, of at least `least` px.
     pub fn new(window: &Window, most: usize, least: usize) -> Self {
         Self { down: edges(window.height, most, least), across: edges(window.width, most, least) }
     }
@@ -161,7 +161,7 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// At most so many blocks along each axis, of at least `least` px, each with kernels for `held` phases.
+    /// At most that number of blocks along each axis, of at least `least` px, each with kernels for `held` phases.
     pub fn new(plane: &Plane, (most, least): (usize, usize), held: usize) -> Self {
         let division = Division::new(&plane.window, most, least);
         let parts = division.parts();

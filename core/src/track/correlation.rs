@@ -3,7 +3,7 @@
 use super::grid::Grid;
 use super::vectors::{vectorised, weighted};
 
-/// How many positions beside each other are summed at once.
+/// How many adjacent positions are summed at once.
 const ACROSS: usize = 8;
 /// Running sums leave rounding of about 1e-16 of the patch's whole energy where a window is constant.
 const CONSTANT_SHARE: f64 = 1e-12;
@@ -76,7 +76,7 @@ fn rows_of_products<const N: usize>(wide: &Grid, template: &Grid, y: usize, out:
     for x in (0..out.columns).step_by(ACROSS) {
         for r in 0..template.rows {
             let end = x + template.columns + ACROSS - 1;
-            let sums = beside::<N>(template.row(r), std::array::from_fn(|k| &wide.row(y + k.min(last) + r)[x..end]));
+            let sums = adjacent::<N>(template.row(r), std::array::from_fn(|k| &wide.row(y + k.min(last) + r)[x..end]));
             for (k, sums) in sums.iter().enumerate().take(last + 1) {
                 out.row_mut(y + k)[x..].iter_mut().zip(sums).for_each(|(out, sum)| *out += f64::from(*sum));
             }
@@ -86,7 +86,7 @@ fn rows_of_products<const N: usize>(wide: &Grid, template: &Grid, y: usize, out:
 }
 
 /// Sums of the products of a `row` with eight windows of each of N lines, which are seven longer.
-fn beside<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N] {
+fn adjacent<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N] {
     let lines = lines.map(|line| &line[..row.len() + ACROSS - 1]);
     #[cfg(target_arch = "x86_64")]
     if super::vectors::wide() {
@@ -102,7 +102,7 @@ fn beside<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N]
     sums
 }
 
-/// As [`beside`], by name: the compiler does not keep the lines apart, which makes it three times as slow.
+/// As [`adjacent`], by name: the compiler does not keep the lines apart, which makes it three times as slow.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn beside_wide<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N] {

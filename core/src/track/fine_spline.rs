@@ -57,7 +57,7 @@ impl Taps {
     }
 }
 
-/// How many pixels lie on so many coefficients.
+/// How many pixels lie on a number of coefficients.
 pub fn pixels(coefficients: usize) -> usize {
     (coefficients.saturating_sub(FINE_TAPS)) / PER_PX + usize::from(coefficients >= FINE_TAPS)
 }
@@ -181,7 +181,7 @@ pub struct Spreading {
 }
 
 impl Spreading {
-    /// For pictures of so many pixels.
+    /// For images of that number of pixels.
     pub fn new(rows: usize, columns: usize) -> Self {
         Self { lines: Fine::zeros(rows + 2 * HALF, PER_PX * columns + BEYOND), line: vec![0.0; columns + 2 * HALF] }
     }

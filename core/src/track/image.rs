@@ -86,7 +86,7 @@ pub struct Region {
 }
 
 impl Region {
-    /// Moved by whole pixels, with so many more on every side.
+    /// Moved by whole pixels, with a margin on every side.
     pub fn moved(self, x: i64, y: i64, margin: usize) -> Self {
         let more = margin as i64;
         let (width, height) = (self.width + 2 * margin, self.height + 2 * margin);

@@ -54,7 +54,7 @@ pub fn phase_shift(phase: usize) -> [f64; 2] {
     [phase / PHASES, phase % PHASES].map(|part| (part - PHASES / 2) as f64 / PHASES as f64)
 }
 
-/// The slot of a phase among so many; phases share slots where there are fewer of these.
+/// The slot of a phase among `count` slots; phases share slots where there are fewer of these.
 ///
 /// Neighbouring phases, and those along either axis, have slots of their own where there are 8 of them.
 pub fn phase_slot(phase: usize, count: usize) -> usize {
@@ -67,7 +67,7 @@ pub fn held_phases(bytes: usize, pixels: usize) -> usize {
     (bytes / (6 * pixels).max(1)).clamp(4, ALL_PHASES)
 }
 
-/// The edges of the blocks along an axis of `size` px: at most so many, of at least `least` px.
+/// The edges of the blocks along an axis of `size` px: at most `most`, of at least `least` px.
 pub fn edges(size: usize, most: usize, least: usize) -> Vec<usize> {
     let count = most.min((size / least).max(2));
     (0..=count).map(|k| k * size / count).collect()

@@ -8,9 +8,9 @@ use super::image::{Image, Level, Pixel, Region};
 use super::picture::adds_up;
 use super::vector::{sums, vectorised};
 
-/// Means of so many pixels a side are compared.
+/// Means of squares of this side (px) are compared.
 const THINNED: usize = 3;
-/// So many blocks a side: what hides less than half of them is no light. A block has so many means a side at least.
+/// Blocks a side: what hides less than half of them is no light. A block has so many means a side at least.
 const BLOCKS: usize = 4;
 const LEAST_BLOCK: usize = 5;
 /// Pixels near the top of 8 bits are cut off: more light changes them without any shading.

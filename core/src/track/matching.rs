@@ -37,7 +37,7 @@ impl Features {
     }
 }
 
-/// The features of one kind, in blocks of so many: the first value of each of a block's features, then the second …
+/// The features of one kind, in blocks of this number: the first value of each of a block's features, then the second …
 struct Kind {
     members: Vec<usize>,
     blocks: Vec<[f32; BLOCK]>,

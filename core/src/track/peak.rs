@@ -9,7 +9,7 @@ use super::grid::{Grid, Part};
 use super::spline::{TAPS, translated, weights};
 use super::vectors::{dot, sum, vectorised};
 
-/// The residual is watched in so many blocks a side.
+/// Blocks a side that the residual is watched in.
 pub const BLOCKS: usize = 4;
 /// Products of 1, template and gradients in a block.
 pub type Moments = [[f64; 4]; 4];

@@ -18,7 +18,7 @@ const NEARLY_ALL: f64 = 0.99;
 const SILENT: f32 = 1e-6;
 /// Of the square of a normal variable of variance 1.
 const MEDIAN_OF_SQUARE: f64 = 0.4549;
-/// Blocks that the scatter of the mean is told from.
+/// Blocks that the scatter of the mean is estimated from.
 const LEAST_BLOCKS: usize = 4;
 /// The blocks' variance counts where it exceeds the pixels' by this factor.
 const MUCH_LARGER: f64 = 3.0;

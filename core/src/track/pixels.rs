@@ -82,7 +82,7 @@ pub struct Pixels<'a, T> {
 }
 
 impl<'a, T: Pixel> Pixels<'a, T> {
-    /// Rows of so many columns that lie `stride` pixels apart in `values`; None where these do not hold them.
+    /// Rows of `columns` pixels that lie `stride` pixels apart in `values`; None where these do not hold them.
     pub fn new(values: &'a [T], rows: usize, columns: usize, stride: usize) -> Option<Self> {
         let enough = rows == 0 || (columns <= stride && values.len() >= (rows - 1) * stride + columns);
         enough.then_some(Self { values, stride, rows, columns })

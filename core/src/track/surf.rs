@@ -25,7 +25,7 @@ pub struct Settings {
     pub octaves: u32,
     /// Least determinant, in the image's variance or in `contrast` where that is less.
     pub threshold: f64,
-    /// The strongest so many.
+    /// How many of the strongest are kept.
     pub most: usize,
     /// Without orientation.
     pub upright: bool,

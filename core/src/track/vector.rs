@@ -35,7 +35,7 @@ pub(crate) use vectorised;
 
 /// Partial sums that a long sum of numbers that are not whole runs in: column c belongs to lane c mod 4.
 pub const LANES: usize = 4;
-// 32 bits hold the squares of 8 bits of so many columns: 32768 · 255² < 2³¹.
+// 32 bits hold the squares of 8 bits of this number of columns: 32768 · 255² < 2³¹.
 const PART: usize = 32768;
 
 /// Sums (N,) over the columns of rows of equal length of what `term` makes of a pixel of each.
@@ -92,7 +92,7 @@ pub fn dot(one: &[f32], other: &[f32]) -> f64 {
     for (lane, (a, b)) in lanes.iter_mut().zip(rest) {
         *lane += f64::from(a * b);
     }
-    folded(lanes)
+    lane_sum(lanes)
 }
 }
 
@@ -110,12 +110,12 @@ pub fn total(values: &[f32]) -> f64 {
     for (lane, &value) in lanes.iter_mut().zip(rest) {
         *lane += f64::from(value);
     }
-    folded(lanes)
+    lane_sum(lanes)
 }
 }
 
 #[inline(always)]
-fn folded(lanes: [f64; WIDE_LANES]) -> f64 {
+fn lane_sum(lanes: [f64; WIDE_LANES]) -> f64 {
     let [a, b, c, d, e, f, g, h] = lanes;
     ((a + b) + (c + d)) + ((e + f) + (g + h))
 }

@@ -234,7 +234,7 @@ vectorised! {
 vectorised! {
     /// Fill `out` with a line's values times a factor as whole numbers.
     fn rounded(line: &[f32], factor: f32, out: &mut [i8]) {
-        // Beside this number those of single precision are the whole ones.
+        // Compared with this number those of single precision are the whole ones.
         const WHOLE: f32 = 12_582_912.0;
         for (out, value) in out.iter_mut().zip(line) {
             *out = ((factor * value + WHOLE).to_bits() as i32 - WHOLE.to_bits() as i32) as i8;

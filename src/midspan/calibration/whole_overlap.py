@@ -70,7 +70,7 @@ def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
     peaks = [scanned[k] for k in _peaks(scanned, step)]
     fits = [refine(pair, evaluate(pair, at, corner), step) for at, _, corner in peaks]
     apart = [fit for fit in fits if abs(fit.offset_s) > within_s and abs(fit.offset_s - near.offset_s) > 2.0 * step]
-    if not apart or not len(pair.used(near.offset_s)):
+    if not apart:
         return None
     best = max(apart, key=lambda fit: _evidence(pair, fit))
     near, best = (_with_own_noise(pair, fit, step) for fit in (near, best))

@@ -214,11 +214,11 @@ def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCal
     if even is None:
         return None
     try:
-        learnt = learn(given, even, clock_steps=False)
+        estimated = learn(given, even, clock_steps=False)
     except UntrustedError:
         return None
-    assert learnt.findings is not None
-    return None if exceeds_own_noise(*learnt.findings.noise) else learnt
+    assert estimated.findings is not None
+    return None if exceeds_own_noise(*estimated.findings.noise) else estimated
 
 
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
