@@ -209,7 +209,9 @@ def check_messages(seen, table):
 
 
 @pytest.mark.slow
-def test_frames_of_a_network_camera_have_the_senders_stamps(rtsp):
+def test_frames_of_a_network_camera_have_the_senders_stamps(rtsp, monkeypatch):
+    # On a busy machine the sender's own reports disagree by milliseconds for longer than a camera's would.
+    monkeypatch.setattr("midspan.sources.live.camera.REPORT_S", 300.0)
     rng = np.random.default_rng(0)
     film = rng.integers(60, 200, (20, 48, 64), dtype=np.uint8)
     address, found = rtsp(film, 20).address, []
