@@ -1,0 +1,92 @@
+"""How many functions a frame passes through a live point, and an estimate with a given calibration.
+
+Counted are the functions of midspan that are entered at least once, those of the compiled core with them, and the
+modules that they stand in.
+"""
+
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+import midspan
+from benchmarks.engine_load import FRAME_HZ, M_PER_PX, PERIOD, SAMPLE_HZ, SPEED_HZ, film, moved_px, point
+from benchmarks.table import goal
+from midspan.engine.point import ACCELEROMETER
+from midspan.records import NANOSECONDS, Arrival, Frame, Readings
+from midspan.simulate.scenarios.write import write
+
+# Long enough for the template to be learnt; counted is the last one.
+SECONDS = 20
+ROOM = f"{Path(midspan.__file__).parent}/"
+
+
+class Entered:
+    """The functions (module, name, line) that were entered."""
+
+    def __init__(self) -> None:
+        self.functions: set[tuple[str, str, int]] = set()
+
+    def during(self, work: Callable[[], Any]) -> "Entered":
+        """Run `work` and keep what it enters, in threads that it starts too."""
+        threading.setprofile(self._seen)
+        sys.setprofile(self._seen)
+        try:
+            work()
+        finally:
+            sys.setprofile(None)
+            threading.setprofile(None)
+        return self
+
+    def _seen(self, frame: FrameType, event: str, called: Any) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(ROOM):
+            self.functions.add((code.co_filename, code.co_name, code.co_firstlineno))
+        elif event == "c_call" and "_core" in str(getattr(called, "__module__", "") or type(called.__self__)):
+            self.functions.add(("_core", called.__qualname__, 0))
+
+    def modules(self) -> set[str]:
+        """The modules that the functions stand in."""
+        return {file for file, _, _ in self.functions}
+
+
+def through_a_point() -> Entered:
+    """What frames and the acceleration between them enter once the target's template is learnt."""
+    pictures = film()
+    one = point(Frame(0, pictures[0]))
+    step_ns, entered = NANOSECONDS // SAMPLE_HZ, Entered()
+    for second in range(SECONDS):
+        number = SAMPLE_HZ * second + np.arange(SAMPLE_HZ)
+        value = -M_PER_PX * (2 * np.pi * SPEED_HZ) ** 2 * moved_px(number / SAMPLE_HZ)
+        arrivals = [Arrival(ACCELEROMETER, second, Readings(number * step_ns, value[:, None]))]
+        for j in range(FRAME_HZ * second, FRAME_HZ * (second + 1)):
+            arrivals.append(Arrival("camera", j, Frame(round(j * NANOSECONDS / FRAME_HZ), pictures[j % PERIOD], j)))
+        # The frames of a block pass when the acceleration after them has come.
+        watched = entered.during if second == SECONDS - 1 else lambda work: work()
+        for arrival in arrivals:
+            watched(lambda arrival=arrival: one.push(arrival))
+    return entered
+
+
+def through_an_estimate(folder: Path) -> Entered:
+    """What `estimate` enters with `kalman` and a calibration."""
+    write("footbridge", folder, seed=0)
+    calibration = midspan.calibrate(folder)
+    return Entered().during(lambda: midspan.estimate(folder, method="kalman", calibration=calibration))
+
+
+def main() -> None:
+    frame = through_a_point()
+    with tempfile.TemporaryDirectory() as name:
+        estimate = through_an_estimate(Path(name) / "footbridge")
+    for what, found, most in (("a frame", frame, (40, 15)), ("an estimate", estimate, (450, 80))):
+        goal(f"functions entered by {what}", len(found.functions), most[0])
+        goal(f"modules entered by {what}", len(found.modules()), most[1])
+    if "--list" in sys.argv:
+        for what in sorted(frame.functions) + [("", "", 0), *sorted(estimate.functions)]:
+            print(*what)
