@@ -63,9 +63,12 @@ def through_a_point() -> Entered:
     for second in range(SECONDS):
         number = SAMPLE_HZ * second + np.arange(SAMPLE_HZ)
         value = -M_PER_PX * (2 * np.pi * SPEED_HZ) ** 2 * moved_px(number / SAMPLE_HZ)
-        arrivals = [Arrival(ACCELEROMETER, second, Readings(number * step_ns, value[:, None]))]
-        for j in range(FRAME_HZ * second, FRAME_HZ * (second + 1)):
-            arrivals.append(Arrival("camera", j, Frame(round(j * NANOSECONDS / FRAME_HZ), pictures[j % PERIOD], j)))
+        frames = range(FRAME_HZ * second, FRAME_HZ * (second + 1))
+        seen = [Frame(round(j * NANOSECONDS / FRAME_HZ), pictures[j % PERIOD], j) for j in frames]
+        arrivals = [
+            Arrival(ACCELEROMETER, second, Readings(number * step_ns, value[:, None])),
+            *(Arrival("camera", frame.index, frame) for frame in seen),
+        ]
         # The frames of a block pass when the acceleration after them has come.
         watched = entered.during if second == SECONDS - 1 else lambda work: work()
         for arrival in arrivals:
@@ -88,5 +91,5 @@ def main() -> None:
         goal(f"functions entered by {what}", len(found.functions), most[0])
         goal(f"modules entered by {what}", len(found.modules()), most[1])
     if "--list" in sys.argv:
-        for what in sorted(frame.functions) + [("", "", 0), *sorted(estimate.functions)]:
+        for what in [*sorted(frame.functions), ("", "", 0), *sorted(estimate.functions)]:
             print(*what)
