@@ -1,8 +1,8 @@
 //! `signals` for Python.
 
 use super::{elements, pairs, same_length};
-use crate::signals::equal_runs;
 use crate::signals::resample::{self, Taps};
+use crate::signals::{equal_runs, lively};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -69,8 +69,22 @@ fn follow_equal_runs<'py>(
     Ok((length.into_pyarray(py), frozen.into_pyarray(py), share.into_pyarray(py)))
 }
 
+/// See [`lively::mean_square`].
+#[pyfunction]
+fn mean_square<'py>(
+    py: Python<'py>,
+    value: PyReadonlyArray1<'py, f64>,
+    mean: f64,
+    before: f64,
+    kept: f64,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let value = elements("value", &value)?;
+    Ok(py.detach(|| lively::mean_square(value, mean, before, kept)).into_pyarray(py))
+}
+
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(follow_equal_runs, module)?)?;
+    module.add_function(wrap_pyfunction!(mean_square, module)?)?;
     module.add_function(wrap_pyfunction!(local_spline, module)?)?;
     module.add_function(wrap_pyfunction!(filtered_at, module)?)
 }

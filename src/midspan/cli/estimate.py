@@ -58,7 +58,7 @@ def command(recording: str, video: str | None, quiet: bool, as_json: bool, **opt
     files = [f"--{key}" for key in ("value", "unit", "direction") if options[key]]
     if files:
         raise click.UsageError(f"{files[0]}: goes with two files, ACCEL VIDEO; a recording names it in its settings.")
-    from midspan.service.replay import is_store
+    from midspan.store.store import is_store
 
     if is_store(recording):
         with TemporaryDirectory(prefix="midspan-") as folder:

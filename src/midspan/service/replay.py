@@ -4,7 +4,6 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -190,10 +189,3 @@ def require_free(store: Store, name: str, recording: Recording) -> None:
             f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
             "another name (--point), or another store (-o)."
         )
-
-
-def is_store(path: str | Path) -> bool:
-    """Whether a path is the folder of a store."""
-    from midspan.store.store import SITE_FILE, is_address
-
-    return is_address(path) or (Path(path) / SITE_FILE).is_file()

@@ -4,8 +4,11 @@ Gain, cross axis sensitivity, attitude and lever arm all make an error in propor
 noise of an accelerometer is taken as q(t) = q0 + kappa <a²>(t).
 """
 
+import math
+
 import numpy as np
 
+from midspan import _core
 from midspan.records import Floats
 
 # The mean is over about a second: exponential, of this time constant. On real records 0.1 s to 2 s are alike.
@@ -17,8 +20,5 @@ def mean_square(value: Floats, mean: float, before: float, rate_hz: float) -> Fl
 
     before: the mean square at the sample before the first one. Any cutting of the samples gives the same.
     """
-    from scipy.signal import lfilter
-
-    kept = float(np.exp(-1.0 / (MEMORY_S * rate_hz)))
-    power, _ = lfilter([1.0 - kept], [1.0, -kept], (value - mean) ** 2, zi=[kept * before])
-    return np.asarray(power)
+    kept = math.exp(-1.0 / (MEMORY_S * rate_hz))
+    return _core.mean_square(np.ascontiguousarray(value, dtype=np.float64), mean, before, kept)

@@ -464,6 +464,11 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
     return store
 
 
+def is_store(path: str | Path) -> bool:
+    """Whether a path is the folder of a store, or the address of a database."""
+    return is_address(path) or (Path(path) / SITE_FILE).is_file()
+
+
 def is_address(where: str | Path) -> bool:
     """Whether a store is named by the address of a PostgreSQL database."""
     return str(where).startswith(("postgresql://", "postgres://"))
