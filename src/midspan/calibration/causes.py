@@ -36,11 +36,17 @@ MAX_READINGS, BLOCKS = 1500, 16
 MIN_READINGS = 60
 # Motion slower than this share of the acceleration's main frequency is left out: double integrals wander there.
 SLOWEST_SHARE, SLOWEST_HZ = 0.25, 0.05
-# Frequencies (Hz) of low-passes that are tried, and widths of a play in rms of the motion; offsets of clocks in s.
-LOW_PASSES_HZ, PLAYS, OFFSETS = np.geomspace(0.5, 40.0, 30), np.geomspace(0.05, 3.0, 36), 121
+# Ordinates of the acceleration's spectrum tell its main frequency where white noise makes one of a record as strong
+# with this probability.
+BY_CHANCE = 1e-3
+# Frequencies (Hz) of low-passes that are tried, widths of a play in rms of the motion, step of a clock's offsets, s.
+LOW_PASSES_HZ, PLAYS = np.geomspace(0.5, 40.0, 30), np.geomspace(0.05, 3.0, 36)
+OFFSET_STEP_S = 0.01
 # Butterworth low-passes of second and fourth order: polynomials in s over the corner frequency.
 BUTTERWORTH = (Polynomial([1.0, 1.4142, 1.0]), Polynomial([1.0, 2.6131, 3.4142, 2.6131, 1.0]))
 MAX_OFFSET_S, MAX_RAISED = 0.6, 20.0
+# A clock that was set, by hand or over a network, steps by this much at most, s.
+MAX_STEP_S = 10.0
 TONES = 3  # neighbouring frequencies that a tone may spread over: its amplitude changes slowly
 # A cause is named where it leaves less than this share of the difference (power).
 MAX_LEFT = 0.3
@@ -84,7 +90,7 @@ def likeliest_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
     """
     if len(pair.rows) < MIN_READINGS:
         return None
-    compared = _Compared.of(pair)
+    compared = Comparison.of(pair)
     if len(compared.time_s) < MIN_READINGS:
         return None
     found = _best(compared)
@@ -95,8 +101,11 @@ def likeliest_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Compared:
-    """Readings (n,) at times_s (n,), and the acceleration's spectrum on an even grid from start_s on."""
+class Comparison:
+    """Readings (n,) at times_s (n,), and the acceleration's spectrum on an even grid from start_s on.
+
+    inside (m,): which of the usable rows are compared.
+    """
 
     time_s: Floats
     value_m: Floats
@@ -104,18 +113,20 @@ class _Compared:
     rate_hz: float
     spectrum: NDArray[np.complex128]
     slowest_hz: float
+    inside: NDArray[np.bool_]
 
     @staticmethod
-    def of(pair: Pair) -> "_Compared":
-        known = pair.rows[np.isfinite(pair.rows[:, 1]) & np.isfinite(pair.rows[:, 2])][:MAX_READINGS]
+    def of(pair: Pair, most: int = MAX_READINGS, slowest_hz: float | None = None) -> "Comparison":
+        """The first so many usable rows of a pair, with slow motion left out as the acceleration says, or as given."""
+        known = pair.rows[np.isfinite(pair.rows[:, 1]) & np.isfinite(pair.rows[:, 2])][:most]
         samples = pair.samples[pair.samples[:, 0] <= known[-1, 0] + 2.0 * MAX_OFFSET_S]
         rate = pair.sample_rate_hz
         even = np.arange(samples[0, 0], samples[-1, 0], 1.0 / rate)
         shaken = np.interp(even, samples[:, 0], samples[:, 1])
-        slowest = max(SLOWEST_SHARE * dominant_frequency(shaken, rate), SLOWEST_HZ)
+        slowest = max(SLOWEST_SHARE * _main_hz(shaken, rate) if slowest_hz is None else slowest_hz, SLOWEST_HZ)
         inside = (known[:, 0] > even[0] + MAX_OFFSET_S) & (known[:, 0] < even[-1] - MAX_OFFSET_S)
         spectrum = np.fft.rfft(shaken - shaken.mean())
-        return _Compared(known[inside, 0], known[inside, 1], float(even[0]), rate, spectrum, slowest)
+        return Comparison(known[inside, 0], known[inside, 1], float(even[0]), rate, spectrum, slowest, inside)
 
     @cached_property
     def _hertz(self) -> Floats:
@@ -133,18 +144,13 @@ class _Compared:
 
     @cached_property
     def _basis(self) -> Floats:
-        """Orthonormal columns (n, k) of slow motion, level and trend included."""
-        length = float(self.time_s[-1] - self.time_s[0])
-        count = min(int(2.0 * length * self.slowest_hz) + 1, len(self.time_s) // 3)
-        turn = np.pi * (self.time_s - self.time_s[0]) / length
-        columns = [np.cos(k * turn) for k in range(count + 1)] + [turn]
-        return np.linalg.qr(np.column_stack(columns))[0]
+        return slow_motion(self.time_s, self.slowest_hz)
 
     def free(self, values: Floats) -> Floats:
         """Values (n,) without slow motion."""
         return np.asarray(values - self._basis @ (self._basis.T @ values))
 
-    def later(self, offset_s: float) -> "_Compared":
+    def later(self, offset_s: float) -> "Comparison":
         """The readings at times that are later by an offset."""
         return replace(self, time_s=self.time_s + offset_s)
 
@@ -186,13 +192,18 @@ class _Compared:
 
     def _clocks(self, y: Floats, plain: Callable[[Floats], Floats]) -> tuple[float, float]:
         """Residual squares of one offset, and of two with the best instant between them."""
-        offsets = np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, OFFSETS)
-        squares = np.array([(y - self.free(plain(self.time_s + one))) ** 2 for one in offsets])
-        blocks = np.array([part.sum(axis=1) for part in np.array_split(squares, BLOCKS, axis=1)])
-        before = np.cumsum(blocks, axis=0)
-        whole = before[-1]
-        step = min(float(np.min(before[k]) + np.min(whole - before[k])) for k in range(BLOCKS - 1))
-        return _lowest(whole), step
+        count = round(MAX_STEP_S / OFFSET_STEP_S)
+        offsets = OFFSET_STEP_S * np.arange(-count, count + 1)
+        blocks = np.array([self._in_blocks(y, plain(self.time_s + one)) for one in offsets])
+        before = np.cumsum(blocks, axis=1)
+        whole = before[:, -1]
+        step = min(float(np.min(before[:, k]) + np.min(whole - before[:, k])) for k in range(BLOCKS - 1))
+        return _lowest(whole[np.abs(offsets) < MAX_OFFSET_S + 0.5 * OFFSET_STEP_S]), step
+
+    def _in_blocks(self, y: Floats, path: Floats) -> Floats:
+        """Residual squares in blocks of time (BLOCKS,)."""
+        squares = (y - self.free(path)) ** 2
+        return np.add.reduceat(squares, np.linspace(0, len(y), BLOCKS, endpoint=False).astype(int))
 
     def _with_play(self, y: Floats, plain: Callable[[Floats], Floats]) -> float:
         even = np.arange(self.start_s, float(self.time_s[-1]) + 1.0, 1.0 / self.rate_hz)
@@ -206,6 +217,8 @@ class _Compared:
         length = float(self.time_s[-1] - self.time_s[0])
         hertz = np.arange(self.slowest_hz, 0.5 * self.rate_hz, 0.5 / length)
         limit = 0.5 / float(np.median(np.diff(self.time_s)))
+        if not np.any(hertz < limit):
+            return float(np.sum(difference**2))
         power = [abs(np.exp(-2j * np.pi * f * self.time_s) @ difference) for f in hertz[hertz < limit]]
         at = float(hertz[int(np.argmax(power))])
         columns = []
@@ -215,10 +228,30 @@ class _Compared:
         return _without(columns, difference)
 
 
+def slow_motion(time_s: Floats, slowest_hz: float) -> Floats:
+    """Orthonormal columns (n, k) of motion below a frequency at instants (n,), level and trend included."""
+    length = float(time_s[-1] - time_s[0])
+    count = min(int(2.0 * length * slowest_hz) + 1, len(time_s) // 3)
+    turn = np.pi * (time_s - time_s[0]) / length
+    columns = [np.cos(k * turn) for k in range(count + 1)] + [turn]
+    return np.linalg.qr(np.column_stack(columns))[0]
+
+
+def _main_hz(shaken: Floats, rate_hz: float) -> float:
+    """Where most of an acceleration's power beyond white noise lies: of its zero crossings, by Rice's formula."""
+    power = np.abs(np.fft.rfft(shaken - shaken.mean())) ** 2
+    hertz = np.fft.rfftfreq(len(shaken), 1.0 / rate_hz)
+    # Powers of white noise are exponentially distributed.
+    power = np.where(power > np.median(power) / np.log(2.0) * np.log(len(power) / BY_CHANCE), power, 0.0)
+    if not power.any():
+        return dominant_frequency(shaken, rate_hz)
+    return float(np.sqrt(np.sum(hertz**2 * power) / np.sum(power)))
+
+
 PARAMETERS = {Cause.STEP: 3, Cause.TONE: 1 + 2 * TONES}  # of a model, 1 of any other
 
 
-def _best(compared: _Compared) -> Explained:
+def _best(compared: Comparison) -> Explained:
     """The cause that explains best."""
     count = len(compared.time_s)
     squares = {cause: max(square, 1e-300) for cause, square in compared.tried().items()}

@@ -118,11 +118,12 @@ def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class _Guess:
-    """A jump at a row of a segment: lateness before it and from it on, s."""
+    """A jump at a row of a segment: lateness before it and from it on, s; end: the next one's row, None for none."""
 
     row: int
     before_s: float
     after_s: float
+    end: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +169,12 @@ def _jump_near(one: Compared, late_s: Floats, place: int, begin: int) -> ClockJu
     if np.count_nonzero(covered) < 2 * LEAST_ROWS:
         # The acceleration has a gap here, or its own clock ran away.
         return None
-    segment = _segment(Compared(one.samples, rows + np.array([base, 0.0, 0.0])).near(0, len(rows), LARGEST_S + 1.0))
+    later = Compared(one.samples, rows + np.array([base, 0.0, 0.0]))
+    segment = _segment(later.near(0, len(rows), LARGEST_S + 1.0))
     for guess in _coarse(segment, place - start):
-        jump = _refined(segment, guess)
+        # What comes after the next jump says nothing of this one.
+        own = segment if guess.end is None else _segment(later.near(0, guess.end, LARGEST_S + 1.0))
+        jump = _refined(own, guess)
         if jump is not None:
             return replace(jump, row=jump.row + start, first=jump.first + start, last=jump.last + start)
     return None
@@ -199,8 +203,11 @@ def _coarse(segment: _Segment, place: int) -> list[_Guess]:
     if len(changes) > 1:
         time_s = segment.part.rows[:, 0]
         close = changes[time_s[changes] <= time_s[changes[0]] + SETTLED_S]
-        found.insert(0, _Guess(int(close[0]), float(course[close[0] - 1]), float(course[close[-1]])))
-    return [*found[:3], _Guess(place, float(course[0]), float(course[0]))]
+        guess = _Guess(int(close[0]), float(course[close[0] - 1]), float(course[close[-1]]))
+        after = changes[len(close) :]
+        others = [replace(guess, end=int(after[0]))] if len(after) else []
+        found = [guess, *others, *found]
+    return [*found[:4], _Guess(place, float(course[0]), float(course[0]))]
 
 
 def _cheapest(losses: Floats) -> NDArray[np.int64]:

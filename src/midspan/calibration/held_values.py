@@ -47,7 +47,11 @@ def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
         if not _likelier(rows, before, after):
             break
         held[found], before = True, after
-    return held
+    # The readings next to a stretch may be of it: the motion passed there the place at which the sensor was stuck.
+    near = held.copy()
+    near[1:] |= held[:-1]
+    near[:-1] |= held[1:]
+    return near
 
 
 def _stretch(pair: Pair, fit: Fit) -> NDArray[np.int64]:

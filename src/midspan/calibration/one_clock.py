@@ -44,8 +44,8 @@ class CourseError:
 class OneClock:
     """Measurements on one clock, and what there is to report.
 
-    running: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by where
-    the motion does not tell which jump it was.
+    running: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by as
+    the motion tells a jump so well only, or does not tell which one it was.
     """
 
     measured: Displacement
@@ -166,19 +166,18 @@ def _moved(measured: Displacement, jumps: Sequence[ClockJump]) -> Displacement:
 def _either_side(
     moved: Displacement, jumps: Sequence[ClockJump], acceleration: Acceleration, kalman: KalmanSettings
 ) -> tuple[Displacement, tuple[CourseError, ...]]:
-    """Wider noise of measurements that may be on either side of a jump, and what rivals of a jump would change."""
+    """Wider noise of measurements that may be on either side of a jump, and what its deviation, or a rival, changes."""
     variance, levels = moved.variance_m2.copy(), []
     for jump in jumps:
         if jump.last > jump.first:
             near = slice(jump.first, jump.last)
             other_s = np.where(np.arange(jump.first, jump.last) < jump.row, jump.late_s, -jump.late_s)
             variance[near] += _apart(moved, near, other_s, acceleration, kalman) ** 2
-        if jump.rival_s is not None:
-            after = slice(jump.row, None)
-            other_s = np.full(len(moved.time_ns) - jump.row, jump.rival_s - jump.late_s)
-            std_m = np.zeros(len(moved.time_ns))
-            std_m[after] = _apart(moved, after, other_s, acceleration, kalman)
-            levels.append(CourseError(moved.time_ns, std_m))
+        after = slice(jump.row, None)
+        open_s = jump.std_s if jump.rival_s is None else jump.rival_s - jump.late_s
+        std_m = np.zeros(len(moved.time_ns))
+        std_m[after] = _apart(moved, after, np.full(len(std_m) - jump.row, open_s), acceleration, kalman)
+        levels.append(CourseError(moved.time_ns, std_m))
     return replace(moved, variance_m2=variance), tuple(levels)
 
 

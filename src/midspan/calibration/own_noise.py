@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.agreement import MIN_ORDINATES, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, corner_std
@@ -21,6 +22,9 @@ from midspan.records import Floats
 CERTAIN = 3.1
 # A narrow band of the innovations is no chance where its power beyond the usual has this probability in a white record.
 NARROW_BY_CHANCE = 1e-4
+# Below this frequency, Hz, an accelerometer hardly feels what a target or a camera moves by: each ordinate counts by
+# itself there, and a white record has one that is strong enough with this probability.
+SLOW_HZ, SLOW_BY_CHANCE = 0.3, 1e-3
 # Gain in the logarithm of the likelihood from which a slow error counts as found: a factor of 20 000 in likelihood.
 MIN_GAIN = 10.0
 # Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
@@ -110,8 +114,16 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     index = np.unique(starts[means > most][:, None] + np.arange(MIN_ORDINATES))
     # Those that hold next to nothing, or what leaks from a line, would be fitted for their noise.
     enough = max(STRONG * usual, LEAKED * float(np.max(power)))
-    strong = sorted(index[power[index] > enough], key=lambda k: -power[k])[:MAX_ORDINATES]
+    strong = sorted({*index[power[index] > enough], *_slow(power, usual, pair.rate_hz / n)}, key=lambda k: -power[k])
+    strong = strong[:MAX_ORDINATES]
     return np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
+
+
+def _slow(power: Floats, usual: float, step_hz: float) -> NDArray[np.int64]:
+    """Ordinates (k,) of slow motion that are stronger than chance makes any; step_hz: from one to the next."""
+    count = min(int(SLOW_HZ / step_hz), len(power))
+    # The powers of white innovations are exponentially distributed.
+    return np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
 
 
 def _cosine(time_s: Floats, hertz: float) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 
 from midspan.errors import UntrustedError
 from midspan.fusion.blocks import REJECTED
-from midspan.records import NANOSECONDS, Estimate, Floats, Innovation, Nanoseconds, Status, part, seconds
+from midspan.records import NANOSECONDS, Estimate, Event, Floats, Innovation, Nanoseconds, Status, part, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.integrate import path
 from midspan.signals.stamps import shown
@@ -102,6 +102,22 @@ def refuse_steps_unseen(steps_ns: Sequence[int], unseen_ns: Nanoseconds, sensor:
                 "the same. Give a time stamp for each frame, leave frames with interference out of the file, or store "
                 "the bins of all ranges, 16 or more, which tell interference from the target."
             )
+
+
+def refuse_contradicted(events: Sequence[Event], targets: int, sensor: str) -> None:
+    """UntrustedError where the accelerometer contradicts the phase of all of a radar's targets: one of both is wrong,
+    nothing tells which, and cycles are lost unseen.
+
+    events: of the radar; targets: how many are used.
+    """
+    found = [event for event in events if event.kind == "contradiction"]
+    if found and len({event.text for event in found}) >= targets:
+        raise UntrustedError(
+            f"{sensor}: at {shown(found[0].time_ns)} its phase and the acceleration contradict each other, and no "
+            "other target tells which is right: its clock steps or frames are lost, the target moves by itself, or the "
+            "accelerometer was knocked. Cut the recording there, and calibrate (calibration.window_s) on a part "
+            "without it; give each frame a time stamp, or use a second target."
+        )
 
 
 def refuse_lost_cycles(

@@ -18,6 +18,7 @@ from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
+from midspan.notices import Notice
 from midspan.records import (
     Acceleration,
     Channel,
@@ -25,9 +26,11 @@ from midspan.records import (
     Estimate,
     Event,
     Measured,
+    Nanoseconds,
     joined,
     part,
 )
+from midspan.signals.stamps import shown
 
 
 def clocks(
@@ -55,6 +58,32 @@ def ran_apart(clock: OneClock) -> bool:
 def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
     """A sensor's series with the jumps and the drift of its clock taken out."""
     return series_of(series.sensor, series.source, clock.also(series.displacement).measured)
+
+
+def without_stamps(series: SensorSeries, stamps: Nanoseconds | None) -> SensorSeries:
+    """A series without its values at some stamps (k,)."""
+    if stamps is None:
+        return series
+    wrong = np.isin(series.time_ns, stamps)
+    return replace(series, value_m=np.where(wrong, np.nan, series.value_m))
+
+
+def without_measured(measured: Measured, stamps: Nanoseconds) -> Measured:
+    """A sensor's measurements without those at some stamps (k,)."""
+    return part(measured, ~np.isin(measured.time_ns, stamps))
+
+
+def wrong_warnings(wrong: Mapping[str, Nanoseconds]) -> list[Notice]:
+    """A sentence for each sensor of whose values some are left out (stamps (k,) by its name)."""
+    return [
+        Notice(
+            "outliers",
+            f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
+            "acceleration and the rest of its values, and are left out. Check what passes in front of it, and what "
+            "holds it.",
+        )
+        for name, stamps in wrong.items()
+    ]
 
 
 def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:

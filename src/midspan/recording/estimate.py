@@ -1,15 +1,18 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from midspan.calibration.displacement.left_out import MANY_LEFT_OUT
+from midspan.calibration.displacement.wrong_values import wrong_values
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.unfelt import (
     measured_rows,
+    refuse_contradicted,
     refuse_lost_cycles,
     refuse_steps_unseen,
     refuse_unfelt,
@@ -36,6 +39,9 @@ from midspan.engine.second_look import (
     scales,
     with_levels_of,
     with_scales,
+    without_measured,
+    without_stamps,
+    wrong_warnings,
 )
 from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
 from midspan.engine.sensors import Sensor
@@ -69,6 +75,9 @@ from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
+
+# Events of a first pass that may come of values that are wrong.
+CONTRADICTS = frozenset({"rejected", "clock", "level_shift", "acceleration", "reacquired", "frozen", "lost", "noise"})
 
 
 def estimate(
@@ -160,7 +169,8 @@ class Asked:
 class FirstPass:
     """What the engine gave, record by record: the axes, the cameras, the estimator and what came out of it.
 
-    cameras: the same as plain data; series: what each sensor measured along each axis, by its name.
+    cameras: the same as plain data; series: what each sensor measured along each axis, by its name; wrong: stamps (k,)
+    of the values of a displacement sensor that the whole record shows to be wrong, by its name.
     """
 
     sides: tuple[Side, ...]
@@ -170,12 +180,14 @@ class FirstPass:
     outcome: Outcome
     cameras: tuple[CameraResult, ...]
     series: tuple[dict[str, SensorSeries], ...]
+    wrong: Mapping[str, Nanoseconds] = field(default_factory=dict)
 
     def at_instants(self, axis: int) -> dict[str, SensorSeries]:
-        """The series along an axis, without what the sensors' exposures take from fast motion."""
-        return series_at_instants(
-            self.series[axis], self.estimator.settings.channels, axis, self.sides[axis].acceleration
-        )
+        """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
+        are wrong.
+        """
+        series = {name: without_stamps(one, self.wrong.get(name)) for name, one in self.series[axis].items()}
+        return series_at_instants(series, self.estimator.settings.channels, axis, self.sides[axis].acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +223,8 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     ran: dict[str, OneClock] = {}
     if looks or asked.given:
         ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
+    if looks:
+        first = replace(first, wrong=_wrong(first, ran))
     checked = check(asked, first, ran)
     found = by_method(asked, first, ran, checked)
     progress(1, 1, "fusing")
@@ -238,6 +252,34 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     )
     first = FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, ())
     return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
+
+
+def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanoseconds]:
+    """As of `FirstPass`, where the first pass met values that contradict the acceleration and no clock does."""
+    events = [*first.outcome.fusion_events, *first.outcome.sensor_events]
+    if not any(event.kind in CONTRADICTS for event in events):
+        return {}
+    main, found = first.sides[0], {}
+    for view, known in known_sensors(main):
+        if isinstance(known, DisplacementCalibration) and not ran_apart(ran[view.sensor]):
+            measured = first.series[0][view.sensor].displacement
+            if len(stamps := wrong_values(measured, main.acceleration)):
+                found[view.sensor] = stamps
+    return found
+
+
+def refuse_unsettled(first: FirstPass, found: Found) -> None:
+    """UntrustedError where values contradict the acceleration for long though many that are wrong were left out."""
+    events = [event for event in found.events if event.kind in ("clock", "level_shift")]
+    for name, stamps in first.wrong.items():
+        share = len(stamps) / max(len(first.series[0][name].time_ns), 1)
+        if share > MANY_LEFT_OUT and events:
+            raise UntrustedError(
+                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and without "
+                f"them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may follow "
+                "something else at times, or its clock may step: cut the recording to a part in which it follows the "
+                "structure."
+            )
 
 
 def left_out(side: Side, error: UntrustedError) -> Notice:
@@ -304,16 +346,18 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart:
         settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, first.sensors, ran))
-    if apart or settings != estimator.settings:
+    if apart or first.wrong or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
+        blocks |= {name: without_measured(blocks[name], stamps) for name, stamps in first.wrong.items()}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
         log, again = once_more(settings, log, tuple(blocks.values()))
         outcome = Outcome(again)
     found = _found(first, outcome, smooth(log, settings))
+    refuse_unsettled(first, found)
     levels = [level for clock in ran.values() for level in clock.levels]
     rows = tuple(with_levels_of(one, levels) for one in found.rows)
     events = tuple(event for clock in ran.values() for event in clock.events)
-    warnings = tuple(line for clock in ran.values() for line in clock.warnings)
+    warnings = (*(line for clock in ran.values() for line in clock.warnings), *wrong_warnings(first.wrong))
     return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
 
 
@@ -446,6 +490,7 @@ def refuse_untrue(first: FirstPass, whole: Estimate, found: Found) -> None:
     for view, known in known_sensors(main):
         if view.kind == Source.RADAR.word:
             unseen_ns = first.outcome.unseen_ns(view.sensor)
+            refuse_contradicted(first.outcome.events_of.get(view.sensor, ()), len(known.used), view.sensor)
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
             refuse_wide(main.prepared, whole)

@@ -3,13 +3,22 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.agreement import clearly_better, offset_variance_factor, unexplained
 from midspan.calibration.causes import Cause, likeliest_cause
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
+from midspan.calibration.crowd import crowd_of_outliers
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.cause_words import disagreement, lateness
-from midspan.calibration.displacement.left_out import MANY_LEFT_OUT, left_out, many_left_out, on_one_clock
+from midspan.calibration.displacement.left_out import (
+    FEW_LEFT_OUT,
+    MANY_LEFT_OUT,
+    left_out,
+    many_left_out,
+    on_one_clock,
+    refuse_step,
+)
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.held_values import held_values
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
@@ -164,8 +173,9 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         found = learnt.findings
         assert found is not None
     else:
+        crowd = crowd_of_outliers(pair)
         learnt = calibrate_noise(
-            pair,
+            without_rows(pair, crowd),
             max_offset,
             one_clock=beside.one_clock,
             length_s=beside.overlap_s,
@@ -182,10 +192,11 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
     many = (share := left_out(pair, found.pair)) > MANY_LEFT_OUT
-    if clock_steps and (many or exceeds_own_noise(*found.noise)):
+    if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
         even = _on_one_even_clock(given, series, pair)
         if even is not None:
             return even
+        refuse_step(pair, found.fit)
     if many:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
@@ -195,6 +206,15 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         return _on_one_clock(learnt, found)
     learnt = _accepted_offset(beside, learnt, found)
     return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
+
+
+def without_rows(pair: Pair, marked: NDArray[np.bool_]) -> Pair:
+    """The pair without some of its rows (m,)."""
+    if not marked.any():
+        return pair
+    rows = pair.rows.copy()
+    rows[marked, 2] = np.inf
+    return replace(pair, rows=rows)
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.causes import likeliest_cause
+from midspan.calibration.causes import Cause, likeliest_cause
 from midspan.calibration.clock import Compared
 from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.displacement.cause_words import disagreement
@@ -18,8 +18,9 @@ from midspan.errors import UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeSeries
 
-# Beyond this share the values that are left out are more than single outliers.
-MANY_LEFT_OUT = 0.2
+# Beyond this share the values that are left out are more than single outliers; beyond the smaller one they may be those
+# after a clock's step, which the motion hides in part.
+MANY_LEFT_OUT, FEW_LEFT_OUT = 0.2, 0.05
 
 
 def left_out(pair: Pair, cleaned: Pair) -> float:
@@ -52,6 +53,15 @@ def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries |
     kept = np.concatenate(([True], moved[1:] > np.maximum.accumulate(moved)[:-1]))
     value = np.where(certain[place], series.value, np.nan)
     return replace(series, time_ns=moved[kept], value=value[kept])
+
+
+def refuse_step(pair: Pair, fit: Fit) -> None:
+    """UntrustedError where a clock that steps explains what the sensors differ by, but could not be taken out."""
+    compared = replace(pair, ratio=1.0)
+    cause = likeliest_cause(compared, fit.offset_s)
+    if cause is not None and cause.named and cause.cause is Cause.STEP:
+        measured = f"displacement: it differs from the accelerometer by {1e3 * cause.difference_m:.3g} mm rms"
+        raise UntrustedError(disagreement(compared, fit.offset_s, measured))
 
 
 def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:

@@ -12,6 +12,7 @@ from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Pair
 from midspan.calibration.frequency_response import Kind, kinds_of
 from midspan.calibration.measured import measured_rows
+from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
 from midspan.calibration.radar.clear_part import clearly_seen, found_targets, refuse_farther
 from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.diagnostics import diagnostics_of
@@ -99,6 +100,8 @@ def fit_radar(
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
     targets, told_factor = _widened(targets, search)
+    _refuse_short(targets)
+    targets, told_slow = _with_slow_motion(targets, search)
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
@@ -111,7 +114,7 @@ def fit_radar(
     coloured = misfit(search.pair, search.fit)
     about = response.texts(search.fit.motion_hz)
     about += [*_warnings(calibration), *coloured.text("radar")]
-    warnings = (*info.warnings, *window.told, *hidden, *moving, *told_factor, *about)
+    warnings = (*info.warnings, *window.told, *hidden, *moving, *told_factor, *told_slow, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
@@ -324,6 +327,27 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
     return tuple(_wider(item, apart) if item.used else item for item in targets), [Notice("scale-uncertain", text)]
 
 
+def _with_slow_motion(
+    targets: tuple[RadarTarget, ...], search: OffsetSearch
+) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
+    """The only target in use with what it moves by slowly that the accelerometer does not feel, and a sentence; of
+    several their differences tell that (`judged`).
+    """
+    used = [item for item in targets if item.used]
+    if len(used) != 1:
+        return targets, []
+    own_m = narrow_motion(search.pair, search.fit) * used[0].target.conversion_factor
+    if not own_m > max(used[0].target.own_m, used[0].target.noise_m):
+        return targets, []
+    text = (
+        f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel: "
+        "the target, the radar's mount or the accelerometer moves by itself; the error band holds it. A second target "
+        "tells which."
+    )
+    moving = replace(used[0], target=replace(used[0].target, own_m=own_m, own_hz=SLOW_HZ))
+    return tuple(moving if item is used[0] else item for item in targets), [Notice("motion-not-shared", text)]
+
+
 def _wider(item: RadarTarget, relative: float) -> RadarTarget:
     target = item.target
     std = float(np.hypot(target.conversion_factor_std, relative * abs(target.conversion_factor)))
@@ -355,7 +379,6 @@ def _warnings(calibration: RadarCalibration) -> list[Notice]:
             )
         )
     best = calibration.best
-    found += _too_small(calibration.used)
     if best.clutter > MAX_CLUTTER and not best.leak:
         found.append(
             Notice(
@@ -367,17 +390,15 @@ def _warnings(calibration: RadarCalibration) -> list[Notice]:
     return found
 
 
-def _too_small(used: Sequence[Target]) -> list[Notice]:
-    """A sentence where a factor is below 1, which no fixed target has: it is one over the cosine of an angle."""
-    worst = min(used, key=lambda target: abs(target.conversion_factor))
-    least = 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std)
-    if abs(worst.conversion_factor) >= least:
-        return []
-    return [
-        Notice(
-            "unit-doubtful",
-            f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is "
-            "below 1, which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the "
-            "accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected twice.",
-        )
-    ]
+def _refuse_short(targets: Sequence[RadarTarget]) -> None:
+    """UntrustedError for a factor below 1, which no fixed target has: it is one over the cosine of an angle."""
+    worst = min((item.target for item in targets if item.used), key=lambda target: abs(target.conversion_factor))
+    if abs(worst.conversion_factor) >= 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std):
+        return
+    place = f" at {worst.range_m:.2f} m" if np.isfinite(worst.range_m) else ""
+    raise UntrustedError(
+        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target{place} is below 1, which a fixed "
+        "target cannot have: all displacements would be off by as much. Check accelerometer.unit (1 g is 9.81 m/s²) "
+        "and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected "
+        "twice."
+    )
