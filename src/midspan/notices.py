@@ -9,7 +9,8 @@ class Severity(StrEnum):
 
     NOTE = "note"  # something was found and dealt with; nothing has to be done
     WARNING = "warning"  # the result holds within its band, but is worse or shorter than it could be
-    SERIOUS = "serious"  # the displacement may be wrong by more than its band
+    SERIOUS = "serious"  # the displacement may be wrong by more than its band: what was declared, given or sampled is
+    # doubtful. Where the sensors themselves contradict each other, the band holds both readings, or there is no result.
 
 
 _NOTE, _WARNING, _SERIOUS = Severity.NOTE, Severity.WARNING, Severity.SERIOUS
@@ -43,8 +44,8 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "give each frame its own time stamp where frames are lost; else nothing",
     ),
     "clock-differs": (
-        _SERIOUS,
-        "the clocks differ, or differ for a part of the record, by what was not corrected",
+        _WARNING,
+        "the clocks differ, or differ for a part of the record, by what was not corrected; the band holds it",
         "check for lost frames, correct start_s, or split the recording there",
     ),
     "clock-uncertain": (
@@ -129,8 +130,13 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "what the two sensors differ by is no white noise; the band is wider by it",
         "look for cross motion, an exposure or low-pass that was not declared, tilt, a mounting that is not stiff",
     ),
+    "gain-corrected": (
+        _WARNING,
+        "relative to the displacement sensor, which counts as right, the accelerometer has a gain, which is taken out",
+        "check unit and sensitivity of [accelerometer], unit of [displacement]",
+    ),
     "motion-not-shared": (
-        _SERIOUS,
+        _WARNING,
         "one sensor shows motion that the other one does not: bracket, camera or axis; the band holds the difference",
         "stiffen the mounting, raise the frame rate, check the axis and the region",
     ),
@@ -155,9 +161,9 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "aim at a target that stands alone; name it with radar.target_range_m",
     ),
     "radar-zero": (
-        _SERIOUS,
-        "the radar's cycle was lost, or may have been lost, so that its zero is another one",
-        "trust changes before and after, not across; keep the target in sight",
+        _WARNING,
+        "the cycle of a radar's target was lost, or may have been lost; its zero is new, or others carry the result on",
+        "keep the target in sight; the band is wider across it",
     ),
     "rate-too-low": (
         _SERIOUS,
@@ -212,8 +218,8 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
     ),
     "unit-doubtful": (
         _SERIOUS,
-        "a unit, a sensitivity or a sign seems wrong: all displacements would be off by the same factor",
-        "check unit and sensitivity of [accelerometer], unit and sign of [displacement]",
+        "what the accelerometer reads at rest fits another unit: all displacements would be off by the same factor",
+        "check unit and sensitivity of [accelerometer]",
     ),
     "video-compressed": (
         _WARNING,

@@ -23,8 +23,11 @@ PIECE, MAX_READINGS = 600, 100_000
 LIMIT = 5.0
 # The loss narrows by this factor a round, so often: from the readings' span to a hundredth of a percent of it.
 NARROWER, ROUNDS = 0.8, 40
-# What most readings share is right: fewer than half of them are wrong, in each of so many parts of the record.
-MAX_WRONG, BLOCKS = 0.5, 6
+# What most readings share is right: fewer than half of them are wrong; of each of so many parts of the record, at most
+# this share, which chance does not reach where it is half of all.
+MAX_WRONG, BLOCKS, MAX_OF_BLOCK = 0.5, 6, 0.7
+# The wrong ones lie apart from the others by so many deviations, as a half of them does at least.
+APART = 7.5
 # Fewer are no crowd: a fit of all tells them, and a filter's gate.
 MIN_WRONG = 0.1
 # Motion is compared down to where the accelerometer's noise, integrated twice, is this share of the readings' variance.
@@ -74,9 +77,9 @@ def _scattered(left: Floats, far: NDArray[np.bool_]) -> bool:
 
     What begins at an instant is another thing: a clock that steps, a sensor that is stuck, a motion that it misses.
     """
-    if np.mean(far) < MIN_WRONG or np.median(np.abs(left[far])) < 2.0 * LIMIT * _spread(left):
+    if not MIN_WRONG < np.mean(far) < MAX_WRONG or np.median(np.abs(left[far])) < APART * _spread(left):
         return False
-    return all(np.mean(part) < MAX_WRONG for part in np.array_split(far, BLOCKS))
+    return all(np.mean(part) < MAX_OF_BLOCK for part in np.array_split(far, BLOCKS))
 
 
 def _robust(differs: Floats, basis: Floats) -> Floats:

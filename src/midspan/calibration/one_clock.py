@@ -99,13 +99,22 @@ def one_clock(
         running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
     moved = _moved(measured, jumps) if running is None else running.measured
     told = () if running is None else running.warnings
+    uneven: tuple[CourseError, ...] = ()
+    if running is not None and running.uneven_s is not None:
+        std_m = _apart(moved, slice(0, None), running.uneven_s, acceleration, kalman)
+        uneven = (CourseError(moved.time_ns, std_m),)
     if not jumps:
-        return OneClock(moved, told, running=running)
+        return OneClock(moved, told, levels=uneven, running=running)
     _refuse_contradiction(moved, acceleration, kalman, sensor)
     moved, levels = _either_side(moved, jumps, acceleration, kalman)
     events = tuple(_event(measured, jump, sensor) for jump in jumps)
     return OneClock(
-        moved, (*(Notice("clock-corrected", event.text) for event in events), *told), events, levels, jumps, running
+        moved,
+        (*(Notice("clock-corrected", event.text) for event in events), *told),
+        events,
+        (*levels, *uneven),
+        jumps,
+        running,
     )
 
 

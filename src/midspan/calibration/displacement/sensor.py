@@ -6,7 +6,9 @@ import numpy as np
 
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
+from midspan.calibration.causes import Cause, likeliest_cause
 from midspan.calibration.clock_rate import ClockRate
+from midspan.calibration.displacement.cause_words import disagreement
 from midspan.calibration.displacement.clock_words import two_rates, with_offset, with_rate
 from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
@@ -221,10 +223,11 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
     if learnt.gain_std > 0.0 and abs(learnt.gain - 1.0) > max(TOLD, CERTAIN * learnt.gain_std):
         found.append(
             Notice(
-                "unit-doubtful",
+                "gain-corrected",
                 f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± "
-                f"{learnt.gain_std:.2g}, which is taken out. Check accelerometer.unit and accelerometer.sensitivity, "
-                "and that both sensors measure the same axis; accelerometer.estimate_scale = false leaves it as it is.",
+                f"{learnt.gain_std:.2g}, which is taken out: the displacement sensor's unit counts as right. Check "
+                "accelerometer.unit and accelerometer.sensitivity, displacement.unit, and that both sensors measure "
+                "the same axis; accelerometer.estimate_scale = false leaves it as it is.",
             )
         )
     found += _exposure_warnings(given, learnt)
@@ -247,13 +250,23 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
     )
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
+    _refuse_other_cause(learnt, text)
     return [
         *found,
         Notice(
-            "unit-doubtful",
+            "scale-uncertain",
             f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out.",
         ),
     ]
+
+
+def _refuse_other_cause(learnt: NoiseCalibration, text: str) -> None:
+    """UntrustedError where a clock explains what looks like a factor: the band of a factor does not hold it."""
+    assert learnt.findings is not None
+    cause = likeliest_cause(learnt.findings.pair, learnt.findings.fit.offset_s)
+    if cause is not None and cause.named and cause.cause in (Cause.CLOCK, Cause.STEP):
+        measured = text.partition(" where 1 is expected")[0]
+        raise UntrustedError(disagreement(learnt.findings.pair, learnt.findings.fit.offset_s, measured))
 
 
 def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:

@@ -1,0 +1,144 @@
+"""Sensors that contradict each other: the right value, a band that holds the error, or a refusal with its cause.
+
+Recordings are written from physics: a sum of tones, its acceleration exact.
+"""
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.cli.main import run
+from midspan.notices import Severity
+
+TONES_HZ, SHARE = np.array([0.7, 1.9, 4.1]), np.array([0.6, 0.3, 0.1])
+SLOW_HZ = np.array([0.25])
+WAVELENGTH_M = 299792458.0 / 77e9
+
+
+class Structure:
+    """A motion of tones with an rms in mm, and its acceleration in m/s²."""
+
+    def __init__(self, seed, rms_mm=3.0, hertz=TONES_HZ):
+        self.rng = np.random.default_rng(seed)
+        size = SHARE[: len(hertz)]
+        self.size_mm = rms_mm * size / np.sqrt(0.5 * np.sum(size**2))
+        self.turn = 2.0 * np.pi * hertz
+        self.phase = np.random.default_rng(1000 + seed).uniform(0.0, 2.0 * np.pi, len(hertz))
+
+    def moved_mm(self, time_s):
+        return np.sin(np.multiply.outer(time_s, self.turn) + self.phase) @ self.size_mm
+
+    def write(self, folder, length_s=60.0):
+        time_s = np.arange(0.0, length_s, 0.01)
+        value = -1e-3 * np.sin(np.multiply.outer(time_s, self.turn) + self.phase) @ (self.size_mm * self.turn**2)
+        value += self.rng.normal(0.03, 5e-3, len(time_s))
+        table(folder / "accel.csv", "time_s,accel", time_s, value)
+        return '[accelerometer]\nfile = "accel.csv"\nunit = "m/s^2"\n'
+
+    def displacement(self, folder, time_s, value_mm, length_s=60.0):
+        """A recording with a displacement sensor of 0.1 mm noise whose values at stamps are given."""
+        text = self.write(folder, length_s)
+        table(folder / "disp.csv", "time_s,mm", time_s, value_mm)
+        (folder / "recording.toml").write_text(f'{text}[displacement]\nfile = "disp.csv"\nvalue = "mm"\nunit = "mm"\n')
+        return folder
+
+    def noisy_mm(self, time_s):
+        return self.moved_mm(time_s) + self.rng.normal(0.0, 0.1, len(time_s))
+
+
+def table(file, head, *columns):
+    np.savetxt(file, np.column_stack(columns), "%.9f", ",", header=head, comments="")
+
+
+STAMPS = np.arange(0.3, 59.7, 0.1)
+
+
+def held(result, error_mm, least=0.88):
+    """Whether the band holds the errors: nine of ten rows in that of 95 %, and none far outside."""
+    ratio = np.abs(error_mm) / result.displacement_std_mm
+    assert np.mean(ratio < 1.96) > least
+    assert np.max(ratio) < 5.0
+    assert not [line for line in result.warnings if line.severity is Severity.SERIOUS]
+
+
+@pytest.mark.parametrize("late_s", [1.5, 2.0])
+def test_a_step_of_the_clock_beyond_what_is_corrected_is_refused_and_named(late_s, tmp_path, capsys):
+    site = Structure(1, 5.6, SLOW_HZ)
+    value = site.noisy_mm(STAMPS + np.where(STAMPS > 30.0, late_s, 0.0))
+    folder = site.displacement(tmp_path, STAMPS, value)
+    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 4
+    said = capsys.readouterr().err
+    assert "a clock that steps explains the readings best" in said
+    assert "Cut the recording where the clock steps" in said
+
+
+@pytest.mark.parametrize("late_s", [0.2, 1.0])
+def test_a_step_that_is_corrected_leaves_its_deviation_in_the_band(late_s, tmp_path):
+    site = Structure(2, 5.6, SLOW_HZ)
+    value = site.noisy_mm(STAMPS + np.where(STAMPS > 30.0, late_s, 0.0))
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, value))
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+def test_two_steps_of_a_clock_soon_after_each_other_are_corrected(tmp_path):
+    site, stamps = Structure(1), np.arange(0.3, 99.7, 0.1)
+    shown = stamps + 0.2 * (stamps > 70.0) + 0.3 * (stamps > 85.0)
+    result = midspan.estimate(site.displacement(tmp_path, shown, site.noisy_mm(stamps), 100.0))
+    assert [event.kind for event in result.events].count("clock") == 2
+    assert all("this was corrected" in event.text for event in result.events if event.kind == "clock")
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.4])
+def test_a_crowd_of_outliers_to_one_side_is_named_and_left_out(share, tmp_path):
+    site = Structure(2)
+    value = site.noisy_mm(STAMPS)
+    value += (site.rng.random(len(STAMPS)) < share) * site.rng.uniform(3.0, 10.0, len(STAMPS))
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, value))
+    assert any(line.code == "outliers" and "contradict" in line for line in result.warnings)
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+def test_a_sensor_that_is_frozen_from_the_start_begins_where_it_is_free(tmp_path):
+    site = Structure(1)
+    value = site.noisy_mm(STAMPS)
+    value[STAMPS < 6.0] = value[STAMPS < 6.0][0] + 5.0
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, value))
+    assert result.time_s[0] == pytest.approx(6.0, abs=0.2)
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+def test_a_sensor_that_is_stuck_with_its_noise_leads_no_row_away(tmp_path):
+    site = Structure(1)
+    stuck = (STAMPS > 15.0) & (STAMPS < 40.0)
+    value = np.where(stuck, site.moved_mm(np.array([15.0])), site.moved_mm(STAMPS))
+    value += site.rng.normal(0.0, 0.1, len(value))
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, value))
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+def radar(folder, site, range_mm):
+    """A recording with a radar of one bin; range_mm: of time."""
+    frame_s = np.arange(0.0, 30.0, 0.01)
+    noise = site.rng.normal(0.0, 20.0, (2, len(frame_s)))
+    z = 1000.0 * np.exp(4e-3j * np.pi * range_mm(frame_s) / WAVELENGTH_M) + noise[0] + 1j * noise[1]
+    np.save(folder / "iq.npy", z.astype(np.complex64)[:, None, None])
+    sensors = site.write(folder, 30.0) + '[radar]\nfile = "iq.npy"\nrate_hz = 100.0\ncarrier_hz = 77e9\n'
+    (folder / "recording.toml").write_text(f"{sensors}[calibration]\nwindow_s = [0.0, 20.0]\n")
+    return folder
+
+
+def test_a_factor_that_no_fixed_target_has_is_refused(tmp_path, capsys):
+    site = Structure(1)
+    folder = radar(tmp_path, site, lambda t: site.moved_mm(t) / 0.9)
+    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 4
+    assert "below 1, which a fixed target cannot have" in capsys.readouterr().err
+
+
+def test_a_radar_that_the_acceleration_contradicts_is_refused_with_the_time(tmp_path, capsys):
+    site = Structure(2)
+    folder = radar(tmp_path, site, lambda t: site.moved_mm(t + (t > 25.0)))
+    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 4
+    said = capsys.readouterr().err
+    assert "contradict" in said
+    assert "25." in said or "24." in said
