@@ -82,6 +82,12 @@ class Verdict:
     open: frozenset[Cause]
     size_m: float
     error_m: float
+    other_m: float = 0.0
+
+    @property
+    def either_m(self) -> float:
+        """The most that it may make of a displacement that rests on either of both, as where one alone is accepted."""
+        return max(self.error_m, self.other_m)
 
 
 def m_per_px(target: TargetCalibration) -> float:
@@ -118,7 +124,7 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
     judged = [last.accepted(one) for one in last.refused()]
     small = last.slight(held)
     shared_m = last.shared()
-    error_m = max((shared_m, *(one.error_m for one in (*held.values(), *judged, *small))))
+    error_m = max((shared_m, *(one.error_m for one in (*judged, *small)), *(one.either_m for one in held.values())))
     told = [_notice(one) for one in (*held.values(), *judged)]
     if shared_m > 0.0:
         told.append(Notice("motion-not-shared", f"{_shared_text(shared_m)} The error band holds it."))
@@ -288,7 +294,8 @@ class _Compared:
         # Where no single cause explains it there are several.
         left = left or frozenset(shares)
         most = max(abs(shares[cause]) for cause in left)
-        return Verdict(kept, other, left, found.excess_m, most * found.held_m)
+        others = max(abs(1.0 - shares[cause]) for cause in left)
+        return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
         """The share of a difference that is in the target that is kept."""
@@ -350,7 +357,7 @@ def _notice(verdict: Verdict) -> Notice:
     return Notice(
         "motion-not-shared",
         f"Targets {verdict.kept.name} and {verdict.other.name} differ by {1e3 * verdict.size_m:.2g} mm rms, more than "
-        f"their noise and scale factors explain; the error band holds {1e3 * verdict.error_m:.2g} mm for it. "
+        f"their noise and scale factors explain; the error band holds {1e3 * verdict.either_m:.2g} mm for it. "
         f"{_cause_text(verdict)}",
     )
 
