@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from midspan.calibration.agreement import least_lead
 from midspan.calibration.causes import MIN_READINGS, Comparison, slow_motion
 from midspan.calibration.fit import Pair
+from midspan.calibration.outliers import shaken_rows
 from midspan.records import Floats
 from midspan.signals.medians import white_noise
 
@@ -55,7 +56,11 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     plain = np.concatenate([differs[k] - q @ (q.T @ differs[k]) for k, q in zip(pieces, bases, strict=True)])
     left = np.concatenate([_robust(differs[k], q) for k, q in zip(pieces, bases, strict=True)])
     far = np.abs(left) > LIMIT * _spread(left)
-    if _scattered(left, far) and _gain(plain, left, far) > least_lead(len(left)):
+    if not far.any():
+        return crowd
+    # What a slow sensor shows of a structure that rings is no outlier.
+    shaken = shaken_rows(replace(pair, rows=rows))[compared.inside]
+    if np.mean(shaken[far]) < MAX_WRONG and _scattered(left, far) and _gain(plain, left, far) > least_lead(len(left)):
         # At both ends, where the integral is open, none of them can be told from the others.
         crowd[usable] = True
         crowd[usable[compared.inside]] = far

@@ -90,10 +90,10 @@ def without_lonely_outliers(pair: Pair) -> Pair:
     What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier. Nor
     is what a slow sensor sees of a structure that rings: the acceleration tells that there is motion.
     """
-    return replace(pair, rows=without_lonely(pair.rows, _shaken(pair)))
+    return replace(pair, rows=without_lonely(pair.rows, shaken_rows(pair)))
 
 
-def _shaken(pair: Pair) -> NDArray[np.bool_]:
+def shaken_rows(pair: Pair) -> NDArray[np.bool_]:
     """Whether the structure is shaken far more than usual about each measurement (m,), one of them more or less."""
     shaken = np.interp(pair.rows[:, 0], pair.samples[:, 0], pair.lively)
     about = sliding_window_view(np.pad(shaken, 1, mode="edge"), 3).max(axis=1)

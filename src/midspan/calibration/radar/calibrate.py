@@ -334,10 +334,10 @@ def _with_slow_motion(
     several their differences tell that (`judged`).
     """
     used = [item for item in targets if item.used]
-    if len(used) != 1:
+    if len(used) != 1 or used[0].target.own_m > 0.0:
         return targets, []
     own_m = narrow_motion(search.pair, search.fit) * used[0].target.conversion_factor
-    if not own_m > max(used[0].target.own_m, used[0].target.noise_m):
+    if not own_m > used[0].target.noise_m:
         return targets, []
     text = (
         f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel: "
