@@ -99,9 +99,7 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
-    targets, told_factor = _widened(targets, search)
-    _refuse_short(targets)
-    targets, told_slow = _with_slow_motion(targets, search)
+    targets, told_factor = _judged(targets, search)
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
@@ -114,7 +112,7 @@ def fit_radar(
     coloured = misfit(search.pair, search.fit)
     about = response.texts(search.fit.motion_hz)
     about += [*_warnings(calibration), *coloured.text("radar")]
-    warnings = (*info.warnings, *window.told, *hidden, *moving, *told_factor, *told_slow, *about)
+    warnings = (*info.warnings, *window.told, *hidden, *moving, *told_factor, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
@@ -304,6 +302,14 @@ def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -
         return 1.0
     stated = float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
     return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
+
+
+def _judged(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
+    """The targets with what the accelerometer contradicts in their deviations, and sentences on it."""
+    targets, of_factor = _widened(targets, search)
+    _refuse_short(targets)
+    targets, of_motion = _with_slow_motion(targets, search)
+    return targets, [*of_factor, *of_motion]
 
 
 def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
