@@ -40,18 +40,15 @@ def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
         rows = whole.copy()
         rows[held, 2] = np.inf
         found = _stretch(replace(pair, rows=rows), before)
-        rows[found, 2] = np.inf
         if not len(found):
             break
+        found = _with_ends(whole[:, 1], found)
+        rows[found, 2] = np.inf
         after = best_corner(replace(pair, rows=rows), fit.offset_s)
         if not _likelier(rows, before, after):
             break
         held[found], before = True, after
-    # The readings next to a stretch may be of it: the motion passed there the place at which the sensor was stuck.
-    near = held.copy()
-    near[1:] |= held[:-1]
-    near[:-1] |= held[1:]
-    return near
+    return held
 
 
 def _stretch(pair: Pair, fit: Fit) -> NDArray[np.int64]:
@@ -70,6 +67,14 @@ def _stretch(pair: Pair, fit: Fit) -> NDArray[np.int64]:
     return index[inner] if last - first + 1 >= MIN_HELD and _stays(pair, fit, inner) else index[:0]
 
 
+def _with_ends(value: Floats, stretch: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The rows of a stretch, with those beside it that are as its own: the motion passed there where it was stuck."""
+    level, far = np.mean(value[stretch]), OUTLIER_LIMIT * np.std(value[stretch])
+    ends = np.array([stretch[0] - 1, stretch[-1] + 1])
+    ends = ends[(ends >= 0) & (ends < len(value))]
+    return np.concatenate((stretch, ends[np.abs(value[ends] - level) < far]))
+
+
 def _reached(far: NDArray[np.int64], middle: int, way: int) -> int:
     """How far (one way, -1 or 1) readings that are `far` off (k,) go on from the one in the middle."""
     reached = middle
@@ -81,12 +86,15 @@ def _reached(far: NDArray[np.int64], middle: int, way: int) -> int:
 
 
 def _stays(pair: Pair, fit: Fit, inner: slice) -> bool:
-    """Whether the readings compared, from one to another, move by far less than the structure did meanwhile."""
+    """Whether the readings compared, from one to another, move by far less than the structure did meanwhile, and than
+    the others do: where it is the accelerometer that errs, they move on as before.
+    """
     here = aligned(pair, fit.offset_s)
     time_s, moved = here.rows[inner, 0], fit.ratio * pair.responses[0].at(here.rows[inner, 0], pair.exposure_s)
     powers = np.vander(time_s - time_s[0], 3)
     moved = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
-    return bool(np.var(pair.rows[here.index[inner], 1]) < MAX_MOVED * np.var(moved))
+    readings, others = pair.rows[here.index[inner], 1], np.delete(pair.rows[here.index, 1], inner)
+    return bool(np.var(readings) < MAX_MOVED * min(np.var(moved), np.var(others)))
 
 
 def _likelier(rows: Floats, before: Fit, after: Fit) -> bool:

@@ -18,7 +18,6 @@ from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
-from midspan.notices import Notice
 from midspan.records import (
     Acceleration,
     Channel,
@@ -73,17 +72,13 @@ def without_measured(measured: Measured, stamps: Nanoseconds) -> Measured:
     return part(measured, ~np.isin(measured.time_ns, stamps))
 
 
-def wrong_warnings(wrong: Mapping[str, Nanoseconds]) -> list[Notice]:
-    """A sentence for each sensor of whose values some are left out (stamps (k,) by its name)."""
-    return [
-        Notice(
-            "outliers",
-            f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
-            "acceleration and the rest of its values, and are left out. Check what passes in front of it, and what "
-            "holds it.",
-        )
-        for name, stamps in wrong.items()
-    ]
+def wrong_text(name: str, stamps: Nanoseconds) -> str:
+    """What to say of the values of a sensor at some stamps (k,) that are left out."""
+    return (
+        f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
+        "acceleration and the rest of its values, and are left out. Check what passes in front of it, and what holds "
+        "it."
+    )
 
 
 def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:

@@ -41,7 +41,7 @@ from midspan.engine.second_look import (
     with_scales,
     without_measured,
     without_stamps,
-    wrong_warnings,
+    wrong_text,
 )
 from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
 from midspan.engine.sensors import Sensor
@@ -356,9 +356,12 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     refuse_unsettled(first, found)
     levels = [level for clock in ran.values() for level in clock.levels]
     rows = tuple(with_levels_of(one, levels) for one in found.rows)
-    events = tuple(event for clock in ran.values() for event in clock.events)
-    warnings = (*(line for clock in ran.values() for line in clock.warnings), *wrong_warnings(first.wrong))
-    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
+    told = {name: wrong_text(name, stamps) for name, stamps in first.wrong.items()}
+    events = [event for clock in ran.values() for event in clock.events]
+    events += [Event(int(first.wrong[name][0]), "rejected", text) for name, text in told.items()]
+    warnings = [line for clock in ran.values() for line in clock.warnings]
+    warnings += [Notice("outliers", text) for text in told.values()]
+    return replace(found, rows=rows, events=(*found.events, *events), warnings=tuple(warnings))
 
 
 def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
