@@ -9,12 +9,14 @@ from fractions import Fraction
 import numpy as np
 
 from benchmarks.table import goal, show
+from midspan import _core
 from midspan.records import Floats, Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera, Pixels
 from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import TEXTURES, textured_scene
-from midspan.vision.picture_quality import PictureWatch
+from midspan.vision.picture_report import picture_report
 from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.target import translation_of
 from midspan.vision.tracker import open_tracker
 
 # Never used while the constants were set.
@@ -100,20 +102,27 @@ class Run:
     warnings: list[str]
 
 
+def opened(frame: Frame, region: Region) -> _core.TargetChain:
+    """What looks at the pictures of a target."""
+    place = region.x, region.y, region.width, region.height
+    return _core.TargetChain(frame.pixels, place, picture=True, light=False, lossless=False)
+
+
 def run(pictures: list[Pixels], path: Floats, name: str, region: Region = REGION, first: int = 1) -> Run:
     """Track with an accelerometer's prediction and watch; both axes, frames from `first` on."""
     frames = [Frame(round(1e9 * k / RATE_HZ), picture, k) for k, picture in enumerate(pictures)]
-    tracker, watch, rows, wider = open_tracker(name, frames[0], region), PictureWatch(frames[0], region), [], []
+    tracker, watch, rows, wider = open_tracker(name, frames[0], region), opened(frames[0], region), [], []
     for frame, (x, y) in zip(frames, path, strict=True):
         rows.append(tracker.push(frame, Prediction(float(x), float(y), 0.3, 0.3)))
-        wider.append(watch.push(frame, rows[-1]).of(rows[-1]))
-    track, wide = PixelTrack.stack(rows), PixelTrack.stack(wider)
+        wider.append(translation_of(watch.push(frame.pixels, frame.time_ns, rows[-1])))
+    track, wide, report = PixelTrack.stack(rows), PixelTrack.stack(wider), picture_report(watch)
+    assert report is not None
     errors = np.column_stack((track.x_px, track.y_px))[first:] - path[first:]
 
     def usual(of: PixelTrack) -> float:
         return float(np.sqrt(np.nanmedian(np.concatenate((of.variance_x_px2[first:], of.variance_y_px2[first:])))))
 
-    return Run(float(np.sqrt(np.nanmean(errors**2))), usual(track), usual(wide), picture_warnings(watch, "y"))
+    return Run(float(np.sqrt(np.nanmean(errors**2))), usual(track), usual(wide), picture_warnings(report, "y"))
 
 
 def clean() -> None:
@@ -225,12 +234,13 @@ def cost() -> None:
     rows = []
     for size in (64, 128):
         region = Region((SIDE - size) // 2, (SIDE - size) // 2, size, size)
-        watch = PictureWatch(frames[0], region)
+        watch = opened(frames[0], region)
         spent = {name: _microseconds(open_tracker(name, frames[0], region).push, frames) for name in _TRACKERS}
 
-        def look(frame: Frame, watch: PictureWatch = watch) -> None:
+        def look(frame: Frame, watch: _core.TargetChain = watch) -> None:
             y = 0.3 * float(np.sin(frame.time_ns / 1e7))
-            watch.push(frame, PixelTranslation(frame.time_ns, 0.0, y, 1e-6, 1e-6, 1.0, Status.TRACKING))
+            found = PixelTranslation(frame.time_ns, 0.0, y, 1e-6, 1e-6, 1.0, Status.TRACKING)
+            watch.push(frame.pixels, frame.time_ns, found)
 
         mine = _microseconds(look, frames, repeats=8)
         rows.append([size, mine, *(100.0 * mine / spent[name] for name in _TRACKERS)])

@@ -24,6 +24,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     py::signals::register(module)?;
     py::track::register(module)?;
     py::registration::register(module)?;
+    py::chain::register(module)?;
     py::radar::register(module)?;
     py::features::register(module)?;
     py::lens::register(module)?;

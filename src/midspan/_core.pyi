@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats
+from midspan.records import Floats, PixelTranslation, Prediction
 
 Floats32 = NDArray[np.float32]
 
@@ -206,8 +206,14 @@ class Pose:
     @property
     def noise(self) -> float: ...
 
+# Last translation (px), its stamp (ns), speed (px/s), frames lost since, whether for confusion; roll (rad), zoom, the
+# usual noise and how many frames it rests on.
+RegistrationMemory = tuple[float, float, int | None, float, float, int, bool, float, float, float, int]
+
+MAJORITY: float
+
 class Registration:
-    """A template that frames are registered with."""
+    """A target that is followed by registering frames with its template; see `core/src/track/tracker.rs`."""
 
     def __init__(
         self,
@@ -218,18 +224,32 @@ class Registration:
         weight: Floats32,
         taps: Floats32,
         gradient_noise: float,
+        difference_noise: float,
         min_share: float,
         reference_noise: float,
+        floor_px2: float,
+        level: float,
+        shape: tuple[int, ...],
         kernel_bytes: int,
     ) -> None: ...
     def count_from(self, zero: Floats, covariance: Floats) -> None: ...
     def covariance(self, of_window: bool) -> list[list[float]]: ...
     @property
     def most_kernel_bytes(self) -> int: ...
-    def all_finite(self, pixels: NDArray[np.generic], x_px: float, y_px: float) -> bool: ...
-    def look(
-        self, pixels: NDArray[np.generic], level: float, begin: tuple[float, float, float, float], usual: float
-    ) -> Pose | None: ...
+    def track(self, pixels: NDArray[np.generic], time_ns: int, prediction: Prediction | None = None) -> Row | None: ...
+    @property
+    def candidate(self) -> Pose | None: ...
+    def look(self, pixels: NDArray[np.generic], place: tuple[float, float]) -> Pose | None: ...
+    def is_trusted(self, pose: Pose) -> bool: ...
+    @property
+    def suspicious_noise(self) -> float: ...
+    def accept(self, time_ns: int, pose: Pose) -> Row: ...
+    def miss(self, confused: bool) -> None: ...
+    @property
+    def learnable(self) -> bool: ...
+    @property
+    def state(self) -> RegistrationMemory: ...
+    def restore(self, state: RegistrationMemory) -> None: ...
     def pose_in(
         self, picture: Floats32, origin: tuple[int, int], begin: tuple[float, float, float, float], of_window: bool
     ) -> Pose | None: ...
@@ -252,9 +272,6 @@ CARDINAL_REACH_PX: int
 Place = tuple[int, int, int, int]
 
 def is_dark(pixels: NDArray[np.generic], step: int) -> bool: ...
-def changed(
-    pixels: NDArray[np.generic], place: Place, before: NDArray[np.generic] | None = None
-) -> NDArray[np.generic] | None: ...
 def codec_traces(pixels: NDArray[np.generic], place: Place) -> tuple[float, float, float]: ...
 def picture_noise_of(
     now: NDArray[np.float32],
@@ -267,18 +284,54 @@ class LightReference:
     def __init__(self, pixels: NDArray[np.generic], place: Place) -> None: ...
     def unlike(self, pixels: NDArray[np.generic], x_px: float, y_px: float) -> float | None: ...
 
-class TargetPicture:
-    def __init__(self, pixels: NDArray[np.generic], place: Place) -> None: ...
-    @property
-    def ends(self) -> float: ...
-    def look(
+# Stamp (ns), x, y (px), variances (px²), quality, status, strength, variances of the reference (px²), why not looked
+# for.
+Row = tuple[int, float, float, float, float, float, int, float, float, float, int]
+AxisNumbers = tuple[int, int, float, float, float]
+
+TEMPLATE_NOISE: float
+SATURATED_SHARE: float
+LIGHT_PX: float
+
+class TargetChain:
+    """What happens to a target's translation in a frame besides its tracker; see `core/src/track/chain.rs`."""
+
+    def __init__(
         self,
         pixels: NDArray[np.generic],
-        x: int,
-        y: int,
-        noise: float,
-        before: tuple[NDArray[np.generic], int, int] | None = None,
-    ) -> tuple[float, float, float, float]: ...
+        place: Place,
+        *,
+        picture: bool,
+        light: bool,
+        lossless: bool,
+        readout_s: float = 0.0,
+        quarter_turns: int = 0,
+        lens: tuple[LensModel, tuple[int, int]] | None = None,
+    ) -> None: ...
+    def track(
+        self,
+        tracker: Registration,
+        pixels: NDArray[np.generic],
+        time_ns: int,
+        prediction: Prediction | None = None,
+    ) -> Row | None: ...
+    def push(self, pixels: NDArray[np.generic], time_ns: int, found: PixelTranslation) -> Row: ...
+    def dark(self, pixels: NDArray[np.generic], time_ns: int) -> Row | None: ...
+    @property
+    def first_late_ns(self) -> int: ...
+    @property
+    def frozen_frames(self) -> int: ...
+    @property
+    def light(self) -> tuple[float, int | None] | None: ...
+    @property
+    def compression(self) -> tuple[float, float, float] | None: ...
+    @property
+    def saturated_share(self) -> float | None: ...
+    @property
+    def counts(self) -> tuple[int, int, int, int, float, AxisNumbers, AxisNumbers] | None: ...
+    def state(self) -> bytes: ...
+    def restore(self, state: bytes) -> None: ...
+    def keep_usual(self) -> None: ...
 
 Taps = tuple[list[float], list[float], list[float]]
 

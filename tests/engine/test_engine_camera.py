@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from midspan._core import LIGHT_PX, TEMPLATE_NOISE
 from midspan.engine.camera import WARM_UP_FRAMES, CameraChain
 from midspan.engine.camera_target import ChainSettings, Target
 from midspan.engine.target_opening import Opening
@@ -17,11 +18,8 @@ from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, ThermalView
 from midspan.thermal.temperature_range import Expected
-from midspan.vision.compression import CHECK_FRAMES, CHECKS_KEPT
-from midspan.vision.fair_variance import TEMPLATE_NOISE
 from midspan.vision.hybrid import PhaseSettings
 from midspan.vision.lens import Lens, ideal_translation
-from midspan.vision.light import LIGHT_PX
 from midspan.vision.tracker import open_tracker
 
 COUNT, SHAPE = 60, (140, 160)
@@ -215,7 +213,7 @@ def test_a_frame_that_repeats_the_one_before_is_lost():
     for target, track in zip(chain.targets, tracks, strict=True):
         assert np.flatnonzero(track.status == Status.LOST).tolist() == [31, 32, 33, 34, 35]
         assert np.isnan(track.variance_y_px2[31:36]).all()
-        assert target.frozen_frames == 5
+        assert target.report.frozen_frames == 5
     assert np.abs(tracks[0].y_px[36:] - PATH[36:]).max() < 0.05
 
 
@@ -226,7 +224,7 @@ def test_in_the_dark_nothing_is_looked_for():
     rows = [chain.push(frame)[0] for frame in frames]
     assert [k for k, row in enumerate(rows) if row.unseen == "dark"] == list(range(40, 50))
     assert [k for k, row in enumerate(rows) if row.status is Status.LOST] == list(range(40, 50))
-    assert chain.targets[0].frozen_frames == 0
+    assert chain.targets[0].report.frozen_frames == 0
 
 
 def test_where_light_is_cut_off_or_the_focus_is_lost_frames_widen_from_then_on():
@@ -274,7 +272,7 @@ def test_a_state_does_not_grow():
     frames, sizes = film(path=np.zeros(8)), []
     chain = opened(frames, targets=TARGETS[1:], tracker="template")
     # At the same place between two checks: when the medians are full, and four checks later.
-    first, last = ((CHECKS_KEPT + more) * CHECK_FRAMES + 48 for more in (0, 4))
+    first, last = ((64 + more) * 96 + 48 for more in (0, 4))
     for k in range(last + 1):
         chain.push(Frame(33_000_000 * k, frames[k % 8].pixels, k), [Prediction(0.0, 0.0, 0.3, 0.3)])
         if k in (first, last):

@@ -10,7 +10,7 @@ from midspan.engine.camera_target import ChainSettings, Target, TargetChain
 from midspan.engine.target_opening import Opening
 from midspan.engine.tracking import TargetTracking, light_warnings
 from midspan.records import Frame, PixelTrack, PixelTranslation, Region, Status
-from midspan.vision.light import LightState
+from midspan.vision.light import LightReport
 from midspan.vision.target import lost
 
 
@@ -71,8 +71,8 @@ def test_a_frame_takes_a_fraction_of_what_objects_would(target):
 
 
 def test_changed_light_is_told_with_when_it_began():
-    (line,) = light_warnings(LightState(largest_px2=0.09**2, notable_ns=2 * 10**9))
+    (line,) = light_warnings(LightReport(largest_px2=0.09**2, notable_ns=2 * 10**9))
     assert "from 2.000 s on" in line
     assert "0.09 px" in line
     assert "key-frames" in line
-    assert light_warnings(LightState(largest_px2=0.01**2)) == []
+    assert light_warnings(LightReport(largest_px2=0.01**2)) == []

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from midspan import _core
+from midspan._core import LIGHT_PX
 from midspan.records import Frame, PixelTranslation, Region, Status
 from midspan.signals.health import runs
 from midspan.simulate.scene.texture import textured_scene
-from midspan.vision.light import LIGHT_PX, USUAL_LOOKS, LightState, LightWatch, is_dark
+from midspan.vision.light import is_dark
+from midspan.vision.target import translation_of
 
 REGION = Region(16, 14, 60, 54)
 
@@ -16,6 +18,17 @@ REGION = Region(16, 14, 60, 54)
 def scenes():
     """One wall under light from two sides: textures that have nothing in common."""
     return tuple(textured_scene("natural", (84, 92), rng=np.random.default_rng(seed), reach_px=4.0) for seed in (1, 2))
+
+
+def opened(frame):
+    """What looks at the light of a target."""
+    place = REGION.x, REGION.y, REGION.width, REGION.height
+    return _core.TargetChain(frame.pixels, place, picture=False, light=True, lossless=False)
+
+
+def added(watch, frame, found):
+    """The variance (px²) that light adds to what was found in a frame."""
+    return translation_of(watch.push(frame.pixels, frame.time_ns, found)).reference_variance_x_px2
 
 
 def watched(scenes, turned, gain=lambda t: 1.0, front=lambda t: False, seconds=60):
@@ -32,9 +45,9 @@ def watched(scenes, turned, gain=lambda t: 1.0, front=lambda t: False, seconds=6
         picture = np.clip(np.rint(picture + rng.standard_normal(picture.shape)), 0, 255).astype(np.uint8)
         frame = Frame(t * 1_000_000_000, picture, t)
         if watch is None:
-            watch = LightWatch(frame, REGION)
+            watch = opened(frame)
         found = PixelTranslation(frame.time_ns, 0.0, y, 1e-5, 1e-5, 1.0, Status.TRACKING)
-        told.append(np.sqrt(watch.push(frame, found)))
+        told.append(np.sqrt(added(watch, frame, found)))
     return np.array(told)
 
 
@@ -74,16 +87,6 @@ def test_light_that_turns_widens_by_the_sine_and_gives_back_what_it_took(scenes)
     # Seen two seconds late; the blocks' pictures are not quite orthogonal.
     assert std.max() == pytest.approx(LIGHT_PX * np.sin(0.8), rel=0.15)
     assert std[-1] < 0.35 * std.max()
-
-
-def test_changed_light_is_kept_with_when_it_began():
-    state = LightState()
-    for k, share in enumerate([0.0] * USUAL_LOOKS + [0.1] * 4 + [0.5] * 4 + [0.0] * 5):
-        state = state.looked(share, k)
-    # The third of five looks is the middle one; 0.12 px · √0.1 = 0.038 px is not notable, 0.12 px · √0.5 = 0.085 px is.
-    assert state.notable_ns == USUAL_LOOKS + 4 + 2
-    assert np.sqrt(state.largest_px2) == pytest.approx(LIGHT_PX * np.sqrt(0.5), rel=0.01)
-    assert state.variance_px2 == 0.0
 
 
 def by_the_block(reference, seen, full):
@@ -127,12 +130,12 @@ def test_a_watch_goes_on_from_a_state(scenes):
         picture = (1 - t / 80) * one + t / 80 * other + rng.standard_normal(one.shape)
         frames.append(Frame(t * 500_000_000, np.clip(picture, 0, 255).astype(np.uint8), t))
     found = PixelTranslation(0, 0.0, 0.0, 1e-5, 1e-5, 1.0, Status.TRACKING)
-    whole, first, second = (LightWatch(frames[0], REGION) for _ in range(3))
-    expected = [whole.push(frame, found) for frame in frames]
+    whole, first, second = (opened(frames[0]) for _ in range(3))
+    expected = [added(whole, frame, found) for frame in frames]
     assert expected[-1] > 0.0
-    got = [first.push(frame, found) for frame in frames[:17]]
-    second.restore(first.state)
-    assert got + [second.push(frame, found) for frame in frames[17:]] == expected
+    got = [added(first, frame, found) for frame in frames[:17]]
+    second.restore(first.state())
+    assert got + [added(second, frame, found) for frame in frames[17:]] == expected
 
 
 @pytest.mark.parametrize("black", [0, 16])

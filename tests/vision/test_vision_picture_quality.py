@@ -11,9 +11,9 @@ from midspan import _core
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import TEXTURES, textured_scene
-from midspan.vision.compression import Square, difference
-from midspan.vision.picture_quality import PictureWatch
+from midspan.vision.picture_report import picture_report
 from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.target import translation_of
 from midspan.vision.tracker import open_tracker
 
 COUNT, SIDE, REGION = 50, 176, Region(40, 40, 96, 96)
@@ -51,14 +51,25 @@ def through(pictures, codec, **options):
         return [np.ascontiguousarray(frame.to_ndarray(format="gray")) for frame in container.decode(video=0)]
 
 
+def opened(picture, region=REGION):
+    """What looks at the pictures of a target."""
+    place = region.x, region.y, region.width, region.height
+    return _core.TargetChain(picture, place, picture=True, light=False, lossless=False)
+
+
+def pushed(watch, frame, found):
+    """What was found in a frame, widened."""
+    return translation_of(watch.push(frame.pixels, frame.time_ns, found))
+
+
 def watched(pictures, path=PATH, name="template", region=REGION):
-    """The watch over a tracked film, the track, and the track as it was widened frame by frame."""
+    """The report on a tracked film, the track, and the track as it was widened frame by frame."""
     frames = [Frame(100_000_000 * k, picture, k) for k, picture in enumerate(pictures)]
-    tracker, watch, rows, wide = open_tracker(name, frames[0], region), PictureWatch(frames[0], region), [], []
+    tracker, watch, rows, wide = open_tracker(name, frames[0], region), opened(pictures[0], region), [], []
     for frame, y in zip(frames, path, strict=True):
         rows.append(tracker.push(frame, Prediction(0.0, float(y), 0.3, 0.3)))
-        wide.append(watch.push(frame, rows[-1]).of(rows[-1]))
-    return watch, PixelTrack.stack(rows), PixelTrack.stack(wide)
+        wide.append(pushed(watch, frame, rows[-1]))
+    return picture_report(watch), PixelTrack.stack(rows), PixelTrack.stack(wide)
 
 
 def reported_over_true(track, path=PATH):
@@ -71,14 +82,14 @@ def test_the_difference_of_two_noisy_pictures_tells_their_noise_wherever_they_li
     rng = np.random.default_rng(5)
     scene = textured_scene("natural", (84, 84), rng=rng)
     samples = [
-        Square((scene.render(x, y) + rng.normal(0, noise_std, (84, 84))).astype(np.float32), (x, y))
+        ((scene.render(x, y) + rng.normal(0, noise_std, (84, 84))).astype(np.float32), (x, y))
         for x, y in ((0.0, 0.0), (0.4, -0.3))
     ]
-    found = difference(*samples)
+    fine, broad = _core.picture_noise_of(*samples[0], *samples[1])
     # A median of 2000 to 4000 values is known to 2 to 3 %. Aliasing of the scene adds 0.3 grey levels as squares: 4 %
     # of the smaller noise.
-    assert found.fine == pytest.approx(noise_std, rel=0.1)
-    assert found.broad == pytest.approx(noise_std, rel=0.1)
+    assert fine == pytest.approx(noise_std, rel=0.1)
+    assert broad == pytest.approx(noise_std, rel=0.1)
 
 
 @pytest.mark.parametrize("texture", TEXTURES)
@@ -114,9 +125,12 @@ def test_a_light_that_turns_slowly_neither_feigns_compression_nor_hides_it(inher
             kept = inherited if k in compared else 0.0
             noise = kept * noise + np.sqrt(1.0 - kept**2) * rng.normal(0.0, 2.0, (SIDE, SIDE))
             picture = (120.0 + lit + 0.0024 * k * shaded + noise).astype(np.float32)
+        # One pixel tells it from the frame before: it is not frozen.
+        picture[REGION.y, REGION.x] += 1.0 if k % 2 else -1.0
         frame = Frame(100_000_000 * k, picture, k)
-        watch = watch or PictureWatch(frame, REGION)
-        watch.push(frame, PixelTranslation(frame.time_ns, 0.0, 0.0, 1e-4, 1e-4, 1.0, Status.TRACKING))
+        watch = watch or opened(picture)
+        pushed(watch, frame, PixelTranslation(frame.time_ns, 0.0, 0.0, 1e-4, 1e-4, 1.0, Status.TRACKING))
+    watch = picture_report(watch)
     # Frames 96 apart differ by the shading, neighbours by their noise alone: taken for a codec they gave 0.34.
     if inherited:
         # A difference to the frame before with 2 (1 - 0.8) of the variance instead of 2.
@@ -181,8 +195,11 @@ def test_the_scale_s_own_share_grows_with_compression_and_falls_with_motion():
 def frozen_share(now, before, left):
     """Share of the texture in blocks that stood still, of pictures whose first column is `left` in the frame."""
     now, before = (np.pad(picture, ((0, 0), (left, 0))) for picture in (now, before))
-    place = (left, 0, now.shape[1] - left, now.shape[0])
-    return _core.TargetPicture(now, place).look(now, left, 0, 0.0, (before[:, left:].copy(), left, 0))[3]
+    watch = opened(before, Region(left, 0, now.shape[1] - left, now.shape[0]))
+    for k, picture in enumerate((before, now)):
+        pushed(watch, Frame(k, picture), PixelTranslation(k, 0.0, 0.0, 1e-4, 1e-4, 1.0, Status.TRACKING))
+    # The mean of two frames, of which the first has none before it.
+    return 2.0 * picture_report(watch).compression.frozen_share
 
 
 def test_the_share_of_frozen_blocks_counts_by_their_texture_on_the_picture_s_own_grid():
@@ -200,15 +217,15 @@ def test_the_share_of_frozen_blocks_counts_by_their_texture_on_the_picture_s_own
 def test_what_stands_still_widens_by_its_share_of_the_step():
     rng = np.random.default_rng(4)
     picture = rng.integers(0, 255, (SIDE, SIDE)).astype(np.uint8)
-    watch, wide = PictureWatch(Frame(0, picture), REGION), []
+    watch, wide = opened(picture), []
     for k in range(20):
         picture = picture.copy()
         # The upper quarter of the region is the same in each frame, the rest is new.
         picture[REGION.y + 24 :] = rng.integers(0, 255, picture[REGION.y + 24 :].shape)
         row = PixelTranslation(k, 0.0, 0.1 * (k % 2), 1e-6, 1e-6, 1.0, Status.TRACKING)
-        wide.append(watch.push(Frame(k, picture), row).of(row))
+        wide.append(pushed(watch, Frame(k, picture), row))
     # The first frame has none before it: 19 of 20.
-    assert watch.compression.frozen_share == pytest.approx(0.25 * 19 / 20, abs=0.02)
+    assert picture_report(watch).compression.frozen_share == pytest.approx(0.25 * 19 / 20, abs=0.02)
     wide = PixelTrack.stack(wide)
     # e = (e + step) / 4 has the limit e = step / 3.
     assert math.sqrt(wide.variance_y_px2[-6]) == pytest.approx(0.1 / 3, rel=0.1)

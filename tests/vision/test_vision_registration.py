@@ -343,7 +343,7 @@ def test_the_whole_window_tells_roll_and_zoom_from_light(scenes, roll, zoom, lig
     # Without noise every part of the linear model is there to the second order: what the picture was turned by, and
     # nothing of gain, level and a ramp of gain across the window.
     clean = scenes["natural"].render(0, 0).astype(np.float64)
-    core = RegistrationTracker(picture(0, clean.astype(np.float32)), REGION, RegistrationSettings())._core
+    core = RegistrationTracker(picture(0, clean.astype(np.float32)), REGION, RegistrationSettings()).core
     gain, level, ramp = light
     seen = turned(clean, roll, zoom) * (gain + ramp * COLUMNS / SIZE) + level
     found = core.pose_in((seen - np.mean(clean)).astype(np.float32), (REGION.x, REGION.y), (0.0,) * 4, True)

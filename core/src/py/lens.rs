@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 
 /// See [`Lens`].
 #[pyclass(module = "midspan._core", frozen)]
-struct LensModel(Lens);
+pub struct LensModel(pub Lens);
 
 /// Places (n, 2), and derivatives (n, 4) of x by x and y and of y by x and y; NaN where there is none.
 type Places<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);

@@ -1,15 +1,19 @@
-//! `track::registration` for Python.
+//! The registration tracker for Python.
 
 use super::arrays::{Image, array, grid, with_pixels};
+use super::chain::{PyRow, py_row};
 use super::elements;
 use super::track::PyTemplate;
 use crate::track::bank::Plane;
-use crate::track::climb::Pose;
+use crate::track::chain::Row;
 use crate::track::correlation::smooth;
 use crate::track::fine_spline::{BEYOND, PER_PX};
 use crate::track::grid::Grid;
 use crate::track::learning::{self, PAD_PX, Sample, Samples};
+use crate::track::motion::{Motion, Prediction};
 use crate::track::registration::{Registration, Settings};
+use crate::track::tracker::{Fix, Given, Look, Memory, Tracker};
+use crate::track::watch::Translation;
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -54,23 +58,87 @@ impl PyPose {
     }
 }
 
-impl From<Pose> for PyPose {
-    fn from(pose: Pose) -> Self {
-        Self::new(pose.value, std::array::from_fn(|k| pose.covariance[k][k]), pose.share, pose.noise)
+impl From<Fix> for PyPose {
+    fn from(fix: Fix) -> Self {
+        Self::new(fix.value, fix.variance, fix.share, fix.noise)
     }
 }
 
-/// See [`Registration`].
+impl PyPose {
+    fn fix(&self) -> Fix {
+        Fix {
+            value: [self.x_px, self.y_px, self.roll_rad, self.zoom],
+            variance: [self.variance_x_px2, self.variance_y_px2, self.variance_roll_rad2, self.variance_zoom],
+            share: self.share,
+            noise: self.noise,
+        }
+    }
+}
+
+/// A Python `Prediction`.
+#[derive(FromPyObject)]
+pub struct PyPrediction {
+    x_px: f64,
+    y_px: f64,
+    std_x_px: f64,
+    std_y_px: f64,
+}
+
+impl From<PyPrediction> for Prediction {
+    fn from(one: PyPrediction) -> Self {
+        Self { place: [one.x_px, one.y_px], std: [one.std_x_px, one.std_y_px] }
+    }
+}
+
+/// Last translation (px), its stamp (ns), speed (px/s), frames lost since, whether for confusion; roll (rad), zoom, the
+/// usual noise and how many frames it rests on.
+type Memories = (f64, f64, Option<i64>, f64, f64, u64, bool, f64, f64, f64, u64);
+
+/// See [`Tracker`].
 #[pyclass(module = "midspan._core", name = "Registration")]
-struct PyRegistration(Registration);
+pub struct PyRegistration {
+    /// The tracker.
+    pub own: Tracker,
+    /// What the last look that was not enough found.
+    candidate: Option<Fix>,
+}
+
+impl PyRegistration {
+    /// See [`Tracker::track`]; None where the target must be searched for. ValueError for a frame of another size.
+    pub fn tracked(
+        &mut self,
+        py: Python<'_>,
+        image: &Image<'_>,
+        time_ns: i64,
+        prediction: Option<Prediction>,
+    ) -> PyResult<Option<Translation>> {
+        let own = &mut self.own;
+        let look = with_pixels!(image, pixels => {
+            if [pixels.rows, pixels.columns] != own.given().shape {
+                return Err(PyValueError::new_err("pixels: not of the reference's size"));
+            }
+            py.detach(|| own.track(pixels, time_ns, prediction))
+        });
+        let (found, candidate) = match look {
+            Look::Known(found) => (Some(found), None),
+            Look::Search(candidate) => (None, candidate),
+        };
+        self.candidate = candidate;
+        Ok(found)
+    }
+}
 
 #[pymethods]
 impl PyRegistration {
     /// `grid`: fine spline coefficients around the window, which begins at the pixel `origin` (row, column) of them; `taps`:
     /// of the low-pass on these; `weight` (h, w): one over the noise variance, about 1; `gradient_noise`: what noise adds to
-    /// the mean square of the low-passed gradient.
+    /// the mean square of the low-passed gradient; `level`: subtracted from frames of `shape`; `difference_noise`: of a
+    /// frame less the template.
     #[new]
-    #[pyo3(signature = (template, *, grid, origin, weight, taps, gradient_noise, min_share, reference_noise, kernel_bytes))]
+    #[pyo3(signature = (
+        template, *, grid, origin, weight, taps, gradient_noise, difference_noise, min_share, reference_noise, floor_px2,
+        level, shape, kernel_bytes
+    ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -80,8 +148,12 @@ impl PyRegistration {
         weight: PyReadonlyArray2<'_, f32>,
         taps: PyReadonlyArray1<'_, f32>,
         gradient_noise: f64,
+        difference_noise: f64,
         min_share: f64,
         reference_noise: f64,
+        floor_px2: f64,
+        level: f64,
+        shape: [usize; 2],
         kernel_bytes: usize,
     ) -> PyResult<Self> {
         let (grid, weight, taps) = (super::arrays::grid(&grid), super::arrays::grid(&weight), elements("taps", &taps)?);
@@ -90,49 +162,100 @@ impl PyRegistration {
             return Err(PyValueError::new_err("taps, grid, template: an odd number, two rows and 8 px are needed"));
         }
         let settings = Settings { min_share, reference_noise, kernel_bytes };
+        let far_px = 0.5 * (window.width as f64).hypot(window.height as f64);
+        let given = Given { shape, level, reference_noise, difference_noise, floor_px2, far_px };
         py.detach(|| {
             let low = smooth(&grid.mirrored(taps.len() / 2), taps);
             let plane = Plane::new([&grid, &low], origin, weight, gradient_noise, window)?;
-            Some(Self(Registration::new(plane, whole, settings)))
+            Some(Tracker::new(Registration::new(plane, whole, settings), given))
         })
+        .map(|own| Self { own, candidate: None })
         .ok_or_else(|| PyValueError::new_err("grid, weight: not of the window's size"))
     }
 
     /// See [`Registration::count_from`].
     fn count_from(&mut self, zero: [f64; 4], covariance: [[f64; 4]; 4]) {
-        self.0.count_from(zero, covariance);
+        self.own.registration.count_from(zero, covariance);
     }
 
     /// See [`Registration::covariance`].
     fn covariance(&mut self, of_window: bool) -> [[f64; 2]; 2] {
-        self.0.covariance(of_window)
+        self.own.registration.covariance(of_window)
     }
 
     /// See [`Registration::most_kernel_bytes`].
     #[getter]
     fn most_kernel_bytes(&self) -> usize {
-        self.0.most_kernel_bytes()
+        self.own.registration.most_kernel_bytes()
     }
 
-    /// See [`Registration::all_finite`].
-    fn all_finite(&self, pixels: &Bound<'_, PyAny>, x_px: f64, y_px: f64) -> PyResult<bool> {
-        let image = Image::new(pixels)?;
-        Ok(with_pixels!(&image, pixels => self.0.all_finite(&pixels, &[x_px, y_px, 0.0, 0.0])))
-    }
-
-    /// See [`Registration::look`]; `begin`: x, y, roll, zoom; `usual`: 0 where it is not known.
-    fn look(
+    /// See [`Tracker::track`]; a row as of a target's chain, None where the target must be searched for.
+    #[pyo3(signature = (pixels, time_ns, prediction=None))]
+    fn track(
         &mut self,
         py: Python<'_>,
         pixels: &Bound<'_, PyAny>,
-        level: f64,
-        begin: [f64; 4],
-        usual: f64,
-    ) -> PyResult<Option<PyPose>> {
-        let image = Image::new(pixels)?;
-        let (registration, usual) = (&mut self.0, (usual > 0.0).then_some(usual));
-        let pose = with_pixels!(&image, pixels => py.detach(|| registration.look(pixels, level, &begin, usual)));
-        Ok(pose.map(PyPose::from))
+        time_ns: i64,
+        prediction: Option<PyPrediction>,
+    ) -> PyResult<Option<PyRow>> {
+        let found = self.tracked(py, &Image::new(pixels)?, time_ns, prediction.map(Prediction::from))?;
+        Ok(found.map(|translation| py_row(&Row { time_ns, translation, unseen: None })))
+    }
+
+    /// What the last frame that must be searched shows at the expected place; None: nothing.
+    #[getter]
+    fn candidate(&self) -> Option<PyPose> {
+        self.candidate.map(PyPose::from)
+    }
+
+    /// See [`Tracker::look`].
+    fn look(&mut self, py: Python<'_>, pixels: &Bound<'_, PyAny>, place: [f64; 2]) -> PyResult<Option<PyPose>> {
+        let (image, own) = (Image::new(pixels)?, &mut self.own);
+        let fix = with_pixels!(&image, pixels => py.detach(|| own.look(pixels, place)));
+        Ok(fix.map(PyPose::from))
+    }
+
+    /// See [`Tracker::is_trusted`].
+    fn is_trusted(&self, pose: &PyPose) -> bool {
+        self.own.is_trusted(&pose.fix())
+    }
+
+    /// See [`Tracker::suspicious_noise`].
+    #[getter]
+    fn suspicious_noise(&self) -> f64 {
+        self.own.suspicious_noise()
+    }
+
+    /// See [`Tracker::accept`].
+    fn accept(&mut self, time_ns: i64, pose: &PyPose) -> PyRow {
+        let translation = self.own.accept(time_ns, &pose.fix());
+        py_row(&Row { time_ns, translation, unseen: None })
+    }
+
+    /// See [`Tracker::miss`].
+    fn miss(&mut self, confused: bool) {
+        self.own.miss(confused);
+    }
+
+    /// See [`Tracker::learnable`].
+    #[getter]
+    fn learnable(&self) -> bool {
+        self.own.learnable
+    }
+
+    /// Everything that changes from frame to frame.
+    #[getter]
+    fn state(&self) -> Memories {
+        let Memory { motion, roll_rad, zoom, usual_noise, judged_frames } = self.own.memory;
+        let Motion { place: [x, y], time_ns, speed: [right, down], lost_frames, confused } = motion;
+        (x, y, time_ns, right, down, lost_frames, confused, roll_rad, zoom, usual_noise, judged_frames)
+    }
+
+    /// Continues from a `state`.
+    fn restore(&mut self, state: Memories) {
+        let (x, y, time_ns, right, down, lost_frames, confused, roll_rad, zoom, usual_noise, judged_frames) = state;
+        let motion = Motion { place: [x, y], time_ns, speed: [right, down], lost_frames, confused };
+        self.own.memory = Memory { motion, roll_rad, zoom, usual_noise, judged_frames };
     }
 
     /// See [`Registration::pose_in`].
@@ -144,8 +267,9 @@ impl PyRegistration {
         begin: [f64; 4],
         of_window: bool,
     ) -> Option<PyPose> {
-        let (picture, registration) = (grid(&picture), &mut self.0);
-        py.detach(|| registration.pose_in(&picture, origin, &begin, of_window)).map(PyPose::from)
+        let (picture, registration) = (grid(&picture), &mut self.own.registration);
+        let pose = py.detach(|| registration.pose_in(&picture, origin, &begin, of_window));
+        pose.map(|pose| PyPose::from(Fix::from(pose)))
     }
 }
 

@@ -3,7 +3,7 @@
 use super::arrays::{Image, array, grid, with_pixels};
 use super::{elements, pairs, same_length};
 use crate::track::fine_spline::{Fine, Taps};
-use crate::track::grid::{Grid, Part};
+use crate::track::grid::Grid;
 use crate::track::peak::Precision;
 use crate::track::spline::{self, TAPS};
 use crate::track::template::{Fix, Template, Window};
@@ -186,7 +186,7 @@ fn pixel_values<'py>(
 ) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
     let image = Image::new(pixels)?;
     let values = with_pixels!(&image, pixels => {
-        let whole = Part { top: 0, bottom: pixels.rows, left: 0, right: pixels.columns };
+        let whole = pixels.whole();
         py.detach(|| pixels.values(whole, level))
     });
     values.map(|grid| array(py, grid)).transpose()

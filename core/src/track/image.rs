@@ -97,6 +97,19 @@ impl Region {
             height,
         }
     }
+
+    /// Moved by a translation, rounded to whole pixels, and then the least to lie inside an image of this size, cut to that
+    /// where it is larger (equation 28 of doi 10.1111/mice.12767).
+    pub fn followed(self, place: [f64; 2], rows: usize, columns: usize) -> Self {
+        let along = |first: i64, moved: f64, size: usize, pixels: usize| {
+            let size = size.min(pixels);
+            let last = (pixels - size) as i64;
+            (first.saturating_add(moved.round_ties_even() as i64).clamp(0, last), size)
+        };
+        let (x, width) = along(self.x, place[0], self.width, columns);
+        let (y, height) = along(self.y, place[1], self.height, rows);
+        Self { x, y, width, height }
+    }
 }
 
 /// An image, or a part of one.
@@ -144,6 +157,14 @@ impl<'a, T: Copy> Image<'a, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_region_follows_its_target_to_the_edge() {
+        let region = Region { x: 5, y: 2, width: 3, height: 4 };
+        assert_eq!(region.followed([-2.4, 1.6], 20, 30), Region { x: 3, y: 4, ..region });
+        assert_eq!(region.followed([1e300, -9.0], 20, 30), Region { x: 27, y: 0, ..region });
+        assert_eq!(region.followed([0.0, 0.0], 3, 2), Region { x: 0, y: 0, width: 2, height: 3 });
+    }
 
     #[test]
     fn a_part_is_the_pixels_of_its_rows_and_columns_and_one_that_leaves_the_image_is_none() {

@@ -95,6 +95,11 @@ impl<'a, T: Pixel> Pixels<'a, T> {
         &self.values[row * self.stride + left..row * self.stride + right]
     }
 
+    /// All of it.
+    pub fn whole(&self) -> Part {
+        Part { top: 0, bottom: self.rows, left: 0, right: self.columns }
+    }
+
     /// Whether all pixels of a part have a value.
     pub fn all_finite(&self, part: Part) -> bool {
         T::WHOLE

@@ -2,17 +2,14 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from midspan.engine.camera_target import ChainSettings, Target, TargetChain, TargetState
 from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction
 from midspan.thermal.temperature_range import Expected
-from midspan.vision.light import is_dark
 
-# Every so many rows and columns, or this many rows where a frame has more, tell a black frame from a lit one.
-THINNED, DARK_ROWS = 4, 60
-# What is usual is estimated up to the frame that completes the third check of the codec, see vision/compression.py.
+# What is usual is estimated up to the frame that completes the third check of the codec, see core/src/track/codec.rs.
 WARM_UP_FRAMES = 28
 
 
@@ -34,7 +31,6 @@ class CameraChain:
     def __init__(self, reference: Frame, targets: Sequence[Target], settings: ChainSettings) -> None:
         """Raises UsageError for a target that cannot be tracked, or is out of the lens model's reach."""
         self.targets = tuple(TargetChain(reference, target, settings) for target in targets)
-        self._lit = not is_dark(reference.pixels)
 
     @property
     def state(self) -> CameraState:
@@ -50,11 +46,8 @@ class CameraChain:
         self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
     ) -> tuple[PixelTranslation, ...]:
         """The translation of each target in `frame`; predictions: of each target, in pixels of the ideal camera."""
-        dark = self._lit and self._black(frame)
         expected = predictions or (None,) * len(self.targets)
-        return tuple(
-            target.push(frame, prediction, dark=dark) for target, prediction in zip(self.targets, expected, strict=True)
-        )
+        return tuple(map(TargetChain.push, self.targets, (frame,) * len(self.targets), expected))
 
     @property
     def frames_to_learn(self) -> int:
@@ -76,22 +69,12 @@ class CameraChain:
                     tracker.learn(frames)
             elif felt is not None:
                 tracker.learn(frames, felt.translation_px, direction=felt.direction, band_hz=felt.band_hz)
-        begun = self.state
+        begun = [target.tracker.state for target in self.targets]
         for frame in frames[:WARM_UP_FRAMES]:
             self.push(frame)
-        taught = self.state
-        self.restore(CameraState(tuple(map(_usual_kept, begun.targets, taught.targets))))
+        for target, tracker in zip(self.targets, begun, strict=True):
+            target.restart(tracker)
 
     def leave_out(self, places: Sequence[int]) -> None:
         """Track the targets of these numbers (from 0) no further."""
         self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
-
-    def _black(self, frame: Frame) -> bool:
-        """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
-        return is_dark(frame.pixels, max(THINNED, frame.pixels.shape[0] // DARK_ROWS))
-
-
-def _usual_kept(begun: TargetState, taught: TargetState) -> TargetState:
-    """The first state with what of the second one is usual."""
-    picture = None if taught.picture is None else taught.picture.at_the_start()
-    return replace(begun, usual=taught.usual, picture=picture)

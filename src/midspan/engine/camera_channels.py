@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.channels import Table, ages, as_first_term, clock_std_s, interval_s
 from midspan.engine.sensors import MIN_STD_PX, CameraSensor
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.model import ParameterKind
 from midspan.records import Channel
-from midspan.vision.fair_variance import TEMPLATE_NOISE
 
 
 def camera_channels(

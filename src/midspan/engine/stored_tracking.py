@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from midspan.engine.camera import CameraState
-from midspan.engine.camera_target import Target
+from midspan.engine.camera_target import Target, TargetReport
 from midspan.engine.tracking import CameraTracking, TargetTracking, TrackingSettings
 from midspan.errors import DataError
 from midspan.progress import Progress, silent
@@ -32,8 +32,7 @@ class StoredTracker:
 class StoredTarget:
     """What stands for a target's chain: nothing is left to be tracked."""
 
-    picture = light = None
-    frozen_frames = 0
+    report = TargetReport()
 
     def __init__(self, reference: Frame, target: StoredTrack, readout_s: float, first: int = 0) -> None:
         self.name, self.region = target.name, target.region

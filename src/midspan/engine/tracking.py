@@ -34,11 +34,12 @@ from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import Expected, RangeSurface
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.lens import Lens, lens_warnings
-from midspan.vision.light import LightState
+from midspan.vision.light import LightReport
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice
+from midspan.vision.target import UNSEEN
 from midspan.vision.tracker import Tracker
 
 # Frames that were looked at are kept until they are tracked; so much memory at most.
@@ -47,8 +48,6 @@ MOST_AHEAD_BYTES = 200_000_000
 _track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
 STRENGTH, REFERENCE_X, REFERENCE_Y = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 3)
 Felt = Callable[[Nanoseconds], Expected]
-# Why a target was not looked for in a frame, see `PixelTranslation.unseen`.
-REASONS = ("", "dark", "frozen")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +117,7 @@ class TargetTracking:
         reference = (found.reference_variance_x_px2, found.reference_variance_y_px2)
         if found.events:
             self._events[len(self._columns)] = found.events
-        self._columns.append(*_track_row(found), found.strength, *reference, REASONS.index(found.unseen))
+        self._columns.append(*_track_row(found), found.strength, *reference, UNSEEN.index(found.unseen))
         self._track = None
 
     @property
@@ -157,26 +156,26 @@ class TargetTracking:
         )
         told = self._events.get(number, ())
         return PixelTranslation(
-            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told, REASONS[why]
+            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told, UNSEEN[why]
         )
 
     def warnings(self, axes: str) -> list[Notice]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
-        found, chain = [], self.chain
-        if chain.frozen_frames:
+        found, report = [], self.chain.report
+        if report.frozen_frames:
             found.append(
                 Notice(
                     "frozen",
-                    f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not "
-                    "used.",
+                    f"camera: {report.frozen_frames} frames only repeat the picture before them (frozen); they were "
+                    "not used.",
                 )
             )
-        if chain.picture is not None:
-            found += picture_warnings(chain.picture, axes)
-        return found + (light_warnings(chain.light.state) if chain.light is not None else [])
+        if report.picture is not None:
+            found += picture_warnings(report.picture, axes)
+        return found + (light_warnings(report.light) if report.light is not None else [])
 
 
-def light_warnings(light: LightState) -> list[Notice]:
+def light_warnings(light: LightReport) -> list[Notice]:
     """A sentence where light may have moved a target with a fixed reference."""
     if light.notable_ns is None:
         return []
@@ -261,7 +260,7 @@ class CameraTracking:
             rows=target.rows,
             reference_px2=target.reference_px2,
             blur_s=chain.blur_s(exposure_s),
-            picture=chain.picture,
+            picture=chain.report.picture,
             tracker=target.tracker,
             tracker_name=settings.tracker,
             tracker_settings=settings.tracker_settings,

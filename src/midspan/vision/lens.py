@@ -210,6 +210,11 @@ def _middle(region: Region, lens: Lens) -> tuple[Floats, Floats, Floats]:
     return middle, place[0], slope[0]
 
 
+def lens_of(lens: Lens | None) -> tuple[_core.LensModel, tuple[int, int]] | None:
+    """A lens for the core, with the width and height in px of the frames that it is for."""
+    return None if lens is None else (_model(lens), lens.size)
+
+
 @lru_cache(maxsize=64)
 def _model(lens: Lens) -> _core.LensModel:
     """The lens for the core: of every model twelve coefficients, filled up with zeros."""

@@ -2,9 +2,9 @@
 
 import math
 
+from midspan._core import SATURATED_SHARE
 from midspan.notices import Notice
-from midspan.vision.picture_counts import AxisCounts
-from midspan.vision.picture_quality import SATURATED_SHARE, PictureWatch
+from midspan.vision.picture_report import AxisCounts, PictureReport
 
 TELLING_STD_PX = 0.003  # below this, compression does less than the noise of a usual frame
 SWALLOWED = 3.0  # motion below so many standard deviations of the codec loses half of its size, or all
@@ -12,20 +12,20 @@ TOLD_SHARE, TOLD_FRAMES = 0.02, 3  # of the frames; and not less than so many
 MOST_FRAMES = 0.5
 
 
-def picture_warnings(watch: PictureWatch, axes: str) -> list[Notice]:
-    """What `watch` found in the frames so far, measured along the image axes "x", "y" or "xy"."""
-    along = [watch.counts.x if axis == "x" else watch.counts.y for axis in axes]
+def picture_warnings(report: PictureReport, axes: str) -> list[Notice]:
+    """What `report` says in the frames so far, measured along the image axes "x", "y" or "xy"."""
+    along = [report.counts.x if axis == "x" else report.counts.y for axis in axes]
     found = {
-        "video-compressed": _compression(watch, along),
-        "frames-blurred": _blur(watch),
-        "region-exposure": _saturation(watch),
+        "video-compressed": _compression(report, along),
+        "frames-blurred": _blur(report),
+        "region-exposure": _saturation(report),
         "region-texture": _texture(along),
     }
     return [Notice(code, text) for code, text in found.items() if text]
 
 
-def _compression(watch: PictureWatch, along: list[AxisCounts]) -> str:
-    found = watch.compression
+def _compression(report: PictureReport, along: list[AxisCounts]) -> str:
+    found = report.compression
     if found.std_px < TELLING_STD_PX:
         return ""
     moved, limit = max(one.moved_px for one in along), SWALLOWED * found.std_px
@@ -45,8 +45,8 @@ def _compression(watch: PictureWatch, along: list[AxisCounts]) -> str:
     )
 
 
-def _blur(watch: PictureWatch) -> str:
-    count, blurred, sharper = watch.counts.frames, watch.counts.blurred, watch.counts.sharper
+def _blur(report: PictureReport) -> str:
+    count, blurred, sharper = report.counts.frames, report.counts.blurred, report.counts.sharper
     least = max(TOLD_SHARE * count, TOLD_FRAMES)
     # One frame out of focus at the start leaves all others sharper; a few sharper ones are brighter, or covered.
     if sharper > MOST_FRAMES * count:
@@ -62,10 +62,10 @@ def _blur(watch: PictureWatch) -> str:
     return ""
 
 
-def _saturation(watch: PictureWatch) -> str:
-    share, count, some = watch.saturated_share, watch.counts.frames, watch.counts.saturated
+def _saturation(report: PictureReport) -> str:
+    share, count, some = report.saturated_share, report.counts.frames, report.counts.saturated
     if share <= SATURATED_SHARE and some > max(TOLD_SHARE * count, TOLD_FRAMES):
-        most = 100.0 * watch.counts.most_saturated / (1.0 + watch.counts.most_saturated)
+        most = 100.0 * report.counts.most_saturated / (1.0 + report.counts.most_saturated)
         return (
             f"camera: in {some} of {count} frames pixels of the region are at the end of the scale, up to "
             f"{most:.0f} % of them; their standard deviations are widened. Fix the exposure, and keep glare out."

@@ -10,9 +10,9 @@ lead to the target, the template tracker looks for it.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan import _core
 from midspan._core import Pose
@@ -22,23 +22,18 @@ from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region,
 from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
 from midspan.vision.plane import Plane, best_smoothing_px, fine_lowpass_taps, first_plane
 from midspan.vision.region import check_size
-from midspan.vision.target import FULL_QUALITY, Motion, lost
+from midspan.vision.target import Motion, lost, translation_of
 from midspan.vision.template import NEXT_PX, TemplateSettings, TemplateState, TemplateTracker
-from midspan.vision.texture import noise_gains, values
+from midspan.vision.texture import noise_gains
 from midspan.vision.tracker import Tracker
 
 _CERTAIN = np.zeros((4, 4))
 KERNEL_BYTES = 24 << 20  # of kernels in one bank: all 64 phases of a region of 256 px, 16 of one of 512 px
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
-LEARN_SHARE = 0.7  # of the target's information must agree in a frame that is learnt from
-LEARN_TURN_PX = 0.03  # at the window's edge: more roll or zoom would blur what is learnt
 FEWEST_PLACES, PATIENCE = 8, 4
 MOST_LEARNT_FRAMES = 240
-SUSPICIOUS = 4.0  # times the usual noise
-MAJORITY = 0.5  # of the target's information: less agrees by chance, or with what moves differently in the region
+MAJORITY = _core.MAJORITY  # of the target's information: less agrees by chance, or with what moves differently in it
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
-LEAST_NOISE = 0.5  # of the reference's: less is a picture without noise, whose blocks differ by aliasing
-SELF_SHARE = 0.05  # of the reference's noise: a frame that agrees better than this is the reference itself
 WHOLE_CORRELATION, WHOLE_PX, WHOLE_SHARE = 0.6, 0.05, 0.1
 
 
@@ -99,59 +94,89 @@ class RegistrationState(Motion):
     learnt: Learnt | None = None
 
 
+# What of a state the core remembers: all but the samples and what was learnt.
+_memory = attrgetter(*(one.name for one in fields(RegistrationState)[:-2]))
+
+
 class RegistrationTracker(Tracker):
-    """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
+    """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface.
+
+    The core does what a usual frame needs (`core/src/track/tracker.rs`); here are the search and the learning.
+    """
 
     _state: RegistrationState
+    core: _core.Registration
 
     def __init__(self, reference: Frame, region: Region, settings: RegistrationSettings) -> None:
         super().__init__(reference, region)
-        self.settings, self._floor_px2 = settings, settings.bias_floor_px**2
+        self.settings = settings
         self._seed = TemplateTracker(
             reference, region, TemplateSettings(search_px=settings.search_px, min_correlation=SEED_CORRELATION)
         )
         template = self._seed.template
         self._window, self._offset = template.window, template.offset
         self._first = first_plane(reference.pixels, template.window, template.offset)
-        self._state = RegistrationState(samples=self._begun())
+        self._samples = self._begun()
+        self._plane: Plane | None = None
+        self._learnt: Learnt | None = None
         self._take(self._first, np.zeros(4), _CERTAIN)
 
     @property
     def kernel_bytes(self) -> int:
         """How many bytes of memory the kernels of the blocks take at most."""
-        return self._core.most_kernel_bytes
+        return self.core.most_kernel_bytes
 
     @property
-    def _usual(self) -> float:
-        """The noise to be expected of a frame, 0 while none has shown it."""
-        shown = self._state.usual_noise
-        return max(shown, LEAST_NOISE * self._first.noise_std) if shown > 0.0 else 0.0
+    def state(self) -> RegistrationState:
+        """Everything that changes from frame to frame."""
+        return RegistrationState(*self.core.state, self._samples, self._learnt)
 
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
-        self._state, learnt = state, state.learnt
+        learnt = state.learnt
         plane = self._first if learnt is None else learnt.plane
         if plane is not self._plane:
             if learnt is None:
                 self._take(plane, np.zeros(4), _CERTAIN)
             else:
                 self._take(plane, learnt.zero, learnt.covariance)
+        self._samples, self._learnt = state.samples, learnt
+        self.core.restore(_memory(state))
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self.reference)
-        pose = self._find(frame, prediction)
+        row = self.core.track(frame.pixels, frame.time_ns, prediction)
+        if row is None:
+            return self.search(frame, prediction)
+        if self.core.learnable:
+            self.keep(frame)
+        return translation_of(row)
+
+    def search(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Find the target where the template is, as its expected place did not lead to it."""
+        pose = self._found(frame, prediction, self.core.candidate)
         if pose is None:
-            self._state = self._state.missed(confused=self._seed.state.confused)
+            self.core.miss(self._seed.state.confused)
             return lost(frame.time_ns)
-        self._state = _after(self._state, frame.time_ns, pose, self._first.noise_std)
-        if self._state.samples is not None:
-            self._keep(frame, pose, self._state.samples)
-        share, floor_px2 = pose.share, self._floor_px2
-        var_x, var_y = pose.variance_x_px2 + floor_px2, pose.variance_y_px2 + floor_px2
-        return PixelTranslation(
-            frame.time_ns, pose.x_px, pose.y_px, var_x, var_y, share, Status.TRACKING, FULL_QUALITY * share
-        )
+        row = self.core.accept(frame.time_ns, pose)
+        if self.core.learnable:
+            self.keep(frame)
+        return translation_of(row)
+
+    def keep(self, frame: Frame) -> None:
+        """Keep a frame to learn from; with enough of them, at enough places, make the template anew."""
+        if self._samples is None:
+            return
+        samples, enough = self._with(self._samples, frame), self.settings.learn_frames
+        if samples is self._samples:
+            return
+        self._samples = samples
+        varied = len(samples.items) >= FEWEST_PLACES
+        if samples.frames < enough or not (varied or samples.frames == PATIENCE * enough):
+            return
+        # A structure at rest shows one place alone: an average will do until it moves.
+        self._samples, self._learnt = None if varied else samples, self._made_anew(samples)
 
     def learn(
         self,
@@ -172,19 +197,15 @@ class RegistrationTracker(Tracker):
         other = RegistrationTracker(self.reference, self.region, replace(self.settings, learn_frames=0))
         samples = KeptSamples()
         for frame in frames[::step]:
-            check_size(frame, self.reference)
-            found = other._find(frame, None)
-            if found is None:
-                other._state = other._state.missed(confused=other._seed.state.confused)
-                continue
-            other._state = _after(other._state, frame.time_ns, found, other._first.noise_std)
-            samples = other._with(samples, frame, found)
+            other.push(frame)
+            if other.core.learnable:
+                samples = other._with(samples, frame)
         if samples.frames < 5:
             raise DataError(
                 f"Learning needs at least 5 frames that show the target undisturbed; received {samples.frames}."
             )
-        learnt = other._learnt(samples)
-        self.restore(replace(self._state, samples=None, learnt=learnt))
+        learnt = other._made_anew(samples)
+        self.restore(replace(self.state, samples=None, learnt=learnt))
         return learnt
 
     def _begun(self) -> KeptSamples | None:
@@ -198,45 +219,35 @@ class RegistrationTracker(Tracker):
         """Compare frames with this template from now on, poses counted from its `zero` (4,), known to `covariance`."""
         given = self.settings.smoothing_px
         smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
-        # Frame and template both have noise.
-        self._plane, self._difference_noise = plane, math.sqrt(2.0) * plane.noise_std
-        self._core = _core.Registration(
+        before = None if self._plane is None else self.core.state
+        self._plane = plane
+        self.core = _core.Registration(
             self._seed.template.matcher,
             grid=plane.grid,
             origin=plane.origin,
             weight=plane.weight,
             taps=fine_lowpass_taps(smoothing_px),
             gradient_noise=2.0 * plane.noise_std**2 * noise_gains(smoothing_px)[1],
+            # Frame and template both have noise.
+            difference_noise=math.sqrt(2.0) * plane.noise_std,
             min_share=self.settings.min_share,
             reference_noise=self._first.noise_std,
+            floor_px2=self.settings.bias_floor_px**2,
+            level=self._offset,
+            shape=self.reference.pixels.shape,
             kernel_bytes=KERNEL_BYTES,
         )
-        self._core.count_from(zero, covariance)
+        self.core.count_from(zero, covariance)
+        if before is not None:
+            self.core.restore(before)
 
-    def _with(self, samples: KeptSamples, frame: Frame, pose: Pose) -> KeptSamples:
-        """The samples with one more where it shows the target undisturbed, neither turned nor enlarged."""
-        far = 0.5 * math.hypot(self._window.width, self._window.height)
-        turns = (pose.roll_rad, pose.variance_roll_rad2), (pose.zoom, pose.variance_zoom)
-        straight = all(far * abs(turn) <= LEARN_TURN_PX + 3.0 * far * math.sqrt(variance) for turn, variance in turns)
-        if pose.share < LEARN_SHARE or not straight:
-            return samples
+    def _with(self, samples: KeptSamples, frame: Frame) -> KeptSamples:
+        """The samples with one more, of a frame that the core has found the target in undisturbed."""
         like = samples.items[0].pixels if samples.items else None
-        new = sample(frame.pixels, self._window, (pose.x_px, pose.y_px), self._offset, like)
+        new = sample(frame.pixels, self._window, self.core.state[:2], self._offset, like)
         return samples if new is None else samples.plus(new)
 
-    def _keep(self, frame: Frame, pose: Pose, before: KeptSamples) -> None:
-        """Keep a frame to learn from; with enough of them, at enough places, make the template anew."""
-        samples, enough = self._with(before, frame, pose), self.settings.learn_frames
-        if samples is before:
-            return
-        self._state = replace(self._state, samples=samples)
-        varied = len(samples.items) >= FEWEST_PLACES
-        if samples.frames < enough or not (varied or samples.frames == PATIENCE * enough):
-            return
-        # A structure at rest shows one place alone: an average will do until it moves.
-        self._state = replace(self._state, samples=None if varied else samples, learnt=self._learnt(samples))
-
-    def _learnt(self, samples: KeptSamples) -> Learnt:
+    def _made_anew(self, samples: KeptSamples) -> Learnt:
         """Take the template of the samples, its zero such that their mean place is where the first template put it."""
         plane = learn_plane(samples)
         if len(samples.items) < FEWEST_PLACES:
@@ -246,12 +257,12 @@ class RegistrationTracker(Tracker):
         self._take(plane, np.zeros(4), _CERTAIN)
         zero = self._moved(samples, of_window=True)
         # The reference is one frame; the template's own noise is that of a frame over the root of their number.
-        own = np.array(self._core.covariance(zero is not None)) * plane.noise_std**2 * samples.frames
+        own = np.array(self.core.covariance(zero is not None)) * plane.noise_std**2 * samples.frames
         if zero is None:
             zero = self._moved(samples, of_window=False)
         learnt = Learnt(plane, np.zeros(4) if zero is None else zero, np.zeros((4, 4)))
         learnt.covariance[:2, :2] = own
-        self._core.count_from(learnt.zero, learnt.covariance)
+        self.core.count_from(learnt.zero, learnt.covariance)
         return learnt
 
     def _moved(self, samples: KeptSamples, *, of_window: bool) -> Floats | None:
@@ -261,49 +272,34 @@ class RegistrationTracker(Tracker):
         """
         total, count = np.zeros(4), 0
         for item in samples.items:
-            found = self._core.pose_in(item.pixels, (PAD_PX, PAD_PX), (*item.shift, 0.0, 0.0), of_window)
+            found = self.core.pose_in(item.pixels, (PAD_PX, PAD_PX), (*item.shift, 0.0, 0.0), of_window)
             if found is not None:
                 total[:2] += item.count * (np.array([found.x_px, found.y_px]) - item.shift)
                 count += item.count
         return total / count if count else None
 
-    def _find(self, frame: Frame, prediction: Prediction | None) -> Pose | None:
-        """Climb from the expected place; where that does not lead to the target, from where the template is found."""
-        state = self._state
-        expected = state.expected(frame.time_ns, prediction)
-        image, offset = self._usable(frame.pixels, expected)
-        if image is None:
-            self._remind()
-            return None
-        usual, look = self._usual, self._core.look
-        pose = look(image, offset, (*expected, state.roll_rad, state.zoom), usual) if state.lost_frames == 0 else None
-        pose = pose if pose is not None and self._is_target(pose, expected, frame, prediction) else None
-        if pose is not None and pose.share > MAJORITY and self._trusted(pose, usual):
+    def _found(self, frame: Frame, prediction: Prediction | None, pose: Pose | None) -> Pose | None:
+        """From where the template is found; `pose`: what was found at the expected place, None: nothing."""
+        core, motion = self.core, Motion(*self.core.state[:7])
+        self._seed.restore(TemplateState(*core.state[:7]))
+        pose = pose if pose is not None and self._is_target(pose, frame, prediction, motion) else None
+        if pose is not None and pose.share > MAJORITY and core.is_trusted(pose):
             return pose
-        self._remind()
         found = self._seed.push(frame, prediction)
         if found.status is Status.LOST:
-            return pose if pose is not None and self._trusted(pose, usual) else None
-        place = found.x_px, found.y_px
-        image, offset = self._usable(frame.pixels, place)
-        other = None if image is None else look(image, offset, (*place, state.roll_rad, state.zoom), usual)
+            return pose if pose is not None and core.is_trusted(pose) else None
+        other = core.look(frame.pixels, (found.x_px, found.y_px))
         if other is None or math.hypot(other.x_px - found.x_px, other.y_px - found.y_px) > SEED_PX:
             return self._whole(found)
         few = pose is not None and pose.share < MAJORITY < other.share
         return pose if pose is not None and pose.noise < other.noise and not few else other
 
-    def _remind(self) -> None:
-        """Let the template tracker know of the motion so far."""
-        self._seed.restore(TemplateState(**{f.name: getattr(self._state, f.name) for f in fields(Motion)}))
-
-    def _is_target(
-        self, pose: Pose, expected: tuple[float, float], frame: Frame, prediction: Prediction | None
-    ) -> bool:
+    def _is_target(self, pose: Pose, frame: Frame, prediction: Prediction | None, motion: Motion) -> bool:
         """Whether a pose is that of the target, and not of a place that looks like it."""
+        expected, place = motion.expected(frame.time_ns, prediction), np.array([pose.x_px, pose.y_px])
         if math.hypot(pose.x_px - expected[0], pose.y_px - expected[1]) <= NEXT_PX:
             return True
-        place = np.array([pose.x_px, pose.y_px])
-        return self._seed.identified(frame, place, prediction, self._state) is place
+        return self._seed.identified(frame, place, prediction, motion) is place
 
     def _whole(self, found: PixelTranslation) -> Pose | None:
         """What the template as a whole says where its blocks do not agree: pictures that change all over.
@@ -312,38 +308,6 @@ class RegistrationTracker(Tracker):
         """
         if found.quality < WHOLE_CORRELATION * self._seed.expected_correlation:
             return None
-        value = found.x_px, found.y_px, self._state.roll_rad, self._state.zoom
+        value = found.x_px, found.y_px, *self.core.state[7:9]
         variance = found.variance_x_px2 + WHOLE_PX**2, found.variance_y_px2 + WHOLE_PX**2, 1e-6, 1e-6
-        return Pose(value, variance, WHOLE_SHARE, SUSPICIOUS * max(self._usual, self._first.noise_std))
-
-    def _trusted(self, pose: Pose, usual: float) -> bool:
-        """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""
-        return pose.noise < SUSPICIOUS * max(usual, self._difference_noise)
-
-    def _usable(
-        self, pixels: NDArray[np.generic], expected: tuple[float, float]
-    ) -> tuple[NDArray[np.generic] | None, float]:
-        """The pixels and what is to be subtracted of them; holes about the place are filled, None: too many."""
-        if pixels.dtype.kind != "f" or self._core.all_finite(pixels, *expected):
-            return pixels, self._offset
-        return values(pixels, self._offset), 0.0
-
-
-def _after(state: RegistrationState, time_ns: int, pose: Pose, noise_std: float) -> RegistrationState:
-    """The state after a frame that shows the target."""
-    x, y = pose.x_px, pose.y_px
-    usual, judged = _judged(state, pose.noise, noise_std)
-    speed_x, speed_y = state.speed_to(time_ns, x, y)
-    return RegistrationState(
-        x, y, time_ns, speed_x, speed_y, 0, False, pose.roll_rad, pose.zoom, usual, judged, state.samples, state.learnt
-    )
-
-
-def _judged(state: RegistrationState, noise: float, noise_std: float) -> tuple[float, int]:
-    """The usual noise renewed from that of one frame, and how many it rests on; `noise_std` is the reference's own."""
-    usual, judged = state.usual_noise, state.judged_frames
-    if noise < SELF_SHARE * noise_std:
-        return usual, judged
-    # Noise below the usual counts quickly, noise above it slowly: a long disturbance does not become the usual.
-    share = max(0.1 if noise < 1.2 * usual else 0.005, 1.0 / (judged + 1))
-    return usual + share * (noise - usual), judged + 1
+        return Pose(value, variance, WHOLE_SHARE, self.core.suspicious_noise)

@@ -2,12 +2,17 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from midspan.records import NANOSECONDS, Event, PixelTranslation, Prediction, Status
 
+if TYPE_CHECKING:
+    from midspan._core import Row
+
 LONGEST_DISTANCE_PX = 1_000_000
 FULL_QUALITY = 100.0  # strength of a quality of 1, so that a minimum number of matches is a minimum percentage too
+# By the core's codes: why a target was not looked for in a frame (`PixelTranslation.unseen`), what its row rests on.
+UNSEEN, STATUSES = ("", "dark", "frozen"), tuple(Status)
 UNPREDICTED_STD_PX = 1.0  # of the place that a target at its last speed reaches by the next frame
 
 
@@ -78,3 +83,8 @@ def lost(time_ns: int, events: tuple[Event, ...] = ()) -> PixelTranslation:
     """What a frame gives that does not show the target: NaN, LOST; `events`: what happened in it."""
     nan = math.nan
     return PixelTranslation(time_ns, nan, nan, nan, nan, 0.0, Status.LOST, events=events)
+
+
+def translation_of(row: "Row", events: tuple[Event, ...] = ()) -> PixelTranslation:
+    """The translation of a row of the core; `events`: what happened in the frame."""
+    return PixelTranslation(*row[:6], STATUSES[row[6]], *row[7:10], events, UNSEEN[row[10]])

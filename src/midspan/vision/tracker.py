@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from midspan._core import Registration
 from midspan.checks import instance, option, refuse
 from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region
@@ -25,6 +26,8 @@ class Tracker(ABC):
     """
 
     _state: Any = None
+    # The core's tracker, where one call may take a frame through it and the rest of a target's chain, see `search`.
+    core: Registration | None = None
 
     def __init__(self, reference: Frame, region: Region) -> None:
         self._reference, self._region = reference, region
@@ -43,7 +46,8 @@ class Tracker(ABC):
     def region_now(self) -> Region:
         """Where the target was last seen or, when it is lost, is looked for; always inside the image."""
         rows, columns = self._reference.pixels.shape
-        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
+        state = self.state
+        return clamp(shift(self._region, state.x_px, state.y_px), columns, rows)
 
     @property
     def state(self) -> Any:
@@ -61,6 +65,13 @@ class Tracker(ABC):
         Frames come in the order of their times. A target that cannot be found gives status LOST and NaN.
         Raises DataError when the frame's size is not the reference's.
         """
+
+    def search(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """As `push`, of a frame that `core` has looked at, where there is one, and did not find the target for sure."""
+        return self.push(frame, prediction)
+
+    def keep(self, frame: Frame) -> None:  # noqa: B027 - most trackers do not learn on the way
+        """Learn from a frame that `core` found the target in undisturbed."""
 
     @property
     def frames_to_learn(self) -> int:

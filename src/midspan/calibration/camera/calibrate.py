@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.disagreement import Agreed, agreed, m_per_px
@@ -27,7 +28,6 @@ from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
-from midspan.vision.fair_variance import TEMPLATE_NOISE
 from midspan.vision.lens import ideal_gain
 from midspan.vision.region_choice import USELESS
 

@@ -15,7 +15,7 @@ from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.band_pass import band_passed
 from midspan.signals.stamps import inside
 from midspan.vision.lens import Lens
-from midspan.vision.picture_quality import PictureWatch
+from midspan.vision.picture_report import PictureReport
 from midspan.vision.region_choice import Agreement
 from midspan.vision.tracker import Tracker
 
@@ -70,7 +70,7 @@ class SeenTarget:
     rows: PixelTrack
     reference_px2: Floats
     blur_s: float
-    picture: PictureWatch | None
+    picture: PictureReport | None
     tracker: Tracker
     tracker_name: str
     tracker_settings: Any
