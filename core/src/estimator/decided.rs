@@ -71,7 +71,7 @@ impl Decided {
     /// Whether all parts are as long as each other and all channels exist.
     pub fn fits(&self, channels: usize) -> bool {
         let n = self.len();
-        self.decisions.len() == n && self.told.len() == n && channels_exist(&self.items, channels)
+        self.decisions.len() == n && self.told.len() == n && channels_exist(self.items.iter(), channels)
     }
 
     fn push(&mut self, item: Timed, one: &Survivor) {
@@ -82,8 +82,8 @@ impl Decided {
 }
 
 /// Whether the channels of all items exist.
-pub fn channels_exist(items: &[Timed], channels: usize) -> bool {
-    items.iter().filter_map(Timed::channel).all(|c| c < channels)
+pub fn channels_exist<'a>(items: impl Iterator<Item = &'a Timed>, channels: usize) -> bool {
+    items.filter_map(Timed::channel).all(|c| c < channels)
 }
 
 /// Items of which the hypotheses do not say the same yet, and what each of as many hypotheses as there were took them for.
@@ -133,7 +133,7 @@ impl Undecided {
         each && self.ends.len() == self.items.len()
             && self.ends.last().copied().unwrap_or(0) == self.survivors.len()
             && (self.items.is_empty() || before.1 == count)
-            && channels_exist(&self.items, channels)
+            && channels_exist(self.items.iter(), channels)
     }
 
     fn of(&self, j: usize) -> &[Survivor] {

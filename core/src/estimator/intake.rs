@@ -29,7 +29,7 @@ impl Estimator {
                 late.push((row.channel, at_s));
             } else {
                 in_time.push(row.channel);
-                self.memory.waiting.push(Timed { at_s, item: Item::Measured(row) });
+                self.memory.waiting.push_back(Timed { at_s, item: Item::Measured(row) });
             }
         }
         self.note_late(&late, &in_time);
@@ -65,7 +65,7 @@ impl Estimator {
     }
 
     pub(super) fn order_waiting(&mut self) {
-        put_in_order(&mut self.memory.waiting);
+        put_in_order(self.memory.waiting.make_contiguous());
         if let Some(oldest_s) = keep_newest(&mut self.memory.waiting, self.limits.waiting) {
             self.overflow(instant(oldest_s, self.origin_ns()));
         }
@@ -83,8 +83,8 @@ impl Estimator {
     pub fn doubt(&mut self, time_ns: i64) {
         let at_s = since(time_ns, self.origin_ns());
         if let Some(filter) = &self.memory.filter {
-            self.memory.waiting.push(Timed { at_s: at_s.max(filter.clock.time_s), item: Item::WentBack });
-            put_in_order(&mut self.memory.waiting);
+            self.memory.waiting.push_back(Timed { at_s: at_s.max(filter.clock.time_s), item: Item::WentBack });
+            put_in_order(self.memory.waiting.make_contiguous());
         }
     }
 }

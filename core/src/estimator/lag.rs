@@ -6,16 +6,18 @@
 //! measurement. Innovations and events are those of the estimator, as they come.
 
 use super::cause::Decision;
+use super::counting::Counting;
 use super::decided::Decided;
 use super::innovation::{Mixed, Work};
 use super::log::Log;
 use super::model::{Model, instant, since};
+use super::output::Output;
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
-use super::smoother::{Adjoint, Counting};
+use super::smoother::Adjoint;
 use super::start::Beginning;
-use super::stream::{Estimator, Output, Remembered};
+use super::stream::{Estimator, Remembered};
 use super::waiting::{Timed, count_until};
 use super::way_back::WayBack;
 use serde::{Deserialize, Serialize};
@@ -125,25 +127,14 @@ impl Lag {
         true
     }
 
-    /// Takes samples; returns what is due: of each block at most one output.
-    pub fn push(&mut self, samples: View) -> Vec<Output> {
-        let mut outputs = Vec::new();
-        for first in (0..samples.len()).step_by(self.estimator.block()) {
-            let end = samples.len().min(first + self.estimator.block());
-            if let Some(output) = self.push_block(samples.part(first, end)) {
-                outputs.push(output);
-            }
-        }
-        outputs
-    }
-
-    fn push_block(&mut self, samples: View) -> Option<Output> {
+    /// Takes samples; returns what is due.
+    pub fn push(&mut self, samples: View) -> Option<Output> {
         let (mut whole, mut first) = (None, 0);
         while first < samples.len() {
             let hop = self.hop - (self.pushed % self.hop as u64) as usize;
             let end = samples.len().min(first + hop);
-            for output in self.estimator.push(samples.part(first, end)) {
-                add(&mut whole, output);
+            if let Some(output) = self.estimator.push(samples.part(first, end)) {
+                Output::add(&mut whole, output);
             }
             self.pushed += (end - first) as u64;
             first = end;
@@ -155,12 +146,10 @@ impl Lag {
     }
 
     /// The rows that are held still, and what the estimator says at the end.
-    pub fn finish(&mut self) -> Vec<Output> {
-        let mut outputs = self.estimator.finish();
-        let mut rest = None;
-        self.move_on(0, &mut rest);
-        outputs.extend(rest);
-        outputs
+    pub fn finish(&mut self) -> Option<Output> {
+        let mut whole = self.estimator.finish();
+        self.move_on(0, &mut whole);
+        whole
     }
 
     /// Takes over what the estimator has logged.
@@ -188,51 +177,48 @@ impl Lag {
         let Some(mut window) = self.window.take() else { return };
         let due = window.samples.len().saturating_sub(lag);
         if due > window.given {
-            let rows = self.smoothed(&mut window, due);
-            let output = Output { rows: Some(rows), ..Output::default() };
-            add(whole, output);
+            let rows = whole.get_or_insert_default().rows.get_or_insert_default();
+            self.smoothed(&window, due, rows);
             self.drop_settled(&mut window, due);
         }
         self.window = Some(window);
     }
 
-    /// The rows of the window from those given out on up to before sample `due`.
-    fn smoothed(&mut self, window: &mut Window, due: usize) -> Rows {
+    /// Adds the rows of the window from those given out on up to before sample `due`.
+    fn smoothed(&mut self, window: &Window, due: usize, rows: &mut Rows) {
         let open = self.estimator.undecided().best();
-        self.run_forward(window, &open, due);
+        self.run_forward(window, &open);
         let (model, origin_ns) = (self.estimator.model(), self.estimator.origin_ns());
         let last = self.pieces.back().map_or(&window.before, |piece| &piece.after).hyps.best();
         let counting = Counting::new(model, window.before.hyps.best(), &[&window.decided, &open], last);
         self.adjoint.restart();
         let first_ns = instant(self.estimator.first_s(), origin_ns);
         let (view, mut end) = (window.samples.view(), window.samples.len());
-        let (mut parts, mut found) = (Vec::new(), std::mem::take(&mut self.found));
+        let mut place = rows.add_zeros(model.axes(), (window.given..due).filter(|&k| view.is_row(k, first_ns)).count());
+        let mut found = std::mem::take(&mut self.found);
         for piece in self.pieces.iter().rev() {
             let first = end - piece.way.len();
-            if first >= due {
-                self.adjoint.pass(&piece.way, &counting, None);
-            } else if end > window.given {
-                self.adjoint.pass(&piece.way, &counting, Some(&mut found));
-                let own = (first.max(window.given)..end.min(due)).filter(|&k| view.is_row(k, first_ns));
-                parts.push(piece.rows(own, first, view, &found));
+            let own = first.max(window.given)..end.min(due).max(first);
+            let wanted = own.start.min(own.end) - first..own.end - first;
+            self.adjoint.pass(&piece.way, &counting, wanted.clone(), &mut found);
+            for (k, one) in wanted.zip(found.chunks(view.axes)).rev() {
+                if view.is_row(first + k, first_ns) {
+                    place -= 1;
+                    rows.put(place, view.time_ns[first + k], one, |a| piece.way.status(k, a));
+                }
+            }
+            if first <= window.given {
+                break;
             }
             end = first;
         }
         self.found = found;
-        match (parts.pop(), parts.is_empty()) {
-            (Some(rows), true) => rows,
-            (Some(mut rows), false) => {
-                parts.iter().rev().for_each(|more| rows.extend(more));
-                rows
-            }
-            (None, _) => Rows::with_room(model.axes(), 0),
-        }
     }
 
     /// Runs the filter over the pieces of the window that are new, or of which something is decided otherwise now.
     ///
-    /// Pieces end where the window will begin some time, which is counted in hops; the last one ends with the window.
-    fn run_forward(&mut self, window: &Window, open: &Decided, due: usize) {
+    /// Pieces are hops, counted back from the window's end.
+    fn run_forward(&mut self, window: &Window, open: &Decided) {
         let model = self.estimator.model();
         let origin_ns = self.estimator.origin_ns();
         let (view, count) = (window.samples.view(), window.samples.len());
@@ -240,7 +226,7 @@ impl Lag {
         let (mut first, mut number, mut done) = (0, 0, 0);
         let total = window.decided.len() + open.len();
         while first < count {
-            let end = count.min(first + hop - (first + hop - due % hop) % hop);
+            let end = count.min(first + hop - (first + hop - count % hop) % hop);
             let end_s = since(view.time_ns[end - 1], origin_ns);
             let until = count_until(&window.decided.items, end_s);
             let until = if until == window.decided.len() { until + count_until(&open.items, end_s) } else { until };
@@ -346,51 +332,9 @@ impl Piece {
         }
     }
 
-    /// The smoothed rows of samples; first: the number of the first one of the piece.
-    fn rows(&self, samples: impl Iterator<Item = usize>, first: usize, view: View, found: &[Mixed]) -> Rows {
-        let axes = view.axes;
-        let mut rows = Rows::with_room(axes, self.way.len());
-        for k in samples {
-            rows.time_ns.push(view.time_ns[k]);
-            for (a, out) in rows.axes.iter_mut().enumerate() {
-                let (one, status) = (&found[(k - first) * axes + a], self.way.status(k - first, a));
-                out.displacement.push(one.value);
-                out.variance.push(one.variance);
-                out.velocity.push(one.velocity);
-                out.source.push(status.0);
-                out.status.push(status.1);
-            }
-        }
-        rows
-    }
-
     fn run(&mut self, model: &Model, samples: View, time_s: &[f64], work: &mut Work) {
         let Self { way, after, items, decisions } = self;
         let mut block = Block { samples, time_s, items, first_ns: 0 };
         after.run(model, &mut block, &mut Judge::Decided { decisions, back: Some(way) }, None, work);
-    }
-}
-
-/// Adds an output to those before.
-fn add(whole: &mut Option<Output>, output: Output) {
-    let Some(own) = whole else {
-        *whole = Some(output);
-        return;
-    };
-    match (&mut own.rows, output.rows) {
-        (Some(rows), Some(more)) => rows.extend(&more),
-        (None, Some(more)) => own.rows = Some(more),
-        (_, None) => {}
-    }
-    if own.innovations.is_empty() {
-        own.innovations = output.innovations;
-    } else {
-        for (before, more) in own.innovations.iter_mut().zip(&output.innovations) {
-            before.extend(more);
-        }
-    }
-    own.reports.extend(output.reports);
-    if !output.zero_variance.is_empty() {
-        own.zero_variance = output.zero_variance;
     }
 }

@@ -23,6 +23,7 @@
 pub mod acceptance;
 pub mod cause;
 pub mod coast;
+pub mod counting;
 pub mod decided;
 pub mod hypotheses;
 pub mod hypothesis;
@@ -36,6 +37,7 @@ pub mod model;
 pub mod motion;
 pub mod noise;
 pub mod opening;
+pub mod output;
 pub mod parameters;
 pub mod predict;
 pub mod printed;

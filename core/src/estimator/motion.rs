@@ -81,6 +81,12 @@ pub struct Response {
     pub v: f64,
 }
 
+/// The lead of an interval of length `dt` that is no gap.
+#[inline(always)]
+pub fn lead_of(dt: f64) -> f64 {
+    dt * dt / 12.0
+}
+
 /// Times that the intervals are measured by.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Clock {
@@ -94,7 +100,7 @@ impl Clock {
     /// The lead of the interval that ends at `end_s`; none in a gap.
     pub fn lead(&self, end_s: f64) -> f64 {
         let dt = end_s - self.time_s;
-        if dt <= GAP_STEPS * self.step_s { dt * dt / 12.0 } else { 0.0 }
+        if dt <= GAP_STEPS * self.step_s { lead_of(dt) } else { 0.0 }
     }
 
     /// Goes on to the end of an interval.

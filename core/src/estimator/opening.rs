@@ -5,12 +5,13 @@ use super::decided::Undecided;
 use super::innovation::Work;
 use super::log::Log;
 use super::model::{Model, instant, since};
+use super::output::Output;
 use super::rows::{Met, Rows, innovations_of, mixed};
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
 use super::start::{Beginning, with_start};
-use super::stream::{Estimator, Output};
-use super::waiting::{Item, Timed, count_until, put_in_order};
+use super::stream::Estimator;
+use super::waiting::{Item, Timed, put_in_order};
 
 /// So many measurements, one of them of the sensor whose zero counts, are waited for before rows are given out.
 const FIRST_MEASUREMENTS: usize = 8;
@@ -23,12 +24,12 @@ const BEFORE_SAMPLES_S: f64 = 2.0;
 
 impl Estimator {
     /// Starts once enough measurements are there; until then holds the samples from before the first one on.
-    pub(super) fn begin(&mut self, mut held: Samples, ended: bool, found: &mut Vec<Output>) {
+    pub(super) fn begin(&mut self, mut held: Samples, ended: bool, found: &mut Option<Output>) {
         let (origin_ns, mut time_s) = (self.origin_ns(), Vec::new());
         held.view().seconds(origin_ns, &mut time_s);
         let (Some(&sampled_s), Some(&end_s)) = (time_s.first(), time_s.last()) else { return };
         self.memory.waiting.retain(|one| one.at_s >= sampled_s - BEFORE_SAMPLES_S);
-        let count = count_until(&self.memory.waiting, end_s);
+        let count = self.count_due(end_s);
         let first_s = if count > 0 { self.memory.waiting[0].at_s } else { end_s };
         let start_s = self.start_s(first_s, sampled_s);
         let dropped = time_s.partition_point(|&one| one <= start_s).saturating_sub(1);
@@ -56,7 +57,7 @@ impl Estimator {
         }
         let whole = held.view();
         let begun = with_start(whole.part(0, last + 1), start_s, origin_ns);
-        found.push(self.start(begun.view(), first_s));
+        Output::add(found, self.start(begun.view(), first_s));
         if last + 1 < whole.len() {
             self.run(whole.part(last + 1, whole.len()), found);
         }
@@ -77,7 +78,7 @@ impl Estimator {
         let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
         zero_s.is_none_or(|zero_s| zero_s > first_s + FIRST_S)
             || !self.settings.channels.iter().any(|channel| channel.zero_known())
-            || self.memory.waiting[..count].iter().any(|one| match &one.item {
+            || self.memory.waiting.iter().take(count).any(|one| match &one.item {
                 Item::Measured(row) => self.settings.channels[row.channel].zero_known(),
                 _ => false,
             })
@@ -95,9 +96,13 @@ impl Estimator {
         let begin = Beginning::new(samples, &time_s, &items, &self.settings, &self.model);
         if let Some(zero_ns) = self.settings.zero_ns {
             let datum = Timed { at_s: since(zero_ns, origin_ns).max(start_s), item: Item::Datum };
-            let at = if datum.at_s <= end_s { &mut items } else { &mut self.memory.waiting };
-            at.push(datum);
-            put_in_order(at);
+            if datum.at_s <= end_s {
+                items.push(datum);
+                put_in_order(&mut items);
+            } else {
+                self.memory.waiting.push_back(datum);
+                put_in_order(self.memory.waiting.make_contiguous());
+            }
         }
         self.memory.first_s = first_s;
         self.one_past = true;

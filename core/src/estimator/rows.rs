@@ -44,6 +44,16 @@ pub struct Rows {
     pub axes: Vec<AxisRows>,
 }
 
+impl AxisRows {
+    /// Adds so many zeros to displacement, variance and velocity, to be filled.
+    #[inline]
+    pub fn add_zeros(&mut self, count: usize) {
+        for one in [&mut self.displacement, &mut self.variance, &mut self.velocity] {
+            one.resize(one.len() + count, 0.0);
+        }
+    }
+}
+
 impl Rows {
     /// None yet, with room for so many.
     pub fn with_room(axes: usize, room: usize) -> Self {
@@ -55,6 +65,43 @@ impl Rows {
             status: Vec::with_capacity(room),
         };
         Self { time_ns: Vec::with_capacity(room), axes: vec![one; axes] }
+    }
+
+    /// Adds rows to be filled, as a day of them must not exist twice; returns how many there are then.
+    pub fn add_zeros(&mut self, axes: usize, more: usize) -> usize {
+        let count = self.time_ns.len() + more;
+        self.time_ns.resize(count, 0);
+        self.axes.resize_with(axes, AxisRows::default);
+        for one in &mut self.axes {
+            one.add_zeros(more);
+            one.source.resize(count, 0);
+            one.status.resize(count, 0);
+        }
+        count
+    }
+
+    /// Fills the row at a place with the estimate (axes,) of a sample, and source and status of each axis.
+    #[inline]
+    pub fn put(&mut self, place: usize, time_ns: i64, estimate: &[Mixed], status: impl Fn(usize) -> (u8, u8)) {
+        self.time_ns[place] = time_ns;
+        for (a, (out, one)) in self.axes.iter_mut().zip(estimate).enumerate() {
+            out.displacement[place] = one.value;
+            out.variance[place] = one.variance;
+            out.velocity[place] = one.velocity;
+            (out.source[place], out.status[place]) = status(a);
+        }
+    }
+
+    /// Makes room for more.
+    pub fn reserve(&mut self, more: usize) {
+        self.time_ns.reserve(more);
+        for one in &mut self.axes {
+            one.displacement.reserve(more);
+            one.variance.reserve(more);
+            one.velocity.reserve(more);
+            one.source.reserve(more);
+            one.status.reserve(more);
+        }
     }
 
     /// Adds others behind.

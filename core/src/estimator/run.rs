@@ -131,10 +131,11 @@ impl Filter {
     ) {
         self.note_uncertain(model, judge, work);
         let (mut next, mut ordered, mut k) = (0, 0, 0);
+        let all_rows = block.samples.all_rows(block.first_ns);
         while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back() };
+                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back(), all_rows };
                 let reached = self.coast(model, block, k, before_s, &work.uncertain, leave);
                 if reached > k {
                     k = reached;

@@ -7,14 +7,15 @@
 //! decided.
 
 use super::cause::Decision;
+use super::counting::Counting;
 use super::decided::Decided;
-use super::innovation::{Mixed, Work};
+use super::innovation::Work;
 use super::log::{Log, Logged};
 use super::model::{Model, instant};
-use super::rows::{AxisRows, Rows};
+use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::settings::Settings;
-use super::smoother::{Adjoint, Counting};
+use super::smoother::Adjoint;
 use super::unforeseen::{Error, add_errors, first_change, put_steps_in_place, unforeseen};
 use super::waiting::count_until;
 use super::way_back::WayBack;
@@ -111,7 +112,8 @@ impl SecondPass<'_> {
         let given: Vec<usize> =
             parts.iter().map(|one| one.samples.clone().filter(|&k| view.is_row(k, self.first_ns)).count()).collect();
         let mut end: usize = given.iter().sum();
-        let mut rows = zero_rows(self.model.axes(), end);
+        let mut rows = Rows::default();
+        rows.add_zeros(self.model.axes(), end);
         let Some((first, last)) = parts.first().zip(parts.last()) else { return rows };
         let (before, mut after) = (first.before.hyps.best().clone(), last.before.clone());
         let (samples, items) = (last.samples.clone(), last.items.clone());
@@ -127,38 +129,14 @@ impl SecondPass<'_> {
                 way.restart(&model, part.before.clock.time_s);
                 self.forward(&mut part.before, part.samples.clone(), part.items.clone(), Some(&mut way));
             }
-            adjoint.pass(&way, &counting, Some(&mut found));
+            adjoint.pass(&way, &counting, 0..part.samples.len(), &mut found);
             end -= given[i];
             let own = part.samples.clone().enumerate().filter(|(_, k)| view.is_row(*k, self.first_ns));
             for (place, (k, sample)) in own.enumerate() {
-                rows.time_ns[end + place] = view.time_ns[sample];
-                fill(&mut rows.axes, end + place, &way, k, &found);
+                let one = &found[k * view.axes..(k + 1) * view.axes];
+                rows.put(end + place, view.time_ns[sample], one, |a| way.status(k, a));
             }
         }
         rows
-    }
-}
-
-/// Rows to be filled: a day of them must not exist twice.
-fn zero_rows(axes: usize, n: usize) -> Rows {
-    let one = AxisRows {
-        displacement: vec![0.0; n],
-        variance: vec![0.0; n],
-        velocity: vec![0.0; n],
-        source: vec![0; n],
-        status: vec![0; n],
-    };
-    Rows { time_ns: vec![0; n], axes: vec![one; axes] }
-}
-
-/// Puts a sample's smoothed rows into their place.
-fn fill(axes: &mut [AxisRows], place: usize, way: &WayBack, k: usize, found: &[Mixed]) {
-    let count = axes.len();
-    for (a, out) in axes.iter_mut().enumerate() {
-        let (one, status) = (&found[k * count + a], way.status(k, a));
-        out.displacement[place] = one.value;
-        out.variance[place] = one.variance;
-        out.velocity[place] = one.velocity;
-        (out.source[place], out.status[place]) = status;
     }
 }

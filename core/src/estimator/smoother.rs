@@ -5,111 +5,17 @@
 //! to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say of a combination of
 //! states that was widely uncertain is a small difference of what they say of each.
 
-use super::decided::Decided;
-use super::hypothesis::Hypothesis;
+use super::counting::Counting;
 use super::innovation::Mixed;
 use super::layout::{MOTION_STATES, motion_of};
 use super::matrix::{Matrix, quadratic};
 use super::model::Model;
 use super::row::Entry;
-use super::rows::zero_variance;
 use super::way_back::{Recorded, WayBack};
+use std::ops::Range;
 
 /// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
 const MIN_VARIANCE_SHARE: f64 = 1e-12;
-
-/// How the pass back counts the states, and by which parameters.
-///
-/// x becomes x + z of the channel that all of an axis count from, where its zero is unknown, and the zeros of the others of
-/// which nothing is known become what they differ from it by. Until a known zero begins, x and those zeros are only known
-/// relative to each other; so they are wide in one of the new states alone.
-#[derive(Clone, Debug)]
-pub struct Counting<'a> {
-    model: &'a Model,
-    last: &'a Hypothesis,
-    /// Of each axis the zero that all count from, and the unknown zeros that are counted from it.
-    common: Vec<Option<(usize, Vec<usize>)>>,
-    /// Each channel's row as the states are counted.
-    rows: Vec<Vec<Entry>>,
-    /// States (n,) that are counted from another one or others from it: uncertain in any case.
-    counted: Vec<bool>,
-    /// Variance (axes,) of the datum at the end, which no row is more certain than.
-    least: Vec<f64>,
-}
-
-impl<'a> Counting<'a> {
-    /// Before: the filter at the beginning of what was decided; last: at the end.
-    pub fn new(model: &'a Model, before: &Hypothesis, parts: &[&Decided], last: &'a Hypothesis) -> Self {
-        let common: Vec<_> = (0..model.axes()).map(|a| common_zero(model, a, before, parts)).collect();
-        let rows =
-            model.channels.iter().map(|channel| counted_row(&channel.row.entries, channel.row.axis, &common)).collect();
-        let least = (0..model.axes()).map(|a| zero_variance(last, a, model)).collect();
-        let mut counted = vec![false; model.size()];
-        for (zero, others) in common.iter().flatten() {
-            counted[*zero] = true;
-            for &other in others {
-                counted[other] = true;
-            }
-        }
-        Self { model, last, common, rows, counted, least }
-    }
-
-    /// A vector (n,) of covariances or gains as the states are counted.
-    #[inline]
-    fn count(&self, v: &mut [f64]) {
-        for (a, common) in self.common.iter().enumerate() {
-            if let Some((zero, others)) = common {
-                let own = v[*zero];
-                v[motion_of(a)] += own;
-                for &other in others {
-                    v[other] -= own;
-                }
-            }
-        }
-    }
-
-    fn counts(&self) -> bool {
-        self.common.iter().any(Option::is_some)
-    }
-}
-
-/// The unknown zero that an axis counts from on the way back, its first channel's, and the other unknown ones.
-fn common_zero(model: &Model, a: usize, before: &Hypothesis, parts: &[&Decided]) -> Option<(usize, Vec<usize>)> {
-    let own = |c: usize| model.channels[c].row.axis == a;
-    let begun = |c: &usize| own(*c) && before.marks[*c].begun;
-    let known = |c: &usize| model.channels[*c].zero_variance.is_some();
-    let all = || 0..model.channels.len();
-    let met = || {
-        let items = parts.iter().flat_map(|part| part.items.iter().zip(&part.decisions));
-        items.filter(|(_, decision)| !decision.is_outlier()).filter_map(|(item, _)| item.channel()).find(|&c| own(c))
-    };
-    let first = all().filter(begun).find(known).or_else(|| all().find(begun)).or_else(met)?;
-    if known(&first) {
-        return None;
-    }
-    let others = all().filter(|&c| c != first && own(c) && !known(&c)).map(|c| model.channels[c].zero).collect();
-    Some((model.channels[first].zero, others))
-}
-
-/// A row as the states are counted: x = x' − z, and the other unknown zeros are z' + z.
-fn counted_row(entries: &[Entry], axis: usize, common: &[Option<(usize, Vec<usize>)>]) -> Vec<Entry> {
-    let mut counted = entries.to_vec();
-    let Some(Some((zero, others))) = common.get(axis) else { return counted };
-    let place = motion_of(axis);
-    let mut factor = 0.0;
-    for entry in entries {
-        if entry.state == *zero || others.contains(&entry.state) {
-            factor += entry.factor;
-        } else if entry.state == place {
-            factor -= entry.factor;
-        }
-    }
-    counted.retain(|one| one.state != *zero);
-    if factor != 0.0 {
-        counted.push(Entry { state: *zero, factor });
-    }
-    counted
-}
 
 /// What later measurements say: L and W as rows, (1 + k + 2 n, n).
 #[derive(Clone, Debug)]
@@ -120,6 +26,8 @@ pub struct Adjoint {
     used: usize,
     /// States that are uncertain as they are counted.
     live: Vec<usize>,
+    /// Where these end: what is certain among the states before is 0 in every product.
+    end: usize,
     unknown: Vec<bool>,
     /// Each channel's row, of live states alone.
     live_rows: Vec<Vec<Entry>>,
@@ -140,6 +48,7 @@ impl Adjoint {
             columns,
             used: columns,
             live: Vec::new(),
+            end: 0,
             unknown: Vec::new(),
             live_rows: Vec::new(),
             moved: Vec::new(),
@@ -164,39 +73,43 @@ impl Adjoint {
         &self.rows
     }
 
-    /// Runs back over a block; found: takes the smoothed rows (samples · axes), where they are wanted.
-    pub fn pass(&mut self, way: &WayBack, counting: &Counting, mut found: Option<&mut Vec<Mixed>>) {
+    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the wanted samples.
+    pub fn pass(&mut self, way: &WayBack, counting: &Counting, wanted: Range<usize>, found: &mut Vec<Mixed>) {
         self.find_live(way, counting);
         if self.used >= self.columns + 2 * self.live.len() {
             self.narrow();
         }
         let axes = way.axes;
-        if let Some(found) = found.as_deref_mut() {
-            found.clear();
-            found.resize(way.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
-        }
+        found.clear();
+        found.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
         let mut next = way.records.len();
         let mut at_s = way.time_s.last().copied().unwrap_or(way.start_s);
-        if let Some(found) = found {
-            for k in (0..way.len()).rev() {
-                for a in 0..axes {
-                    found[k * axes + a] = self.smoothed(way, k, a, counting);
-                }
-                while next > 0 && way.records[next - 1].sample == k {
-                    next -= 1;
-                    self.back_to(way.records[next].at_s, &mut at_s, axes);
-                    self.back_through(way, next, counting);
-                }
-                let before_s = if k > 0 { way.time_s[k - 1] } else { way.start_s };
-                self.back_to(before_s, &mut at_s, axes);
+        for k in wanted.clone().rev() {
+            next = self.back_through_all(way, (next, k + 1), &mut at_s, counting);
+            self.back_to(way.time_s[k], &mut at_s, axes);
+            for a in 0..axes {
+                found[(k - wanted.start) * axes + a] = self.smoothed(way, k, a, counting);
             }
-            return;
         }
-        for place in (0..next).rev() {
-            self.back_to(way.records[place].at_s, &mut at_s, axes);
-            self.back_through(way, place, counting);
-        }
+        self.back_through_all(way, (next, 0), &mut at_s, counting);
         self.back_to(way.start_s, &mut at_s, axes);
+    }
+
+    /// Carries the adjoint back through the items before item `next` in the intervals of samples from `first` on; returns
+    /// the number of the first of them.
+    fn back_through_all(
+        &mut self,
+        way: &WayBack,
+        (mut next, first): (usize, usize),
+        at_s: &mut f64,
+        counting: &Counting,
+    ) -> usize {
+        while next > 0 && way.records[next - 1].sample >= first {
+            next -= 1;
+            self.back_to(way.records[next].at_s, at_s, way.axes);
+            self.back_through(way, next, counting);
+        }
+        next
     }
 
     /// Finds the states that are uncertain as the pass back counts them.
@@ -213,6 +126,7 @@ impl Adjoint {
         let unknown = &self.unknown;
         self.live.clear();
         self.live.extend((0..unknown.len()).filter(|&j| unknown[j]));
+        self.end = self.live.last().map_or(0, |&last| last + 1);
         let alive = |row: &Vec<Entry>| row.iter().copied().filter(|one| unknown[one.state]).collect();
         self.live_rows = counting.rows.iter().map(alive).collect();
     }
@@ -248,11 +162,15 @@ impl Adjoint {
             let stride = way.columns + way.size;
             let details = &way.details[place * stride..(place + 1) * stride];
             let (e, gain) = details.split_at(way.columns);
-            let mut own = std::mem::take(&mut self.gain);
-            own.copy_from_slice(gain);
-            counting.count(&mut own);
-            self.back_through_measurement(channel, &own, e, total);
-            self.gain = own;
+            if counting.counts() {
+                let mut own = std::mem::take(&mut self.gain);
+                own.copy_from_slice(gain);
+                counting.count(&mut own);
+                self.back_through_measurement(channel, &own, e, total);
+                self.gain = own;
+            } else {
+                self.back_through_measurement(channel, gain, e, total);
+            }
         }
         let model = &counting.model.channels[channel];
         for (state, factor) in [(model.shift, shift_scaled), (model.reference, reference_scaled)] {
@@ -268,19 +186,20 @@ impl Adjoint {
     ///
     /// 1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
     fn back_through_measurement(&mut self, channel: usize, gain: &[f64], e: &[f64], total: f64) {
-        let Self { rows, live, live_rows, moved, used, .. } = self;
-        let entries = &live_rows[channel];
+        let Self { rows, end, live_rows, moved, used, .. } = self;
+        let (entries, n) = (&live_rows[channel], rows.width());
+        let gain = &gain[..*end];
         moved.resize(entries.len(), 0.0);
-        for c in 0..*used {
-            let v = rows.row_mut(c);
-            let whole: f64 = live.iter().map(|&j| gain[j] * v[j]).sum();
+        for v in rows.elements_mut().chunks_exact_mut(n).take(*used) {
+            let whole = product(gain, v);
             for (out, entry) in moved.iter_mut().zip(entries) {
                 let s = entry.state;
                 // Summed without the state itself where it counts: never as a difference.
                 let rest = if gain[s] * v[s] == 0.0 {
                     whole
                 } else {
-                    live.iter().filter(|&&j| j != s).map(|&j| gain[j] * v[j]).sum()
+                    let before = product(&gain[..s], v);
+                    gain[s + 1..].iter().zip(&v[s + 1..]).fold(before, |sum, (a, b)| sum + a * b)
                 };
                 *out = (1.0 - gain[s] * entry.factor) * v[s] - entry.factor * rest;
             }
@@ -363,23 +282,28 @@ impl Adjoint {
             }
             (pc, pv) = (&self.pc, &self.pv);
         }
-        let live = &self.live;
-        let on = |v: &[f64], row: &[f64]| -> f64 { live.iter().map(|&j| v[j] * row[j]).sum() };
+        (pc, pv) = (&pc[..self.end], &pv[..self.end]);
         let (mut value, mut velocity, mut known) = (0.0, 0.0, 0.0);
         for c in 0..columns {
             let row = self.rows.row(c);
             let share = if c == 0 { 1.0 } else { counting.last.parameters[c - 1] };
-            let place = places[c] - on(pc, row);
+            let place = places[c] - product(pc, row);
             self.sensitivity[c] = place;
             value += place * share;
-            velocity += (speeds[c] - on(pv, row)) * share;
+            velocity += (speeds[c] - product(pv, row)) * share;
         }
-        for c in columns..self.used {
-            let met = on(pc, self.rows.row(c));
+        for row in self.rows.elements().chunks_exact(n).take(self.used).skip(columns) {
+            let met = product(pc, row);
             known += met * met;
         }
         let uncertain = quadratic(&self.sensitivity[1..], &counting.last.spread);
         let variance = counting.model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
         Mixed { value, variance: variance.max(counting.least[a]) + counting.model.unseen_m2[a], velocity }
     }
+}
+
+/// Σ of the products of elements, as far as the first vector goes.
+#[inline(always)]
+fn product(v: &[f64], row: &[f64]) -> f64 {
+    v.iter().zip(row).map(|(a, b)| a * b).sum()
 }

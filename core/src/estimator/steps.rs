@@ -234,6 +234,11 @@ impl StepTest {
         let mut best: Option<(usize, f64)> = None;
         for (place, instant) in self.instants.iter().enumerate() {
             let Some(instant) = instant else { continue };
+            let (known, matched) = self.matched(place, weighed.parameters);
+            // Most are refused here: a size below its deviation is no step.
+            if matched * matched <= known {
+                continue;
+            }
             if let Some(odds) = self.odds(place, instant.p_step, weighed, least) {
                 if best.is_none_or(|(_, before)| odds > before) {
                     best = Some((place, odds));

@@ -8,13 +8,14 @@ use super::innovation::{Work, predict_value};
 use super::log::{Log, Logged};
 use super::model::{Model, instant, since};
 use super::motion::GAP_STEPS;
+use super::output::Output;
 use super::reports::{Report, Reports};
 use super::rows::{Innovations, Rows, innovations_of, zero_variance};
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
 use super::settings::Settings;
 use super::unmeasured::Integrated;
-use super::waiting::{Item, Measurement, Timed, count_until};
+use super::waiting::{Item, Measurement, Timed};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -27,19 +28,6 @@ pub struct Limits {
     pub block: usize,
 }
 
-/// What a push gave.
-#[derive(Clone, Debug, Default)]
-pub struct Output {
-    /// Rows of all axes, where they are given out.
-    pub rows: Option<Rows>,
-    /// Innovations of each channel as the best hypothesis saw them; none at the end.
-    pub innovations: Vec<Innovations>,
-    /// Events.
-    pub reports: Vec<Report>,
-    /// Variance (axes,) of the datum at the last row, the part that all rows have in common, m².
-    pub zero_variance: Vec<f64>,
-}
-
 /// All that an estimator remembers besides its log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Remembered {
@@ -48,7 +36,7 @@ pub struct Remembered {
     pub(super) early: VecDeque<(i64, Measurement)>,
     /// Samples while rows are held back.
     pub(super) held: Option<Samples>,
-    pub(super) waiting: Vec<Timed>,
+    pub(super) waiting: VecDeque<Timed>,
     /// Until the filter, and all zeros, have begun.
     pub(super) alone: Option<Integrated>,
     pub(super) filter: Option<Filter>,
@@ -86,7 +74,7 @@ impl Estimator {
             origin_ns: None,
             early: VecDeque::new(),
             held: None,
-            waiting: Vec::new(),
+            waiting: VecDeque::new(),
             alone: None,
             filter: None,
             first_s: f64::NAN,
@@ -167,7 +155,7 @@ impl Estimator {
     }
 
     /// The measurements and marks that wait for samples.
-    pub fn waiting(&self) -> &[Timed] {
+    pub fn waiting(&self) -> &VecDeque<Timed> {
         &self.memory.waiting
     }
 
@@ -187,16 +175,19 @@ impl Estimator {
     }
 
     /// Takes samples, which are later than all before; returns what is due.
-    pub fn push(&mut self, samples: View) -> Vec<Output> {
-        let mut found = Vec::new();
+    pub fn push(&mut self, samples: View) -> Option<Output> {
+        let mut found: Option<Output> = None;
         for first in (0..samples.len()).step_by(self.limits.block) {
             let end = samples.len().min(first + self.limits.block);
+            if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()) {
+                rows.reserve(samples.len() - first);
+            }
             self.push_block(samples.part(first, end), &mut found);
         }
         found
     }
 
-    fn push_block(&mut self, samples: View, found: &mut Vec<Output>) {
+    fn push_block(&mut self, samples: View, found: &mut Option<Output>) {
         if self.memory.origin_ns.is_none() {
             self.memory.origin_ns = samples.time_ns.first().copied();
             let origin_ns = self.origin_ns();
@@ -234,7 +225,7 @@ impl Estimator {
     }
 
     /// Holds samples until rows are given out.
-    fn hold(&mut self, samples: View, found: &mut Vec<Output>) {
+    fn hold(&mut self, samples: View, found: &mut Option<Output>) {
         let held = match self.memory.held.take() {
             Some(mut held) => {
                 held.extend(samples);
@@ -246,23 +237,25 @@ impl Estimator {
     }
 
     /// The rows of samples; where they are logged, run up to where the log keeps the filter, and then on.
-    pub(super) fn run(&mut self, samples: View, found: &mut Vec<Output>) {
+    pub(super) fn run(&mut self, samples: View, found: &mut Option<Output>) {
         let mut first = 0;
         while first < samples.len() {
             let logged = self.log.as_ref().map_or(0, |log| log.samples.len());
             let end = samples.len().min(first + self.limits.block - logged % self.limits.block);
-            found.extend(self.run_on(samples.part(first, end)));
+            self.run_on(samples.part(first, end), found);
             first = end;
         }
     }
 
-    fn run_on(&mut self, samples: View) -> Option<Output> {
+    fn run_on(&mut self, samples: View, found: &mut Option<Output>) {
         let origin_ns = self.origin_ns();
         let mut time_s = std::mem::take(&mut self.time_s);
         samples.seconds(origin_ns, &mut time_s);
-        let mut items = self.due(time_s.last().copied()?);
-        let mut filter = self.memory.filter.take()?;
-        let mut rows = self.give_rows.then(|| Rows::with_room(self.settings.axes, samples.len()));
+        let (Some(&end_s), Some(mut filter)) = (time_s.last(), self.memory.filter.take()) else { return };
+        let mut items = self.due(end_s);
+        let before = found.as_mut().and_then(|one| one.rows.take());
+        let none = || self.give_rows.then(|| Rows::with_room(self.settings.axes, samples.len()));
+        let mut rows = before.or_else(none);
         let mut met = Vec::with_capacity(items.len());
         let first_ns = instant(self.memory.first_s, origin_ns);
         let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
@@ -271,12 +264,17 @@ impl Estimator {
         self.memory.filter = Some(filter);
         self.time_s = time_s;
         let innovations = innovations_of(&items, &met, &self.model, origin_ns);
-        Some(self.output(samples, rows, innovations))
+        Output::add(found, self.output(samples, rows, innovations));
+    }
+
+    /// How many of the waiting items are no later than an instant.
+    pub(super) fn count_due(&self, until_s: f64) -> usize {
+        self.memory.waiting.iter().take_while(|one| one.at_s <= until_s).count()
     }
 
     /// Waiting items up to an instant, which no longer wait.
     pub(super) fn due(&mut self, until_s: f64) -> Vec<Timed> {
-        let count = count_until(&self.memory.waiting, until_s);
+        let count = self.count_due(until_s);
         let items = self.memory.waiting.drain(..count).collect();
         self.memory.overflown = self.memory.overflown && self.memory.waiting.len() > self.limits.waiting / 2;
         items
@@ -319,8 +317,8 @@ impl Estimator {
     }
 
     /// The rows that are held back still, and events that the record's end completes.
-    pub fn finish(&mut self) -> Vec<Output> {
-        let mut found = Vec::new();
+    pub fn finish(&mut self) -> Option<Output> {
+        let mut found = None;
         if self.memory.filter.is_none() {
             if let Some(held) = self.memory.held.take() {
                 self.begin(held, true, &mut found);
@@ -335,7 +333,7 @@ impl Estimator {
             reports
         };
         if !reports.is_empty() {
-            found.push(Output { reports, ..Output::default() });
+            Output::add(&mut found, Output { reports, ..Output::default() });
         }
         found
     }
@@ -368,7 +366,7 @@ impl Remembered {
             && self.held.as_ref().is_none_or(|one| one.consistent(axes))
             && self.alone.as_ref().is_none_or(|one| one.fits(axes))
             && self.early.iter().all(|one| one.1.channel < channels)
-            && channels_exist(&self.waiting, channels)
+            && channels_exist(self.waiting.iter(), channels)
             && self.undecided.fits(count, channels)
             && self.reports.fits(channels)
             && self.late.len() == channels

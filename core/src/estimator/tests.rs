@@ -1,6 +1,7 @@
 //! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
 
 use super::cause::Decision;
+use super::counting::Counting;
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
 use super::innovation::Work;
@@ -14,7 +15,7 @@ use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::samples::Samples;
 use super::settings::{Channel, Rates, Settings};
-use super::smoother::{Adjoint, Counting};
+use super::smoother::Adjoint;
 use super::start::Beginning;
 use super::update::{project, update};
 use super::waiting::{Item, Measurement, Timed};
@@ -313,7 +314,7 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
     let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
     let (mut adjoint, mut found) = (Adjoint::nothing(&model), Vec::new());
-    adjoint.pass(&way, &counting, Some(&mut found));
+    adjoint.pass(&way, &counting, 0..200, &mut found);
     let own = &rows.axes[0];
     assert_eq!(found.len(), 200);
     let end = found[199];
@@ -323,8 +324,8 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     }
     // The same without rows: what is carried to the beginning is the same.
     let mut other = Adjoint::nothing(&model);
-    other.pass(&way, &counting, None);
-    assert!(close(adjoint.rows(), other.rows(), 1e-9));
+    other.pass(&way, &counting, 0..0, &mut found);
+    assert!(found.is_empty() && close(adjoint.rows(), other.rows(), 1e-9));
 }
 
 #[test]
@@ -338,10 +339,10 @@ fn certain_states_may_be_left_out_on_the_way_back() {
     let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
     let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
     let (mut quick, mut whole) = (Vec::new(), Vec::new());
-    Adjoint::nothing(&model).pass(&way, &counting, Some(&mut quick));
+    Adjoint::nothing(&model).pass(&way, &counting, 0..way.len(), &mut quick);
     let all: Vec<usize> = (0..model.size()).collect();
     way.note_uncertain(&all);
-    Adjoint::nothing(&model).pass(&way, &counting, Some(&mut whole));
+    Adjoint::nothing(&model).pass(&way, &counting, 0..way.len(), &mut whole);
     for (one, other) in quick.iter().zip(&whole) {
         // Rounding: W is rotated to another number of columns.
         assert!((one.value - other.value).abs() < 1e-6 * other.variance.sqrt());

@@ -41,7 +41,7 @@ pub fn update(x: &mut Matrix, p: &mut Matrix, gain: &mut [f64], e: &[f64], total
     for i in 0..n {
         if gain[i] != 0.0 {
             let scaled = gain[i] * total;
-            for j in i..n {
+            for j in (i..n).filter(|&j| gain[j] != 0.0) {
                 let value = p[(i, j)] - scaled * gain[j];
                 p.set_both(i, j, value);
             }

@@ -1,6 +1,7 @@
 //! Measurements and marks in time, and those that wait for the samples that cover them.
 
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 
 /// A measurement in its channel's unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,7 +71,7 @@ pub fn put_in_order(items: &mut [Timed]) {
 
 /// Keeps at most so many measurements, the newest of those in time order; of the marks before them the last of each kind
 /// stays, as they hold from their instant on. Returns the time of the oldest item where any was dropped.
-pub fn keep_newest(items: &mut Vec<Timed>, most: usize) -> Option<f64> {
+pub fn keep_newest(items: &mut VecDeque<Timed>, most: usize) -> Option<f64> {
     if items.len() <= most {
         return None;
     }
@@ -80,7 +81,7 @@ pub fn keep_newest(items: &mut Vec<Timed>, most: usize) -> Option<f64> {
     }
     let first = items.iter().enumerate().filter(|(_, one)| one.channel().is_some()).nth(measured - most)?.0;
     let oldest_s = items[0].at_s;
-    let last_of = |mark: Item| items[..first].iter().rposition(|one| one.item == mark);
+    let last_of = |mark: Item| (0..first).rev().find(|&j| items[j].item == mark);
     let marks = [last_of(Item::Datum), last_of(Item::WentBack)];
     let mut place = 0;
     items.retain(|_| {

@@ -5,6 +5,7 @@ use super::innovation::Work;
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
 use super::motion::{AxisMotion, Clock};
+use super::predict::{MotionCovariance, MotionMean};
 use super::rows::{AxisRows, Status, status_of};
 use super::samples::{BRIDGED, View};
 use super::waiting::{Item, Timed};
@@ -51,6 +52,8 @@ pub struct WayBack {
     pub(super) details: Vec<f64>,
     /// States (n,) that are uncertain in some part of the block.
     pub(super) uncertain: Vec<bool>,
+    /// The motion's states and those that are uncertain now.
+    live: Vec<usize>,
 }
 
 impl WayBack {
@@ -87,9 +90,11 @@ impl WayBack {
         (one.source[k], one.status[k])
     }
 
-    /// Marks states that are uncertain.
+    /// Marks states that are uncertain from here on, besides the motion's.
     #[inline]
     pub fn note_uncertain(&mut self, states: &[usize]) {
+        self.live.clear();
+        self.live.extend((0..MOTION_STATES * self.axes).chain(states.iter().copied()));
         for &j in states {
             self.uncertain[j] = true;
         }
@@ -108,28 +113,64 @@ impl WayBack {
         first
     }
 
-    /// Puts what the filter found of a sample along an axis; datum: the state that its rows count from.
-    #[inline]
-    pub fn put_node(&mut self, k: usize, a: usize, hyp: &Hypothesis, axis: &AxisMotion, datum: Option<usize>) {
-        let (i, columns, n) = (motion_of(a), self.columns, self.size);
-        let stride = 2 * (columns + n);
+    /// The node of a sample along an axis: displacement and velocity (1 + k), and the covariances of both (n).
+    #[inline(always)]
+    fn node(&mut self, k: usize, a: usize) -> [&mut [f64]; 4] {
+        let stride = 2 * (self.columns + self.size);
         let first = (k * self.axes + a) * stride;
-        let (x, p) = (&hyp.x, &hyp.p);
-        let (places, rest) = self.nodes[first..first + stride].split_at_mut(columns);
-        let (speeds, rest) = rest.split_at_mut(columns);
-        let (pc, pv) = rest.split_at_mut(n);
-        places.copy_from_slice(x.row(i));
-        speeds.copy_from_slice(x.row(i + 1));
-        speeds[0] -= axis.ahead();
-        pc.copy_from_slice(p.row(i));
-        pv.copy_from_slice(p.row(i + 1));
+        let (places, rest) = self.nodes[first..first + stride].split_at_mut(self.columns);
+        let (speeds, rest) = rest.split_at_mut(self.columns);
+        let (pc, pv) = rest.split_at_mut(self.size);
+        [places, speeds, pc, pv]
+    }
+
+    /// Puts the mean that the filter found of a sample along an axis, and what the velocity state is ahead; datum: the state
+    /// that its rows count from.
+    #[inline(always)]
+    pub fn put_mean(
+        &mut self,
+        k: usize,
+        a: usize,
+        (mean, ahead): (&MotionMean, f64),
+        hyp: &Hypothesis,
+        datum: Option<usize>,
+    ) {
+        let (i, x, [places, speeds, ..]) = (motion_of(a), &hyp.x, self.node(k, a));
+        (places[0], speeds[0]) = (mean.x, mean.v - ahead);
+        for q in 1..places.len() {
+            (places[q], speeds[q]) = (x[(i, q)], x[(i + 1, q)]);
+        }
         if let Some(d) = datum {
-            subtract(places, x.row(d));
+            for (q, place) in places.iter_mut().enumerate() {
+                *place -= x[(d, q)];
+            }
+        }
+    }
+
+    /// Puts its covariances; those with states that are certain are 0, as which they were added.
+    #[inline(always)]
+    pub fn put_covariance(
+        &mut self,
+        k: usize,
+        a: usize,
+        own: &MotionCovariance,
+        hyp: &Hypothesis,
+        datum: Option<usize>,
+    ) {
+        let (i, p, live) = (motion_of(a), &hyp.p, std::mem::take(&mut self.live));
+        let [_, _, pc, pv] = self.node(k, a);
+        for &j in &live {
+            (pc[j], pv[j]) = (p[(i, j)], p[(i + 1, j)]);
+        }
+        pc[i..i + MOTION_STATES].copy_from_slice(&[own.xx, own.xv, own.xb]);
+        pv[i..i + MOTION_STATES].copy_from_slice(&[own.xv, own.vv, own.vb]);
+        if let Some(d) = datum {
             // The motion's rows hold its covariances with the datum; the datum's may be behind.
-            for j in 0..n {
+            for &j in &live {
                 pc[j] -= if j / MOTION_STATES == a { p[(j, d)] } else { p[(d, j)] };
             }
         }
+        self.live = live;
     }
 
     /// Puts source and status of a sample's row along an axis.
@@ -150,7 +191,10 @@ impl WayBack {
     ) {
         let k = self.add_samples(&[clock.time_s]);
         for (a, axis) in motion.iter().enumerate() {
-            self.put_node(k, a, hyp, axis, model.datum.as_ref().map(|datum| datum[a]));
+            let (mean, own) = (MotionMean::of(&hyp.x, motion_of(a)), MotionCovariance::of(&hyp.p, motion_of(a)));
+            let datum = model.datum.as_ref().map(|datum| datum[a]);
+            self.put_mean(k, a, (&mean, axis.ahead()), hyp, datum);
+            self.put_covariance(k, a, &own, hyp, datum);
             let (source, status) = status_of(hyp, a, model, clock.time_s);
             let bridged = at.0.kind[at.1] == BRIDGED;
             self.put_status(k, a, source, if bridged { status.max(Status::Coasting) } else { status } as u8);
@@ -171,11 +215,5 @@ impl WayBack {
         let what = if mark.item == Item::Datum { Recorded::Datum } else { Recorded::Doubt };
         self.records.push(Record { sample: self.time_s.len(), at_s: mark.at_s, what });
         self.details.resize(self.details.len() + self.columns + self.size, 0.0);
-    }
-}
-
-fn subtract(from: &mut [f64], other: &[f64]) {
-    for (own, &one) in from.iter_mut().zip(other) {
-        *own -= one;
     }
 }

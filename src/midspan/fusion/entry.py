@@ -51,14 +51,14 @@ def _stamps(name: str, time_ns: Nanoseconds, *, strictly: bool) -> None:
     if not np.issubdtype(np.asarray(time_ns).dtype, np.integer):
         remedy = "Give np.rint(1e9 * time_s).astype(np.int64)."
         raise refuse(name, "whole nanoseconds (int64)", str(np.asarray(time_ns).dtype), remedy)
-    steps = np.diff(time_ns)
-    wrong = np.flatnonzero(steps <= 0 if strictly else steps < 0)
-    if len(wrong):
+    bad = time_ns[1:] <= time_ns[:-1] if strictly else time_ns[1:] < time_ns[:-1]
+    if bad.any():
+        wrong = np.flatnonzero(bad)
         rule = "increasing from sample to sample" if strictly else "in the order of time"
         raise refuse(name, rule, f"{time_ns[wrong[0] + 1]} after {time_ns[wrong[0]]} at index {wrong[0] + 1}")
 
 
 def _numbers(name: str, values: NDArray[Any], good: NDArray[np.bool_], rule: str, remedy: str) -> None:
-    wrong = np.flatnonzero(~good)
-    if len(wrong):
+    if not good.all():
+        wrong = np.flatnonzero(~good)
         raise refuse(name, rule, f"{values[wrong[0]]} at index {wrong[0]}", remedy)

@@ -14,7 +14,7 @@ from midspan.fusion.blocks import Rows, estimates_of, rows_of
 from midspan.fusion.model import EstimatorSettings
 from midspan.records import Estimate, Event, Floats, Measured, Nanoseconds, Samples
 
-# So many measurements may wait for the samples that cover them; older ones are dropped.
+# Measurements of a live point that may wait.
 MAX_WAITING = 65536
 # Samples that are run at once: bounds the memory.
 BLOCK = 8192
@@ -58,13 +58,16 @@ class Estimator:
     """The estimator as a stream: any cutting of the input into pushes gives the same rows.
 
     Measurements wait for the samples that cover their time; rows are held back until the first few have come. log: keep
-    all that a second pass needs. rows: whether rows are given out, which only a second pass does not need.
+    all that a second pass needs. rows: whether rows are given out, which only a second pass does not need. max_waiting:
+    so many measurements may wait for samples, older ones are dropped; None: MAX_WAITING.
     """
 
-    def __init__(self, settings: EstimatorSettings, *, log: bool = False, rows: bool = True) -> None:
+    def __init__(
+        self, settings: EstimatorSettings, *, log: bool = False, rows: bool = True, max_waiting: int | None = None
+    ) -> None:
         self.settings = settings
-        self.core = _core.Estimator(settings, log=log, rows=rows, waiting=MAX_WAITING, block=BLOCK)
-        self._max_waiting = MAX_WAITING
+        self._max_waiting = max_waiting or MAX_WAITING
+        self.core = _core.Estimator(settings, log=log, rows=rows, waiting=self._max_waiting, block=BLOCK)
 
     @property
     def log(self) -> Log | None:

@@ -31,17 +31,17 @@ class Lag:
     the input gives the same rows. Innovations and events are those of the estimator, as they come.
     """
 
-    def __init__(self, settings: EstimatorSettings, lag_samples: int) -> None:
-        self.settings, self.lag_samples = settings, lag_samples
-        self.core = _core.Lag(settings, lag_samples, waiting=MAX_WAITING, block=BLOCK)
+    def __init__(self, settings: EstimatorSettings, lag_samples: int, *, max_waiting: int | None = None) -> None:
+        self.settings, self.lag_samples, self._max_waiting = settings, lag_samples, max_waiting or MAX_WAITING
+        self.core = _core.Lag(settings, lag_samples, waiting=self._max_waiting, block=BLOCK)
 
     def push(self, record: Samples | Measured | Event) -> list[Rows]:
         """Take one block, as `Estimator.push`."""
-        return pushed(self.core, record, self.settings, MAX_WAITING)
+        return pushed(self.core, record, self.settings, self._max_waiting)
 
     def finish(self) -> list[Rows]:
         """The rows that are held still, and what the estimator says at the end."""
-        return [rows_of(one, self.settings.channels, MAX_WAITING) for one in self.core.finish()]
+        return [rows_of(one, self.settings.channels, self._max_waiting) for one in self.core.finish()]
 
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """As `Estimator.predict`."""

@@ -3,7 +3,7 @@
 For displacement that comes ready made; everything else about the estimator is in `estimator` and `second_pass`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from midspan.checks import refuse
 from midspan.fusion.blocks import Rows
 from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
-from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState
+from midspan.fusion.estimator import Estimator, EstimatorState
 from midspan.fusion.model import EstimatorSettings, Rates
 from midspan.fusion.second_pass import Lag, LagState
 from midspan.fusion.second_pass import smooth as smooth_log
@@ -198,7 +198,8 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     """
     settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    estimator = Estimator(settings.estimator(sources_of(displacement)), log=True, rows=False)
+    known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
+    estimator = Estimator(known, log=True, rows=False, max_waiting=count)
     _, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
     assert estimator.log is not None
     return Smoothed(smooth_log(estimator.log, estimator.settings)[0], innovation or no_innovation(), tuple(events))
@@ -214,10 +215,10 @@ def filtered(
     """Filter a whole record, as `smooth`; each row rests on what came before it, and on what came `lag_s` after it."""
     settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    known = settings.estimator(sources_of(displacement))
+    known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
     step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
     lag_samples = round(lag_s / step_s)
-    estimator = Lag(known, lag_samples) if lag_samples else Estimator(known)
+    estimator = Lag(known, lag_samples, max_waiting=count) if lag_samples else Estimator(known, max_waiting=count)
     estimate, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
     assert estimate is not None
     return Smoothed(estimate, innovation or no_innovation(), tuple(events))
@@ -226,15 +227,13 @@ def filtered(
 def whole(
     estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
 ) -> list[Rows]:
-    """All that an estimator with one channel for each of `sources_of` gives for a whole record."""
+    """All that an estimator with one channel for each of `sources_of` gives for a whole record, in one piece.
+
+    The estimator lets all measurements, and one that is put before them, wait for their samples.
+    """
     displacement = with_prior(displacement, acceleration, settings)
-    sources, found, done = sources_of(displacement), list[Rows](), 0
-    for block in blocks(acceleration):
-        due = int(np.searchsorted(displacement.time_ns, block.time_ns[-1], side="right"))
-        estimator.push(measured(part(displacement, slice(done, due)), sources))
-        found += estimator.push(samples(block))
-        done = due
-    return [*found, *estimator.finish()]
+    estimator.push(measured(displacement, sources_of(displacement)))
+    return [*estimator.push(samples(acceleration)), *estimator.finish()]
 
 
 def with_prior(displacement: Displacement, acceleration: Acceleration, settings: KalmanSettings) -> Displacement:
@@ -258,12 +257,6 @@ def no_innovation() -> Innovation:
     return Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
 
 
-def blocks(acceleration: Acceleration) -> Iterator[Acceleration]:
-    """The samples in pieces, so that the measurements within each never are too many to wait."""
-    for first in range(0, len(acceleration.time_ns), BLOCK):
-        yield part(acceleration, slice(first, first + BLOCK))
-
-
 def gathered(rows: Sequence[Rows]) -> tuple[Estimate | None, Innovation | None, list[Event]]:
     """Rows, innovations in the order of time, and events; None where there are none."""
     estimates = [one.estimates[0] for one in rows if one.estimates and len(one.estimates[0].time_ns)]
@@ -285,7 +278,9 @@ def outputs(rows: Sequence[Rows]) -> list[Output]:
 
 def sources_of(displacement: Displacement) -> tuple[int, ...]:
     """The prediction and the sources that occur, in the order of their codes."""
-    return tuple(np.union1d(displacement.source, [int(Source.PREDICTION)]).tolist())
+    occurs = np.bincount(displacement.source, minlength=1) > 0
+    occurs[Source.PREDICTION] = True
+    return tuple(np.flatnonzero(occurs).tolist())
 
 
 def measured(displacement: Displacement, sources: Sequence[int]) -> Measured:
