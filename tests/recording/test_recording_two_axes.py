@@ -115,9 +115,9 @@ def test_an_accelerometer_that_points_the_other_way_turns_only_its_own_axis(site
 def test_the_trackers_are_told_where_to_look_along_both_axes(site, result, monkeypatch):
     told, push = [], TargetChain.push
 
-    def recorded(self, frame, prediction=None, *, dark=False):
+    def recorded(self, frame, prediction=None):
         told.append(prediction)
-        return push(self, frame, prediction, dark=dark)
+        return push(self, frame, prediction)
 
     monkeypatch.setattr(TargetChain, "push", recorded)
     track = midspan.estimate(midspan.open_recording(site), result.calibration).track
