@@ -1,8 +1,14 @@
 """A checkerboard as a distorting camera shows it: the lens formulas in plain NumPy, applied by inverse mapping."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from scipy.special import erf
+
+from midspan.records import PixelTranslation, Region
+from midspan.vision.lens import Lens, straight
+from midspan.vision.target import lost
 
 SIZE = (640, 480)
 PINHOLE = {"matrix": (520.0, 515.0, 331.0, 236.0), "distortion": (-0.28, 0.09, 0.0011, -0.0007, -0.012)}
@@ -135,3 +141,29 @@ def write_pictures(folder, count, seed):
         cv2.imwrite(str(folder / f"{k}.png"), scene.picture(pose, rng))
     cv2.imwrite(str(folder / "99.png"), np.full(SIZE[::-1], 128, np.uint8))
     return folder
+
+
+def ideal_translation(found: PixelTranslation, region: Region, lens: Lens | None) -> PixelTranslation:
+    """What was `found` of the target in `region` in pixels of the ideal pinhole camera, as the core must give it.
+
+    Translation = ideal place of the region's middle now - its ideal place in the reference frame. Variances pass
+    through the derivatives, the errors along x and y taken as independent. LOST where the model does not reach.
+    """
+    if lens is None:
+        return found
+    middle = np.array([region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1)])
+    (origin, place), slopes = straight(np.stack((middle, middle + np.array([found.x_px, found.y_px]))), lens)
+    if not np.isfinite(place).all():
+        return replace(lost(found.time_ns, found.events), unseen=found.unseen)
+    own = slopes[1] ** 2 @ np.array([found.variance_x_px2, found.variance_y_px2])
+    reference = slopes[1] ** 2 @ np.array([found.reference_variance_x_px2, found.reference_variance_y_px2])
+    x, y = (place - origin).tolist()
+    return replace(
+        found,
+        x_px=x,
+        y_px=y,
+        variance_x_px2=float(own[0]),
+        variance_y_px2=float(own[1]),
+        reference_variance_x_px2=float(reference[0]),
+        reference_variance_y_px2=float(reference[1]),
+    )

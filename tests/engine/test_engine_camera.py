@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from lens_cases import ideal_translation
 from midspan._core import LIGHT_PX, TEMPLATE_NOISE
 from midspan.engine.camera import WARM_UP_FRAMES, CameraChain
 from midspan.engine.camera_target import ChainSettings, Target
@@ -19,7 +20,7 @@ from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, ThermalView
 from midspan.thermal.temperature_range import Expected
 from midspan.vision.hybrid import PhaseSettings
-from midspan.vision.lens import Lens, ideal_translation
+from midspan.vision.lens import Lens
 from midspan.vision.tracker import open_tracker
 
 COUNT, SHAPE = 60, (140, 160)

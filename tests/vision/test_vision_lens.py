@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lens_cases import FISHEYE, IMAGES, PINHOLE, SIZE, Scene, places, poses
+from lens_cases import FISHEYE, IMAGES, PINHOLE, SIZE, Scene, ideal_translation, places, poses
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.records import Event, Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.vision.checkerboard import Board, calibrate_lens, find_board, is_new
@@ -15,7 +15,6 @@ from midspan.vision.lens import (
     bent,
     check_lens,
     ideal_gain,
-    ideal_translation,
     lens_warnings,
     shown_prediction,
     straight,
@@ -204,7 +203,7 @@ def test_places_beyond_the_model_are_lost_not_nonsense():
     near = corrected(track([0.0, 54.0], [0.0, 0.0]), region, limited).variance_x_px2
     assert near[1] > 10.0 * near[0]
     with pytest.raises(UsageError, match="lens model does not hold"):
-        corrected(track(0.0, 0.0), RIM, limited)
+        check_lens(limited, RIM, 1920, 1080)
 
 
 def test_places_outside_the_frame_are_lost():

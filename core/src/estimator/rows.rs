@@ -45,7 +45,7 @@ pub struct Rows {
 }
 
 impl AxisRows {
-    /// Adds so many zeros to displacement, variance and velocity, to be filled.
+    /// Adds zeros to displacement, variance and velocity, to be filled.
     #[inline]
     pub fn add_zeros(&mut self, count: usize) {
         for one in [&mut self.displacement, &mut self.variance, &mut self.velocity] {
@@ -55,7 +55,7 @@ impl AxisRows {
 }
 
 impl Rows {
-    /// None yet, with room for so many.
+    /// None yet, with room.
     pub fn with_room(axes: usize, room: usize) -> Self {
         let one = AxisRows {
             displacement: Vec::with_capacity(room),

@@ -3,7 +3,7 @@
 //! Most lossy codecs predict a picture from the one before, moved by quarters of a pixel, and leave out what differs
 //! little. So a picture inherits a part of the one before: its noise, which in a raw recording is new in each frame, and
 //! the rounding of its motion. The noise of the difference to the frame before, over the noise of the difference to a frame
-//! long ago, is 1 in raw frames; what is missing from 1 is the inherited share. Codecs that take each picture by itself
+//! long ago, is 1 in raw frames; what is missing from 1 is the inherited share. Codecs that code each picture separately
 //! show steps at the edges of blocks.
 //!
 //! The constants that turn these into pixels were set on simulated frames through x264 and MJPEG (docs/validation.md).
@@ -15,15 +15,15 @@ use super::picture_noise::{self, Noise, noise};
 use super::running_median::RunningMedian;
 use serde::{Deserialize, Serialize};
 
-/// One in so many frames is compared with earlier ones.
+/// Frames from one comparison with earlier ones to the next.
 const CHECK_FRAMES: u64 = 96;
-/// And one in so many until so many checks have shown something.
+/// The same until the first checks have shown something, and how many those are.
 const FIRST_CHECKS: usize = 5;
 const FIRST_FRAMES: u64 = 8;
 /// Rounding to whole grey levels alone makes so much noise, 1/√12; a difference with less is of one picture with itself.
 const ROUNDING_NOISE: f64 = 0.29;
 const LEAST_CHECKS: usize = 2;
-/// Medians are taken over so many: a median of 64 is known to a sixth of one check's scatter.
+/// Checks that medians are taken over: a median of 64 is known to a sixth of one check's scatter.
 const CHECKS_KEPT: usize = 64;
 /// Side of the square that is compared, px.
 const SAMPLE_PX: usize = 64;
@@ -37,12 +37,12 @@ const INHERITED_STD_PX: f64 = 0.032;
 const MOST_COLOUR: f64 = 3.5;
 const CLEAR_SHARE: f64 = 0.25;
 const CLEAR_COLOUR: f64 = 1.4;
-/// Blockiness from which on pictures may be coded each by itself.
+/// Blockiness from which on pictures may be coded separately.
 const CODED_ALONE: f64 = 0.1;
 /// Where nothing but flat blocks is left, px, and the blockiness of that.
 const STAIR_STD_PX: f64 = 0.4;
 const ONLY_STAIRS: f64 = 3.0;
-/// Share of the texture that stands still, and what the encoder then withholds, px.
+/// Share of the texture that is static, and what the encoder then withholds, px.
 const STANDSTILL: f64 = 0.3;
 const STANDSTILL_STD_PX: f64 = 0.06;
 
@@ -162,7 +162,7 @@ fn inherited(before: [f64; 2], then: [f64; 2]) -> f64 {
 fn inherited_std_px(share: f64, usual: &Check) -> f64 {
     // Where little is inherited, the codec left out the finest detail, but not because it predicted.
     let coarse = usual.colour.max(1.0).min(1.0 + 5.0 * share).min(MOST_COLOUR);
-    // Steps at the edges of blocks show pictures coded each by itself: what seems inherited there is only at rest.
+    // Steps at the edges of blocks show pictures coded separately: what seems inherited there is only at rest.
     let alone = (2.0 * usual.blockiness / share - 0.5).clamp(0.0, 1.0);
     INHERITED_STD_PX * share * coarse / (1.0 + 3.0 * alone)
 }

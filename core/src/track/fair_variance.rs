@@ -7,7 +7,7 @@
 use super::running_median::RunningMedian;
 use serde::{Deserialize, Serialize};
 
-/// The usual variance is a median over so many frames.
+/// Frames that the usual variance is a median of.
 pub const USUAL_FRAMES: usize = 64;
 /// A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
 const SUSPICIOUS_SHARE: f64 = 0.25;

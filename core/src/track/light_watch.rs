@@ -9,7 +9,7 @@ use super::image::{Image, Pixel, Region};
 use super::light::Reference;
 use serde::{Deserialize, Serialize};
 
-/// The picture is looked at so often, ns; the middle one of the last so many looks counts: what passes by is no light.
+/// From one look at the picture to the next, ns, and looks that the median is taken of: what passes by is no light.
 const LOOK_NS: i64 = 1_000_000_000;
 const LOOKS: usize = 5;
 /// The best of the first looks after the reference tells what noise takes, as light may turn already; it scatters by

@@ -16,9 +16,9 @@ use serde::{Deserialize, Serialize};
 /// covers more than one row.
 const DETAIL_ROWS: usize = 32;
 const ENDS_ROWS: usize = 64;
-/// The usual share of texture that stood still is a mean over about so many frames.
+/// Frames that the usual share of static texture is a mean of, about.
 const FROZEN_MEAN_FRAMES: u64 = 96;
-/// The steps of so many frames are taken for the target's speed.
+/// Frames whose steps are taken for the target's speed.
 const FROZEN_FRAMES: usize = 9;
 const MOST_FROZEN: f64 = 0.9;
 /// Of the reference's detail (square): below it a variance is widened.
@@ -31,7 +31,7 @@ pub const SATURATED_SHARE: f64 = 0.015;
 const SATURATED_STD_PX: f64 = 0.025;
 const LEAST_UNSATURATED: f64 = 0.02;
 
-/// By how much a picture of which a part stands still lags along one axis.
+/// By how much a picture of which a part is static lags along one axis.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Lag {
     /// The last translation, px.
@@ -42,9 +42,9 @@ struct Lag {
 }
 
 impl Lag {
-    /// The next frame, in which a share (0 to 1) of the texture stands still.
+    /// The next frame, in which a share (0 to 1) of the texture is static.
     ///
-    /// What stands still lags by its share of the step, and of the lag that it had: e = share · (e + step), with the rms of
+    /// Static texture lags by its share of the step, and of the lag that it had: e = share · (e + step), with the rms of
     /// the last steps.
     fn push(&mut self, value_px: f64, share: f64) {
         let step = self.value_px.map_or(0.0, |last| value_px - last);

@@ -11,7 +11,7 @@ use super::picture::same;
 use super::picture_watch::{PictureMemory, PictureWatch};
 use serde::{Deserialize, Serialize};
 
-/// Every so many rows and columns, or this many rows where a frame has more, tell a black frame from a lit one.
+/// Step of the rows and columns that tell a black frame from a lit one, and the rows looked at where a frame has more.
 const THINNED: usize = 4;
 const DARK_ROWS: usize = 60;
 
@@ -218,7 +218,7 @@ mod tests {
     const REGION: Region = Region { x: 12, y: 14, width: 70, height: 68 };
     const ALL: Watched = Watched { picture: true, light: true, lossless: false };
 
-    /// Waves with noise of two grey levels, of which a part stands still from frame to frame.
+    /// Waves with noise of two grey levels, of which a part is static from frame to frame.
     fn film(frames: usize) -> Vec<Vec<u8>> {
         let mut seed = 9u64;
         let mut noise = move || {

@@ -117,7 +117,7 @@ class Comparison:
 
     @staticmethod
     def of(pair: Pair, most: int = MAX_READINGS, slowest_hz: float | None = None) -> "Comparison":
-        """The first so many usable rows of a pair, with slow motion left out as the acceleration says, or as given."""
+        """The first usable rows, `most` at most, without slow motion: as given, or as the acceleration says."""
         known = pair.rows[np.isfinite(pair.rows[:, 1]) & np.isfinite(pair.rows[:, 2])][:most]
         samples = pair.samples[pair.samples[:, 0] <= known[-1, 0] + 2.0 * MAX_OFFSET_S]
         rate = pair.sample_rate_hz

@@ -1,4 +1,4 @@
-"""A crowd of outliers: so many readings are wrong that a fit of all of them does not tell which.
+"""A crowd of outliers: too many readings are wrong for a fit of all of them to separate.
 
 The path that the acceleration gives is fitted to the readings with slow motion left open, by a loss that is bounded and
 that narrows (graduated non-convexity: A. Blake and A. Zisserman, Visual Reconstruction, 1987; S. Geman and D. McClure,
@@ -18,22 +18,22 @@ from midspan.calibration.outliers import shaken_rows
 from midspan.records import Floats
 from midspan.signals.medians import white_noise
 
-# So many readings are fitted at once; more of them in all are not looked at, for speed.
+# Readings that are fitted at once, and the most of a record, for speed.
 PIECE, MAX_READINGS = 600, 100_000
 # A reading is wrong beyond this many robust deviations.
 LIMIT = 5.0
 # The loss narrows by this factor a round, so often: from the readings' span to a hundredth of a percent of it.
 NARROWER, ROUNDS = 0.8, 40
-# What most readings share is right: fewer than half of them are wrong; of each of so many parts of the record, at most
+# What most readings share is right: fewer than half of them are wrong; of each of BLOCKS parts of the record, at most
 # this share, which chance does not reach where it is half of all.
 MAX_WRONG, BLOCKS, MAX_OF_BLOCK = 0.5, 6, 0.7
-# The wrong ones lie apart from the others by so many deviations, as a half of them does at least.
+# At least half of the wrong ones lie this many deviations or more from the others.
 APART = 7.5
 # Fewer are no crowd: a fit of all tells them, and a filter's gate.
 MIN_WRONG = 0.1
 # Motion is compared down to where the accelerometer's noise, integrated twice, is this share of the readings' variance.
 MAX_NOISE_SHARE = 0.01
-# The spread is that of the nearest readings: this share of a normal distribution lies within so many deviations.
+# The spread is that of the nearest readings: NEAREST of a normal distribution lie within OF_NORMAL deviations.
 NEAREST, OF_NORMAL = 0.3, 0.3853
 
 
@@ -61,7 +61,7 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     # What a slow sensor shows of a structure that rings is no outlier.
     shaken = shaken_rows(replace(pair, rows=rows))[compared.inside]
     if np.mean(shaken[far]) < MAX_WRONG and _scattered(left, far) and _gain(plain, left, far) > least_lead(len(left)):
-        # At both ends, where the integral is open, none of them can be told from the others.
+        # At both ends, where the integral is open, none of them can be separated from the others.
         crowd[usable] = True
         crowd[usable[compared.inside]] = far
     return crowd

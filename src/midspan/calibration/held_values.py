@@ -67,12 +67,12 @@ def _stretch(pair: Pair, fit: Fit) -> NDArray[np.int64]:
     return index[inner] if last - first + 1 >= MIN_HELD and _stays(pair, fit, inner) else index[:0]
 
 
-def _with_ends(value: Floats, stretch: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The rows of a stretch, with those beside it that are as its own: the motion passed there where it was stuck."""
-    level, far = np.mean(value[stretch]), OUTLIER_LIMIT * np.std(value[stretch])
-    ends = np.array([stretch[0] - 1, stretch[-1] + 1])
+def _with_ends(value: Floats, segment: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The rows of a segment, with neighbours of the same level: there the motion passed where the sensor was stuck."""
+    level, far = np.mean(value[segment]), OUTLIER_LIMIT * np.std(value[segment])
+    ends = np.array([segment[0] - 1, segment[-1] + 1])
     ends = ends[(ends >= 0) & (ends < len(value))]
-    return np.concatenate((stretch, ends[np.abs(value[ends] - level) < far]))
+    return np.concatenate((segment, ends[np.abs(value[ends] - level) < far]))
 
 
 def _reached(far: NDArray[np.int64], middle: int, way: int) -> int:

@@ -72,13 +72,14 @@ def without_measured(measured: Measured, stamps: Nanoseconds) -> Measured:
     return part(measured, ~np.isin(measured.time_ns, stamps))
 
 
-def wrong_text(name: str, stamps: Nanoseconds) -> str:
-    """What to say of the values of a sensor at some stamps (k,) that are left out."""
-    return (
+def left_out_event(name: str, stamps: Nanoseconds) -> Event:
+    """The event of a sensor's values at some stamps (k,) that are left out."""
+    text = (
         f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
         "acceleration and the rest of its values, and are left out. Check what passes in front of it, and what holds "
         "it."
     )
+    return Event(int(stamps[0]), "rejected", text)
 
 
 def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:

@@ -32,6 +32,7 @@ from midspan.engine.radar_messages import REPORTED, radar_warnings
 from midspan.engine.row_messages import event_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
     clocks,
+    left_out_event,
     on_clock,
     on_its_clock,
     once_more,
@@ -41,7 +42,6 @@ from midspan.engine.second_look import (
     with_scales,
     without_measured,
     without_stamps,
-    wrong_text,
 )
 from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
 from midspan.engine.sensors import Sensor
@@ -356,12 +356,10 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     refuse_unsettled(first, found)
     levels = [level for clock in ran.values() for level in clock.levels]
     rows = tuple(with_levels_of(one, levels) for one in found.rows)
-    told = {name: wrong_text(name, stamps) for name, stamps in first.wrong.items()}
     events = [event for clock in ran.values() for event in clock.events]
-    events += [Event(int(first.wrong[name][0]), "rejected", text) for name, text in told.items()]
-    warnings = [line for clock in ran.values() for line in clock.warnings]
-    warnings += [Notice("outliers", text) for text in told.values()]
-    return replace(found, rows=rows, events=(*found.events, *events), warnings=tuple(warnings))
+    events += [left_out_event(name, stamps) for name, stamps in first.wrong.items()]
+    warnings = tuple(line for clock in ran.values() for line in clock.warnings)
+    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
 
 
 def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:

@@ -6,7 +6,7 @@ principal point, so that one scale factor holds over the whole picture for targe
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -16,8 +16,7 @@ from midspan import _core
 from midspan.checks import ValueRange, finite, option, positive, refuse, within
 from midspan.errors import UsageError
 from midspan.notices import Notice
-from midspan.records import Floats, PixelTranslation, Prediction, Region
-from midspan.vision.target import lost
+from midspan.records import Floats, Prediction, Region
 
 # Numbers of coefficients that each model can have, as OpenCV orders them.
 MODELS: dict[str, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12), "fisheye": (4,)}
@@ -122,38 +121,8 @@ def check_lens(lens: Lens, region: Region, columns: int, rows: int) -> None:
     _middle(region, lens)
 
 
-def ideal_translation(found: PixelTranslation, region: Region, lens: Lens | None) -> PixelTranslation:
-    """What was `found` of the target in `region` (px of the reference frame) in pixels of the ideal pinhole camera.
-
-    Translation = ideal place of the region's middle now − its ideal place in the reference frame. Variances pass
-    through the derivatives, the errors along x and y taken as independent. LOST where the model does not reach the
-    target. lens: None changes nothing. Raises UsageError where it does not even reach the region.
-    """
-    if lens is None:
-        return found
-    middle, origin, _ = _middle(region, lens)
-    place, slope = straight(middle + np.array([found.x_px, found.y_px]), lens)
-    x, y = (float(value) for value in place[0] - origin)
-    if not math.isfinite(x + y):
-        return replace(lost(found.time_ns, found.events), unseen=found.unseen)
-    variances = [
-        [found.variance_x_px2, found.reference_variance_x_px2],
-        [found.variance_y_px2, found.reference_variance_y_px2],
-    ]
-    (own_x, reference_x), (own_y, reference_y) = (slope[0] ** 2 @ np.array(variances)).tolist()
-    return replace(
-        found,
-        x_px=x,
-        y_px=y,
-        variance_x_px2=own_x,
-        variance_y_px2=own_y,
-        reference_variance_x_px2=reference_x,
-        reference_variance_y_px2=reference_y,
-    )
-
-
 def shown_prediction(prediction: Prediction | None, region: Region, lens: Lens | None) -> Prediction | None:
-    """A prediction in pixels of the ideal camera as the frames show it: the inverse of `ideal_translation`.
+    """A prediction in pixels of the ideal camera as the frames show it: the inverse of a translation in the core.
 
     None where the model does not reach. lens: None changes nothing.
     """

@@ -58,7 +58,7 @@ def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries |
 def refuse_step(pair: Pair, fit: Fit) -> None:
     """UntrustedError where a clock that steps explains what the sensors differ by, but could not be taken out.
 
-    None is claimed beside an acceleration with gaps: what bridges them parts the sensors from there on as a step does.
+    None is claimed where the acceleration has gaps: what bridges them parts the sensors from there on as a step does.
     """
     if np.ptp(pair.samples[:, 2]) > 0.0:
         return
