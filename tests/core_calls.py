@@ -115,7 +115,6 @@ def record(folder: Path) -> None:
     for name, value in public().items():
         setattr(core, name, recorder(name, value))
     import lively_recordings
-
     import midspan
 
     np.save(folder / "stack.npy", stack())
