@@ -3,7 +3,8 @@
 The path that the acceleration gives is fitted to the readings with slow motion left open, by a loss that is bounded and
 that narrows (graduated non-convexity: A. Blake and A. Zisserman, Visual Reconstruction, 1987; S. Geman and D. McClure,
 1985). The crowd is one where the readings are clearly likelier as white noise about the path together with a share of
-them anywhere within their span, than as white noise alone.
+them anywhere within their span, than as noise alone, whose size may change from moment to moment: a sensor or an
+accelerometer that is noisy for a while, or off its place, is no crowd.
 """
 
 from dataclasses import replace
@@ -33,6 +34,8 @@ APART = 7.5
 MIN_WRONG = 0.1
 # Motion is compared down to where the accelerometer's noise, integrated twice, is this share of the readings' variance.
 MAX_NOISE_SHARE = 0.01
+# Noise alone is of one size in so many readings.
+NOISE_READINGS = 20
 # The spread is that of the nearest readings: NEAREST of a normal distribution lie within OF_NORMAL deviations.
 NEAREST, OF_NORMAL = 0.3, 0.3853
 
@@ -53,14 +56,13 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     differs = compared.value_m - compared.path()(compared.time_s)
     pieces = np.array_split(np.arange(len(differs)), -(-len(differs) // PIECE))
     bases = [slow_motion(compared.time_s[piece], compared.slowest_hz) for piece in pieces]
-    plain = np.concatenate([differs[k] - q @ (q.T @ differs[k]) for k, q in zip(pieces, bases, strict=True)])
     left = np.concatenate([_robust(differs[k], q) for k, q in zip(pieces, bases, strict=True)])
     far = np.abs(left) > LIMIT * _spread(left)
     if not far.any():
         return crowd
     # What a slow sensor shows of a structure that rings is no outlier.
     shaken = shaken_rows(replace(pair, rows=rows))[compared.inside]
-    if np.mean(shaken[far]) < MAX_WRONG and _scattered(left, far) and _gain(plain, left, far) > least_lead(len(left)):
+    if np.mean(shaken[far]) < MAX_WRONG and _scattered(left, far) and _gain(left, far) > least_lead(len(left)):
         # At both ends, where the integral is open, none of them can be separated from the others.
         crowd[usable] = True
         crowd[usable[compared.inside]] = far
@@ -103,12 +105,18 @@ def _spread(left: Floats) -> float:
     return float(np.quantile(np.abs(left), NEAREST)) / OF_NORMAL
 
 
-def _gain(plain: Floats, left: Floats, far: NDArray[np.bool_]) -> float:
-    """By how much the readings are likelier (logarithm) with a crowd than without.
+def _gain(left: Floats, far: NDArray[np.bool_]) -> float:
+    """By how much the readings are likelier (logarithm) with a crowd than as noise whose size changes.
 
-    plain, left (n,): what least squares and the robust fit leave; far (n,): the crowd, anywhere within the span.
+    left (n,): what the robust fit leaves; far (n,): the crowd, anywhere within the span.
     """
     inner, share, span = left[~far], float(np.mean(far)), float(np.ptp(left))
-    without = -0.5 * len(plain) * np.log(2.0 * np.pi * np.e * np.mean(plain**2))
-    about = -0.5 * len(inner) * np.log(2.0 * np.pi * np.e * np.mean(inner**2)) + len(inner) * np.log1p(-share)
+    pieces = np.array_split(left, -(-len(left) // NOISE_READINGS))
+    without = sum(_noise_alone(piece) for piece in pieces)
+    about = _noise_alone(inner) + len(inner) * np.log1p(-share)
     return float(about + np.count_nonzero(far) * (np.log(share) - np.log(span)) - without)
+
+
+def _noise_alone(left: Floats) -> float:
+    """Logarithm of the likelihood of readings (n,) as white noise of the size that they have."""
+    return float(-0.5 * len(left) * np.log(2.0 * np.pi * np.e * max(np.mean(left**2), 1e-300)))
