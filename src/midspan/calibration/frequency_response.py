@@ -25,12 +25,49 @@ from enum import IntEnum
 
 import numpy as np
 
-from midspan.calibration.first_order import lead_over_first_order
-from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, likeliest_corner
+from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, likeliest_corner, refine
+from midspan.calibration.minimum import minimum
 from midspan.calibration.whitening import Whitened, integrated
 from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.acceleration import GRAVITY_M_S2
+
+# Time constants that are tried, in that of the same weakening of slow motion, and how well the best is found (share).
+SHORTEST, LONGEST, TOLERANCE = 0.3, 1.5, 0.03
+# ∫ exp(−u) f(u) du by the points of Gauss and Laguerre: right to 1e-3 up to ω τ = 0.7, where 18 % are left out.
+NODES, WEIGHTS = np.polynomial.laguerre.laggauss(12)
+
+
+def lead_over_first_order(found: Pair, without: Pair, fit: Fit, square_s2: float, *, offset_cost: float = 0.0) -> float:
+    """By how much a pair with an exposure is more likely (logarithm) than one with a first-order response instead.
+
+    Each at its best ratio and clock offset. found, without: the pair with and without the exposure; fit: of the first;
+    square_s2: T²/24 of the exposure; offset_cost: what a clock offset other than 0 costs, in likelihood.
+    """
+    found, without = (replace(one, ratio=None, reference=None) for one in (found, without))
+    usual_s = float(np.sqrt(2.0 * square_s2))
+
+    def likelihood(pair: Pair, delay_s: float) -> float:
+        free = refine(pair, best_corner(pair, fit.offset_s + delay_s, fit.corner), usual_s).likelihood
+        return max(free - offset_cost, best_corner(pair, 0.0, fit.corner).likelihood) if offset_cost > 0.0 else free
+
+    def cost(share: float) -> float:
+        return -likelihood(behind_first_order(without, share * usual_s), share * usual_s)
+
+    return likelihood(found, 0.0) + cost(minimum(cost, SHORTEST, LONGEST, TOLERANCE))
+
+
+def behind_first_order(pair: Pair, time_constant_s: float) -> Pair:
+    """The pair with the acceleration that a sensor of first order would follow."""
+    return replace(pair, samples=_delayed(pair.samples, time_constant_s))
+
+
+def _delayed(samples: Floats, time_constant_s: float) -> Floats:
+    """Samples (n, 3) of which a time constant is the mean delay, exponentially distributed."""
+    time_s, value = samples[:, 0], samples[:, 1]
+    parts = (w * np.interp(time_s - u * time_constant_s, time_s, value) for u, w in zip(NODES, WEIGHTS, strict=True))
+    return np.column_stack((time_s, sum(parts), samples[:, 2:]))
+
 
 # Standard deviation of an exposure that is neither declared nor shown by the motion: 1/50 s, the longest of ordinary
 # video under light from the mains. It is the frame's interval where that is shorter.
@@ -332,13 +369,7 @@ def _possible(pair: Pair, kind: Kind, change: float = 0.0) -> bool:
 
 
 def response_of(
-    pair: Pair,
-    fit: Fit,
-    kinds: Sequence[Kind],
-    known: Sequence[Kind],
-    *,
-    declared_s: float = 0.0,
-    open_s2: float = 0.0,
+    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind], *, declared_s: float = 0.0, open_s2: float = 0.0
 ) -> FrequencyResponse:
     """What was found, and what uncertainty it and those of `kinds` that were not found add.
 
@@ -349,10 +380,7 @@ def response_of(
     undeclared_s2 = open_s2 if Kind.EXPOSURE in kinds else 0.0
     here = _aligned(pair, fit)
     w = here.whitened(fit.corner)
-    stds = {
-        Kind.EXPOSURE: min(USUAL_EXPOSURE_S, 1.0 / pair.rate_hz) ** 2 / 24.0,
-        Kind.LEAN: GRAVITY_M_S2 * USUAL_SLOPE,
-    }
+    stds = {Kind.EXPOSURE: min(USUAL_EXPOSURE_S, 1.0 / pair.rate_hz) ** 2 / 24.0, Kind.LEAN: GRAVITY_M_S2 * USUAL_SLOPE}
 
     def variances(free: tuple[int, ...], std: float | None = None) -> Floats:
         covariance = _solved(w, free, None if std is None else std * fit.ratio)[1]

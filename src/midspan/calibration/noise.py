@@ -6,7 +6,6 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit, noise_share, straightened
 from midspan.calibration.direction import Direction
-from midspan.calibration.exposure import Exposed, find_exposure
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -18,12 +17,11 @@ from midspan.calibration.fit import (
     with_corner_doubt,
     with_input_noise,
 )
-from midspan.calibration.floor import noise_floor
-from midspan.calibration.low_pass import LowPass, find_low_pass
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
-from midspan.calibration.own_noise import exceeds_own_noise
+from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
+from midspan.calibration.sensor_response import Exposed, LowPass, find_exposure, find_low_pass
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
 from midspan.checks import instance

@@ -6,22 +6,35 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
-from midspan.calibration.clock_jumps import ClockJump
+from midspan.calibration.clock_jumps import ClockJump, jumps_text, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
-from midspan.calibration.jumping_clock import jumps_text, without_jumps
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise
-from midspan.calibration.scale_range import of_no_camera
-from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyond, search_offset
 from midspan.calibration.whitening import SETTLING
-from midspan.calibration.whole_overlap import Rival, likeliest_beyond
 from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
+
+# mm/px is distance × pixel pitch ÷ focal length: 500 is a phone's wide lens (0.7 mm/px a metre at 1920 px) 700 m away,
+# where a tracker's 0.01 px are 5 mm. Beyond it the ratio is that of two things that do not move alike.
+LARGEST_M_PER_PX = 0.5
+
+
+def of_no_camera(scale_m_per_px: float) -> str:
+    """A sentence where a scale factor is out of any camera's reach, else empty."""
+    if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
+        return ""
+    return (
+        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has "
+        f"{1e3 * scale_m_per_px:.3g} mm/px (at most {1e3 * LARGEST_M_PER_PX:g}), so that the motion is likely along "
+        "the other image axis. "
+    )
+
 
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
@@ -166,11 +179,7 @@ def calibrate_scale(
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
         input_noise=search.pair.input_noise(fit.input_density),
-        warnings=(
-            *jumps_text(jumps),
-            *_warnings(search, usable),
-            *response.texts(fit.motion_hz),
-        ),
+        warnings=(*jumps_text(jumps), *_warnings(search, usable), *response.texts(fit.motion_hz)),
         response=response,
         direction=axis.direction,
     )

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import noise_share
-from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
+from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import search_offset

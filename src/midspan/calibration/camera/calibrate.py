@@ -7,23 +7,15 @@ import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import misfit
-from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.disagreement import Agreed, agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
-from midspan.calibration.fit import MIN_FRAMES, Pair
-from midspan.calibration.measured import measured_rows
+from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.own_noise import contradiction, strange_noise
-from midspan.calibration.scale import (
-    PARTS,
-    REFUSED_ABOVE,
-    ScaleCalibration,
-    start_noise,
-)
-from midspan.calibration.scale_range import of_no_camera
+from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of_no_camera, start_noise
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
-from midspan.calibration.sensors.fit import SensorFit
+from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, InputNoise, ScaleFactor, TimeOffset

@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.agreement import clearly_better, offset_variance_factor, unexplained
-from midspan.calibration.causes import Cause, likeliest_cause
+from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, likeliest_cause
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
-from midspan.calibration.crowd import crowd_of_outliers
 from midspan.calibration.direction import Turned, turned
-from midspan.calibration.displacement.cause_words import disagreement, lateness
-from midspan.calibration.displacement.left_out import (
+from midspan.calibration.displacement.clock import (
     FEW_LEFT_OUT,
     MANY_LEFT_OUT,
     left_out,
@@ -19,16 +17,23 @@ from midspan.calibration.displacement.left_out import (
     on_one_clock,
     refuse_step,
 )
-from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.held_values import held_values
-from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
+from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
+from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
-from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
+from midspan.calibration.time_offset import (
+    BEYOND,
+    FARTHER_WINDOW_S,
+    OffsetSearch,
+    farther,
+    farther_s,
+    first_part,
+    likeliest_beyond,
+    stands_alone,
+)
 from midspan.calibration.unfelt import refuse_unfelt
-from midspan.calibration.whole_overlap import first_part, likeliest_beyond, stands_alone
 from midspan.errors import DataError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Nanoseconds, TimeOffset, TimeSeries
@@ -450,9 +455,9 @@ def _late_text(learnt: NoiseCalibration, found: Findings, moved_mm: float) -> st
         )
     return (
         f"displacement: its readings come as if its clock differs from the accelerometer's {late}. "
-        f"{lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have the offset "
-        "estimated and applied, or correct its time column; with a low-pass in the accelerometer's logger the result "
-        "is then late by as much."
+        f"{cause_of_lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have "
+        "the offset estimated and applied, or correct its time column; with a low-pass in the accelerometer's logger "
+        "the result is then late by as much."
     )
 
 

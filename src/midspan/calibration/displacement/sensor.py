@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.bias import bias_of
-from midspan.calibration.causes import Cause, likeliest_cause
+from midspan.calibration.causes import Cause, disagreement, likeliest_cause
 from midspan.calibration.clock_rate import ClockRate
-from midspan.calibration.displacement.cause_words import disagreement
-from midspan.calibration.displacement.clock_words import two_rates, with_offset, with_rate
+from midspan.calibration.displacement.clock import two_rates, with_offset, with_rate
 from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.own_noise import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
-from midspan.calibration.sensors.fit import SensorFit
+from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.calibration.slow_error import DRIFT_S
 from midspan.errors import DataError, MidspanError, UntrustedError
 from midspan.notices import Notice

@@ -6,24 +6,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import misfit
-from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD
 from midspan.calibration.direction import Direction, turned
-from midspan.calibration.fit import Pair
+from midspan.calibration.fit import Pair, measured_rows
 from midspan.calibration.frequency_response import Kind, kinds_of
-from midspan.calibration.measured import measured_rows
 from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
-from midspan.calibration.radar.clear_part import clearly_seen, found_targets, refuse_farther
 from midspan.calibration.radar.clock import Seen, clock_skew
-from midspan.calibration.radar.diagnostics import diagnostics_of
 from midspan.calibration.radar.own_motion import judged
-from midspan.calibration.radar.window import OpenedWindow
+from midspan.calibration.radar.window import OpenedWindow, clearly_seen, found_targets, refuse_farther
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
-from midspan.calibration.sensors.fit import SensorFit
-from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
+from midspan.calibration.sensors.fit import Bias, SensorFit, bias_of
+from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.notices import Notice
+from midspan.radar.channels import noise_variance
 from midspan.radar.frames import (
     RadarFrames,
     TargetPhasors,
@@ -36,13 +33,7 @@ from midspan.radar.frames import (
 )
 from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
-from midspan.radar.target import (
-    MAX_CLUTTER,
-    MAX_RELATIVE_STD,
-    Target,
-    at_place,
-    ranked,
-)
+from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, at_place, ranked
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.stamps import inside
@@ -407,4 +398,25 @@ def _refuse_short(targets: Sequence[RadarTarget]) -> None:
         "target cannot have: all displacements would be off by as much. Check accelerometer.unit (1 g is 9.81 m/s²) "
         "and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected "
         "twice."
+    )
+
+
+# Points of the window that are kept for the report.
+KEPT = 2000
+
+
+def diagnostics_of(range_m: Floats, whole: RadarFrames, target: Target) -> RadarDiagnostics:
+    """What the report draws of the range profile and of the best target."""
+    power = np.zeros(whole.phasors.shape[2])
+    for part in np.array_split(np.arange(len(whole.phasors)), max(1, len(whole.phasors) // 256)):
+        power += np.sum(np.abs(whole.phasors[part]) ** 2, axis=(0, 1))
+    noise = noise_variance(whole.phasors)
+    mean = power / (len(whole.phasors) * whole.phasors.shape[1])
+    thin = slice(None, None, max(1, len(whole.time_ns) // KEPT))
+    z = at_place(whole.phasors[thin], target.place_bin) @ target.weights.conj() / np.sqrt(len(target.weights))
+    return RadarDiagnostics(
+        range_m=range_m,
+        power_db=10.0 * np.log10(np.maximum(mean / max(noise, 1e-300), 1e-6)),
+        phasors=np.asarray(z, dtype=np.complex128),
+        leak=target.leak,
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.calibration.running_clock import SIGNIFICANT
+from midspan.calibration.one_clock import SIGNIFICANT
 from midspan.radar.alignment import align
 from midspan.radar.blockage import blocked
 from midspan.radar.frames import even_places
@@ -84,12 +84,7 @@ def _lateness(seen: Seen, samples: Floats, window: tuple[float, float]) -> tuple
     if near.stop - near.start < 10:
         return None
     found = align(
-        time_s,
-        phase,
-        samples=samples[near],
-        phase_per_m=seen.phase_per_m,
-        max_offset_s=REACH_S,
-        prior=seen.ratio,
+        time_s, phase, samples=samples[near], phase_per_m=seen.phase_per_m, max_offset_s=REACH_S, prior=seen.ratio
     )
     if found is None or not found.offset_std_s < MAX_STD_S:
         return None

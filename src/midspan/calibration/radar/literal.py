@@ -13,15 +13,14 @@ import numpy as np
 
 from midspan.calibration.radar.calibrate import (
     RadarFit,
+    diagnostics_of,
     nearest_peak,
     one_clock,
     searched,
     searched_bias,
     series_of,
 )
-from midspan.calibration.radar.clear_part import found_targets
-from midspan.calibration.radar.diagnostics import diagnostics_of
-from midspan.calibration.radar.window import OpenedWindow
+from midspan.calibration.radar.window import OpenedWindow, found_targets
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch
 from midspan.errors import DataError
