@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.agreement import compared_by
 from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_variance, knots
 from midspan.calibration.fit import MIN_FRAMES, Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
@@ -333,11 +334,9 @@ def without_jumps(
     if not found:
         return pair, []
     search = max(found, key=lambda one: one.fit.gain)
-    fit, index = search.fit, pair.used(search.fit.offset_s)
-    samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
-    metres = pair.rows[index] / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
-    jumps = clock_jumps(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])))
-    return replace(pair, rows=_moved(pair.rows[index], jumps)) if jumps else pair, jumps
+    rows = pair.rows[pair.used(search.fit.offset_s)]
+    jumps = clock_jumps(compared_by(pair, search.fit, rows))
+    return replace(pair, rows=_moved(rows, jumps)) if jumps else pair, jumps
 
 
 def _trusted(pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]) -> OffsetSearch | None:

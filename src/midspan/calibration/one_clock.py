@@ -68,9 +68,7 @@ def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str
 
 
 def _uneven(course: ClockCourse, sensor: str, time_ns: Nanoseconds) -> tuple[list[Notice], Floats | None]:
-    """A warning where single windows leave the straight line by more than noise: the clock was set, or frames lost; and
-    by how much (n,), s, at stamps (n,).
-    """
+    """A warning where single windows leave the line by more than noise; and by how much (n,), s, at stamps (n,)."""
     left = course.lateness_s - course.at(course.time_ns)
     far = (np.abs(left) > 2.0 * SIGNIFICANT * course.std_s) & (np.abs(left) > 2.0 * MIN_LATE_S)
     if not far.any():

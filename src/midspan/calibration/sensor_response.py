@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from midspan.calibration.agreement import at_rate, misfit, straightened
-from midspan.calibration.causes import Cause, likeliest_cause
+from midspan.calibration.causes import Cause, named_cause
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
 from midspan.calibration.frequency_response import (
     MAX_LATE,
@@ -140,8 +140,8 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
     droop, lag = without.logger
     if not explained.known or lag > 0.0:
         return None
-    cause = likeliest_cause(pair, fit.offset_s)
-    if cause is not None and cause.named and cause.cause is not Cause.LOW_PASS:
+    cause = named_cause(pair, fit.offset_s)
+    if cause is not None and cause.cause is not Cause.LOW_PASS:
         return None
     after = refine(without, best_corner(without, fit.offset_s), MAX_LATE / pair.rate_hz)
     if after.likelihood - before.likelihood < MIN_GAIN:
@@ -150,5 +150,5 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
     square = (2.0 * np.pi * frequency_hz) ** 2
     path, time_s = pair.responses[0], pair.samples[:, 0]
     taken_m = float(np.std(droop * path.derivative(time_s, 2) + lag * path.derivative(time_s, 3)))
-    stands_out = cause is not None and cause.named
-    return LowPass(frequency_hz, -lag * square, min(-droop * square, 1.0), after.offset_s, taken_m, stands_out)
+    figures = (frequency_hz, -lag * square, min(-droop * square, 1.0), after.offset_s, taken_m)
+    return LowPass(*figures, stands_out=cause is not None)

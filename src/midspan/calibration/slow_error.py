@@ -38,13 +38,8 @@ UNKNOWNS = 3.0
 ROUNDS = 4
 
 
-def with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tuple[Pair, Fit]:
-    """The pair with the levels of its noise in the relative variances of its rows, of mean 1, and its fit; both as they
-    are where one level explains the innovations.
-
-    Where levels of the accelerometer's noise explain them better, the pair has those instead. whole (m, 3): the rows
-    with those that were left out as outliers, which are judged again by the levels.
-    """
+def _with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tuple[Pair, Fit]:
+    """The pair with the levels of its noise, of mean 1, and its fit; as they are where one level explains all."""
     inner = fit.whitened.index[_edges(fit.residual**2)[1:-1]]
     if not len(inner):
         return pair, fit
@@ -54,7 +49,7 @@ def with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tupl
     if felt[1].likelihood > fit.likelihood:
         return felt
     if whole is not None:
-        pair = with_outliers(pair, whole)
+        pair = _with_outliers(pair, whole)
         pair = cleaned(pair, best_corner(pair, fit.offset_s, fit.corner))
         pair, fit = _levelled(pair, best_corner(pair, fit.offset_s, fit.corner), edges)
     return pair, fit
@@ -92,7 +87,7 @@ def _level(fit: Fit, edges: NDArray[np.int64]) -> Floats:
     return np.where(level > 0.0, level, 1.0)
 
 
-def with_outliers(pair: Pair, whole: Floats) -> Pair:
+def _with_outliers(pair: Pair, whole: Floats) -> Pair:
     """The pair with the rows of `whole` (m, 3) that were left out, each at the relative variance of the one before."""
     rows, used = pair.rows.copy(), np.flatnonzero(np.isfinite(pair.rows[:, 2]))
     before = used[np.maximum(np.searchsorted(used, np.arange(len(rows)), side="right") - 1, 0)]
@@ -180,7 +175,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     `noise_levels`): the rows of the pair that is returned have it in their relative variances, or its samples a level.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
-    levelled, fit = with_noise_levels(white, fit, whole)
+    levelled, fit = _with_noise_levels(white, fit, whole)
     if levelled is not white:
         pair, white = replace(levelled, slow=pair.slow), levelled
     if time_s == 0.0:
@@ -208,7 +203,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         gained = found.likelihood - none.likelihood
         if (
             gained < least
-            or _happened_once(white if whole is None else with_outliers(white, whole), none, found)
+            or _happened_once(white if whole is None else _with_outliers(white, whole), none, found)
             or _lost(white, none, found) > NOT_EXCLUDED
             or _drifts_farther(slow, found)
         ):
@@ -229,16 +224,16 @@ def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[flo
     """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: deviations at which a drift does."""
     middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)
     longest = int(np.argmax(lapses))
-    drift = shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)
+    drift = _shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)
     # Away from a gap.
-    steps = [shown_std(pair, fit, rows[0] + share * (rows[-1] - rows[0]), 0.0) for share in (0.25, 0.5, 0.75)]
+    steps = [_shown_std(pair, fit, rows[0] + share * (rows[-1] - rows[0]), 0.0) for share in (0.25, 0.5, 0.75)]
     missing = lapses[longest] > MISSING * float(np.median(lapses))
-    gap = shown_std(pair, fit, rows[longest] + 0.5 * lapses[longest], 0.0) if missing else 0.0
+    gap = _shown_std(pair, fit, rows[longest] + 0.5 * lapses[longest], 0.0) if missing else 0.0
     shows = float(np.sqrt(STEP_SHOWS))
     return float(drift_shows) * drift, shows * float(np.median(steps)), shows * gap
 
 
-def shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
+def _shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
     """Standard deviation with which the measurements tell the size of a change of theirs from an instant on (s, on
     their own clock) that takes so long (s; 0: a step), in the translation's unit; infinite where they do not tell it.
     """
@@ -249,9 +244,7 @@ def shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
 
 
 def _change(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> tuple[Floats, Floats, float]:
-    """Signature of a change as of `shown_std` and the innovations (k,), both over the root of their relative variance,
-    and the noise's variance.
-    """
+    """Signature of a change as of `_shown_std`, the innovations (k,), both standardised, and the noise's variance."""
 
     def change(time_s: Floats) -> Floats:
         since = time_s - fit.offset_s - from_s
@@ -289,10 +282,7 @@ def _drifts_farther(pair: Pair, fit: Fit) -> bool:
 
 
 def _lost(pair: Pair, without: Fit, found: Fit) -> float:
-    """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm).
-
-    Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
-    """
+    """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm)."""
     at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
     order = np.argsort(pair.lively[np.minimum(at, len(pair.lively) - 1)], kind="stable")
     return float(np.max(np.cumsum((_deviance(found) - _deviance(without))[order])))
@@ -305,9 +295,7 @@ def _deviance(fit: Fit) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Along:
-    """Slow errors of one correlation time: standard deviation (k,), variance (k,) of the white noise with it, in the
-    translation's unit, and the logarithm of their likelihood (k,).
-    """
+    """Slow errors of one correlation time: their deviation (k,), the white noise's variance (k,), likelihood (k,)."""
 
     std: Floats
     noise: Floats

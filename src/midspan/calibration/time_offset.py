@@ -126,7 +126,7 @@ def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
 
     Minus infinity where too little of both signals overlaps.
     """
-    corners = coarse_corners(pair)
+    corners = _coarse_corners(pair)
     index = np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))
     middle = pair.used(float(np.mean(offsets)))
     rows = pair.rows[index if len(index) > OVERLAP * len(middle) else middle]
@@ -137,7 +137,7 @@ def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
     return curve, corners[np.argmax(table, axis=0)]
 
 
-def coarse_corners(pair: Pair) -> Floats:
+def _coarse_corners(pair: Pair) -> Floats:
     """The few corner frequencies (rad/s) that are tried at every offset."""
     low, high = corner_range(pair)
     return np.asarray(np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS))
@@ -177,10 +177,7 @@ def _sums(first: Floats, second: Floats) -> Floats:
 
 
 def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list[Fit]:
-    """The highest maxima of the scanned curve, each refined.
-
-    Half a step off, a misfit looks like accelerometer noise; so the noise ratio is sought anew at the refined offset.
-    """
+    """The highest maxima of the scanned curve, each refined."""
     padded = np.concatenate(([-np.inf], curve, [-np.inf]))
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]))
     step = float(offsets[1] - offsets[0])
@@ -367,7 +364,7 @@ def _offsets(pair: Pair, within_s: float) -> list[Floats]:
 
 def _scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
     """Evidence (k,) at offsets (k,) that follow each other, and the likeliest corner frequency (k,), rad/s."""
-    corners = coarse_corners(pair)
+    corners = _coarse_corners(pair)
     rows = pair.rows[np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))]
     parts = np.array_split(offsets, min(len(offsets), -(-len(offsets) * len(rows) // AT_ONCE)))
     tables = [likelihoods(pair, rows, part, corners) for part in parts]

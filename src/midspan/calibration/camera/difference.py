@@ -141,11 +141,7 @@ def _filled(value: Floats, usable: NDArray[np.bool_]) -> Floats:
 def _without_motion(
     value: Floats, motion: Floats, usable: NDArray[np.bool_], known: tuple[list[slice], float]
 ) -> Floats:
-    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by.
-
-    known: the bands, and that ratio's relative standard deviation. Each band counts by what is left in it: a path that
-    follows a slow tilt must not draw the share along, which fast motion tells.
-    """
+    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by."""
     bands, scale_std = known
     left = value - np.mean(value[usable])
     whole, moved = _cosines(_filled(left, usable)), _cosines(motion)

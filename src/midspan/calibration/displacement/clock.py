@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, likeliest_cause
-from midspan.calibration.clock import Compared
+from midspan.calibration.agreement import compared_by
+from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
 from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.clock_rate import ClockRate
 from midspan.calibration.fit import Fit, Pair
@@ -85,9 +85,7 @@ def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries |
     halves = [without_outliers(replace(pair, rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
     fit = min(halves, key=lambda one: one.input_density)
     used = pair.used(fit.offset_s)
-    samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
-    metres = pair.rows[used] / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
-    jumps = clock_jumps(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])))
+    jumps = clock_jumps(compared_by(pair, fit, pair.rows[used]))
     if not jumps:
         return None
     late_s, certain = lateness(jumps, len(used)), np.ones(len(used), dtype=bool)
@@ -108,19 +106,18 @@ def refuse_step(pair: Pair, fit: Fit) -> None:
     """
     if np.ptp(pair.samples[:, 2]) > 0.0:
         return
-    compared = replace(pair, ratio=1.0)
-    cause = likeliest_cause(compared, fit.offset_s)
-    if cause is not None and cause.named and cause.cause is Cause.STEP:
+    cause = named_cause(replace(pair, ratio=1.0), fit.offset_s)
+    if cause is not None and cause.cause is Cause.STEP:
         measured = f"displacement: it differs from the accelerometer by {1e3 * cause.difference_m:.3g} mm rms"
-        raise UntrustedError(disagreement(compared, fit.offset_s, measured))
+        raise UntrustedError(disagreement(cause, measured))
 
 
 def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:
     """What to say of many values that are left out; UntrustedError where one cause explains them."""
     measured = f"displacement: {100 * share:.0f} % of its values contradict the acceleration"
-    cause = likeliest_cause(pair, fit.offset_s)
-    if cause is not None and cause.named:
-        raise UntrustedError(disagreement(pair, fit.offset_s, measured))
+    cause = named_cause(pair, fit.offset_s)
+    if cause is not None:
+        raise UntrustedError(disagreement(cause, measured))
     return Notice(
         "outliers",
         f"{measured} and were left out of the calibration as outliers. Where that is too many, check both sensors.",

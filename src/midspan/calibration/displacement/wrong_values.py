@@ -97,9 +97,7 @@ def _reached(far: NDArray[np.int64], middle: int, way: int) -> int:
 
 
 def _stays(pair: Pair, fit: Fit, inner: slice) -> bool:
-    """Whether the readings compared, from one to another, move by far less than the structure did meanwhile, and than
-    the others do: where it is the accelerometer that errs, they move on as before.
-    """
+    """Whether the readings move by far less than the structure meanwhile, and than the others do."""
     here = aligned(pair, fit.offset_s)
     time_s, moved = here.rows[inner, 0], fit.ratio * pair.responses[0].at(here.rows[inner, 0], pair.exposure_s)
     powers = np.vander(time_s - time_s[0], 3)
@@ -167,20 +165,14 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
 
 
 def _clear_hz(pair: Pair, rows: Floats) -> float:
-    """The frequency above which white noise of the acceleration, integrated twice, is little of the rows' variance.
-
-    Of a density S (one-sided) the variance above f is S / (3 (2π)⁴ f³).
-    """
+    """The frequency above which white noise of the acceleration, integrated twice, is little of the rows' variance."""
     density = 2.0 * white_noise(pair.samples[:, 1]) ** 2 / pair.sample_rate_hz
     power = max(float(np.var(rows[:, 1])), 1e-300)
     return float(np.cbrt(density / (3.0 * (2.0 * np.pi) ** 4 * MAX_NOISE_SHARE * power)))
 
 
 def _scattered(left: Floats, far: NDArray[np.bool_]) -> bool:
-    """Whether what is `far` (n,) off lies clearly apart from the rest, and is the lesser part everywhere.
-
-    What begins at an instant is another thing: a clock that steps, a sensor that is stuck, a motion that it misses.
-    """
+    """Whether what is `far` (n,) off lies clearly apart from the rest, and is the lesser part everywhere."""
     if not MIN_WRONG < np.mean(far) < MAX_WRONG or np.median(np.abs(left[far])) < APART * _spread(left):
         return False
     return all(np.mean(part) < MAX_OF_BLOCK for part in np.array_split(far, BLOCKS))
@@ -203,10 +195,7 @@ def _spread(left: Floats) -> float:
 
 
 def _gain(plain: Floats, left: Floats, far: NDArray[np.bool_]) -> float:
-    """By how much the readings are likelier (logarithm) with a crowd than without.
-
-    plain, left (n,): what least squares and the robust fit leave; far (n,): the crowd, anywhere within the span.
-    """
+    """By how much the readings are likelier (logarithm) with a crowd than without."""
     inner, share, span = left[~far], float(np.mean(far)), float(np.ptp(left))
     without = -0.5 * len(plain) * np.log(2.0 * np.pi * np.e * np.mean(plain**2))
     about = -0.5 * len(inner) * np.log(2.0 * np.pi * np.e * np.mean(inner**2)) + len(inner) * np.log1p(-share)

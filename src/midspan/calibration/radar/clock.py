@@ -65,10 +65,7 @@ def clock_skew(seen: Seen, samples: Floats) -> float:
 
 
 def _lateness(seen: Seen, samples: Floats, window: tuple[float, float]) -> tuple[float, float, float] | None:
-    """Middle of a window (s after the first frame), lateness relative to the calibrated offset and its deviation, s.
-
-    window: its start after the first frame and its length, s.
-    """
+    """Middle of a window (s after the first frame), lateness relative to the calibrated offset and its deviation, s."""
     begin_s, window_s = window
     first = int(seen.time_ns[0])
     edges = first + np.array([round(begin_s * NANOSECONDS), round((begin_s + window_s) * NANOSECONDS)])

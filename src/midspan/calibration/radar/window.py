@@ -47,28 +47,25 @@ def opened(
     max_offset = min(max_offset_s, 0.1 * float(frames.time_ns[-1]) / NANOSECONDS)
     margin = round((max_offset + 1.0) * NANOSECONDS)
     if (kept := _unbroken(prepared, frames, (origin, max_offset))) is not None:
-        begin = int(frames.time_ns[kept][0])
-        frames = RadarFrames(frames.time_ns[kept] - begin, frames.phasors[kept], frames.valid[kept])
+        begin, frames = int(frames.time_ns[kept][0]), _part(frames, kept)
+        frames = replace(frames, time_ns=frames.time_ns - begin)
         origin, last = origin + begin, int(frames.time_ns[-1])
-        told = [
-            *told,
-            Notice(
-                "window-moved",
-                "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
-                f"gap, {last / NANOSECONDS:.3g} s, was used.",
-            ),
-        ]
+        text = (
+            "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
+            f"gap, {last / NANOSECONDS:.3g} s, was used."
+        )
+        told = [*told, Notice("window-moved", text)]
         ends, margin = (origin, origin + last), round(max_offset * NANOSECONDS)
     samples = samples_of(prepared, origin, (ends[0] - margin, ends[1] + margin))
     return OpenedWindow(frames, samples, told, (origin, max_offset))
 
 
-def _unbroken(prepared: PreparedAcceleration, frames: RadarFrames, known: tuple[int, float]) -> slice | None:
-    """The longest segment of frames in which no acceleration is missing at any clock offset that is tried.
+def _part(frames: RadarFrames, part: slice) -> RadarFrames:
+    return RadarFrames(frames.time_ns[part], frames.phasors[part], frames.valid[part])
 
-    known: what the frames' stamps count from (ns), and the largest clock offset (s). None where there is no gap worth
-    it, or too little is left.
-    """
+
+def _unbroken(prepared: PreparedAcceleration, frames: RadarFrames, known: tuple[int, float]) -> slice | None:
+    """The longest segment of frames in which no acceleration is missing at any clock offset that is tried."""
     margin = round(known[1] * NANOSECONDS)
     gaps = prepared.unmeasured_ns - known[0]
     gaps = gaps[(gaps[:, 1] - gaps[:, 0]) > MIN_GAP_S * NANOSECONDS] + np.array([-margin, margin])
@@ -120,10 +117,7 @@ def clearly_seen(
 def _in_a_half(
     found: tuple[Target, ...], frames: RadarFrames, samples: Floats, given: tuple[RadarInfo, float]
 ) -> tuple[tuple[Target, ...], RadarFrames, list[Notice]]:
-    """The targets in the half of the window that shows one better, where the whole shows none that can be used.
-
-    What passes through a target's bin spoils all of the window, but seldom lasts for more than half of it.
-    """
+    """The targets in the half of the window that shows one better, where the whole shows none that can be used."""
     middle = len(frames.time_ns) // 2
     least, kept, text = np.inf, (found, frames), list[Notice]()
     for word, half in (("first", slice(0, middle)), ("second", slice(middle, None))):
@@ -139,10 +133,6 @@ def _in_a_half(
             )
             text = [Notice("window-moved", line)]
     return *kept, text
-
-
-def _part(frames: RadarFrames, part: slice) -> RadarFrames:
-    return RadarFrames(frames.time_ns[part], frames.phasors[part], frames.valid[part])
 
 
 def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_offset_s: float) -> tuple[Target, ...]:
