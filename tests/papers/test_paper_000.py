@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.camera.felt import printed_band
+from midspan.calibration.camera.best_range import printed_band
 from midspan.papers.films import Way, calibration_frames, frames_of, mean_mm, run_film
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track

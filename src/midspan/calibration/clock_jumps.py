@@ -3,15 +3,22 @@
 Around a place where the measurements begin to contradict the acceleration all clock offsets are tried, and the course
 of offsets with the least contradiction, each change at a price, is found by dynamic programming. What is found is then
 refined with the stamps moved from a row on, and must explain the measurements better than a clock that drifts.
+
+One jump leaves one half of a camera's calibration window without any: calibrated there, the rest of it shows the jump.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.agreement import compared_by
 from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_variance, knots
+from midspan.calibration.fit import MIN_FRAMES, Pair
+from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
@@ -313,3 +320,55 @@ def _rival(segment: _Segment, guess: _Guess) -> float | None:
     best = int(np.argmin(found))
     alike = found[best] < losses(np.array([guess.after_s]), RIVAL_STEP_S)[0] + RIVAL
     return float(near[best]) - guess.before_s if alike else None
+
+
+def without_jumps(
+    pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]
+) -> tuple[Pair, list[ClockJump]]:
+    """The pair with its stamps on one clock, and the jumps that were taken out; none where nothing shows any.
+
+    refuse: raises UntrustedError where a search is not to be trusted.
+    """
+    halves = np.array_split(pair.rows, 2)
+    found = [search for rows in halves if (search := _trusted(replace(pair, rows=rows), max_offset_s, refuse))]
+    if not found:
+        return pair, []
+    search = max(found, key=lambda one: one.fit.gain)
+    rows = pair.rows[pair.used(search.fit.offset_s)]
+    jumps = clock_jumps(compared_by(pair, search.fit, rows))
+    return replace(pair, rows=_moved(rows, jumps)) if jumps else pair, jumps
+
+
+def _trusted(pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]) -> OffsetSearch | None:
+    if np.count_nonzero(np.isfinite(pair.rows[:, 2])) < MIN_FRAMES:
+        return None
+    search = search_offset(pair, max_offset_s)
+    try:
+        refuse(search)
+    except UntrustedError:
+        return None
+    return search
+
+
+def _moved(rows: Floats, jumps: list[ClockJump]) -> Floats:
+    """Rows (m, 3) on one clock, without those that may be on either side of a jump, or not after those before."""
+    rows, kept, late_s = rows.copy(), np.ones(len(rows), dtype=bool), lateness(jumps, len(rows))
+    rows[:, 0] += late_s - late_s[0]
+    for jump in jumps:
+        kept[jump.first : jump.last] = False
+    kept[1:] &= rows[1:, 0] > np.maximum.accumulate(rows[:, 0])[:-1]
+    return rows[kept]
+
+
+def jumps_text(jumps: Sequence[ClockJump]) -> tuple[Notice, ...]:
+    """A sentence for each jump that was taken out."""
+    return tuple(
+        Notice(
+            "clock-corrected",
+            f"The frames' clock jumps in the calibration window: {1e3 * jump.late_s:+.3g} ms must be added to the "
+            f"stamps from frame {jump.row} of the window on, as where frames were lost or the clock was set. The "
+            "calibration counts with it; give each frame a time stamp, or choose a calibration.window_s without the "
+            "jump.",
+        )
+        for jump in jumps
+    )

@@ -25,7 +25,7 @@ from midspan.calibration.whitening import (
     usable,
     whiten_columns,
 )
-from midspan.records import Floats, InputNoise
+from midspan.records import NANOSECONDS, Floats, InputNoise, Nanoseconds
 from midspan.signals.lively import mean_square
 
 # Fewer usable measurements than these tell no scale.
@@ -438,3 +438,16 @@ def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:
         velocity = velocity - w.product(velocity, response) / power * response
     information = max(s * s * w.product(velocity, velocity) / fit.noise, 1e-300)
     return (s * w.product(left, velocity) / fit.noise + pulled) / information, information
+
+
+# Fewer measurements than this are not calibrated on.
+MIN_MEASUREMENTS = 20
+
+
+def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
+    """Rows (m, 3) for calibration: time (s), value counted from its first, variance (infinite where unusable)."""
+    usable = np.isfinite(value) & np.isfinite(variance)
+    if not usable.any():
+        return np.empty((0, 3))
+    filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
+    return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))

@@ -6,7 +6,6 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit, noise_share, straightened
 from midspan.calibration.direction import Direction
-from midspan.calibration.exposure import Exposed, find_exposure
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -18,12 +17,11 @@ from midspan.calibration.fit import (
     with_corner_doubt,
     with_input_noise,
 )
-from midspan.calibration.floor import noise_floor
-from midspan.calibration.low_pass import LowPass, find_low_pass
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
-from midspan.calibration.own_noise import exceeds_own_noise
+from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
+from midspan.calibration.sensor_response import Exposed, LowPass, find_exposure, find_low_pass
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
 from midspan.checks import instance
@@ -202,9 +200,7 @@ class _Sought:
 
 
 def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, declared: bool) -> _Sought:
-    """Clock offset and exposure, where that is not declared: a sensor that averages seems to have another clock, and
-    one with another clock to average.
-    """
+    """Clock offset and undeclared exposure together: each of them seems to be the other."""
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)), steps=one_clock)
     here = Exposed(pair, still) if declared else find_exposure(pair, still, offset_cost=MIN_GAIN)
     if max_offset_s <= 0.0:
@@ -229,9 +225,7 @@ def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, de
 
 
 def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:
-    """The calibration with the accelerometer's gain taken out of what differs, where the motion tells it better than
-    to `known_std`, relative; spread: what else makes it uncertain, relative.
-    """
+    """The calibration without the accelerometer's gain, where the motion tells it better than `known_std`, relative."""
     assert learnt.findings is not None
     if known_std == 0.0:
         return learnt
@@ -264,10 +258,7 @@ def _with_gain(findings: Findings, pair: Pair, fit: Fit) -> Findings:
 
 
 def _within_floor(pair: Pair, fit: Fit) -> Fit:
-    """The fit with no more noise of the sensor than its readings have, where innovations are not white at any scale.
-
-    What no white noise explains would else count as the sensor's; it is the accelerometer's, which then decides less.
-    """
+    """The fit with no more noise of the sensor than its readings have, where innovations are not white at any scale."""
     most = noise_floor(pair.rows[fit.whitened.index, 1])
     if fit.noise <= most:
         return fit
@@ -290,10 +281,7 @@ def _with_scale(
     *,
     floored: bool,
 ) -> NoiseCalibration:
-    """The calibration, and how it stands to one with any scale.
-
-    floored: whether the accelerometer's noise is no less than in the fit, see `_within_floor`.
-    """
+    """The calibration, and how it stands to one with any scale."""
     unknown = replace(pair, ratio=None)
     local = best_corner(unknown, offset.value_s)
     if floored and local.corner < fit.corner:

@@ -26,11 +26,11 @@ MARKING_ROUNDS = 12
 def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) -> Pair:
     """The pair without outliers; each round takes out the largest, which had hidden the smaller ones.
 
-    bound_s: how far the offset may move from the fit's meanwhile; steps: as of `mark_outliers`. The same object
+    bound_s: how far the offset may move from the fit's meanwhile; steps: as of `_mark_outliers`. The same object
     where there are none.
     """
     for _ in range(MARKING_ROUNDS):
-        marked = mark_outliers(pair, fit, steps=steps)
+        marked = _mark_outliers(pair, fit, steps=steps)
         if marked is pair:
             break
         pair = marked
@@ -39,14 +39,8 @@ def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) 
     return pair
 
 
-def mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:
-    """The pair with measurements far outside the fit marked unusable; the same object when there are none.
-
-    A wrong measurement kicks the filter, and the next innovations with it, and at the start those of all that come
-    later: it is far outside in both directions of time, and only the largest of neighbours is marked. steps: where
-    there is none left, what is far outside forwards alone is marked, as the first ones after a step of the zero; not
-    where the clocks may differ, for that looks the same where a structure is struck.
-    """
+def _mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:
+    """The pair with measurements far outside the fit marked unusable; the same object when there are none."""
     index, forwards, backwards = both_ways(pair, fit)
     bad = _far_outside(np.minimum(forwards, backwards))
     if steps and not bad.any():
@@ -90,7 +84,7 @@ def without_lonely_outliers(pair: Pair) -> Pair:
     What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier. Nor
     is what a slow sensor sees of a structure that rings: the acceleration tells that there is motion.
     """
-    return replace(pair, rows=without_lonely(pair.rows, shaken_rows(pair)))
+    return replace(pair, rows=_without_lonely(pair.rows, shaken_rows(pair)))
 
 
 def shaken_rows(pair: Pair) -> NDArray[np.bool_]:
@@ -100,11 +94,8 @@ def shaken_rows(pair: Pair) -> NDArray[np.bool_]:
     return np.asarray(about > SHAKEN * np.median(shaken))
 
 
-def without_lonely(rows: Floats, shaken: NDArray[np.bool_]) -> Floats:
-    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite.
-
-    shaken (m,): those that may be motion.
-    """
+def _without_lonely(rows: Floats, shaken: NDArray[np.bool_]) -> Floats:
+    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite."""
     rows = rows.copy()
     for _ in range(MARKING_ROUNDS):
         bad = _lonely(rows)

@@ -12,10 +12,49 @@ from numpy.typing import NDArray
 
 from midspan.calibration.agreement import MIN_ORDINATES, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, corner_std
-from midspan.calibration.floor import most_noise
 from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.notices import Notice
 from midspan.records import Floats
+
+# Bands of the spectrum hold this many ordinates at least: the mean of one is right to a quarter. Of an accelerometer's
+# they are this many at most.
+ORDINATES, MAX_BANDS = 16, 32
+# An accelerometer's noise is read up to this share of its rate: above it most loggers' anti-aliasing filters take it.
+UNFILTERED_SHARE = 0.4
+# Chance that the noise of white readings is said to be more than `_most_noise`.
+CHANCE = 1e-3
+
+
+def noise_floor(value: Floats) -> float:
+    """Variance of the white noise in evenly spaced readings (n,) at most; infinite where they are too few.
+
+    White noise has the same power at all frequencies, to which motion only adds: no band has less than the noise.
+    """
+    means = _bands(value)
+    return float(np.min(means)) if len(means) else float("inf")
+
+
+def _most_noise(value: Floats) -> float:
+    """Variance of the white noise that evenly spaced readings (n,) of an accelerometer can have: CHANCE is exceeded."""
+    from scipy.special import gammaincinv
+
+    ordinates = max(ORDINATES, len(value) // (4 * MAX_BANDS))
+    means = _bands(value, ordinates)
+    means = means[: int(np.ceil(2.0 * UNFILTERED_SHARE * len(means)))]
+    if not len(means):
+        return float("inf")
+    return float(np.min(means) * ordinates / gammaincinv(ordinates, CHANCE / len(means)))
+
+
+def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
+    """Mean power of each band of the spectrum of readings (n,), as the variance of a white noise of as much."""
+    # A Hann window keeps slow motion from leaking; every other of its ordinates is nearly independent.
+    n = len(value)
+    power = np.abs(np.fft.rfft(np.hanning(n) * (value - np.mean(value))))[2:-1:2] ** 2
+    count = len(power) // ordinates
+    means = power[: count * ordinates].reshape(count, ordinates).mean(axis=1)
+    return np.asarray(means / np.sum(np.hanning(n) ** 2))
+
 
 # Noise as estimated is more than the accelerometer's own where it is so by this many standard deviations: one in a
 # thousand.
@@ -37,14 +76,14 @@ OF_THE_SENSOR = {
 }
 
 
-def own_density(pair: Pair) -> float:
+def _own_density(pair: Pair) -> float:
     """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz."""
-    return most_noise(pair.samples[:, 1]) / pair.sample_rate_hz
+    return _most_noise(pair.samples[:, 1]) / pair.sample_rate_hz
 
 
 def exceeds_own_noise(pair: Pair, fit: Fit) -> bool:
     """Whether the accelerometer's noise as estimated is certainly more than its readings have."""
-    estimated, most = pair.input_noise(fit.input_density).density, own_density(pair)
+    estimated, most = pair.input_noise(fit.input_density).density, _own_density(pair)
     if not 0.0 < most < estimated:
         return False
     # The density is as the fourth power of the corner frequency.
@@ -57,7 +96,7 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     One of both sensors is wrong then, and nothing tells which: what shakes between them shows in a camera as slower
     than it is.
     """
-    return max(narrow_motion(pair, fit), slow_motion(pair, fit))
+    return max(narrow_motion(pair, fit), _slow_motion(pair, fit))
 
 
 def narrow_motion(pair: Pair, fit: Fit) -> float:
@@ -86,10 +125,8 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
     return float(np.sqrt(max(min(np.mean((moved @ size) ** 2), np.mean(shown**2)) - by_chance, 0.0)))
 
 
-def slow_motion(pair: Pair, fit: Fit) -> float:
-    """Standard deviation of an error of the translation that is correlated over seconds (haze), where it is far more
-    likely than the noise that the accelerometer would need instead; 0 where not.
-    """
+def _slow_motion(pair: Pair, fit: Fit) -> float:
+    """Deviation of an error over seconds that is far likelier than the accelerometer's noise instead; else 0."""
     if not exceeds_own_noise(pair, fit):
         return 0.0
     likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
@@ -140,7 +177,7 @@ def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:
         return []
     implied, own = (
         float(np.sqrt(density * pair.sample_rate_hz))
-        for density in (pair.input_noise(fit.input_density).density, own_density(pair))
+        for density in (pair.input_noise(fit.input_density).density, _own_density(pair))
     )
     text = (
         f"accelerometer: it and the {sensor} differ as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where "

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import noise_share
-from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
+from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import search_offset
@@ -103,20 +102,17 @@ def fitting(
     found = Fitting([], {})
     refused = REFUSED if len(sensors) < 2 else REFUSED_BESIDE
     for sensed in sensors:
-        found.scale_std[sensed.sensor] = sensed.relative_scale_std
+        known = sensed.relative_scale_std
+        found.scale_std[sensed.sensor] = known
         scale = apparent_scale(acceleration, sensed, max_offset_s)
         if scale is not None:
-            found.warnings.extend(
-                (*_clock_warnings(scale, sensed), *_scale_warnings(scale, sensed, along, refused, followed=followed))
-            )
-            found.scale_std[sensed.sensor] = _with_surplus(scale, sensed.relative_scale_std)
+            found.warnings.extend(_clock_warnings(scale, sensed))
+            found.warnings.extend(_scale_warnings(scale, sensed, along, refused, followed=followed))
+            # What it is off by beyond what both deviations let expect is in the deviation.
+            expected = EXPECTED * float(np.hypot(scale.std, known))
+            surplus = max((scale.value - 1.0) ** 2 - expected**2, 0.0)
+            found.scale_std[sensed.sensor] = float(np.sqrt(known**2 + surplus))
     return found
-
-
-def _with_surplus(scale: ApparentScale, known: float) -> float:
-    """A scale's relative standard deviation with what it is off by beyond what both deviations let expect."""
-    expected = EXPECTED * float(np.hypot(scale.std, known))
-    return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
 def _scale_warnings(

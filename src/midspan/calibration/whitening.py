@@ -132,6 +132,17 @@ class Whitened:
         """Half the sum of the logarithms of the variances."""
         return 0.5 * float(np.sum(np.log(self.variance)))
 
+    def regression(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Products (c, c) of columns (k, c) with each other and (c,) with the translation, over the variance."""
+        power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / self.variance)
+        return power, np.einsum("mi,m->i", columns, self.translation / self.variance)
+
+
+def inverse_of(power: Floats) -> Floats:
+    """The inverse of a matrix (k, k) of products of columns whose units differ; what none determines is left out."""
+    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    return np.asarray(np.linalg.pinv(power / np.outer(size, size), hermitian=True) / np.outer(size, size))
+
 
 def levelled(time_s: Floats, values: Floats, *, drifts: bool) -> tuple[Floats, Floats]:
     """Columns (m, c) of values without what is open of them, and of that (2, c) the second derivative at the last row

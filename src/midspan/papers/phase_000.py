@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.calibration.camera.felt import felt_motion
+from midspan.calibration.camera.best_range import felt_motion
 from midspan.papers.claims import Curve, Effort, Measured
 from midspan.papers.films import (
     Run,

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from midspan.calibration.bias import Bias
 from midspan.calibration.camera.calibrate import CameraFit
 from midspan.calibration.displacement.sensor import DisplacementFit
 from midspan.calibration.radar.calibrate import RadarFit
 from midspan.calibration.scale import uncertain_scale
+from midspan.calibration.sensors.fit import Bias
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError

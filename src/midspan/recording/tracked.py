@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.calibration.camera.one_displacement import filter_settings
+from midspan.calibration.camera.view import filter_settings
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.streams import KalmanSettings

@@ -5,13 +5,25 @@ whatever its size. The spectrum of their difference tells that noise and what ex
 one mean in all bands (M. S. Bartlett, Properties of sufficiency and statistical tests, Proc. R. Soc. A 160 (1937)
 268-282, doi 10.1098/rspa.1937.0109). Neither the acceleration nor any estimated noise takes part, both of which a tilt
 of the camera would be taken for.
+
+Which share q of that difference d, known with noise η only, is in one target's translation p is a regression:
+
+    p(t) = s · (D(t) + x) + q · (d(t) − η(t)) + n
+
+of innovations of both columns through the filter of `whitening`. Noise in the regressor draws it to zero (W. A. Fuller,
+Measurement error models, Wiley 1987, chapter 1, doi 10.1002/9780470316665); its expected part in the sums is known from
+draws of white noise that go the same way, and is taken out of them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.agreement import misfit
+from midspan.calibration.fit import Fit, Pair, aligned
+from midspan.fusion.targets import AGREE_STD
 from midspan.records import Floats
 
 # Bands are octaves up to this many cosines, and as wide as that above: a slow tilt fills few of them, a bracket's
@@ -129,11 +141,7 @@ def _filled(value: Floats, usable: NDArray[np.bool_]) -> Floats:
 def _without_motion(
     value: Floats, motion: Floats, usable: NDArray[np.bool_], known: tuple[list[slice], float]
 ) -> Floats:
-    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by.
-
-    known: the bands, and that ratio's relative standard deviation. Each band counts by what is left in it: a path that
-    follows a slow tilt must not draw the share along, which fast motion tells.
-    """
+    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by."""
     bands, scale_std = known
     left = value - np.mean(value[usable])
     whole, moved = _cosines(_filled(left, usable)), _cosines(motion)
@@ -184,3 +192,66 @@ def _gains(power: Floats, bands: list[slice], noise: float) -> Floats:
     for band in bands:
         share[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)
     return share
+
+
+# Draws of noise: their mean is known to a third of one draw's scatter, and the same ones are used each time.
+DRAWS, SEED = 12, 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """A course: time_s (n,) on the translation's clock, value_px (n,).
+
+    shaped: what became of a series (n,) of white noise in it; noise_px: standard deviation of that series;
+    part_of_noise: share of its variance that is the translation's own noise.
+    """
+
+    time_s: Floats
+    value_px: Floats
+    shaped: Callable[[Floats], Floats]
+    noise_px: float
+    part_of_noise: float
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A share with its standard deviation: std + growth · |share|; infinite where nothing tells it."""
+
+    value: float
+    std: float
+    growth: float
+
+    def allows(self, share: float) -> bool:
+        """Whether it may be this one."""
+        return not abs(self.value - share) > AGREE_STD * np.hypot(self.std, self.growth * share)
+
+
+def share_in(pair: Pair, fit: Fit, course: Course) -> Share:
+    """The share of a course in a translation whose fit is given."""
+    rng = np.random.default_rng(SEED)
+    noise = course.noise_px * rng.normal(0.0, 1.0, (DRAWS, len(course.time_s)))
+    columns = [course.value_px, *(course.shaped(one) for one in noise), *noise]
+
+    def at(values: Floats) -> Callable[[Floats], Floats]:
+        return lambda time_s: np.interp(time_s - fit.offset_s, course.time_s, values)
+
+    w = aligned(pair, fit.offset_s, *(at(one) for one in columns)).whitened(fit.corner)
+    own, added = w.columns[:, 0], w.columns[:, -len(columns) :]
+    power = max(w.product(w.response, w.response), 1e-300)
+
+    def without_motion(column: Floats) -> Floats:
+        return np.asarray(column - w.product(column, w.response) / power * w.response)
+
+    own = without_motion(own)
+    known, *drawn = (without_motion(added[:, k]) for k in range(len(columns)))
+    shaped, raw = drawn[:DRAWS], drawn[DRAWS:]
+    squares = np.array([w.product(one, one) for one in shaped])
+    products = np.array([w.product(one, other) for one, other in zip(shaped, raw, strict=True)])
+    left = w.product(known, known) - float(np.mean(squares))
+    scatter = float(np.std(squares))
+    if left <= AGREE_STD * scatter:
+        return Share(0.0, np.inf, 0.0)
+    value = (w.product(own, known) - course.part_of_noise * float(np.mean(products))) / left
+    white = fit.noise * misfit(pair, fit).factor
+    std = np.sqrt(white * w.product(known, known) + (course.part_of_noise * float(np.std(products))) ** 2) / left
+    return Share(value, float(std), scatter / left)

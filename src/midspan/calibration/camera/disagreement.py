@@ -9,24 +9,56 @@ open is held by the error band, or refused where it is too much of the motion.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from math import degrees
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.calibration.camera.difference import Difference, difference
-from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, target_block
-from midspan.calibration.camera.share import Course, Share, share_in
-from midspan.calibration.camera.tilt import SAME_DISTANCE, moved_text, tilt_text
-from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.camera.difference import Course, Difference, Share, difference, share_in
+from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.scale import REFUSED_ABOVE
-from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
-from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.calibration.sensors.camera import CameraCalibration, CameraScale, TargetCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Acceleration, Displacement, part
+
+# Scale factors nearer to each other than this share belong to targets at one distance.
+SAME_DISTANCE = 0.1
+
+
+def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
+    """What a tilt makes of two targets, by their names and scale factors (m/px), and what to do about it.
+
+    error_m: what it makes of the displacement of the one that is kept, rms. With displacements d + θ D of targets at
+    the distances D that is D / |D - D'| of what they are apart. decided: whether the accelerometer excludes all other
+    causes.
+    """
+    per = error_m / abs(kept[1])
+    (near, near_m), (far, far_m) = sorted(
+        ((name, per * abs(scale)) for name, scale in (kept, other)), key=lambda named: named[1]
+    )
+    makes = (
+        f"which makes the displacement of {near} wrong by {1e3 * near_m:.2g} mm rms and that of {far} by "
+        f"{1e3 * far_m:.2g} mm"
+    )
+    use = (
+        f"use {near} alone with camera.distance_m and with camera.tilt_std_mdeg = {1e3 * degrees(near_m):.2g} divided "
+        "by that distance, which puts it into the band"
+    )
+    ratio = f"Their distances are as 1 to {far_m / near_m:.2g}: "
+    if decided:
+        return (
+            f"{ratio}the camera tilts, {makes}, and the accelerometer excludes that one of them moves by itself. Mount "
+            f"the camera more stiffly, measure its tilt, or {use}."
+        )
+    return (
+        f"{ratio}either the camera tilts, {makes}, or one of them moves by itself. Where it is tilt, {use}; where one "
+        "may not stand still, leave that one out of camera.target, or add a third."
+    )
+
 
 # A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
 DISAGREES = 2.5
@@ -42,14 +74,6 @@ class Cause(Enum):
     OTHER = "other"
     THIS = "this"
     TILT = "tilt"
-
-
-@dataclass(frozen=True, slots=True)
-class Agreed:
-    """The calibration of targets that agree, or whose disagreement the band holds, and what is worth telling."""
-
-    camera: CameraCalibration
-    warnings: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +119,16 @@ def m_per_px(target: TargetCalibration) -> float:
     return np.nan if target.scale is None else abs(target.scale.value_m_per_px)
 
 
-def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> Agreed:
-    """The calibration along one axis without the targets that move on their own, with what the others differ by.
+def agreed(
+    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted
+) -> tuple[CameraCalibration, tuple[Notice, ...]]:
+    """The calibration along one axis without the targets that move on their own, with what the others differ by, and
+    sentences on it.
 
     Raises UntrustedError where the accelerometer does not tell which target is right and too much depends on it.
     """
     if len(targets) < 2:
-        return Agreed(camera)
+        return camera, ()
     held: dict[frozenset[int], Verdict] = {}
     while len(camera.used) > 1:
         compared = _Compared(view, targets, camera, fit)
@@ -116,7 +143,9 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
                 f"it moves by itself: it differs from {beside.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
                 "its noise and scale factor explain."
             )
-            camera = _left_out(camera, mover.place, reason)
+            left = list(camera.targets)
+            left[mover.place] = replace(left[mover.place], used=False, reason=reason)
+            camera = replace(camera, targets=tuple(left))
             held = {places: one for places, one in held.items() if mover.place not in places}
         else:
             held[frozenset((verdict.kept.place, verdict.other.place))] = compared.accepted(verdict)
@@ -128,7 +157,7 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
     told = [_notice(one) for one in (*held.values(), *judged)]
     if shared_m > 0.0:
         told.append(Notice("motion-not-shared", f"{_shared_text(shared_m)} The error band holds it."))
-    return Agreed(replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told))
+    return replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told)
 
 
 class _Compared:
@@ -216,7 +245,10 @@ class _Compared:
         for k, one in enumerate(self.members):
             for other in self.members[:k]:
                 between = self._between(one, other).noise_m
-                alone = [self._noise_m(member) for member in (one, other)]
+                alone = [
+                    abs(member.scale_m_per_px) * self._camera.targets[member.place].noise_std_px
+                    for member in (one, other)
+                ]
                 common = float(np.sqrt(max(0.5 * (alone[0] ** 2 + alone[1] ** 2 - between**2), 0.0)))
                 least = min(least, common if common > DISAGREES * between else 0.0)
         if not np.isfinite(least):
@@ -229,10 +261,6 @@ class _Compared:
                 "camera.target at another distance, which shows a tilt; check the frames' times."
             )
         return least
-
-    def _noise_m(self, member: Member) -> float:
-        """Noise of a frame of a target in use as the calibration has estimated it."""
-        return abs(member.scale_m_per_px) * self._camera.targets[member.place].noise_std_px
 
     def accepted(self, verdict: Verdict) -> Verdict:
         """A verdict that the band can hold; UntrustedError where it is too much of the motion."""
@@ -330,17 +358,14 @@ def _group(members: Sequence[Member], moved: NDArray[np.bool_], best: int, worst
     return [member for k, member in enumerate(members) if k != best and not moved[best, k]]
 
 
-def _left_out(camera: CameraCalibration, place: int, reason: str) -> CameraCalibration:
-    known = list(camera.targets)
-    known[place] = replace(known[place], used=False, reason=reason)
-    return replace(camera, targets=tuple(known))
-
-
 def _cause_text(verdict: Verdict) -> str:
     """What may be the cause, and what would decide."""
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
-        return moved_text()
+        return (
+            "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells "
+            "which. Leave out of camera.target the one that may not stand still, or add a third."
+        )
     share = abs(_shares(kept, other)[Cause.TILT])
     named = [(member.name, abs(member.scale_m_per_px)) for member in (kept, other)]
     return tilt_text(named[0], named[1], share * verdict.size_m, decided=verdict.open == frozenset({Cause.TILT}))

@@ -6,22 +6,21 @@ Ma et al., "Structural displacement estimation using accelerometer and FMCW mill
 3.2, doi:10.1016/j.ymssp.2022.109582.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from midspan.calibration.radar.calibrate import (
     RadarFit,
+    diagnostics_of,
     nearest_peak,
     one_clock,
     searched,
     searched_bias,
     series_of,
 )
-from midspan.calibration.radar.clear_part import found_targets
-from midspan.calibration.radar.diagnostics import diagnostics_of
-from midspan.calibration.radar.window import OpenedWindow
+from midspan.calibration.radar.window import OpenedWindow, found_targets
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch
 from midspan.errors import DataError
@@ -67,7 +66,9 @@ def fit_radar_literal(
         raise DataError("The radar sees no target: no peak of the range profile stands 10 dB above the noise.")
     if target_range_m is not None:
         peaks = (nearest_peak(peaks, target_range_m),)
-    offset, told = _clock(peaks)
+    telling = [peak for peak in peaks if not peak.objection]
+    telling = telling or [peak for peak in peaks if np.isfinite(peak.time_offset_std_s)]
+    offset, told = (one_clock(telling)[1], []) if telling else (TimeOffset(0.0, 0.0), [ONE_CLOCK])
     targets, series = _judged(peaks, window, info, offset)
     best = targets[0].target
     calibration = RadarCalibration(
@@ -81,7 +82,12 @@ def fit_radar_literal(
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     warnings = (*info.warnings, *window.told, *told, *_warnings(best, series))
-    search = _accelerometer_by_clean_target((window, prepared, info), peaks, series)
+    # Noise and bias of the accelerometer, which the printed chain does not give, as elsewhere: with the cleanest target
+    # where there is a usable one. What bends the printed phase would be taken for noise.
+    usable = tuple(peak for peak in peaks if not peak.objection)
+    if usable:
+        series = series_of(window.frames, ranked(usable)[0], info, window.samples)
+    search = searched(prepared, window.frames, series, window.clock)
     return RadarFit(calibration, search.pair.input_noise(search.fit.input_density), searched_bias(search), warnings)
 
 
@@ -106,21 +112,10 @@ def _check_length(frame_s: Floats) -> None:
         )
 
 
-def _clock(peaks: Sequence[Target]) -> tuple[TimeOffset, list[Notice]]:
-    """The radar's clock offset by the targets that follow the accelerometer."""
-    telling = [peak for peak in peaks if not peak.objection]
-    telling = telling or [peak for peak in peaks if np.isfinite(peak.time_offset_std_s)]
-    return (one_clock(telling)[1], []) if telling else (TimeOffset(0.0, 0.0), [ONE_CLOCK])
-
-
 def _accelerometer_by_clean_target(
     given: tuple[OpenedWindow, PreparedAcceleration, RadarInfo], peaks: Sequence[Target], series: TargetSeries
 ) -> OffsetSearch:
-    """The search that gives noise and bias of the accelerometer: the printed chain does not.
-
-    They are estimated as elsewhere, with the cleanest target where there is a usable one; what bends the printed
-    phase would be taken for noise.
-    """
+    """The search that gives noise and bias of the accelerometer: the printed chain does not."""
     window, prepared, info = given
     usable = tuple(peak for peak in peaks if not peak.objection)
     if usable:
@@ -172,32 +167,24 @@ def _factor_std(change_m: Floats, grid: GridFactor, period_s: float) -> float:
     return float(np.hypot(grid.error_m / max(moved, 1e-9), GRID[2] / np.sqrt(12.0)))
 
 
-def _warnings(best: Target, series: TargetSeries) -> list[Notice]:
-    found = [
-        Notice(
-            "literal",
-            "fusion.literal: target, conversion factor and unwrapping of the radar are as printed: one receiver, start "
-            f"frequency, factors from {GRID[0]:g} to {GRID[1]:g}. What blocks the target or shares its bin goes "
-            "unnoticed, a lost cycle is not found again, and the band rests on the least error E alone.",
-        )
-    ]
+def _warnings(best: Target, series: TargetSeries) -> Iterator[Notice]:
+    yield Notice(
+        "literal",
+        "fusion.literal: target, conversion factor and unwrapping of the radar are as printed: one receiver, start "
+        f"frequency, factors from {GRID[0]:g} to {GRID[1]:g}. What blocks the target or shares its bin goes "
+        "unnoticed, a lost cycle is not found again, and the band rests on the least error E alone.",
+    )
     if _at_the_end(best.conversion_factor):
-        found.append(
-            Notice(
-                "literal",
-                "fusion.literal: the radar's least error E lies at the end of the grid, factor "
-                f"{best.conversion_factor:g}: a factor beyond {GRID[0]:g} to {GRID[1]:g} or a negative one cannot be "
-                "found that way, and the displacement is wrong. Leave fusion.literal out, or aim at another target.",
-            )
+        yield Notice(
+            "literal",
+            "fusion.literal: the radar's least error E lies at the end of the grid, factor "
+            f"{best.conversion_factor:g}: a factor beyond {GRID[0]:g} to {GRID[1]:g} or a negative one cannot be "
+            "found that way, and the displacement is wrong. Leave fusion.literal out, or aim at another target.",
         )
     if best.noise_m > best.conversion_factor * float(np.nanstd(series.range_change_m)):
-        found.append(
-            Notice(
-                "literal",
-                f"fusion.literal: the radar's least error E, {1e3 * best.noise_m:.3g} mm, is larger than the motion "
-                f"that it sees of the target at {best.range_m:.2f} m: that target does not follow the accelerometer, "
-                "and the displacement is wrong. Leave fusion.literal out, or name another one with "
-                "radar.target_range_m.",
-            )
+        yield Notice(
+            "literal",
+            f"fusion.literal: the radar's least error E, {1e3 * best.noise_m:.3g} mm, is larger than the motion "
+            f"that it sees of the target at {best.range_m:.2f} m: that target does not follow the accelerometer, and "
+            "the displacement is wrong. Leave fusion.literal out, or name another one with radar.target_range_m.",
         )
-    return found

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.measured import MIN_MEASUREMENTS
+from midspan.calibration.fit import MIN_MEASUREMENTS
 from midspan.errors import DataError, UsageError
 from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.camera.felt import felt_motion
+from midspan.calibration.camera.best_range import felt_motion
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_target import Target
 from midspan.engine.stored_tracking import StoredTracking

@@ -1,7 +1,8 @@
-"""The time over which a displacement sensor averages, where it is not declared.
+"""What weakens fast motion between a displacement sensor and the accelerometer: an exposure, or a logger's low-pass.
 
-Averaging over T leaves sin(π f T)/(π f T) of a motion at f Hz: fast motion comes out smaller than slow motion. A wrong
-gain is the same at all frequencies, so that both can be distinguished where the motion has more than one.
+Averaging over T leaves sin(π f T)/(π f T) of a motion at f Hz; a wrong gain is the same at all frequencies. A low-pass
+delays all motion, fast motion more, and weakens what is fast; the delay of slow motion is no different from a clock
+offset, and what it takes away altogether looks like noise of the sensor.
 """
 
 from dataclasses import dataclass, replace
@@ -10,9 +11,16 @@ from functools import cache
 import numpy as np
 
 from midspan.calibration.agreement import at_rate, misfit, straightened
-from midspan.calibration.first_order import lead_over_first_order
-from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.frequency_response import MIN_GAIN, exposure_shows
+from midspan.calibration.causes import Cause, named_cause
+from midspan.calibration.fit import Fit, Pair, best_corner, refine
+from midspan.calibration.frequency_response import (
+    MAX_LATE,
+    MIN_GAIN,
+    Kind,
+    exposure_shows,
+    lead_over_first_order,
+    with_response,
+)
 from midspan.calibration.minimum import global_minimum
 
 # The exposure is found to this share of the longest one; number of exposures that are tried first.
@@ -90,3 +98,57 @@ def _shows(pair: Pair, fit: Fit) -> bool:
     if straight is None:
         return exposure_shows(pair, fit)
     return exposure_shows(at_rate(pair, fit.offset_s, straight[1]), straight[0])
+
+
+@dataclass(frozen=True, slots=True)
+class LowPass:
+    """What shows of a low-pass: of motion of frequency_hz, relative to slow motion, the delay (s) and what is lost
+    (share); offset_s: clock offset of slow motion, its delay included; taken_m: what it makes of the displacement but
+    for that delay, rms; stands_out: whether it explains the readings clearly better than all other causes.
+    """
+
+    frequency_hz: float
+    late_s: float
+    lost: float
+    offset_s: float
+    taken_m: float
+    stands_out: bool = True
+
+    def text(self) -> str:
+        """What it does, in words."""
+        later = [f"{1e3 * self.late_s:.2g} ms later"] if self.late_s > 0.0 else []
+        weaker = [f"{100.0 * self.lost:.2g} % weaker"] if self.lost > 0.0 else []
+        doubt = "" if self.stands_out else " (likelier than a clock offset, not clearly told from a clock that steps)"
+        return (
+            "a low-pass in the accelerometer's logger delays and weakens fast motion: that of "
+            f"{self.frequency_hz:.2g} Hz comes {' and '.join((*later, *weaker))} than slow motion{doubt}"
+        )
+
+
+def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
+    """The low-pass that shows between a displacement sensor and the accelerometer at the clock offset of a fit; None
+    where none shows.
+
+    It shows where the delay grows with the frequency, or the acceleration weakens, and that explains the readings
+    better by frequency_response.MIN_GAIN (logarithm of the likelihood), with any gain of the accelerometer, and no
+    other cause does so clearly.
+    """
+    free = replace(pair, ratio=None, reference=None)
+    before = best_corner(free, fit.offset_s, fit.corner)
+    explained = with_response(free, before, (Kind.LAG, Kind.DROOP), most_open=np.inf)
+    without = explained.pair
+    droop, lag = without.logger
+    if not explained.known or lag > 0.0:
+        return None
+    cause = named_cause(pair, fit.offset_s)
+    if cause is not None and cause.cause is not Cause.LOW_PASS:
+        return None
+    after = refine(without, best_corner(without, fit.offset_s), MAX_LATE / pair.rate_hz)
+    if after.likelihood - before.likelihood < MIN_GAIN:
+        return None
+    frequency_hz = after.motion_hz
+    square = (2.0 * np.pi * frequency_hz) ** 2
+    path, time_s = pair.responses[0], pair.samples[:, 0]
+    taken_m = float(np.std(droop * path.derivative(time_s, 2) + lag * path.derivative(time_s, 3)))
+    figures = (frequency_hz, -lag * square, min(-droop * square, 1.0), after.offset_s, taken_m)
+    return LowPass(*figures, stands_out=cause is not None)
