@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.displacement.clock import MANY_LEFT_OUT
 from midspan.calibration.displacement.wrong_values import wrong_values
 from midspan.calibration.one_clock import OneClock
@@ -484,6 +485,8 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
 def refuse_untrue(first: FirstPass, whole: Estimate, found: Found) -> None:
     """UntrustedError where the accelerometer contradicts the rows, or a radar has lost its target too often."""
     main, rows = first.sides[0], measured_rows(whole, found.innovations[0])
+    for name, one in first.at_instants(0).items():
+        refuse_forward_step(main.prepared, one.time_ns, one.value_m, name)
     refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
     settings, usual = first.estimator.settings, figures(main, main.prepared.rate_hz)
     density = settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)

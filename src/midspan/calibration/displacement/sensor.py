@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.causes import Cause, disagreement, named_cause
 from midspan.calibration.clock_rate import ClockRate
@@ -43,6 +44,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     ends = range_limits(given.series.value)
     held = (given.series.value <= ends[0]) | (given.series.value >= ends[1])
     given = replace(given, series=_without(given.series, held))
+    refuse_forward_step(given.prepared, given.series.time_ns, given.series.value, "displacement")
     rate = None if given.learns_offset is False else _clock_rate(given)
     if rate is not None:
         given = replace(given, series=replace(given.series, time_ns=rate.even(given.series.time_ns)))
