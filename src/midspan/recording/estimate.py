@@ -48,6 +48,7 @@ from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.fusion.blocks import REJECTED
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
 from midspan.fusion.second_pass import Lag, smooth
@@ -224,8 +225,11 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     ran: dict[str, OneClock] = {}
     if looks or asked.given:
         ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
+    wrong = _wrong(first, ran)
     if looks:
-        first = replace(first, wrong=_wrong(first, ran))
+        first = replace(first, wrong=wrong)
+    else:
+        refuse_followed(first, wrong)
     checked = check(asked, first, ran)
     found = by_method(asked, first, ran, checked)
     progress(1, 1, "fusing")
@@ -255,6 +259,10 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
 
 
+# Of the values that are wrong.
+MOST = 0.5
+
+
 def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanoseconds]:
     """As of `FirstPass`, where the first pass met values that contradict the acceleration and no clock does."""
     events = [*first.outcome.fusion_events, *first.outcome.sensor_events]
@@ -262,7 +270,7 @@ def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanosecon
         return {}
     main, found = first.sides[0], {}
     for view, known in known_sensors(main):
-        if isinstance(known, DisplacementCalibration) and not ran_apart(ran[view.sensor]):
+        if isinstance(known, DisplacementCalibration) and not (view.sensor in ran and ran_apart(ran[view.sensor])):
             measured = first.series[0][view.sensor].displacement
             if len(stamps := wrong_values(measured, main.acceleration)):
                 found[view.sensor] = stamps
@@ -280,6 +288,21 @@ def refuse_unsettled(first: FirstPass, found: Found) -> None:
                 f"them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may follow "
                 "something else at times, or its clock may step: cut the recording to a part in which it follows the "
                 "structure."
+            )
+
+
+def refuse_followed(first: FirstPass, wrong: Mapping[str, Nanoseconds]) -> None:
+    """UntrustedError where a causal method has accepted most of very many values that are wrong (k,), by sensor."""
+    for name, stamps in wrong.items():
+        measured = first.outcome.measured_by(name)
+        share = len(stamps) / max(len(measured.time_ns), 1)
+        channels = np.unique(measured.channel)
+        accepted = [one.time_ns[one.verdict != REJECTED] for one in map(first.outcome.innovation, channels.tolist())]
+        if share > MANY_LEFT_OUT and np.mean(np.isin(stamps, np.concatenate(accepted))) > MOST:
+            raise UntrustedError(
+                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and this "
+                "method, which does not know what follows, has taken most of them for right. Use the method smoother, "
+                "or cut the recording to a part in which the sensor follows the structure."
             )
 
 
