@@ -300,8 +300,9 @@ def cause_of_lateness(pair: Pair, offset_s: float) -> str:
     """What may make readings come late or early by an offset, as a sentence; empty where it is the clock."""
     found = named_cause(pair)
     if found is None:
-        others = (Cause.SLOW_SENSOR, Cause.PLAY) if offset_s > 0.0 else (Cause.LOW_PASS,)
-        return f"Its readings do not tell a clock from {_listed(Cause.CLOCK, Cause.UNIT, Cause.TONE, *others)}. "
+        # Late readings need a negative offset, which a logger's low-pass does not make.
+        excluded = (Cause.SLOW_SENSOR, Cause.PLAY) if offset_s > 0.0 else (Cause.LOW_PASS,)
+        return f"Its readings do not tell a clock from {_listed(Cause.CLOCK, Cause.UNIT, Cause.TONE, *excluded)}. "
     if found.cause is Cause.CLOCK:
         return ""
     return (

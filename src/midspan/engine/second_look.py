@@ -76,8 +76,7 @@ def left_out_event(name: str, stamps: Nanoseconds) -> Event:
     """The event of a sensor's values at some stamps (k,) that are left out."""
     text = (
         f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
-        "acceleration and the rest of its values, and are left out. Check what passes in front of it, and what holds "
-        "it."
+        "acceleration and the rest of its values, and are left out. It was stuck, or something passed in front of it."
     )
     return Event(int(stamps[0]), "rejected", text)
 

@@ -374,17 +374,18 @@ def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration
     if late <= MAX_LATE * np.sqrt(_noise(learnt, found)):
         return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=late)
     differ = f"by {off:+.4f} s, which moves it by {1e3 * late:.3g} mm rms"
-    if learnt.low_pass is not None:
+    # A logger's low-pass makes the acceleration late, so that the readings seem early.
+    if learnt.low_pass is not None and off > 0.0:
         raise LoggerDelayError(
             f"displacement: {learnt.low_pass.text()}. They differ {differ}. Use a logger whose low-pass lies far above "
             "the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a clock's, so "
             "that the result is late by it, and the error band holds what the low-pass took away."
         )
+    delayed = "; with a low-pass in the accelerometer's logger the result is then late by as much" if off > 0.0 else ""
     raise UntrustedError(
         f"displacement: its readings come as if its clock differs from the accelerometer's {differ}. "
         f"{cause_of_lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have "
-        "the offset estimated and applied, or correct its time column; with a low-pass in the accelerometer's logger "
-        "the result is then late by as much."
+        f"the offset estimated and applied, or correct its time column{delayed}."
     )
 
 
