@@ -184,7 +184,6 @@ class Comparison:
         return np.asarray(undone * np.minimum(1.0, MAX_RAISED / np.abs(undone)), dtype=np.complex128)
 
     def _clocks(self, y: Floats, plain: Callable[[Floats], Floats]) -> tuple[float, float]:
-        """Residual squares of one offset, and of two with the best instant between them."""
         count = round(MAX_STEP_S / OFFSET_STEP_S)
         offsets = OFFSET_STEP_S * np.arange(-count, count + 1)
         paths = plain(np.add.outer(self.time_s, offsets))

@@ -9,7 +9,7 @@ the motion is long enough to tell the noise, this changes nothing.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -108,6 +108,11 @@ class Pair:
         return tuple(integrated(samples) for samples in (self.samples, self.outside) if samples is not None)
 
     @cached_property
+    def recent(self) -> "list[Aligned]":
+        """The pair at the clock offset that it was compared at last, where most of the work is done."""
+        return []
+
+    @cached_property
     def lively(self) -> Floats:
         """Mean square (n,) of the acceleration up to each sample, m²/s⁴."""
         value = self.samples[:, 1]
@@ -182,6 +187,11 @@ class Fit:
         return float(np.sqrt(self.ratio_variance)) / max(abs(self.ratio), 1e-300)
 
 
+def likelihood_of(fit: Fit) -> float:
+    """What the likelier of fits is known by."""
+    return fit.likelihood
+
+
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """A pair at a clock offset: the rows compared, and the columns that are whitened there.
@@ -197,16 +207,22 @@ class Aligned:
     values: Floats
     cubic: Floats
     index: NDArray[np.int64]
+    fits: dict[float, Fit] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def whitened(self, corner: float) -> Whitened:
         """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
         pair = self.pair
         density = corner**4 / pair.rate_hz
-        w = whiten_columns(self.rows, self.values, pair.pieces, density, slow=pair.slow)
-        return replace(w, index=self.index[w.index], bias=w.bias - self.cubic[0])
+        columns = (self.rows, self.values, pair.pieces, density)
+        return whiten_columns(*columns, slow=pair.slow, index=self.index, open_bias=self.cubic[0])
 
     def fit(self, corner: float) -> Fit:
-        """The fit with a corner frequency (rad/s)."""
+        """The fit with a corner frequency (rad/s), made once."""
+        if corner not in self.fits:
+            self.fits[corner] = self._fit(corner)
+        return self.fits[corner]
+
+    def _fit(self, corner: float) -> Fit:
         pair, whole = self.pair, self.whitened(corner)
         w = whole if pair.outside is None else _without_last(whole)
         n = max(len(w.variance), 1)
@@ -216,9 +232,12 @@ class Aligned:
         left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
         noise = left / max(n - FITTED, 1)
         ratio_variance = noise / max(power, 1e-300)
-        favour = shrinking(w, ratio, pair.reference) if pair.ratio is None and pair.reference is not None else 0.0
+        favour = 0.0
         if pair.ratio is None:
-            share = min(w.input_share / n, 1.0)
+            input_share = w.input_share
+            if pair.reference is not None:
+                favour = shrinking(input_share, ratio, pair.reference)
+            share = min(input_share / n, 1.0)
             ratio = unattenuated(total, cross, power, share)
             # The cross products are the ratio times the true response's power; products of both noises scatter as well.
             # Without any common motion the deviation is beyond all bounds, and still a number.
@@ -241,6 +260,8 @@ class Aligned:
 
 def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> Aligned:
     """A pair at a clock offset, s, with columns that are functions of time in addition to its own."""
+    if not more and pair.recent and pair.recent[0].offset_s == offset_s:
+        return pair.recent[0]
     index = pair.used(offset_s)
     rows = pair.rows[index]
     time_s = rows[:, 0] + offset_s
@@ -249,7 +270,10 @@ def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> A
     columns += [response.at(time_s, pair.exposure_s, pair.logger) for response in outside]
     columns += [column(time_s) for column in more]
     values, cubic = levelled(time_s, np.column_stack(columns), drifts=pair.bias_drifts)
-    return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
+    here = Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
+    if not more:
+        pair.recent[:] = [here]
+    return here
 
 
 def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
@@ -281,13 +305,13 @@ def unattenuated(total: float, cross: float, power: float, share: float) -> floa
     return float(np.copysign(max(size, NEXT_TO_NO_RATIO), cross))
 
 
-def shrinking(w: Whitened, ratio: float, reference: float) -> float:
+def shrinking(input_share: float, ratio: float, reference: float) -> float:
     """What the logarithm of the likelihood gains by a ratio that is smaller than the reference, and must not.
 
     The noise of the accelerometer is seen in the acceleration itself, multiplied by the ratio: where two offsets
     explain the motion alike with different ratios, the smaller ratio leaves less of it, whichever is true.
     """
-    return w.input_share * float(np.log(reference / max(abs(ratio), MIN_RATIO * reference)))
+    return input_share * float(np.log(reference / max(abs(ratio), MIN_RATIO * reference)))
 
 
 def _without_last(w: Whitened) -> Whitened:
@@ -390,7 +414,7 @@ def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:
     for _ in range(ROUNDS):
         before = fit.likelihood
         fit = _climb(pair, fit, span)
-        fit = max(fit, best_corner(pair, fit.offset_s, fit.corner), key=_likelihood)
+        fit = max(fit, best_corner(pair, fit.offset_s, fit.corner), key=likelihood_of)
         if fit.likelihood - before < MIN_GAIN:
             break
     return fit
@@ -407,7 +431,7 @@ def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
             # At the end of the overlap nothing may be left to compare.
             if len(pair.used(offset_s)) >= MIN_FRAMES:
                 other = evaluate(pair, offset_s, fit.corner)
-                best = max(best, other, key=_likelihood)
+                best = max(best, other, key=likelihood_of)
                 if best is other:
                     break
             step *= 0.5
@@ -415,10 +439,6 @@ def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
             break
         fit = best
     return fit
-
-
-def _likelihood(fit: Fit) -> float:
-    return fit.likelihood
 
 
 def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:

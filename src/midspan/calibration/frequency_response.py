@@ -287,7 +287,6 @@ def _moved_m(pair: Pair, fit: Fit) -> Floats:
 
 
 def _at(w: Whitened, free: tuple[int, ...], corner: float) -> Regression:
-    """The regression on some columns, whitened with a corner frequency."""
     coefficients, covariance, left = _solved(w, free)
     n = len(w.variance)
     likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
@@ -411,14 +410,12 @@ def _able(pair: Pair, tried: Mapping[Kind, Regression], without: float, most_ope
 
 
 def _doubt(best: Regression, others: Sequence[Regression]) -> float:
-    """How far the ratio lies from that of other explanations (rms), each with its probability relative to the best."""
     odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
     apart = [other.coefficients[0] / best.coefficients[0] - 1.0 for other in others]
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
 
 
 def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
-    """The pair with the most likely values of the kinds that are known to be there, and its fit."""
     most_s = MAX_LATE / pair.rate_hz
     for _ in range(STEPS if known else 0):
         columns = _Columns(pair, fit)

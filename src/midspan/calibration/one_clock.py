@@ -36,11 +36,6 @@ class RunningClock:
     course: ClockCourse | None = None
     uneven_s: Floats | None = None
 
-    def also(self, measured: Displacement) -> "RunningClock":
-        """Other measurements of the same sensor on the same clock; what was to tell has been told."""
-        moved = measured if self.course is None else self.course.corrected(measured)
-        return replace(self, measured=moved, warnings=())
-
 
 def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str) -> RunningClock:
     """The measurements of one sensor with the drift of its clock taken out, where the record is long and shows one.
@@ -76,14 +71,12 @@ def _uneven(course: ClockCourse, sensor: str, time_ns: Nanoseconds) -> tuple[lis
     worst = int(np.argmax(np.where(far, np.abs(left), 0.0)))
     known = np.isfinite(left)
     uneven_s = np.interp(time_ns, course.time_ns[known], left[known])
-    return [
-        Notice(
-            "clock-differs",
-            f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
-            f"{1e3 * left[worst]:+.2f} ms beside a straight line; the error band holds what that makes. Check for lost "
-            "frames, or split the recording there.",
-        )
-    ], uneven_s
+    text = (
+        f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
+        f"{1e3 * left[worst]:+.2f} ms relative to a straight line; the error band holds what that makes. Check for "
+        "lost frames, or split the recording there."
+    )
+    return [Notice("clock-differs", text)], uneven_s
 
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
@@ -136,8 +129,8 @@ class OneClock:
         for jump in self.jumps:
             value[jump.first : jump.last] = np.nan
         moved = replace(moved, value_m=value)
-        if self.running is not None:
-            moved = self.running.also(moved).measured
+        if self.running is not None and self.running.course is not None:
+            moved = self.running.course.corrected(moved)
         return replace(self, measured=moved, warnings=(), events=(), levels=())
 
 
@@ -177,7 +170,6 @@ def one_clock(
 
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
-    """UntrustedError where measurements contradict the acceleration for long though jumps were taken out."""
     told = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
     found = filtered(acceleration, moved, told).innovation
     far = found.value_m**2 > CONTRADICTS**2 * found.variance_m2
@@ -251,7 +243,6 @@ def _either_side(
 def _apart(
     moved: Displacement, which: slice, other_s: Floats, acceleration: Acceleration, kalman: KalmanSettings
 ) -> Floats:
-    """By how much (m) the displacement differs at stamps that are so much later."""
     time_ns = moved.time_ns[which]
     around = round((AROUND_S + LARGEST_S) * NANOSECONDS)
     span = (int(time_ns[0]) - around, int(time_ns[-1]) + around)
@@ -271,13 +262,10 @@ def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
     interval = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
     frames = round(jump.late_s / interval)
     # A clock that was set shows a step in the stamps themselves.
-    even = (
-        abs(end - begin - (jump.last - max(jump.first - 1, 0)) * interval * NANOSECONDS)
-        < WHOLE * interval * NANOSECONDS
-    )
-    whole = even and frames != 0 and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
-    were = "was" if abs(frames) == 1 else "were"
-    lost = "lost" if frames > 0 else "doubled"
+    apart = end - begin - (jump.last - max(jump.first - 1, 0)) * interval * NANOSECONDS
+    whole = abs(apart) < WHOLE * interval * NANOSECONDS and frames != 0
+    whole = whole and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
+    were, lost = "was" if abs(frames) == 1 else "were", "lost" if frames > 0 else "doubled"
     what = f", as if {abs(frames)} of its frames {were} {lost}" if whole else ""
     text = (
         f"{sensor}: its clock jumped between {shown(begin)} and {shown(end)}: {1e3 * jump.late_s:+.2f} ± "

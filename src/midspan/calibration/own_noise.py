@@ -4,11 +4,11 @@ Where the camera errs (a mast that nods, a lens that breathes, air that shimmers
 it than the accelerometer's noise, or the camera's. The accelerometer's own readings say how much noise they can have.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.calibration.agreement import MIN_ORDINATES, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, corner_std
@@ -96,7 +96,13 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     One of both sensors is wrong then, and nothing tells which: what shakes between them shows in a camera as slower
     than it is.
     """
-    return max(narrow_motion(pair, fit), _slow_motion(pair, fit))
+    narrow = narrow_motion(pair, fit)
+    if not exceeds_own_noise(pair, fit):
+        return narrow
+    # An error over seconds (haze), where it is far likelier than the noise that the accelerometer would need instead.
+    likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
+    moved = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
+    return max(narrow, min(std, moved)) if likelihood - fit.likelihood > MIN_GAIN else narrow
 
 
 def narrow_motion(pair: Pair, fit: Fit) -> float:
@@ -111,7 +117,7 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
     if straight is not None and not len(lines := _lines(pair, straight[0])):
         # A clock that drifts evenly.
         return 0.0
-    columns = [partial(wave, hertz=hertz) for hertz in lines for wave in (_cosine, _sine)]
+    columns = [partial(_wave, shape=shape, hertz=hertz) for hertz in lines for shape in (np.cos, np.sin)]
     here = aligned(pair, fit.offset_s, *columns)
     w, moved = here.whitened(fit.corner), here.values[:, -len(columns) :]
     waves = w.columns[:, -len(columns) :] / np.sqrt(w.variance)[:, None]
@@ -123,15 +129,6 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
     # What is far more than the translation moves there is the drift of an accelerometer, integrated twice.
     shown = moved @ np.linalg.lstsq(moved, here.values[:, 0], rcond=None)[0]
     return float(np.sqrt(max(min(np.mean((moved @ size) ** 2), np.mean(shown**2)) - by_chance, 0.0)))
-
-
-def _slow_motion(pair: Pair, fit: Fit) -> float:
-    """Deviation of an error over seconds that is far likelier than the accelerometer's noise instead; else 0."""
-    if not exceeds_own_noise(pair, fit):
-        return 0.0
-    likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
-    moved = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
-    return min(std, moved) if likelihood - fit.likelihood > MIN_GAIN else 0.0
 
 
 def _lines(pair: Pair, fit: Fit) -> Floats:
@@ -151,24 +148,15 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     index = np.unique(starts[means > most][:, None] + np.arange(MIN_ORDINATES))
     # Those that hold next to nothing, or what leaks from a line, would be fitted for their noise.
     enough = max(STRONG * usual, LEAKED * float(np.max(power)))
-    strong = sorted({*index[power[index] > enough], *_slow(power, usual, pair.rate_hz / n)}, key=lambda k: -power[k])
-    strong = strong[:MAX_ORDINATES]
+    # Of slow motion each ordinate counts that is stronger than chance makes any.
+    count = min(int(SLOW_HZ / (pair.rate_hz / n)), len(power))
+    slow = np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
+    strong = sorted({*index[power[index] > enough], *slow}, key=lambda k: -power[k])[:MAX_ORDINATES]
     return np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
 
 
-def _slow(power: Floats, usual: float, step_hz: float) -> NDArray[np.int64]:
-    """Ordinates (k,) of slow motion that are stronger than chance makes any; step_hz: from one to the next."""
-    count = min(int(SLOW_HZ / step_hz), len(power))
-    # The powers of white innovations are exponentially distributed.
-    return np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
-
-
-def _cosine(time_s: Floats, hertz: float) -> Floats:
-    return np.asarray(np.cos(2.0 * np.pi * hertz * time_s))
-
-
-def _sine(time_s: Floats, hertz: float) -> Floats:
-    return np.asarray(np.sin(2.0 * np.pi * hertz * time_s))
+def _wave(time_s: Floats, shape: Callable[[Floats], Floats], hertz: float) -> Floats:
+    return np.asarray(shape(2.0 * np.pi * hertz * time_s))
 
 
 def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:

@@ -226,7 +226,6 @@ def with_frequency(
 
 
 def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
-    """The search with the noise levels that belong to a ratio, as well known as before."""
     pair = replace(search.pair, ratio=ratio)
     pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
@@ -279,7 +278,6 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
 
 
 def _slow_samples(pair: Pair) -> str:
-    """A sentence where the acceleration comes no faster than the frames, which it has to bridge; else empty."""
     if pair.sample_rate_hz > pair.rate_hz:
         return ""
     return (
@@ -289,7 +287,6 @@ def _slow_samples(pair: Pair) -> str:
 
 
 def _rival(pair: Pair, search: OffsetSearch, max_offset_s: float) -> Rival | None:
-    """The likeliest offset beyond those searched, for the pair without outliers and with any ratio, as it was given."""
     return likeliest_beyond(replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0)), search.fit, max_offset_s)
 
 

@@ -56,7 +56,6 @@ def _with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tup
 
 
 def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
-    """The pair and its fit with the level of each segment of rows, the numbers of whose first ones are `edges`."""
     for _ in range(ROUNDS):
         level = _level(fit, edges)
         rows = pair.rows.copy()
@@ -97,7 +96,6 @@ def _with_outliers(pair: Pair, whole: Floats) -> Pair:
 
 
 def _edges(square: Floats) -> list[int]:
-    """Edges of the segments of one level, by the squares of innovations (k,) of relative variance 1."""
     edges, open_ones = [0, len(square)], [(0, len(square))]
     least = 0.5 * UNKNOWNS * float(np.log(max(len(square), 1)))
     brief = max(MIN_SEGMENT, round(MIN_SHARE * len(square)))
@@ -201,11 +199,8 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         # An accelerometer whose noise changes its level may err slowly as well: both unknowns count then.
         least = (0.5 if white.level is None else 1.0) * np.log(max(len(rows), 1))
         gained = found.likelihood - none.likelihood
-        if (
-            gained < least
-            or _happened_once(white if whole is None else _with_outliers(white, whole), none, found)
-            or _lost(white, none, found) > NOT_EXCLUDED
-            or _drifts_farther(slow, found)
+        if gained < least or _is_none(
+            white, slow, white if whole is None else _with_outliers(white, whole), none, found
         ):
             return SlowError(white, fit, _unseen(white, fit, rows, np.sqrt(2.0 * (least + NOT_EXCLUDED))))
     return SlowError(slow, found)
@@ -218,6 +213,17 @@ def likeliest_slow_error(pair: Pair, fit: Fit) -> tuple[float, float]:
     times = np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
     tried = [_along(replace(pair, slow=NO_SLOW_ERROR), fit, float(lasting)) for lasting in times]
     return max((float(np.max(one.likelihood)), float(one.std[np.argmax(one.likelihood)])) for one in tried)
+
+
+def _is_none(pair: Pair, slow: Pair, whole: Pair, none: Fit, found: Fit) -> bool:
+    """Whether what a slow error gains is none of the sensor's: it gains in one place only, the quietest measurements
+    become less likely, or it drifts twice as far in DRIFT_S as the readings themselves.
+    """
+    rows = slow.rows[slow.used(found.offset_s)]
+    steps = min(max(round(DRIFT_S * slow.rate_hz), 1), len(rows) // 2)
+    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
+    drift = -2.0 * np.expm1(-steps / slow.rate_hz * slow.slow[1]) * slow.slow[0] * found.noise
+    return bool(drift > TAIL * own or _happened_once(whole, none, found) or _lost(pair, none, found) > NOT_EXCLUDED)
 
 
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
@@ -273,14 +279,6 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
     return False
 
 
-def _drifts_farther(pair: Pair, fit: Fit) -> bool:
-    """Whether the slow error drifts twice as far in DRIFT_S as the readings themselves, whose error it would be."""
-    rows = pair.rows[pair.used(fit.offset_s)]
-    steps = min(max(round(DRIFT_S * pair.rate_hz), 1), len(rows) // 2)
-    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
-    return bool(-2.0 * np.expm1(-steps / pair.rate_hz * pair.slow[1]) * pair.slow[0] * fit.noise > TAIL * own)
-
-
 def _lost(pair: Pair, without: Fit, found: Fit) -> float:
     """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm)."""
     at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
@@ -289,7 +287,6 @@ def _lost(pair: Pair, without: Fit, found: Fit) -> float:
 
 
 def _deviance(fit: Fit) -> Floats:
-    """Minus the logarithm of each innovation's likelihood (k,), without constants."""
     return 0.5 * fit.residual**2 + 0.5 * np.log(fit.noise * fit.whitened.variance)
 
 
@@ -308,7 +305,6 @@ class _Along:
 
 
 def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:
-    """Slow errors of a correlation time, from small to those that the record excludes."""
     here, found, best = aligned(white, fit.offset_s), [], -np.inf
     size, corner = SMALLEST, fit.corner
     while size < LARGEST:

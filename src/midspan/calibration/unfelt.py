@@ -63,7 +63,6 @@ def _windows(time_ns: Nanoseconds, length_s: float, unknowns: int) -> list[slice
 def _refuse_windows(
     prepared: PreparedAcceleration, moved: tuple[Nanoseconds, Floats, Floats], windows: list[slice], unknowns: int
 ) -> None:
-    """UntrustedError where a displacement differs by far more in one of these windows; moved: as of `refuse_unfelt`."""
     time_ns, moved_m, variance_m2 = moved
     felt, differs, missed = np.array([_powers(prepared, time_ns[one], moved_m[one], unknowns) for one in windows]).T
     uncertain = np.array([np.mean(variance_m2[one]) for one in windows])

@@ -109,7 +109,6 @@ def _followed(frames: Sequence[Frame], region: Region, name: str, settings: obje
 
 
 def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, frames_ns: Nanoseconds) -> Floats:
-    """The translation (n,) in px that the accelerometer says at frames' stamps on the camera's clock."""
     camera = fit.calibration
     acceleration = view.prepared.with_noise(fit.input_noise.density, fit.input_noise.motion_s)
     used = [target for target in targets if target.region == camera.region]

@@ -75,7 +75,6 @@ def fit_camera(
 
 
 def _refuse_vague(fit: CameraFit) -> None:
-    """UntrustedError where a scale factor is too vague to be given out, whatever makes it so."""
     total, scale = fit.calibration.relative_std, fit.calibration.scale
     if total <= REFUSED_ABOVE:
         return
@@ -163,7 +162,6 @@ def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, re
 
 
 def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]]) -> Fitted:
-    """Each target's own calibration along an axis; UntrustedError where all are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     apart_s: list[float] = []
@@ -323,7 +321,6 @@ def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration
 def _camera(
     seen: Sequence[SeenTarget], direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
 ) -> CameraCalibration:
-    """The record of one axis: the best target's values, and all targets."""
     place = _best(targets)
     best = targets[place]
     assert best.scale is not None

@@ -99,14 +99,12 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
 
 
 def _cosines(value: Floats) -> Floats:
-    """Amplitudes of a series' cosines (n,), with the series' power in all."""
     from scipy.fft import dct
 
     return np.asarray(dct(value, norm="ortho"))
 
 
 def _shaped(value: Floats, gains: Floats) -> Floats:
-    """A series (n,) with its cosines times gains."""
     from scipy.fft import idct
 
     return np.asarray(idct(_cosines(value) * gains, norm="ortho"))
@@ -134,7 +132,6 @@ def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
 
 
 def _filled(value: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """A series (n,) with straight lines across what is not usable."""
     return np.interp(np.arange(len(value)), np.flatnonzero(usable), value[usable])
 
 
@@ -156,7 +153,6 @@ def _without_motion(
 
 
 def _bands(count: int) -> list[slice]:
-    """The bands of the cosines of so many frames, without the mean: octaves, then even ones."""
     begin, width, out = 1, 2, list[slice]()
     while begin + width <= count:
         out.append(slice(begin, begin + width))
@@ -187,7 +183,6 @@ def _differ(means: Floats, counts: Floats) -> bool:
 
 
 def _gains(power: Floats, bands: list[slice], noise: float) -> Floats:
-    """The share of signal in each of these bands, 0 in the others, of a spectrum with white noise of this level."""
     share = np.zeros(len(power))
     for band in bands:
         share[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)

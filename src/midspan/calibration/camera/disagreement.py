@@ -277,7 +277,6 @@ class _Compared:
         )
 
     def _between(self, one: Member, other: Member) -> Difference:
-        """What two targets differ by in the window, the first minus the second."""
         if (one.place, other.place) not in self._found:
             w = self._window
             # Rows of a rolling shutter are exposed one after the other.
@@ -309,7 +308,6 @@ class _Compared:
         return Member(place, target.name, 1.0 / ratio, np.inf, block)
 
     def _verdict(self, kept: Member, other: Member, agreeing: Sequence[Member]) -> Verdict:
-        """Which causes of a difference the accelerometer leaves open; agreeing: with the one that is kept."""
         found = self._between(kept, other)
         shares = _shares(kept, other)
         if agreeing:
@@ -326,7 +324,6 @@ class _Compared:
         return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
-        """The share of a difference that is in the target that is kept."""
         own = self._fit.found[kept.place]
         assert own is not None
         offset_s = own.search.fit.offset_s
@@ -346,7 +343,6 @@ def _shares(kept: Member, other: Member) -> dict[Cause, float]:
 
 
 def _alike(one: Member, other: Member) -> bool:
-    """Whether two targets are at one distance."""
     a, b = one.scale_m_per_px, other.scale_m_per_px
     return abs(a - b) <= SAME_DISTANCE * max(abs(a), abs(b))
 
@@ -359,7 +355,6 @@ def _group(members: Sequence[Member], moved: NDArray[np.bool_], best: int, worst
 
 
 def _cause_text(verdict: Verdict) -> str:
-    """What may be the cause, and what would decide."""
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
         return (
@@ -388,13 +383,11 @@ def _notice(verdict: Verdict) -> Notice:
 
 
 def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
-    """The frames in the window; all of them where it holds too few."""
     first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
     return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
 
 
 def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
-    """The acceleration of the frames' time and a second on either side: frames of a minute need no day of it."""
     first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
     last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
     return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))

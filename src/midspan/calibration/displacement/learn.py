@@ -194,7 +194,6 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
-    """The calibration without the values at some stamps (k,), at which the sensor was stuck, and a warning."""
     learnt = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
     text = (
         f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
@@ -218,7 +217,6 @@ def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCal
 
 
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
-    """The calibration with what the uncertain direction adds to everything that was compared."""
     offset = replace(learnt.offset, variance=learnt.offset.variance + axis.offset_variance)
 
     def wider(relative_std: float) -> float:
@@ -235,7 +233,6 @@ def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
 
 
 def _refuse_farther(overlap: _Overlap, near: Fit, axis: Turned) -> list[Notice]:
-    """UntrustedError where the clocks agree far better farther apart than was searched."""
     reach = overlap.reach_s
     until = min(reach + farther_s(overlap.max_offset_s), FARTHER_SHARE * overlap.overlap_s)
     try:
@@ -263,7 +260,6 @@ def _beyond(overlap: _Overlap, offset_s: float) -> UntrustedError:
 
 
 def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
-    """UntrustedError where the sign or the unit is wrong beyond doubt: no clock offset means anything then."""
     size = 1.0 / abs(found.free.ratio)
     times = "" if abs(size - 1.0) < WRONG_SCALE else f" and multiplied by {size:.3g}"
     if learnt.reversed_gain > CLEARLY_REVERSED:
@@ -389,7 +385,6 @@ def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration
 
 
 def _noise(learnt: NoiseCalibration, found: Findings) -> float:
-    """Variance of the sensor's noise, m²."""
     return learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
 
 

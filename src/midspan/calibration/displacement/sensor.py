@@ -73,7 +73,6 @@ def fit_displacement(given: Given) -> DisplacementFit:
 
 
 def _clock_rate(given: Given) -> ClockRate | None:
-    """The rate of the sensor's clock where its values show that it is not the accelerometer's."""
     step_m = 0.0 if given.learns_scale else None
     series = _without(given.series, _frozen_values(given.prepared, given.series, resolution_m=step_m))
     try:
@@ -140,7 +139,6 @@ def _learnt(given: Given) -> NoiseCalibration:
 
 
 def _part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
-    """What the measurements are read with: noise, clock offset, scale."""
     std = float(np.sqrt(learnt.variance_factor))
     if given.noise_std_m is not None:
         own = given.noise_std_m * abs(learnt.factor)
@@ -188,7 +186,6 @@ def _scale_error(learnt: NoiseCalibration) -> float:
 
 
 def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
-    """One sentence for all segments of frozen values (`held` (n,)) that were left out."""
     for a, b in runs(held)[:1]:
         more = f"So were {len(runs(held)) - 1} more such segments. " if len(runs(held)) > 1 else ""
         yield Notice(
@@ -200,7 +197,6 @@ def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
 
 
 def _range_warnings(part: DisplacementCalibration, held: Mask) -> Iterator[Notice]:
-    """A sentence where values (`held` (n,)) are held at the end of the sensor's range."""
     if held.any():
         ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
         yield Notice(
@@ -258,7 +254,6 @@ def _factor_warnings(learnt: NoiseCalibration) -> Iterator[Notice]:
 
 
 def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
-    """A sentence on an exposure that was not declared."""
     found_s = learnt.exposure_s or learnt.open_exposure_s
     if given.exposure_s is not None or not found_s > 0.0:
         return
@@ -281,7 +276,6 @@ def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notic
 
 
 def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
-    """Sentences on a clock offset that is not applied, and on a logger's delay."""
     if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         yield Notice(
             "clock-differs",
@@ -326,7 +320,6 @@ def _slow_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
 
 
 def _zero_warnings(given: Given, part: DisplacementCalibration) -> Iterator[Notice]:
-    """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
     value = part.scale * given.series.value
     level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
     if given.gives_zero and not part.relative_std * level < max(moved, part.noise_std_m):
@@ -345,7 +338,6 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
 
 
 def _without(series: TimeSeries, mask: Mask) -> TimeSeries:
-    """The channel with some values (n,) missing."""
     return replace(series, value=np.where(mask, np.nan, series.value)) if mask.any() else series
 
 

@@ -21,7 +21,6 @@ from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, aligned, best_c
 from midspan.calibration.outliers import OUTLIER_LIMIT, both_ways, shaken_rows
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, seconds
-from midspan.signals.health import Mask
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 from midspan.signals.stamps import inside
 from midspan.signals.stuck import resolution, stuck
@@ -53,10 +52,19 @@ def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
         found = _stretch(replace(pair, rows=rows), before)
         if not len(found):
             break
-        found = _with_ends(whole[:, 1], found)
+        # With neighbours of the same level: there the motion passed where the sensor was stuck.
+        value = whole[:, 1]
+        ends = np.array([found[0] - 1, found[-1] + 1])
+        ends = ends[(ends >= 0) & (ends < len(value))]
+        level, far = np.mean(value[found]), OUTLIER_LIMIT * np.std(value[found])
+        found = np.concatenate((found, ends[np.abs(value[ends] - level) < far]))
         rows[found, 2] = np.inf
         after = best_corner(replace(pair, rows=rows), fit.offset_s)
-        if not _likelier(rows, before, after):
+        # Whether the record is likelier with these readings anywhere within all; two instants are unknown.
+        count = len(before.whitened.variance)
+        left_out = count - len(after.whitened.variance)
+        anywhere = float(np.log(np.ptp(rows[:, 1]))) - 0.5 * (1.0 + np.log(2.0 * np.pi))
+        if not after.likelihood - before.likelihood - left_out * anywhere > 2.0 * np.log(count):
             break
         held[found], before = True, after
     return held
@@ -78,14 +86,6 @@ def _stretch(pair: Pair, fit: Fit) -> NDArray[np.int64]:
     return index[inner] if last - first + 1 >= MIN_HELD and _stays(pair, fit, inner) else index[:0]
 
 
-def _with_ends(value: Floats, segment: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The rows of a segment, with neighbours of the same level: there the motion passed where the sensor was stuck."""
-    level, far = np.mean(value[segment]), OUTLIER_LIMIT * np.std(value[segment])
-    ends = np.array([segment[0] - 1, segment[-1] + 1])
-    ends = ends[(ends >= 0) & (ends < len(value))]
-    return np.concatenate((segment, ends[np.abs(value[ends] - level) < far]))
-
-
 def _reached(far: NDArray[np.int64], middle: int, way: int) -> int:
     """How far (one way, -1 or 1) readings that are `far` off (k,) go on from the one in the middle."""
     reached = middle
@@ -104,15 +104,6 @@ def _stays(pair: Pair, fit: Fit, inner: slice) -> bool:
     moved = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
     readings, others = pair.rows[here.index[inner], 1], np.delete(pair.rows[here.index, 1], inner)
     return bool(np.var(readings) < MAX_MOVED * min(np.var(moved), np.var(others)))
-
-
-def _likelier(rows: Floats, before: Fit, after: Fit) -> bool:
-    """Whether the record is likelier with the readings that `after` leaves out being anywhere within all readings."""
-    count = len(before.whitened.variance)
-    left_out = count - len(after.whitened.variance)
-    anywhere = float(np.log(np.ptp(rows[:, 1]))) - 0.5 * (1.0 + np.log(2.0 * np.pi))
-    # Two instants are unknown.
-    return bool(after.likelihood - before.likelihood - left_out * anywhere > 2.0 * np.log(count))
 
 
 # Readings that are fitted at once, and the most of a record, for speed.
@@ -144,7 +135,12 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     if not MIN_READINGS <= len(usable) <= MAX_READINGS:
         return crowd
     rows = pair.rows[usable]
-    compared = Comparison.of(replace(pair, rows=rows), len(usable), _clear_hz(pair, rows))
+    # Where white noise of the acceleration, integrated twice, is little of the rows' variance: of a one-sided density S
+    # the variance above f is S / (3 (2π)⁴ f³).
+    density = 2.0 * white_noise(pair.samples[:, 1]) ** 2 / pair.sample_rate_hz
+    power = max(float(np.var(rows[:, 1])), 1e-300)
+    clear_hz = float(np.cbrt(density / (3.0 * (2.0 * np.pi) ** 4 * MAX_NOISE_SHARE * power)))
+    compared = Comparison.of(replace(pair, rows=rows), len(usable), clear_hz)
     if len(compared.time_s) < MIN_READINGS:
         return crowd
     differs = compared.value_m - compared.path()(compared.time_s)
@@ -164,13 +160,6 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     return crowd
 
 
-def _clear_hz(pair: Pair, rows: Floats) -> float:
-    """The frequency above which white noise of the acceleration, integrated twice, is little of the rows' variance."""
-    density = 2.0 * white_noise(pair.samples[:, 1]) ** 2 / pair.sample_rate_hz
-    power = max(float(np.var(rows[:, 1])), 1e-300)
-    return float(np.cbrt(density / (3.0 * (2.0 * np.pi) ** 4 * MAX_NOISE_SHARE * power)))
-
-
 def _scattered(left: Floats, far: NDArray[np.bool_]) -> bool:
     """Whether what is `far` (n,) off lies clearly apart from the rest, and is the lesser part everywhere."""
     if not MIN_WRONG < np.mean(far) < MAX_WRONG or np.median(np.abs(left[far])) < APART * _spread(left):
@@ -179,7 +168,6 @@ def _scattered(left: Floats, far: NDArray[np.bool_]) -> bool:
 
 
 def _robust(differs: Floats, basis: Floats) -> Floats:
-    """What is left of differences (n,) without the slow motion, columns (n, k), that most of them share."""
     left = differs - np.median(differs)
     width = 2.0 * float(np.max(np.abs(left)))
     for _ in range(ROUNDS):
@@ -190,7 +178,6 @@ def _robust(differs: Floats, basis: Floats) -> Floats:
 
 
 def _spread(left: Floats) -> float:
-    """Standard deviation of what is left (n,), whatever up to half of it is."""
     return float(np.quantile(np.abs(left), NEAREST)) / OF_NORMAL
 
 
@@ -220,14 +207,10 @@ def wrong_values(measured: Displacement, acceleration: Acceleration) -> Nanoseco
     density = float(np.median(acceleration.noise_density))
     pair = Pair(shaken / np.array([1.0, 1.0, density]), rows, 1.0)
     wrong |= crowd_of_outliers(pair)
-    return time_ns[wrong | _held(pair, wrong)]
-
-
-def _held(pair: Pair, wrong: Mask) -> Mask:
-    """Values (m,) of a sensor that is stuck, as all that are not `wrong` (m,) show."""
-    rows = pair.rows.copy()
-    rows[wrong, 2] = np.inf
-    right = Pair(pair.samples, rows, 1.0)
-    if np.count_nonzero(np.isfinite(rows[:, 2])) < MIN_MEASUREMENTS:
-        return np.zeros(len(rows), dtype=bool)
-    return held_values(right, best_corner(right, 0.0), pair.rows)
+    # Those of a sensor that is stuck, as all that are not wrong show.
+    right = pair.rows.copy()
+    right[wrong, 2] = np.inf
+    if np.count_nonzero(np.isfinite(right[:, 2])) >= MIN_MEASUREMENTS:
+        right_pair = Pair(pair.samples, right, 1.0)
+        wrong |= held_values(right_pair, best_corner(right_pair, 0.0), pair.rows)
+    return time_ns[wrong]

@@ -134,7 +134,6 @@ class _Along:
 
 
 def _along_axis(window: OpenedWindow, prepared: PreparedAcceleration, info: RadarInfo) -> _Along:
-    """The acceleration along the direction that the clearest target shows, as it is where there is one axis only."""
     (origin, max_offset), samples = window.clock, window.samples
     if prepared.cross_m_s2 is None:
         return _Along(prepared, samples)
@@ -180,7 +179,6 @@ def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Flo
 
 
 def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:
-    """The targets in use, best first, then the others with the reason against them; and the clock offset of all."""
     best_first = list(ranked(found))
     if range_m is not None:
         best_first = [nearest_peak(found, range_m)]
@@ -282,7 +280,6 @@ def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -
 
 
 def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
-    """The targets with their factors' deviations widened where the likelihood finds another factor for the best one."""
     best, fit = targets[0].target, search.fit
     apart = abs(1.0 / (fit.ratio * best.conversion_factor) - 1.0)
     expected = float(np.hypot(best.relative_std, np.sqrt(fit.ratio_variance) / abs(fit.ratio)))
@@ -347,7 +344,6 @@ def _warnings(calibration: RadarCalibration) -> Iterator[Notice]:
 
 
 def _refuse_short(targets: Sequence[RadarTarget]) -> None:
-    """UntrustedError for a factor below 1, which no fixed target has: it is one over the cosine of an angle."""
     worst = min((item.target for item in targets if item.used), key=lambda target: abs(target.conversion_factor))
     if abs(worst.conversion_factor) >= 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std):
         return

@@ -97,7 +97,6 @@ def _at_the_end(factor: float) -> bool:
 
 
 def _check_length(frame_s: Floats) -> None:
-    """DataError where the high-pass of 0.5 Hz has too little to settle in."""
     length_s, rate = float(frame_s[-1] - frame_s[0]), 1.0 / float(np.median(np.diff(frame_s)))
     least_s = 2.0 * EDGE_S + MIN_INNER_S
     if length_s < least_s:

@@ -145,7 +145,6 @@ def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_off
 
 
 def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
-    """The longest segment of frames in which all targets had about their usual amplitude, short flaws allowed."""
     clear = np.ones(len(frames.time_ns), dtype=np.bool_)
     for target in targets:
         z = together(at_place(frames.phasors, target.place_bin)[..., None], target, frames.valid)[:, 0] - target.leak
