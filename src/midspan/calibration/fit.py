@@ -10,7 +10,7 @@ the motion is long enough to tell the noise, this changes nothing.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -354,12 +354,13 @@ def corner_std(pair: Pair, fit: Fit) -> float:
     """Standard deviation of the logarithm of a fit's corner frequency by the curvature of the likelihood; no more than
     MAX_CORNER_STD where that is flat.
     """
-    return _corner_std(*(evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)))
-
-
-def _corner_std(below: Fit, here: Fit, above: Fit) -> float:
+    below, here, above = _around_corner(pair, fit)
     curved = (2.0 * here.likelihood - below.likelihood - above.likelihood) / CORNER_STEP**2
     return min(1.0 / float(np.sqrt(max(curved, 1e-300))), MAX_CORNER_STD)
+
+
+def _around_corner(pair: Pair, fit: Fit) -> list[Fit]:
+    return [evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)]
 
 
 def with_corner_doubt(pair: Pair, fit: Fit, *, disputed: bool) -> Fit:
@@ -369,8 +370,8 @@ def with_corner_doubt(pair: Pair, fit: Fit, *, disputed: bool) -> Fit:
     """
     if pair.ratio is not None:
         return fit
-    trio = [evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)]
-    doubt = _corner_std(*trio) * (trio[2].ratio - trio[0].ratio) / (2.0 * CORNER_STEP)
+    below, _, above = _around_corner(pair, fit)
+    doubt = corner_std(pair, fit) * (above.ratio - below.ratio) / (2.0 * CORNER_STEP)
     if disputed:
         w = fit.whitened
         doubt = np.hypot(doubt, fit.ratio - w.product(w.translation, w.response) / w.product(w.response, w.response))
@@ -394,15 +395,14 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
         constant, without = drifting, found
     here = aligned(constant, fit.offset_s)
 
-    def with_odds(odds: float) -> Fit:
-        share = float(1.0 / (1.0 + np.exp(-odds)))
-        return best_corner_here(replace(here, pair=replace(constant, motion_share=share)), without.corner)
+    @cache
+    def with_odds(odds: float) -> tuple[Pair, Fit]:
+        noisy = replace(constant, motion_share=float(1.0 / (1.0 + np.exp(-odds))))
+        return noisy, best_corner_here(replace(here, pair=noisy), without.corner)
 
-    odds = global_minimum(lambda one: -with_odds(one).likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
-    found = with_odds(odds)
-    if found.likelihood - without.likelihood < least:
-        return constant, without
-    return replace(constant, motion_share=float(1.0 / (1.0 + np.exp(-odds)))), found
+    odds = global_minimum(lambda one: -with_odds(one)[1].likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
+    noisy, found = with_odds(odds)
+    return (constant, without) if found.likelihood - without.likelihood < least else (noisy, found)
 
 
 def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:

@@ -334,7 +334,7 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
 
 
 def without_outliers(pair: Pair, *, steps: bool = False) -> tuple[Pair, Fit]:
-    """The pair without outliers and its fit at no offset; steps: as of `mark_outliers`."""
+    """The pair without outliers and its fit at no offset; steps: as of `cleaned`."""
     pair, fit = with_input_noise(pair, best_corner(pair, 0.0))
     pair = cleaned(pair, fit, steps=steps)
     return with_input_noise(pair, best_corner(pair, 0.0))

@@ -23,43 +23,77 @@ SIGNIFICANT = 4.0
 MIN_LATE_S = 5e-4
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CourseError:
+    """A sensor's zero drifts, and is known at stamps (n,) to standard deviations (n,) in m only."""
+
+    time_ns: Nanoseconds
+    std_m: Floats
+
+
 @dataclass(frozen=True, slots=True)
-class RunningClock:
+class OneClock:
     """Measurements on one clock, and what there is to report.
 
-    course: what was corrected; None where nothing was. uneven_s (n,): what the clock is off by beyond that at each
-    measurement, where windows tell it; None where it runs evenly.
+    course: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by as
+    the motion tells a jump so well only, or does not tell which one it was; uneven_s (n,): what the clock is off by
+    beyond that at each measurement, where windows tell it.
     """
 
     measured: Displacement
     warnings: tuple[Notice, ...] = ()
+    events: tuple[Event, ...] = ()
+    levels: tuple[CourseError, ...] = ()
+    jumps: tuple[ClockJump, ...] = ()
     course: ClockCourse | None = None
     uneven_s: Floats | None = None
 
+    def first_ns(self, time_ns: int) -> int:
+        """The first measurement's stamp (ns) with the jumps and the drift of its clock taken out."""
+        late_s = self.jumps[0].before_s if self.jumps else 0.0
+        if self.course is not None:
+            late_s += float(self.course.at(np.array([time_ns]))[0])
+        return time_ns + round(NANOSECONDS * late_s)
 
-def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str) -> RunningClock:
+    def also(self, measured: Displacement) -> "OneClock":
+        """Other measurements of the same frames on the same clock; what was to tell has been told.
+
+        Those that may be on either side of a jump are left out.
+        """
+        moved = _moved(measured, self.jumps)
+        value = moved.value_m.copy()
+        for jump in self.jumps:
+            value[jump.first : jump.last] = np.nan
+        moved = replace(moved, value_m=value)
+        moved = moved if self.course is None else self.course.corrected(moved)
+        return replace(self, measured=moved, warnings=(), events=(), levels=())
+
+
+def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str) -> OneClock:
     """The measurements of one sensor with the drift of its clock taken out, where the record is long and shows one.
 
     measured: on the accelerometer's clock as calibrated; sensor: its name in messages.
     """
     usable = np.flatnonzero(np.isfinite(measured.value_m))
     if len(usable) < 2 or not acceleration.value_m_s2.any():
-        return RunningClock(measured)
+        return OneClock(measured)
     length_s = float(measured.time_ns[usable[-1]] - measured.time_ns[usable[0]]) / NANOSECONDS
     if length_s < MIN_S:
-        return RunningClock(measured)
+        return OneClock(measured)
     course = clock_course(acceleration, measured, window_s=max(DRIFT_WINDOW_S, length_s / MAX_DRIFT_WINDOWS))
     late, std = course.at(course.time_ns), course.std_at(course.time_ns)
     told, uneven_s = _uneven(course, sensor, measured.time_ns)
     if not np.any((np.abs(late) > SIGNIFICANT * std) & (np.abs(late) > MIN_LATE_S)):
-        return RunningClock(measured, tuple(told), uneven_s=uneven_s)
+        return OneClock(measured, tuple(told), uneven_s=uneven_s)
     skew_std = float(np.sqrt(course.covariance[1, 1]))
     text = (
         f"{sensor}: its clock leaves the calibrated offset by {1e3 * late[0]:+.2f} ms at the start and "
         f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * skew_std:.1f} ppm); "
         "this was corrected."
     )
-    return RunningClock(course.corrected(measured), (Notice("clock-corrected", text), *told), course, uneven_s)
+    return OneClock(
+        course.corrected(measured), (Notice("clock-corrected", text), *told), course=course, uneven_s=uneven_s
+    )
 
 
 def _uneven(course: ClockCourse, sensor: str, time_ns: Nanoseconds) -> tuple[list[Notice], Floats | None]:
@@ -88,52 +122,6 @@ WINDOW_S, MAX_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
 WHOLE = 0.1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CourseError:
-    """A sensor's zero drifts, and is known at stamps (n,) to standard deviations (n,) in m only."""
-
-    time_ns: Nanoseconds
-    std_m: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class OneClock:
-    """Measurements on one clock, and what there is to report.
-
-    running: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by as
-    the motion tells a jump so well only, or does not tell which one it was.
-    """
-
-    measured: Displacement
-    warnings: tuple[Notice, ...] = ()
-    events: tuple[Event, ...] = ()
-    levels: tuple[CourseError, ...] = ()
-    jumps: tuple[ClockJump, ...] = ()
-    running: RunningClock | None = None
-
-    def first_ns(self, time_ns: int) -> int:
-        """The first measurement's stamp (ns) with the jumps and the drift of its clock taken out."""
-        late_s = self.jumps[0].before_s if self.jumps else 0.0
-        course = None if self.running is None else self.running.course
-        if course is not None:
-            late_s += float(course.at(np.array([time_ns]))[0])
-        return time_ns + round(NANOSECONDS * late_s)
-
-    def also(self, measured: Displacement) -> "OneClock":
-        """Other measurements of the same frames on the same clock; what was to tell has been told.
-
-        Those that may be on either side of a jump are left out.
-        """
-        moved = _moved(measured, self.jumps)
-        value = moved.value_m.copy()
-        for jump in self.jumps:
-            value[jump.first : jump.last] = np.nan
-        moved = replace(moved, value_m=value)
-        if self.running is not None and self.running.course is not None:
-            moved = self.running.course.corrected(moved)
-        return replace(self, measured=moved, warnings=(), events=(), levels=())
-
-
 def one_clock(
     measured: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str, *, shared: bool = False
 ) -> OneClock:
@@ -143,30 +131,27 @@ def one_clock(
     shared: its clock is the accelerometer's, so that no drift is looked for and the stamps before the first jump stay.
     """
     jumps = _jumps(measured, acceleration, stays=shared)
-    running = None if shared else on_one_clock(_moved(measured, jumps), acceleration, sensor)
-    if running is not None and running.course is not None and not jumps:
-        # Beside a clock that drifts a small jump shows only now.
-        jumps = _jumps(running.measured, acceleration, stays=True)
-        running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
-    moved = _moved(measured, jumps) if running is None else running.measured
-    told = () if running is None else running.warnings
-    uneven: tuple[CourseError, ...] = ()
-    if running is not None and running.uneven_s is not None:
-        std_m = _apart(moved, slice(0, None), running.uneven_s, acceleration, kalman)
+
+    def even() -> OneClock:
+        moved = _moved(measured, jumps)
+        return OneClock(moved) if shared else on_one_clock(moved, acceleration, sensor)
+
+    clock = even()
+    if clock.course is not None and not jumps:
+        # Relative to a clock that drifts a small jump shows only now.
+        jumps = _jumps(clock.measured, acceleration, stays=True)
+        clock = even() if jumps else clock
+    moved, uneven = clock.measured, tuple[CourseError, ...]()
+    if clock.uneven_s is not None:
+        std_m = _apart(moved, slice(0, None), clock.uneven_s, acceleration, kalman)
         uneven = (CourseError(moved.time_ns, std_m),)
     if not jumps:
-        return OneClock(moved, told, levels=uneven, running=running)
+        return replace(clock, levels=uneven)
     _refuse_contradiction(moved, acceleration, kalman, sensor)
     moved, levels = _either_side(moved, jumps, acceleration, kalman)
     events = tuple(_event(measured, jump, sensor) for jump in jumps)
-    return OneClock(
-        moved,
-        (*(Notice("clock-corrected", event.text) for event in events), *told),
-        events,
-        (*levels, *uneven),
-        jumps,
-        running,
-    )
+    warnings = (*(Notice("clock-corrected", event.text) for event in events), *clock.warnings)
+    return replace(clock, measured=moved, warnings=warnings, events=events, levels=(*levels, *uneven), jumps=jumps)
 
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:

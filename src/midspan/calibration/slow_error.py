@@ -281,6 +281,7 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
 
 def _lost(pair: Pair, without: Fit, found: Fit) -> float:
     """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm)."""
+    # Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
     at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
     order = np.argsort(pair.lively[np.minimum(at, len(pair.lively) - 1)], kind="stable")
     return float(np.max(np.cumsum((_deviance(found) - _deviance(without))[order])))

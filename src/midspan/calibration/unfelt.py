@@ -131,7 +131,11 @@ def refuse_lost_cycles(
     """
     length_s, unknowns = LOOKS[0]
     length_ns, last = round(length_s * NANOSECONDS), len(rows.time_ns) - 1
-    ends = [(int(t) - length_ns // 2, int(t) + length_ns // 2) for t in _apart(unseen_ns, length_ns // 2)]
+    middles: list[int] = []
+    for one_ns in unseen_ns.tolist():
+        if not middles or one_ns - middles[-1] >= length_ns // 2:
+            middles.append(one_ns)
+    ends = [(one_ns - length_ns // 2, one_ns + length_ns // 2) for one_ns in middles]
     places = [slice(*np.searchsorted(rows.time_ns, pair)) for pair in ends]
     windows = [one for one in places if one.stop - one.start >= 2 * unknowns and one.stop <= last]
     if not windows:
@@ -177,15 +181,6 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
             f"{1e3 * np.sqrt(felt):.2g} mm rms: the radar loses its target too often. Leave frames with interference "
             "out of the file, or aim the radar at a target that nothing hides."
         )
-
-
-def _apart(time_ns: Nanoseconds, least_ns: int) -> list[int]:
-    """Instants (k,) in their order without those that follow the last one that is kept by less."""
-    kept: list[int] = []
-    for one in time_ns.tolist():
-        if not kept or one - kept[-1] >= least_ns:
-            kept.append(one)
-    return kept
 
 
 def _powers(

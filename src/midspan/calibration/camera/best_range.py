@@ -11,7 +11,7 @@ from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
-from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region, seconds
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.integrate import path
 from midspan.thermal.temperature_range import DIVISIONS, ROUGH, THINNED, Expected, RangeSurface, optimise_range
@@ -78,10 +78,10 @@ def best_range(
     band, count = compared_band(view.band_hz, rate)
     frames, region = frames[:count], fit.calibration.region
     expected = _expected_px(view, targets, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
-    settings = targets[0].tracker_settings
 
     def follow(greys: Sequence[Frame]) -> PixelTrack:
-        return _followed(greys, region, fit.calibration.tracker, settings)
+        tracker = open_tracker(fit.calibration.tracker, greys[0], region, targets[0].tracker_settings)
+        return PixelTrack.stack([tracker.push(frame) for frame in greys])
 
     return optimise_range(frames, region, follow, Expected(expected, view.axis, band), divisions)
 
@@ -101,11 +101,6 @@ def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple
         f"calibration.band_hz begins at {low:g} Hz; frames at {rate:.3g} Hz show ranges' errors apart from drift only "
         f"where it begins at {SHOWN_NOT_THINNED * rate:.2g} Hz or lower. Use more frames a second, or a lower band."
     )
-
-
-def _followed(frames: Sequence[Frame], region: Region, name: str, settings: object) -> PixelTrack:
-    tracker = open_tracker(name, frames[0], region, settings)
-    return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 
 def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, frames_ns: Nanoseconds) -> Floats:

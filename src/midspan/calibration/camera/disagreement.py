@@ -12,9 +12,8 @@ from enum import Enum
 from math import degrees
 
 import numpy as np
-from numpy.typing import NDArray
 
-from midspan.calibration.camera.difference import Course, Difference, Share, difference, share_in
+from midspan.calibration.camera.difference import MIN_FRAMES, Course, Difference, Share, difference, share_in
 from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.scale import REFUSED_ABOVE
@@ -23,7 +22,7 @@ from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice
-from midspan.records import NANOSECONDS, Acceleration, Displacement, part
+from midspan.records import NANOSECONDS, Displacement, part
 
 # Scale factors nearer to each other than this share belong to targets at one distance.
 SAME_DISTANCE = 0.1
@@ -171,7 +170,11 @@ class _Compared:
         noise = best.input_noise
         acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
         blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
-        self._acceleration = _around(acceleration, blocks)
+        # Frames of a minute need no day of it.
+        first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
+        last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
+        first, last = (int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))
+        self._acceleration = part(acceleration, slice(first, last))
         self.members = [
             Member(k, targets[k].name, mapping.scale_m_per_px, mapping.relative_std, block)
             for k, mapping, block in zip(used, camera.mappings(), blocks, strict=True)
@@ -179,7 +182,8 @@ class _Compared:
         self._sharpest = min(self.members, key=lambda member: member.noise_m2)
         kalman = filter_settings(view.prepared, noise.density)
         self._path = smooth(self._acceleration, self._sharpest.block, kalman).estimate
-        self._window = _window(blocks[0], view.window_ns)
+        first, last = (int(i) for i in np.searchsorted(blocks[0].time_ns, view.window_ns))
+        self._window = slice(first, last) if last - first >= MIN_FRAMES else slice(0, len(blocks[0].time_ns))
         self._motion = at(self._path, blocks[0].time_ns)[0][self._window]
         self._found: dict[tuple[int, int], Difference] = {}
 
@@ -205,7 +209,10 @@ class _Compared:
         others = np.flatnonzero(moved[best])
         fewest = others[agreeing[others] == agreeing[others].min()]
         worst = int(fewest[np.argmax(apart[best, fewest])])
-        return self._verdict(members[best], members[worst], _group(members, moved, best, worst))
+        # Those that agree with the best one, where they are a majority against the worst one.
+        group = [member for k, member in enumerate(members) if k != best and not moved[best, k]]
+        majority = np.sum(~moved[best]) > np.sum(~moved[worst])
+        return self._verdict(members[best], members[worst], group if majority else [])
 
     def refused(self) -> list[Verdict]:
         """Targets without a scale factor, compared with the best one, where that one may be wrong as well."""
@@ -347,13 +354,6 @@ def _alike(one: Member, other: Member) -> bool:
     return abs(a - b) <= SAME_DISTANCE * max(abs(a), abs(b))
 
 
-def _group(members: Sequence[Member], moved: NDArray[np.bool_], best: int, worst: int) -> list[Member]:
-    """Those that agree with the best one, without it, where they are a majority against the worst one."""
-    if np.sum(~moved[best]) <= np.sum(~moved[worst]):
-        return []
-    return [member for k, member in enumerate(members) if k != best and not moved[best, k]]
-
-
 def _cause_text(verdict: Verdict) -> str:
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
@@ -380,14 +380,3 @@ def _notice(verdict: Verdict) -> Notice:
         f"their noise and scale factors explain; the error band holds {1e3 * verdict.either_m:.2g} mm for it. "
         f"{_cause_text(verdict)}",
     )
-
-
-def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
-    first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
-    return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
-
-
-def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
-    first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
-    last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
-    return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))
