@@ -92,12 +92,12 @@ class Pair:
     bias_drifts: bool = False
     level: Floats | None = None
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """Mean rate of the translation."""
         return (len(self.rows) - 1) / float(self.rows[-1, 0] - self.rows[0, 0])
 
-    @property
+    @cached_property
     def sample_rate_hz(self) -> float:
         """Mean rate of the acceleration."""
         return (len(self.samples) - 1) / float(self.samples[-1, 0] - self.samples[0, 0])
@@ -223,8 +223,12 @@ class Aligned:
         return self.fits[corner]
 
     def _fit(self, corner: float) -> Fit:
-        pair, whole = self.pair, self.whitened(corner)
-        w = whole if pair.outside is None else _without_last(whole)
+        pair, w = self.pair, self.whitened(corner)
+        if pair.outside is not None:
+            # Without the share of what is outside the band.
+            last, outside = w.columns[:, -1], w.columns[:, -1] / w.variance
+            shares = outside @ w.columns / max(float(outside @ last), 1e-300)
+            w = replace(w, columns=w.columns - np.outer(last, shares))
         n = max(len(w.variance), 1)
         power, cross = w.product(w.response, w.response), w.product(w.response, w.translation)
         total = w.product(w.translation, w.translation)
@@ -312,13 +316,6 @@ def shrinking(input_share: float, ratio: float, reference: float) -> float:
     explain the motion alike with different ratios, the smaller ratio leaves less of it, whichever is true.
     """
     return input_share * float(np.log(reference / max(abs(ratio), MIN_RATIO * reference)))
-
-
-def _without_last(w: Whitened) -> Whitened:
-    """The innovations with the share of the last column's taken out of all."""
-    outside = w.columns[:, -1] / w.variance
-    share = outside @ w.columns / max(float(outside @ w.columns[:, -1]), 1e-300)
-    return replace(w, columns=w.columns - np.outer(w.columns[:, -1], share))
 
 
 def corner_range(pair: Pair) -> tuple[float, float]:

@@ -71,8 +71,7 @@ STEPS, LAST_STEP = 5, 0.1
 MAX_LATE = 0.1
 # Columns of what is whitened: translation, response, velocity; then one for each kind.
 RESPONSE, VELOCITY, FIRST = 1, 2, 3
-# Time constants of a first order that are tried, in that of the same weakening of slow motion, and how well the best is
-# found (share).
+# Time constants of a first order that are tried, in that of the same weakening, and how well the best is found (share).
 SHORTEST, LONGEST, TOLERANCE = 0.3, 1.5, 0.03
 # ∫ exp(−u) f(u) du by the points of Gauss and Laguerre: right to 1e-3 up to ω τ = 0.7, where 18 % are left out.
 NODES, WEIGHTS = np.polynomial.laguerre.laggauss(12)

@@ -34,16 +34,21 @@ def noise_floor(value: Floats) -> float:
     return float(np.min(means)) if len(means) else float("inf")
 
 
-def _most_noise(value: Floats) -> float:
-    """Variance of the white noise that evenly spaced readings (n,) of an accelerometer can have: CHANCE is exceeded."""
+def _own_density(pair: Pair) -> float:
+    """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz: CHANCE is exceeded.
+
+    The lowest of many bands lies below the noise by chance: the mean of a band's ordinates has a gamma distribution, of
+    which the lowest quantile of so many is the most that it lies below. Infinite where they are too few.
+    """
     from scipy.special import gammaincinv
 
+    value = pair.samples[:, 1]
     ordinates = max(ORDINATES, len(value) // (4 * MAX_BANDS))
     means = _bands(value, ordinates)
     means = means[: int(np.ceil(2.0 * UNFILTERED_SHARE * len(means)))]
     if not len(means):
         return float("inf")
-    return float(np.min(means) * ordinates / gammaincinv(ordinates, CHANCE / len(means)))
+    return float(np.min(means) * ordinates / gammaincinv(ordinates, CHANCE / len(means))) / pair.sample_rate_hz
 
 
 def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
@@ -56,8 +61,7 @@ def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
     return np.asarray(means / np.sum(np.hanning(n) ** 2))
 
 
-# Noise as estimated is more than the accelerometer's own where it is so by this many standard deviations: one in a
-# thousand.
+# Noise as estimated is more than the accelerometer's own where it is so by this many deviations: one in a thousand.
 CERTAIN = 3.1
 # A narrow band of the innovations is no chance where its power beyond the usual has this probability in a white record.
 NARROW_BY_CHANCE = 1e-4
@@ -74,11 +78,6 @@ OF_THE_SENSOR = {
     "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
     "displacement": "slow errors, or a mounting that moves",
 }
-
-
-def _own_density(pair: Pair) -> float:
-    """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz."""
-    return _most_noise(pair.samples[:, 1]) / pair.sample_rate_hz
 
 
 def exceeds_own_noise(pair: Pair, fit: Fit) -> bool:

@@ -79,8 +79,7 @@ PARTS = {
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
 MIN_GAIN = 20.0
-# The difference between image and acceleration that is refused: this many times a frame's noise and this share of the
-# motion.
+# The difference of image and acceleration that is refused: so many times a frame's noise, this share of the motion.
 UNEXPLAINED_NOISE = 5.0
 UNEXPLAINED_SHARE = 0.2
 # Accelerometer noise that the difference would need, refused above this share of the signal when it is also this many
@@ -156,7 +155,12 @@ def calibrate_scale(
     def refuse(search: OffsetSearch) -> None:
         _refuse_no_motion(search.pair, search.fit, float(np.sqrt(typical)))
         _refuse_disagreement(search.pair, search.fit, float(np.sqrt(typical)))
-        _refuse_ambiguity(search, max_offset_s)
+        if search.runner_up is not None and is_ambiguous(search):
+            where = (
+                f"within ±{max_offset_s:g} s, as they do when the motion is nearly a single tone, or when a tone's "
+                "alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them"
+            )
+            raise UntrustedError(_alike_text(search.fit, search.runner_up, where))
 
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
     refusal = None
@@ -408,13 +412,6 @@ def alias_in_words(pair: Pair) -> str:
 def is_ambiguous(search: OffsetSearch) -> bool:
     """Whether a second clock offset fits almost as well as the best one."""
     return search.runner_up is not None and not clearly_better(search.fit, search.runner_up)
-
-
-def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
-    if search.runner_up is not None and is_ambiguous(search):
-        within = f"within ±{max_offset_s:g} s, as they do when the motion is nearly a single tone, or when a tone's "
-        smaller = "alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them"
-        raise UntrustedError(_alike_text(search.fit, search.runner_up, f"{within}{smaller}"))
 
 
 def _alike_text(fit: Fit, other: Fit, where: str) -> str:

@@ -124,8 +124,7 @@ def _cut(square: Floats, brief: int, least: float) -> int:
     return int(first[best]) if gains[best] > least else 0
 
 
-# Correlation times: the shortest in intervals of the measurements, the longest as a share of the record, how many are
-# tried.
+# Correlation times: the shortest in intervals, the longest as a share of the record, how many are tried.
 MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
 # Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
 SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
@@ -169,8 +168,8 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
 
     Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
     (as in `fit.with_input_noise`) not in one place only, and no quiet part speaks against it: the sensor's own error is
-    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see
-    `noise_levels`): the rows of the pair that is returned have it in their relative variances, or its samples a level.
+    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see the
+    module): the rows of the pair that is returned have it in their relative variances, or its samples a level.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
     levelled, fit = _with_noise_levels(white, fit, whole)
@@ -179,9 +178,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     if time_s == 0.0:
         return SlowError(white, fit)
     rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = MIN_INTERVALS / pair.rate_hz
-    longest = max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest)
-    times = np.geomspace(shortest, longest, TIMES_TRIED) if time_s is None else np.array([time_s])
+    times = _times(pair, rows) if time_s is None else np.array([time_s])
     tried = [_along(white, fit, float(lasting)) for lasting in times]
     best = max(float(np.max(one.likelihood)) for one in tried)
     # Sums over standard deviations and times, each for the width of its part of the scale.
@@ -206,12 +203,15 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     return SlowError(slow, found)
 
 
+def _times(pair: Pair, rows: Floats) -> Floats:
+    shortest = MIN_INTERVALS / pair.rate_hz
+    return np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
+
+
 def likeliest_slow_error(pair: Pair, fit: Fit) -> tuple[float, float]:
     """The largest likelihood (logarithm) with a slow error of the translation, and that one's standard deviation."""
-    rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = MIN_INTERVALS / pair.rate_hz
-    times = np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
-    tried = [_along(replace(pair, slow=NO_SLOW_ERROR), fit, float(lasting)) for lasting in times]
+    white, times = replace(pair, slow=NO_SLOW_ERROR), _times(pair, pair.rows[pair.used(fit.offset_s), 0])
+    tried = [_along(white, fit, float(lasting)) for lasting in times]
     return max((float(np.max(one.likelihood)), float(one.std[np.argmax(one.likelihood)])) for one in tried)
 
 

@@ -282,9 +282,11 @@ def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
     pair = replace(pair, reference=reference, motion_share=0.0, bias_drifts=False)
     offsets = _offsets(pair, within_s)
     step = 1.0 / min(pair.sample_rate_hz, MAX_RATE_HZ)
-    scanned = [row for part in offsets for row in zip(part.tolist(), *_scan(pair, part), strict=True)]
-    peaks = [scanned[k] for k in _peaks(scanned, step)]
-    fits = [refine(pair, evaluate(pair, at, corner), step) for at, _, corner in peaks]
+    if not offsets:
+        return None
+    evidence, corner = (np.concatenate(one) for one in zip(*(_scan(pair, part) for part in offsets), strict=True))
+    at_s = np.concatenate(offsets)
+    fits = [refine(pair, evaluate(pair, float(at_s[k]), float(corner[k])), step) for k in _peaks(at_s, evidence, step)]
     apart = [fit for fit in fits if abs(fit.offset_s) > within_s and abs(fit.offset_s - near.offset_s) > 2.0 * step]
     if not apart:
         return None
@@ -352,9 +354,10 @@ def _scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
     return found.max(axis=0) - without.max(axis=0), corners[np.argmax(found, axis=0)]
 
 
-def _peaks(scanned: list[tuple[float, float, float]], step_s: float) -> list[int]:
-    at, evidence = (np.array([one[k] for one in scanned]) for k in (0, 1))
-    before = np.r_[-np.inf, np.where(np.diff(at) < 1.5 * step_s, evidence[:-1], -np.inf)] if len(at) else at
-    after = np.r_[np.where(np.diff(at) < 1.5 * step_s, evidence[1:], -np.inf), -np.inf] if len(at) else at
+def _peaks(at_s: Floats, evidence: Floats, step_s: float) -> list[int]:
+    """The highest maxima of evidence (k,) at offsets (k,), in segments of which each goes on by a step."""
+    close = np.diff(at_s) < 1.5 * step_s
+    before = np.r_[-np.inf, np.where(close, evidence[:-1], -np.inf)]
+    after = np.r_[np.where(close, evidence[1:], -np.inf), -np.inf]
     peaks = np.flatnonzero((evidence >= before) & (evidence > after))
     return [int(k) for k in peaks[np.argsort(evidence[peaks])[::-1][:CANDIDATES]]]

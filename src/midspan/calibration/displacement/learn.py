@@ -42,8 +42,7 @@ NOISE_WINDOW_S = 1800.0
 TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 # Fewer samples of acceleration carry no motion between two measurements.
 MIN_SAMPLES = 10
-# A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
-# noise.
+# A clock offset that was not wanted is refused when it moves the displacement by more than so many times its noise.
 MAX_LATE = 2.0
 # A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
 CLEARLY_REVERSED = 20.0
@@ -174,13 +173,15 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
-    many = (share := left_out(pair, found.pair)) > MANY_LEFT_OUT
+    # Of the usable values.
+    usable = pair.rows[:, 2] < np.inf
+    share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
     if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
         even = _on_one_even_clock(given, series, pair)
         if even is not None:
             return even
         refuse_step(pair, found.fit)
-    if many:
+    if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
@@ -214,19 +215,12 @@ def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCal
     return None if exceeds_own_noise(*estimated.findings.noise) else estimated
 
 
-def left_out(pair: Pair, cleaned: Pair) -> float:
-    """Share of the usable values of a pair that are outliers in the other."""
-    usable = pair.rows[:, 2] < np.inf
-    return float(np.mean(np.isinf(cleaned.rows[usable, 2]))) if usable.any() else 0.0
-
-
 def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries | None:
     """The values with the steps of their clock taken out of the stamps; None where none is found.
 
     origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
     """
-    # A step leaves one half without any, in which the sensors agree; in the other it looks like the accelerometer's
-    # noise.
+    # A step leaves one half without any, where the sensors agree; in the other it looks like the accelerometer's noise.
     halves = [without_outliers(replace(pair, rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
     fit = min(halves, key=lambda one: one.input_density)
     used = pair.used(fit.offset_s)

@@ -25,11 +25,9 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 from midspan.signals.stamps import inside
 from midspan.signals.stuck import resolution, stuck
 
-# So many readings at least tell that they do not follow a motion: three of them are the line that the acceleration
-# leaves open.
+# So many readings tell that they do not follow a motion: three are the line that the acceleration leaves open.
 MIN_HELD = 8
-# What stuck readings move by is far less than the motion (variance): noise alone. A sensor that follows half of the
-# motion has 0.25.
+# What stuck readings move by is far less than the motion (variance); a sensor that follows half of it has 0.25.
 MAX_MOVED = 0.1
 # Readings of a stretch that are not far off themselves: where the motion passes the place at which the sensor is stuck.
 PASSING = 30

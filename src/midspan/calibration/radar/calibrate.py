@@ -15,7 +15,7 @@ from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.own_motion import judged
 from midspan.calibration.radar.window import OpenedWindow, clearly_seen, found_targets, refuse_farther
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
-from midspan.calibration.sensors.fit import Bias, SensorFit, bias_of
+from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
@@ -80,7 +80,8 @@ def fit_radar(
     targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples)
     best = next(item.target for item in targets if item.used)
     series = series_of(frames, best, info, samples)
-    search = searched(prepared, whole, series, (origin, max_offset))
+    # A second way to clock offset, factor and noise levels of the best target.
+    search = search_offset(radar_pair(prepared, whole, series, (origin, max_offset)), max_offset)
     _refuse_ambiguity(search, max_offset)
     # The clock offset is the targets' own.
     kinds = [kind for kind in kinds_of(search.pair, exposure_declared=True) if kind is not Kind.LAG]
@@ -114,7 +115,7 @@ def fit_radar(
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
         search.pair.input_noise(search.fit.input_density),
-        searched_bias(search),
+        bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance))),
         warnings,
         misfit=coloured,
         slope=response.slope,
@@ -140,7 +141,7 @@ def _along_axis(window: OpenedWindow, prepared: PreparedAcceleration, info: Rada
     found = found_targets(window.frames, samples, info, max_offset)
     best = min(found, key=lambda one: (bool(one.objection), one.noise_m))
     series = series_of(window.frames, best, info, samples)
-    axis = turned(_radar_pair(prepared, without_holes(window.frames), series, window.clock), max_offset)
+    axis = turned(radar_pair(prepared, without_holes(window.frames), series, window.clock), max_offset)
     assert axis.direction is not None
     prepared = prepared.along(axis.direction.components)
     first_ns, last_ns = (origin + int(np.rint(NANOSECONDS * time_s)) for time_s in samples[[0, -1], 0])
@@ -231,14 +232,7 @@ def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     return reasons, TimeOffset(mean, max(float(std[kept].min()), scatter) ** 2)
 
 
-def searched(
-    prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
-) -> OffsetSearch:
-    """Clock offset, factor and noise levels of the best target by maximum likelihood: a second way to all of them."""
-    return search_offset(_radar_pair(prepared, whole, series, given), given[1])
-
-
-def _radar_pair(
+def radar_pair(
     prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
 ) -> Pair:
     """The range to a target, and the acceleration; given: stamp of the first frame (ns), largest clock offset (s)."""
@@ -252,11 +246,6 @@ def _radar_pair(
     thin = slice(None, None, max(1, -(-len(whole.time_ns) // MAX_ROWS)))
     rows = measured_rows(whole.time_ns[thin], series.range_change_m[thin], variance[thin] / typical, 0)
     return Pair(samples, rows, level_m_s2=prepared.level(window), cross=prepared.cross_rows(window))
-
-
-def searched_bias(search: OffsetSearch) -> Bias:
-    """The accelerometer's bias, estimated together with the target that a search was made for."""
-    return bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
