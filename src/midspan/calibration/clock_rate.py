@@ -79,7 +79,14 @@ def find_clock_rate(pair: Pair, max_offset_s: float, origin_ns: int) -> ClockRat
     if best is None:
         return None
     course = _widened(pair, best)
-    if course is None or not _tells(course, length_s) or not _likelier(pair, course, max_offset_s):
+    if course is None or not _tells(course, length_s):
+        return None
+    # The record must be more likely with the rate than with the best offset alone.
+    _, _, offset_s, corner, step_s = _scanned(pair, max_offset_s)
+    without = refine(pair, evaluate(pair, offset_s, corner), step_s)
+    moved = _turned(pair, course.skew, course.origin_ns / NANOSECONDS)
+    fitted = refine(moved, best_corner(moved, course.offset_s), MIN_LATE_S)
+    if not fitted.likelihood - without.likelihood > MIN_GAIN:
         return None
     rate, std = course.skew, float(np.sqrt(course.covariance[1, 1]))
     return ClockRate(rate, std, origin_ns + round(NANOSECONDS * best.middle_s), length_s)
@@ -164,11 +171,3 @@ def _tells(course: ClockCourse, length_s: float) -> bool:
 
 def _about_mean(weight: Floats, late: Floats) -> float:
     return float(weight @ (late - weight @ late / weight.sum()) ** 2)
-
-
-def _likelier(pair: Pair, course: ClockCourse, max_offset_s: float) -> bool:
-    _, _, offset_s, corner, step_s = _scanned(pair, max_offset_s)
-    without = refine(pair, evaluate(pair, offset_s, corner), step_s)
-    moved = _turned(pair, course.skew, course.origin_ns / NANOSECONDS)
-    fitted = refine(moved, best_corner(moved, course.offset_s), MIN_LATE_S)
-    return fitted.likelihood - without.likelihood > MIN_GAIN

@@ -52,6 +52,8 @@ NEAR_CORNER = 0.6
 # Rounds of offset and noise ratio in turn, Gauss-Newton steps in each, and halvings of a step that overshoots, at most;
 # a likelihood that gains (logarithm) less than this is at its maximum.
 ROUNDS, STEPS, HALVINGS, MIN_GAIN = 6, 12, 4, 1e-4
+# Fewer measurements than this are not calibrated on.
+MIN_MEASUREMENTS = 20
 
 
 @dataclass(frozen=True)
@@ -455,10 +457,6 @@ def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:
         velocity = velocity - w.product(velocity, response) / power * response
     information = max(s * s * w.product(velocity, velocity) / fit.noise, 1e-300)
     return (s * w.product(left, velocity) / fit.noise + pulled) / information, information
-
-
-# Fewer measurements than this are not calibrated on.
-MIN_MEASUREMENTS = 20
 
 
 def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:

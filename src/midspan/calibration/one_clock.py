@@ -21,6 +21,13 @@ DRIFT_WINDOW_S, MAX_DRIFT_WINDOWS = 60.0, 240
 SIGNIFICANT = 4.0
 # … and by as much as matters: half the calibration's own promise.
 MIN_LATE_S = 5e-4
+# So much, s, either way of an instant is smoothed to tell what the structure did there.
+AROUND_S = 10.0
+# Of the measurements in a window of this many seconds at most this share may contradict the acceleration in the end:
+# lie this many predicted deviations off.
+WINDOW_S, MAX_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
+# Lost or doubled frames are named where a jump is this many intervals to this share of one.
+WHOLE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,15 +118,6 @@ def _uneven(course: ClockCourse, sensor: str, time_ns: Nanoseconds) -> tuple[lis
         "lost frames, or split the recording there."
     )
     return [Notice("clock-differs", text)], uneven_s
-
-
-# So much, s, either way of an instant is smoothed to tell what the structure did there.
-AROUND_S = 10.0
-# Of the measurements in a window of this many seconds at most this share may contradict the acceleration in the end:
-# lie this many predicted deviations off.
-WINDOW_S, MAX_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
-# Lost or doubled frames are named where a jump is this many intervals to this share of one.
-WHOLE = 0.1
 
 
 def one_clock(

@@ -23,6 +23,23 @@ ORDINATES, MAX_BANDS = 16, 32
 UNFILTERED_SHARE = 0.4
 # Chance that the noise of white readings is said to be more than `_most_noise`.
 CHANCE = 1e-3
+# Noise as estimated is more than the accelerometer's own where it is so by this many deviations: one in a thousand.
+CERTAIN = 3.1
+# A narrow band of the innovations is no chance where its power beyond the usual has this probability in a white record.
+NARROW_BY_CHANCE = 1e-4
+# Below this frequency, Hz, an accelerometer hardly feels what a target or a camera moves by: each ordinate counts by
+# itself there, and a white record has one that is strong enough with this probability.
+SLOW_HZ, SLOW_BY_CHANCE = 0.3, 1e-3
+# Gain in the logarithm of the likelihood from which a slow error counts as found: a factor of 20 000 in likelihood.
+MIN_GAIN = 10.0
+# Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
+# so many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
+STRONG, MAX_ORDINATES, LEAKED = 3.0, 24, 0.02
+# What may err by itself in a sensor other than the accelerometer, in words.
+OF_THE_SENSOR = {
+    "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
+    "displacement": "slow errors, or a mounting that moves",
+}
 
 
 def noise_floor(value: Floats) -> float:
@@ -59,25 +76,6 @@ def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
     count = len(power) // ordinates
     means = power[: count * ordinates].reshape(count, ordinates).mean(axis=1)
     return np.asarray(means / np.sum(np.hanning(n) ** 2))
-
-
-# Noise as estimated is more than the accelerometer's own where it is so by this many deviations: one in a thousand.
-CERTAIN = 3.1
-# A narrow band of the innovations is no chance where its power beyond the usual has this probability in a white record.
-NARROW_BY_CHANCE = 1e-4
-# Below this frequency, Hz, an accelerometer hardly feels what a target or a camera moves by: each ordinate counts by
-# itself there, and a white record has one that is strong enough with this probability.
-SLOW_HZ, SLOW_BY_CHANCE = 0.3, 1e-3
-# Gain in the logarithm of the likelihood from which a slow error counts as found: a factor of 20 000 in likelihood.
-MIN_GAIN = 10.0
-# Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
-# so many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
-STRONG, MAX_ORDINATES, LEAKED = 3.0, 24, 0.02
-# What may err by itself in a sensor other than the accelerometer, in words.
-OF_THE_SENSOR = {
-    "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
-    "displacement": "slow errors, or a mounting that moves",
-}
 
 
 def exceeds_own_noise(pair: Pair, fit: Fit) -> bool:

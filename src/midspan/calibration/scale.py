@@ -23,19 +23,6 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 # mm/px is distance × pixel pitch ÷ focal length: 500 is a phone's wide lens (0.7 mm/px a metre at 1920 px) 700 m away,
 # where a tracker's 0.01 px are 5 mm. Beyond it the ratio is that of two things that do not move alike.
 LARGEST_M_PER_PX = 0.5
-
-
-def of_no_camera(scale_m_per_px: float) -> str:
-    """A sentence where a scale factor is out of any camera's reach, else empty."""
-    if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
-        return ""
-    return (
-        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has "
-        f"{1e3 * scale_m_per_px:.3g} mm/px (at most {1e3 * LARGEST_M_PER_PX:g}), so that the motion is likely along "
-        "the other image axis. "
-    )
-
-
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.
@@ -104,6 +91,17 @@ NOT_SHOWN = (
     "cross motion that an inclined accelerometer picks up, a camera or bracket that vibrates, a low-pass in the "
     "accelerometer's logger, and an accelerometer that errs with its motion (loose, clipped)."
 )
+
+
+def of_no_camera(scale_m_per_px: float) -> str:
+    """A sentence where a scale factor is out of any camera's reach, else empty."""
+    if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
+        return ""
+    return (
+        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has "
+        f"{1e3 * scale_m_per_px:.3g} mm/px (at most {1e3 * LARGEST_M_PER_PX:g}), so that the motion is likely along "
+        "the other image axis. "
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,27 @@ UNKNOWNS = 3.0
 # An innovation's variance is more than the noise's alone: a level is found in rounds. Of one that is 25 times another
 # the first round leaves a factor of 2.5, the fourth less than 1.1.
 ROUNDS = 4
+# Correlation times: the shortest in intervals, the longest as a share of the record, how many are tried.
+MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
+# Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
+SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
+# Larger ones are not tried where the likelihood (logarithm) has fallen by this from its largest value.
+FALLEN = 12.0
+# What a record does not exclude with 99 %, by the ratio of likelihoods: half the chi-square of one degree of freedom.
+NOT_EXCLUDED = 3.32
+# A mean over all deviations has a long tail: it may drift this much farther (variance) than the readings.
+TAIL = 4.0
+# A drift that does not show is reported for this time, s.
+DRIFT_S = 10.0
+# A slow error is there all along: without the tenth of the record that gains most by it, the rest gains this share of
+# the whole at least (nine tenths are its due). What happens once is no error of all rows.
+ONCE, LASTS = 0.1, 0.25
+# Chi-square of one degree of freedom at which the estimator takes a step for likelier than none (`fusion.steps`).
+STEP_SHOWS = 26.0
+# Twice that it does so beyond doubt; what happens once and may not be taken out stays in the band as a slow error.
+BEYOND_DOUBT = 2.0
+# Measurements are missing where the next one comes after this number of intervals.
+MISSING = 3.0
 
 
 def _with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tuple[Pair, Fit]:
@@ -122,29 +143,6 @@ def _cut(square: Floats, brief: int, least: float) -> int:
     gains = 0.5 * (count * np.log(total[-1] / count) - first * np.log(before) - (count - first) * np.log(after))
     best = int(np.argmax(gains))
     return int(first[best]) if gains[best] > least else 0
-
-
-# Correlation times: the shortest in intervals, the longest as a share of the record, how many are tried.
-MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
-# Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
-SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
-# Larger ones are not tried where the likelihood (logarithm) has fallen by this from its largest value.
-FALLEN = 12.0
-# What a record does not exclude with 99 %, by the ratio of likelihoods: half the chi-square of one degree of freedom.
-NOT_EXCLUDED = 3.32
-# A mean over all deviations has a long tail: it may drift this much farther (variance) than the readings.
-TAIL = 4.0
-# A drift that does not show is reported for this time, s.
-DRIFT_S = 10.0
-# A slow error is there all along: without the tenth of the record that gains most by it, the rest gains this share of
-# the whole at least (nine tenths are its due). What happens once is no error of all rows.
-ONCE, LASTS = 0.1, 0.25
-# Chi-square of one degree of freedom at which the estimator takes a step for likelier than none (`fusion.steps`).
-STEP_SHOWS = 26.0
-# Twice that it does so beyond doubt; what happens once and may not be taken out stays in the band as a slow error.
-BEYOND_DOUBT = 2.0
-# Measurements are missing where the next one comes after this number of intervals.
-MISSING = 3.0
 
 
 @dataclass(frozen=True, slots=True)

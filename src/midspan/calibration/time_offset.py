@@ -52,6 +52,16 @@ BEYOND, MAX_BEYOND = 3.0, 0.02
 FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
 # A clock that drifts has another offset in a part of the record than in the whole: by so much, s.
 DRIFTED_S = 0.1
+# Offsets are tried with the measurements that lie within the acceleration at all offsets of a segment, s.
+SEGMENT_S = 1.0
+# So many measurements are needed to look for another offset.
+MIN_ROWS = 20
+# So much of a long record is compared at all offsets, s.
+PART_S = 120.0
+# An offset is that of the clocks, whatever is left, where the acceleration explains more than this share of the
+# innovations' power there and at no other offset more than this share of the evidence is found. A tone's alternatives
+# have nearly all of it, those of another event hardly any anywhere.
+MIN_EXPLAINED, MAX_SHARE = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,18 +252,6 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
     beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
     own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=likelihood_of)
     return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None
-
-
-# Offsets are tried with the measurements that lie within the acceleration at all offsets of a segment, s.
-SEGMENT_S = 1.0
-# So many measurements are needed to look for another offset.
-MIN_ROWS = 20
-# So much of a long record is compared at all offsets, s.
-PART_S = 120.0
-# An offset is that of the clocks, whatever is left, where the acceleration explains more than this share of the
-# innovations' power there and at no other offset more than this share of the evidence is found. A tone's alternatives
-# have nearly all of it, those of another event hardly any anywhere.
-MIN_EXPLAINED, MAX_SHARE = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,14 @@ from midspan.vision.tracker import open_tracker
 TOP_SHARE, BOTTOM_HZ, BOTTOM_SHARE = 0.1, 0.3, 1.0 / 3.0
 # The integral's drift that is taken off: of a bias and of a start in motion.
 DRIFT_DEGREE = 2
+# This many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that
+# the accelerometer makes what is compared.
+FRAMES, WEAKER = 90, 1e4
+MIN_FRAMES = 8
+SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
+# Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
+# many as are compared without thinning show it up to the second share.
+SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
 
 
 def felt_motion(
@@ -49,16 +57,6 @@ def printed_band(frame_s: float) -> tuple[float, float]:
     """The band (Hz) for frames every `frame_s` s."""
     top = TOP_SHARE / frame_s
     return min(BOTTOM_HZ, BOTTOM_SHARE * top), top
-
-
-# This many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that
-# the accelerometer makes what is compared.
-FRAMES, WEAKER = 90, 1e4
-MIN_FRAMES = 8
-SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
-# Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
-# many as are compared without thinning show it up to the second share.
-SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
 
 
 def best_range(

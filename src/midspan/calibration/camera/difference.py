@@ -39,6 +39,8 @@ FAR_STD, JUMP_STD, MAX_OUTLIERS = 8.0, 4.0, 0.08
 ROUNDS = 4
 # Fewer frames tell nothing.
 MIN_FRAMES = 20
+# Draws of noise: their mean is known to a third of one draw's scatter, and the same ones are used each time.
+DRAWS, SEED = 12, 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,10 +179,6 @@ def _differ(means: Floats, counts: Floats) -> bool:
     gain = 0.5 * float(np.sum(counts * apart))
     correction = 1.0 + (float(np.sum(1.0 / counts)) - 1.0 / total) / (3.0 * free)
     return bool(gain / correction > gammainccinv(0.5 * free, COLOURED_BY_CHANCE))
-
-
-# Draws of noise: their mean is known to a third of one draw's scatter, and the same ones are used each time.
-DRAWS, SEED = 12, 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,12 @@ from midspan.records import NANOSECONDS, Displacement, part
 
 # Scale factors nearer to each other than this share belong to targets at one distance.
 SAME_DISTANCE = 0.1
+# A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
+DISAGREES = 2.5
+# Less than this is of no weight: no tracker is right to the last digit.
+MIN_APART_M = 1e-5
+# A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
+MAX_RATIO = 30.0
 
 
 def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
@@ -57,14 +63,6 @@ def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float,
         f"{ratio}either the camera tilts, {makes}, or one of them moves by itself. Where it is tilt, {use}; where one "
         "may not stand still, leave that one out of camera.target, or add a third."
     )
-
-
-# A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
-DISAGREES = 2.5
-# Less than this is of no weight: no tracker is right to the last digit.
-MIN_APART_M = 1e-5
-# A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
-MAX_RATIO = 30.0
 
 
 class Cause(Enum):

@@ -33,6 +33,23 @@ MAX_MOVED = 0.1
 PASSING = 30
 # Stretches that are looked for, at most.
 STRETCHES = 4
+# Readings that are fitted at once, and the most of a record, for speed.
+PIECE, MAX_READINGS = 600, 100_000
+# A reading is wrong beyond this many robust deviations.
+LIMIT = 5.0
+# The loss narrows by this factor a round, so often: from the readings' span to a hundredth of a percent of it.
+NARROWER, ROUNDS = 0.8, 40
+# What most readings share is right: fewer than half of them are wrong; of each of BLOCKS parts of the record, at most
+# this share, which chance does not reach where it is half of all.
+MAX_WRONG, BLOCKS, MAX_OF_BLOCK = 0.5, 6, 0.7
+# At least half of the wrong ones lie this many deviations or more from the others.
+APART = 7.5
+# Fewer are no crowd: a fit of all tells them, and a filter's gate.
+MIN_WRONG = 0.1
+# Motion is compared down to where the accelerometer's noise, integrated twice, is this share of the readings' variance.
+MAX_NOISE_SHARE = 0.01
+# The spread is that of the nearest readings: NEAREST of a normal distribution lie within OF_NORMAL deviations.
+NEAREST, OF_NORMAL = 0.3, 0.3853
 
 
 def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
@@ -102,25 +119,6 @@ def _stays(pair: Pair, fit: Fit, inner: slice) -> bool:
     moved = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
     readings, others = pair.rows[here.index[inner], 1], np.delete(pair.rows[here.index, 1], inner)
     return bool(np.var(readings) < MAX_MOVED * min(np.var(moved), np.var(others)))
-
-
-# Readings that are fitted at once, and the most of a record, for speed.
-PIECE, MAX_READINGS = 600, 100_000
-# A reading is wrong beyond this many robust deviations.
-LIMIT = 5.0
-# The loss narrows by this factor a round, so often: from the readings' span to a hundredth of a percent of it.
-NARROWER, ROUNDS = 0.8, 40
-# What most readings share is right: fewer than half of them are wrong; of each of BLOCKS parts of the record, at most
-# this share, which chance does not reach where it is half of all.
-MAX_WRONG, BLOCKS, MAX_OF_BLOCK = 0.5, 6, 0.7
-# At least half of the wrong ones lie this many deviations or more from the others.
-APART = 7.5
-# Fewer are no crowd: a fit of all tells them, and a filter's gate.
-MIN_WRONG = 0.1
-# Motion is compared down to where the accelerometer's noise, integrated twice, is this share of the readings' variance.
-MAX_NOISE_SHARE = 0.01
-# The spread is that of the nearest readings: NEAREST of a normal distribution lie within OF_NORMAL deviations.
-NEAREST, OF_NORMAL = 0.3, 0.3853
 
 
 def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:

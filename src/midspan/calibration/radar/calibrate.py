@@ -52,6 +52,8 @@ MAX_M = 0.5
 
 
 RadarFit = SensorFit[RadarCalibration, None]
+# Points of the window that are kept for the report.
+KEPT = 2000
 
 
 def fit_radar(
@@ -343,10 +345,6 @@ def _refuse_short(targets: Sequence[RadarTarget]) -> None:
         "and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected "
         "twice."
     )
-
-
-# Points of the window that are kept for the report.
-KEPT = 2000
 
 
 def diagnostics_of(range_m: Floats, whole: RadarFrames, target: Target) -> RadarDiagnostics:
