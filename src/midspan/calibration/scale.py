@@ -153,12 +153,7 @@ def calibrate_scale(
     def refuse(search: OffsetSearch) -> None:
         _refuse_no_motion(search.pair, search.fit, float(np.sqrt(typical)))
         _refuse_disagreement(search.pair, search.fit, float(np.sqrt(typical)))
-        if search.runner_up is not None and is_ambiguous(search):
-            where = (
-                f"within ±{max_offset_s:g} s, as they do when the motion is nearly a single tone, or when a tone's "
-                "alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them"
-            )
-            raise UntrustedError(_alike_text(search.fit, search.runner_up, where))
+        _refuse_ambiguity(search, max_offset_s)
 
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
     refusal = None
@@ -410,6 +405,13 @@ def alias_in_words(pair: Pair) -> str:
 def is_ambiguous(search: OffsetSearch) -> bool:
     """Whether a second clock offset fits almost as well as the best one."""
     return search.runner_up is not None and not clearly_better(search.fit, search.runner_up)
+
+
+def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
+    if search.runner_up is not None and is_ambiguous(search):
+        within = f"within ±{max_offset_s:g} s, as they do when the motion is nearly a single tone, or when a tone's "
+        smaller = "alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them"
+        raise UntrustedError(_alike_text(search.fit, search.runner_up, f"{within}{smaller}"))
 
 
 def _alike_text(fit: Fit, other: Fit, where: str) -> str:

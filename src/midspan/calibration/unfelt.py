@@ -33,7 +33,7 @@ CHANCE = 1e-6
 # The largest share of them whose band may be wider than the motion: the radar is hidden for a while.
 MIN_SUPPORTED, MAX_WIDE = 0.5, 0.1
 # A step of the clock this near to frames without the target, ns, may be a lost cycle: several times as long as the
-# stretches over which steps are looked for.
+# segments over which steps are looked for.
 NEAR_NS = NANOSECONDS
 
 

@@ -133,11 +133,11 @@ def agreed(
         if verdict is None:
             break
         if verdict.open in (frozenset({Cause.OTHER}), frozenset({Cause.THIS})):
-            mover, beside = (
-                (verdict.other, verdict.kept) if Cause.OTHER in verdict.open else (verdict.kept, verdict.other)
-            )
+            mover, fixed = verdict.other, verdict.kept
+            if Cause.THIS in verdict.open:
+                mover, fixed = fixed, mover
             reason = (
-                f"it moves by itself: it differs from {beside.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
+                f"it moves by itself: it differs from {fixed.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
                 "its noise and scale factor explain."
             )
             left = list(camera.targets)
@@ -151,10 +151,15 @@ def agreed(
     small = last.slight(held)
     shared_m = last.shared()
     error_m = max((shared_m, *(one.error_m for one in (*judged, *small)), *(one.either_m for one in held.values())))
-    told = [_notice(one) for one in (*held.values(), *judged)]
+    texts = [
+        f"Targets {one.kept.name} and {one.other.name} differ by {1e3 * one.size_m:.2g} mm rms, more than their noise "
+        f"and scale factors explain; the error band holds {1e3 * one.either_m:.2g} mm for it. {_cause_text(one)}"
+        for one in (*held.values(), *judged)
+    ]
     if shared_m > 0.0:
-        told.append(Notice("motion-not-shared", f"{_shared_text(shared_m)} The error band holds it."))
-    return replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told)
+        texts.append(f"{_shared_text(shared_m)} The error band holds it.")
+    camera = replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m)))
+    return camera, tuple(Notice("motion-not-shared", text) for text in texts)
 
 
 class _Compared:
@@ -368,13 +373,4 @@ def _shared_text(shared_m: float) -> str:
     return (
         f"All targets move alike in the picture by {1e3 * shared_m:.2g} mm rms where the accelerometer feels nothing: "
         "the camera tilts, its bracket vibrates, or its frames' times are wrong."
-    )
-
-
-def _notice(verdict: Verdict) -> Notice:
-    return Notice(
-        "motion-not-shared",
-        f"Targets {verdict.kept.name} and {verdict.other.name} differ by {1e3 * verdict.size_m:.2g} mm rms, more than "
-        f"their noise and scale factors explain; the error band holds {1e3 * verdict.either_m:.2g} mm for it. "
-        f"{_cause_text(verdict)}",
     )

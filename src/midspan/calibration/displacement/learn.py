@@ -257,10 +257,8 @@ def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:
     cause = named_cause(pair, fit.offset_s)
     if cause is not None:
         raise UntrustedError(disagreement(cause, measured))
-    return Notice(
-        "outliers",
-        f"{measured} and were left out of the calibration as outliers. Where that is too many, check both sensors.",
-    )
+    text = f"{measured} and were left out of the calibration as outliers. Where that is too many, check both sensors."
+    return Notice("outliers", text)
 
 
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:

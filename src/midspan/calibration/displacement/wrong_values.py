@@ -29,10 +29,10 @@ from midspan.signals.stuck import resolution, stuck
 MIN_HELD = 8
 # What stuck readings move by is far less than the motion (variance); a sensor that follows half of it has 0.25.
 MAX_MOVED = 0.1
-# Readings of a stretch that are not far off themselves: where the motion passes the place at which the sensor is stuck.
+# Readings of a segment that are not far off themselves: where the motion passes the place at which the sensor is stuck.
 PASSING = 30
-# Stretches that are looked for, at most.
-STRETCHES = 4
+# Segments that are looked for, at most.
+MAX_SEGMENTS = 4
 # Readings that are fitted at once, and the most of a record, for speed.
 PIECE, MAX_READINGS = 600, 100_000
 # A reading is wrong beyond this many robust deviations.
@@ -53,18 +53,18 @@ NEAREST, OF_NORMAL = 0.3, 0.3853
 
 
 def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
-    """Which readings (m,) are of stretches in which the sensor was stuck.
+    """Which readings (m,) are of segments in which the sensor was stuck.
 
     pair, fit: as calibrated; whole (m, 3): the rows of the pair with those that were left out as outliers.
     """
     held = np.zeros(len(whole), dtype=bool)
-    # A slow error may be nothing but such a stretch.
+    # A slow error may be nothing but such a segment.
     pair = replace(pair, rows=whole, slow=NO_SLOW_ERROR)
     before = best_corner(pair, fit.offset_s)
-    for _ in range(STRETCHES):
+    for _ in range(MAX_SEGMENTS):
         rows = whole.copy()
         rows[held, 2] = np.inf
-        found = _stretch(replace(pair, rows=rows), before)
+        found = _stuck_segment(replace(pair, rows=rows), before)
         if not len(found):
             break
         # With neighbours of the same level: there the motion passed where the sensor was stuck.
@@ -85,8 +85,8 @@ def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
     return held
 
 
-def _stretch(pair: Pair, fit: Fit) -> NDArray[np.int64]:
-    """The rows (k,) from the first to the last one of a stretch that is far off and does not follow the motion."""
+def _stuck_segment(pair: Pair, fit: Fit) -> NDArray[np.int64]:
+    """The rows (k,) from the first to the last one of a segment that is far off and does not follow the motion."""
     index, forwards, backwards = both_ways(pair, fit)
     size = np.minimum(forwards, backwards)
     spread = SIGMA_OF_MEDIAN * float(np.median(size)) if len(size) else 0.0
@@ -149,18 +149,14 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
         return crowd
     # What a slow sensor shows of a structure that rings is no outlier.
     shaken = shaken_rows(replace(pair, rows=rows))[compared.inside]
-    if np.mean(shaken[far]) < MAX_WRONG and _scattered(left, far) and _gain(plain, left, far) > least_lead(len(left)):
+    # It lies clearly apart from the rest, and is the lesser part everywhere.
+    apart = MIN_WRONG < np.mean(far) < MAX_WRONG and not np.median(np.abs(left[far])) < APART * _spread(left)
+    apart = apart and all(np.mean(part) < MAX_OF_BLOCK for part in np.array_split(far, BLOCKS))
+    if np.mean(shaken[far]) < MAX_WRONG and apart and _gain(plain, left, far) > least_lead(len(left)):
         # At both ends, where the integral is open, none of them can be separated from the others.
         crowd[usable] = True
         crowd[usable[compared.inside]] = far
     return crowd
-
-
-def _scattered(left: Floats, far: NDArray[np.bool_]) -> bool:
-    """Whether what is `far` (n,) off lies clearly apart from the rest, and is the lesser part everywhere."""
-    if not MIN_WRONG < np.mean(far) < MAX_WRONG or np.median(np.abs(left[far])) < APART * _spread(left):
-        return False
-    return all(np.mean(part) < MAX_OF_BLOCK for part in np.array_split(far, BLOCKS))
 
 
 def _robust(differs: Floats, basis: Floats) -> Floats:

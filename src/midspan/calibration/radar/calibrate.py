@@ -93,26 +93,19 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
-    # What the accelerometer contradicts is in the targets' deviations.
-    targets, of_factor = _widened(targets, search)
-    _refuse_short(targets)
-    targets, of_motion = _with_slow_motion(targets, search)
-    used = [item.target for item in targets if item.used]
+    targets, contradicted = _contradicted(targets, search)
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
         variance_factor=_variance_factor(search, best, series),
-        # The accelerometer's noise is common to the factors of all targets.
-        relative_std=float(
-            np.average([one.relative_std for one in used], weights=[1.0 / one.noise_m**2 for one in used])
-        ),
+        relative_std=_relative_std([item.target for item in targets if item.used]),
         carrier_hz=info.carrier_hz,
         channels=info.channels,
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     coloured = misfit(search.pair, search.fit)
     about = (*response.texts(search.fit.motion_hz), *_warnings(calibration), *coloured.text("radar"))
-    warnings = (*info.warnings, *window.told, *hidden, *moving, *of_factor, *of_motion, *about)
+    warnings = (*info.warnings, *window.told, *hidden, *moving, *contradicted, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
@@ -262,12 +255,28 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     )
 
 
+def _relative_std(used: Sequence[Target]) -> float:
+    """Of the displacement of all targets together; the accelerometer's noise is common to their factors."""
+    weights = [1.0 / target.noise_m**2 for target in used]
+    return float(np.average([target.relative_std for target in used], weights=weights))
+
+
 def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -> float:
     """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered."""
     if best.own_m > best.noise_m:
         return 1.0
     stated = float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
     return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
+
+
+def _contradicted(
+    targets: tuple[RadarTarget, ...], search: OffsetSearch
+) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
+    """The targets with what the accelerometer contradicts in their deviations, and sentences on it."""
+    targets, of_factor = _widened(targets, search)
+    _refuse_short(targets)
+    targets, of_motion = _with_slow_motion(targets, search)
+    return targets, [*of_factor, *of_motion]
 
 
 def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
