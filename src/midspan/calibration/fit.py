@@ -49,6 +49,8 @@ NEXT_TO_NO_RATIO = 1e-12
 CORNER_STEP, MAX_CORNER_STD = 0.2, 0.7
 # A known corner is searched within this factor (logarithm).
 NEAR_CORNER = 0.6
+# What was whitened at a place is kept for this many corner frequencies, of this many rows together at most.
+MAX_KEPT, KEPT_ROWS = 16, 300_000
 # Rounds of offset and noise ratio in turn, Gauss-Newton steps in each, and halvings of a step that overshoots, at most;
 # a likelihood that gains (logarithm) less than this is at its maximum.
 ROUNDS, STEPS, HALVINGS, MIN_GAIN = 6, 12, 4, 1e-4
@@ -221,6 +223,8 @@ class Aligned:
     def fit(self, corner: float) -> Fit:
         """The fit with a corner frequency (rad/s), made once."""
         if corner not in self.fits:
+            if len(self.fits) >= kept(self.rows):
+                self.fits.pop(next(iter(self.fits)))
             self.fits[corner] = self._fit(corner)
         return self.fits[corner]
 
@@ -262,6 +266,11 @@ class Aligned:
             without=-0.5 * n * np.log(max(total, 1e-300) / n) + alike,
             whitened=w,
         )
+
+
+def kept(rows: Floats) -> int:
+    """How much that was whitened of rows (m, …) is kept: no more than KEPT_ROWS rows together, for memory."""
+    return max(1, min(MAX_KEPT, KEPT_ROWS // max(len(rows), 1)))
 
 
 def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> Aligned:
@@ -332,7 +341,10 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
 
 def best_corner_here(here: Aligned, corner: float | None) -> Fit:
     """The most likely noise ratio of what is compared, near `corner` (rad/s) where one is given."""
-    return here.fit(likeliest_corner(here.pair, lambda one: here.fit(one).likelihood, corner))
+    best = here.fit(likeliest_corner(here.pair, lambda one: here.fit(one).likelihood, corner))
+    here.fits.clear()
+    here.fits[best.corner] = best
+    return best
 
 
 def likeliest_corner(pair: Pair, likelihood: Callable[[float], float], corner: float | None = None) -> float:

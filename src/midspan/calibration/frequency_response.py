@@ -32,11 +32,11 @@ attitude that follows, a lever arm) leaves the same slope.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
-from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, likeliest_corner, refine
+from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, kept, likeliest_corner, refine
 from midspan.calibration.minimum import minimum
 from midspan.calibration.whitening import Response, Whitened, integrated, inverse_of
 from midspan.notices import Notice
@@ -261,7 +261,8 @@ class _Columns:
             return lambda time_s: TERMS[kind].column(pair, moved, time_s)
 
         self._pair = pair
-        self.whitened = cache(aligned(pair, fit.offset_s, *(column(kind) for kind in Kind)).whitened)
+        here = aligned(pair, fit.offset_s, *(column(kind) for kind in Kind))
+        self.whitened = lru_cache(kept(here.rows))(here.whitened)
 
     def regressed(self, known: Sequence[Kind]) -> Regression:
         """The most likely regression on the columns of some kinds."""
