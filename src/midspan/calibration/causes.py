@@ -36,8 +36,7 @@ MAX_READINGS, BLOCKS = 1500, 16
 MIN_READINGS = 60
 # Motion slower than this share of the acceleration's main frequency is left out: double integrals wander there.
 SLOWEST_SHARE, SLOWEST_HZ = 0.25, 0.05
-# Ordinates of the acceleration's spectrum tell its main frequency where white noise makes one of a record as strong
-# with this probability.
+# Ordinates of the acceleration's spectrum tell its main frequency where white noise is as strong so improbably.
 BY_CHANCE = 1e-3
 # Frequencies (Hz) of low-passes that are tried, widths of a play in rms of the motion, step of a clock's offsets, s.
 LOW_PASSES_HZ, PLAYS = np.geomspace(0.5, 40.0, 30), np.geomspace(0.05, 3.0, 36)
@@ -184,7 +183,6 @@ class Comparison:
         return np.asarray(undone * np.minimum(1.0, MAX_RAISED / np.abs(undone)), dtype=np.complex128)
 
     def _clocks(self, y: Floats, plain: Callable[[Floats], Floats]) -> tuple[float, float]:
-        """Residual squares of one offset, and of two with the best instant between them."""
         count = round(MAX_STEP_S / OFFSET_STEP_S)
         offsets = OFFSET_STEP_S * np.arange(-count, count + 1)
         paths = plain(np.add.outer(self.time_s, offsets))

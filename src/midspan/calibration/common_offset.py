@@ -90,7 +90,6 @@ def pooled_variance(weight: Floats, variance: Floats, shared: float) -> float:
 
 
 def _at_offset(found: ScaleCalibration, offset: TimeOffset) -> ScaleCalibration:
-    """A target's calibration with its clock offset given; scale factor and noise are fitted anew."""
     search = found.search
     fit = best_corner(search.pair, offset.value_s, search.fit.corner)
     _, drag = curvature(search.pair, fit)

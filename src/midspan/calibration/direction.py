@@ -120,7 +120,6 @@ def turned(pair: Pair, max_offset_s: float) -> Turned:
 
 
 def _along(pair: Pair, components: Floats) -> Pair:
-    """The pair with the acceleration along an axis of these components (k,)."""
     assert pair.cross is not None
     cross, levels = pair.cross
     samples = pair.samples.copy()

@@ -32,11 +32,11 @@ attitude that follows, a lever arm) leaves the same slope.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
-from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, likeliest_corner, refine
+from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, kept, likeliest_corner, refine
 from midspan.calibration.minimum import minimum
 from midspan.calibration.whitening import Response, Whitened, integrated, inverse_of
 from midspan.notices import Notice
@@ -71,8 +71,7 @@ STEPS, LAST_STEP = 5, 0.1
 MAX_LATE = 0.1
 # Columns of what is whitened: translation, response, velocity; then one for each kind.
 RESPONSE, VELOCITY, FIRST = 1, 2, 3
-# Time constants of a first order that are tried, in that of the same weakening of slow motion, and how well the best is
-# found (share).
+# Time constants of a first order that are tried, in that of the same weakening, and how well the best is found (share).
 SHORTEST, LONGEST, TOLERANCE = 0.3, 1.5, 0.03
 # ∫ exp(−u) f(u) du by the points of Gauss and Laguerre: right to 1e-3 up to ω τ = 0.7, where 18 % are left out.
 NODES, WEIGHTS = np.polynomial.laguerre.laggauss(12)
@@ -262,7 +261,8 @@ class _Columns:
             return lambda time_s: TERMS[kind].column(pair, moved, time_s)
 
         self._pair = pair
-        self.whitened = cache(aligned(pair, fit.offset_s, *(column(kind) for kind in Kind)).whitened)
+        here = aligned(pair, fit.offset_s, *(column(kind) for kind in Kind))
+        self.whitened = lru_cache(kept(here.rows))(here.whitened)
 
     def regressed(self, known: Sequence[Kind]) -> Regression:
         """The most likely regression on the columns of some kinds."""
@@ -287,7 +287,6 @@ def _moved_m(pair: Pair, fit: Fit) -> Floats:
 
 
 def _at(w: Whitened, free: tuple[int, ...], corner: float) -> Regression:
-    """The regression on some columns, whitened with a corner frequency."""
     coefficients, covariance, left = _solved(w, free)
     n = len(w.variance)
     likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
@@ -411,14 +410,12 @@ def _able(pair: Pair, tried: Mapping[Kind, Regression], without: float, most_ope
 
 
 def _doubt(best: Regression, others: Sequence[Regression]) -> float:
-    """How far the ratio lies from that of other explanations (rms), each with its probability relative to the best."""
     odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
     apart = [other.coefficients[0] / best.coefficients[0] - 1.0 for other in others]
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
 
 
 def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
-    """The pair with the most likely values of the kinds that are known to be there, and its fit."""
     most_s = MAX_LATE / pair.rate_hz
     for _ in range(STEPS if known else 0):
         columns = _Columns(pair, fit)

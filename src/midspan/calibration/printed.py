@@ -71,7 +71,6 @@ def printed_offset(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> floa
 
 
 def _offset(pair: Pair, max_offset_s: float, steps: PrintedSteps, sign: int) -> float:
-    """The offset (s) where the cross-correlation times the sign is largest."""
     time_s, translation, rate_hz, band_hz = _translation(pair, steps)
     displacement = _displacement(pair, time_s, band_hz, steps)
     whole = sign * np.correlate(displacement, translation, mode="full")
@@ -92,8 +91,6 @@ def _offset(pair: Pair, max_offset_s: float, steps: PrintedSteps, sign: int) -> 
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """The least-squares fit: scale factor, m/px, mean square that it leaves, m², and power of translation and speed."""
-
     value_m_per_px: float
     left: float
     power_px2: float
@@ -148,7 +145,6 @@ def _translation(pair: Pair, steps: PrintedSteps) -> tuple[Floats, Floats, float
 
 
 def _displacement(pair: Pair, time_s: Floats, band_hz: tuple[float, float], steps: PrintedSteps) -> Floats:
-    """The band-passed displacement (m,) by the acceleration at times (m,) on its own clock."""
     own_s, value = pair.samples[:, 0], pair.samples[:, 1]
     if steps.sampled_first:
         rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])

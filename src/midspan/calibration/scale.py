@@ -23,19 +23,6 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 # mm/px is distance × pixel pitch ÷ focal length: 500 is a phone's wide lens (0.7 mm/px a metre at 1920 px) 700 m away,
 # where a tracker's 0.01 px are 5 mm. Beyond it the ratio is that of two things that do not move alike.
 LARGEST_M_PER_PX = 0.5
-
-
-def of_no_camera(scale_m_per_px: float) -> str:
-    """A sentence where a scale factor is out of any camera's reach, else empty."""
-    if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
-        return ""
-    return (
-        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has "
-        f"{1e3 * scale_m_per_px:.3g} mm/px (at most {1e3 * LARGEST_M_PER_PX:g}), so that the motion is likely along "
-        "the other image axis. "
-    )
-
-
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.
@@ -79,8 +66,7 @@ PARTS = {
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
 MIN_GAIN = 20.0
-# The difference between image and acceleration that is refused: this many times a frame's noise and this share of the
-# motion.
+# The difference of image and acceleration that is refused: so many times a frame's noise, this share of the motion.
 UNEXPLAINED_NOISE = 5.0
 UNEXPLAINED_SHARE = 0.2
 # Accelerometer noise that the difference would need, refused above this share of the signal when it is also this many
@@ -105,6 +91,17 @@ NOT_SHOWN = (
     "cross motion that an inclined accelerometer picks up, a camera or bracket that vibrates, a low-pass in the "
     "accelerometer's logger, and an accelerometer that errs with its motion (loose, clipped)."
 )
+
+
+def of_no_camera(scale_m_per_px: float) -> str:
+    """A sentence where a scale factor is out of any camera's reach, else empty."""
+    if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
+        return ""
+    return (
+        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has "
+        f"{1e3 * scale_m_per_px:.3g} mm/px (at most {1e3 * LARGEST_M_PER_PX:g}), so that the motion is likely along "
+        "the other image axis. "
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +223,6 @@ def with_frequency(
 
 
 def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
-    """The search with the noise levels that belong to a ratio, as well known as before."""
     pair = replace(search.pair, ratio=ratio)
     pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
@@ -279,7 +275,6 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
 
 
 def _slow_samples(pair: Pair) -> str:
-    """A sentence where the acceleration comes no faster than the frames, which it has to bridge; else empty."""
     if pair.sample_rate_hz > pair.rate_hz:
         return ""
     return (
@@ -289,7 +284,6 @@ def _slow_samples(pair: Pair) -> str:
 
 
 def _rival(pair: Pair, search: OffsetSearch, max_offset_s: float) -> Rival | None:
-    """The likeliest offset beyond those searched, for the pair without outliers and with any ratio, as it was given."""
     return likeliest_beyond(replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0)), search.fit, max_offset_s)
 
 

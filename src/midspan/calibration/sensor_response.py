@@ -51,7 +51,7 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
     `fit.with_input_noise`), explains the readings better than any delay and any first-order response, and explains
     more than it leaves. It is no longer than the interval of the measurements.
     Where none is taken those that the motion does not exclude make the gain uncertain. offset_cost: as of
-    `first_order.lead_over_first_order`.
+    `lead_over_first_order`.
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
 
@@ -64,11 +64,18 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
     none = fitted(0.0)
     gained = best.likelihood - none.likelihood >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
     # What leaves more than it explains, where it leaves most, is something else, which averaging happens to resemble.
-    explained = none.noise > misfit(replace(free, exposure_s=share * longest_s), best).factor * best.noise
+    found = replace(free, exposure_s=share * longest_s)
+    explained = none.noise > misfit(found, best).factor * best.noise
     if abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
-    shows = gained and explained and _shows(free, fit)
-    if not (shows and _leads(free, best, share * longest_s, offset_cost)):
+    shows = False
+    if gained and explained:
+        # A clock that runs at another rate blurs the motion as well.
+        straight = straightened(free, fit)
+        even = (free, fit) if straight is None else (at_rate(free, fit.offset_s, straight[1]), straight[0])
+        shows = exposure_shows(*even)
+    bare, square = replace(free, exposure_s=0.0), (share * longest_s) ** 2 / 24.0
+    if not (shows and lead_over_first_order(found, bare, best, square, offset_cost=offset_cost) > MIN_GAIN):
         # What the motion does not exclude, the gain may be off by: over all exposures, each by its likelihood.
         tried = [fitted(float(one)) for one in np.linspace(0.0, 1.0, TRIED)]
         weights = np.exp([one.likelihood - best.likelihood for one in tried])
@@ -81,23 +88,8 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
         curved = (2.0 * best.likelihood - below.likelihood - above.likelihood) / step**2
         std = min(1.0 / float(np.sqrt(max(curved, 1e-300))), share)
         spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
-    found = replace(pair, exposure_s=share * longest_s)
-    return Exposed(found, best_corner(found, fit.offset_s, fit.corner), spread)
-
-
-def _leads(free: Pair, best: Fit, exposure_s: float, offset_cost: float) -> bool:
-    """Whether an exposure is clearly more likely than a first-order response."""
-    with_it, without = replace(free, exposure_s=exposure_s), replace(free, exposure_s=0.0)
-    lead = lead_over_first_order(with_it, without, best, exposure_s**2 / 24.0, offset_cost=offset_cost)
-    return lead > MIN_GAIN
-
-
-def _shows(pair: Pair, fit: Fit) -> bool:
-    """Whether an exposure shows that is no clock running at another rate, which blurs the motion as well."""
-    straight = straightened(pair, fit)
-    if straight is None:
-        return exposure_shows(pair, fit)
-    return exposure_shows(at_rate(pair, fit.offset_s, straight[1]), straight[0])
+    pair = replace(pair, exposure_s=share * longest_s)
+    return Exposed(pair, best_corner(pair, fit.offset_s, fit.corner), spread)
 
 
 @dataclass(frozen=True, slots=True)

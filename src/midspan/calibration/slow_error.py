@@ -36,6 +36,27 @@ UNKNOWNS = 3.0
 # An innovation's variance is more than the noise's alone: a level is found in rounds. Of one that is 25 times another
 # the first round leaves a factor of 2.5, the fourth less than 1.1.
 ROUNDS = 4
+# Correlation times: the shortest in intervals, the longest as a share of the record, how many are tried.
+MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
+# Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
+SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
+# Larger ones are not tried where the likelihood (logarithm) has fallen by this from its largest value.
+FALLEN = 12.0
+# What a record does not exclude with 99 %, by the ratio of likelihoods: half the chi-square of one degree of freedom.
+NOT_EXCLUDED = 3.32
+# A mean over all deviations has a long tail: it may drift this much farther (variance) than the readings.
+TAIL = 4.0
+# A drift that does not show is reported for this time, s.
+DRIFT_S = 10.0
+# A slow error is there all along: without the tenth of the record that gains most by it, the rest gains this share of
+# the whole at least (nine tenths are its due). What happens once is no error of all rows.
+ONCE, LASTS = 0.1, 0.25
+# Chi-square of one degree of freedom at which the estimator takes a step for likelier than none (`fusion.steps`).
+STEP_SHOWS = 26.0
+# Twice that it does so beyond doubt; what happens once and may not be taken out stays in the band as a slow error.
+BEYOND_DOUBT = 2.0
+# Measurements are missing where the next one comes after this number of intervals.
+MISSING = 3.0
 
 
 def _with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tuple[Pair, Fit]:
@@ -56,7 +77,6 @@ def _with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tup
 
 
 def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
-    """The pair and its fit with the level of each segment of rows, the numbers of whose first ones are `edges`."""
     for _ in range(ROUNDS):
         level = _level(fit, edges)
         rows = pair.rows.copy()
@@ -97,7 +117,6 @@ def _with_outliers(pair: Pair, whole: Floats) -> Pair:
 
 
 def _edges(square: Floats) -> list[int]:
-    """Edges of the segments of one level, by the squares of innovations (k,) of relative variance 1."""
     edges, open_ones = [0, len(square)], [(0, len(square))]
     least = 0.5 * UNKNOWNS * float(np.log(max(len(square), 1)))
     brief = max(MIN_SEGMENT, round(MIN_SHARE * len(square)))
@@ -126,30 +145,6 @@ def _cut(square: Floats, brief: int, least: float) -> int:
     return int(first[best]) if gains[best] > least else 0
 
 
-# Correlation times: the shortest in intervals of the measurements, the longest as a share of the record, how many are
-# tried.
-MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
-# Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
-SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
-# Larger ones are not tried where the likelihood (logarithm) has fallen by this from its largest value.
-FALLEN = 12.0
-# What a record does not exclude with 99 %, by the ratio of likelihoods: half the chi-square of one degree of freedom.
-NOT_EXCLUDED = 3.32
-# A mean over all deviations has a long tail: it may drift this much farther (variance) than the readings.
-TAIL = 4.0
-# A drift that does not show is reported for this time, s.
-DRIFT_S = 10.0
-# A slow error is there all along: without the tenth of the record that gains most by it, the rest gains this share of
-# the whole at least (nine tenths are its due). What happens once is no error of all rows.
-ONCE, LASTS = 0.1, 0.25
-# Chi-square of one degree of freedom at which the estimator takes a step for likelier than none (`fusion.steps`).
-STEP_SHOWS = 26.0
-# Twice that it does so beyond doubt; what happens once and may not be taken out stays in the band as a slow error.
-BEYOND_DOUBT = 2.0
-# Measurements are missing where the next one comes after this number of intervals.
-MISSING = 3.0
-
-
 @dataclass(frozen=True, slots=True)
 class SlowError:
     """The pair with the slow error of its measurements, and its fit.
@@ -171,8 +166,8 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
 
     Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
     (as in `fit.with_input_noise`) not in one place only, and no quiet part speaks against it: the sensor's own error is
-    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see
-    `noise_levels`): the rows of the pair that is returned have it in their relative variances, or its samples a level.
+    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see the
+    module): the rows of the pair that is returned have it in their relative variances, or its samples a level.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
     levelled, fit = _with_noise_levels(white, fit, whole)
@@ -181,9 +176,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     if time_s == 0.0:
         return SlowError(white, fit)
     rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = MIN_INTERVALS / pair.rate_hz
-    longest = max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest)
-    times = np.geomspace(shortest, longest, TIMES_TRIED) if time_s is None else np.array([time_s])
+    times = _times(pair, rows) if time_s is None else np.array([time_s])
     tried = [_along(white, fit, float(lasting)) for lasting in times]
     best = max(float(np.max(one.likelihood)) for one in tried)
     # Sums over standard deviations and times, each for the width of its part of the scale.
@@ -201,23 +194,34 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         # An accelerometer whose noise changes its level may err slowly as well: both unknowns count then.
         least = (0.5 if white.level is None else 1.0) * np.log(max(len(rows), 1))
         gained = found.likelihood - none.likelihood
-        if (
-            gained < least
-            or _happened_once(white if whole is None else _with_outliers(white, whole), none, found)
-            or _lost(white, none, found) > NOT_EXCLUDED
-            or _drifts_farther(slow, found)
+        if gained < least or _is_none(
+            white, slow, white if whole is None else _with_outliers(white, whole), none, found
         ):
             return SlowError(white, fit, _unseen(white, fit, rows, np.sqrt(2.0 * (least + NOT_EXCLUDED))))
     return SlowError(slow, found)
 
 
+def _times(pair: Pair, rows: Floats) -> Floats:
+    shortest = MIN_INTERVALS / pair.rate_hz
+    return np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
+
+
 def likeliest_slow_error(pair: Pair, fit: Fit) -> tuple[float, float]:
     """The largest likelihood (logarithm) with a slow error of the translation, and that one's standard deviation."""
-    rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = MIN_INTERVALS / pair.rate_hz
-    times = np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
-    tried = [_along(replace(pair, slow=NO_SLOW_ERROR), fit, float(lasting)) for lasting in times]
+    white, times = replace(pair, slow=NO_SLOW_ERROR), _times(pair, pair.rows[pair.used(fit.offset_s), 0])
+    tried = [_along(white, fit, float(lasting)) for lasting in times]
     return max((float(np.max(one.likelihood)), float(one.std[np.argmax(one.likelihood)])) for one in tried)
+
+
+def _is_none(pair: Pair, slow: Pair, whole: Pair, none: Fit, found: Fit) -> bool:
+    """Whether what a slow error gains is none of the sensor's: it gains in one place only, the quietest measurements
+    become less likely, or it drifts twice as far in DRIFT_S as the readings themselves.
+    """
+    rows = slow.rows[slow.used(found.offset_s)]
+    steps = min(max(round(DRIFT_S * slow.rate_hz), 1), len(rows) // 2)
+    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
+    drift = -2.0 * np.expm1(-steps / slow.rate_hz * slow.slow[1]) * slow.slow[0] * found.noise
+    return bool(drift > TAIL * own or _happened_once(whole, none, found) or _lost(pair, none, found) > NOT_EXCLUDED)
 
 
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
@@ -273,23 +277,15 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
     return False
 
 
-def _drifts_farther(pair: Pair, fit: Fit) -> bool:
-    """Whether the slow error drifts twice as far in DRIFT_S as the readings themselves, whose error it would be."""
-    rows = pair.rows[pair.used(fit.offset_s)]
-    steps = min(max(round(DRIFT_S * pair.rate_hz), 1), len(rows) // 2)
-    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
-    return bool(-2.0 * np.expm1(-steps / pair.rate_hz * pair.slow[1]) * pair.slow[0] * fit.noise > TAIL * own)
-
-
 def _lost(pair: Pair, without: Fit, found: Fit) -> float:
     """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm)."""
+    # Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
     at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
     order = np.argsort(pair.lively[np.minimum(at, len(pair.lively) - 1)], kind="stable")
     return float(np.max(np.cumsum((_deviance(found) - _deviance(without))[order])))
 
 
 def _deviance(fit: Fit) -> Floats:
-    """Minus the logarithm of each innovation's likelihood (k,), without constants."""
     return 0.5 * fit.residual**2 + 0.5 * np.log(fit.noise * fit.whitened.variance)
 
 
@@ -308,7 +304,6 @@ class _Along:
 
 
 def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:
-    """Slow errors of a correlation time, from small to those that the record excludes."""
     here, found, best = aligned(white, fit.offset_s), [], -np.inf
     size, corner = SMALLEST, fit.corner
     while size < LARGEST:

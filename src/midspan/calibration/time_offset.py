@@ -23,6 +23,7 @@ from midspan.calibration.fit import (
     corner_range,
     evaluate,
     gauss_newton,
+    likelihood_of,
     refine,
     with_corner_doubt,
     with_input_noise,
@@ -51,6 +52,16 @@ BEYOND, MAX_BEYOND = 3.0, 0.02
 FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
 # A clock that drifts has another offset in a part of the record than in the whole: by so much, s.
 DRIFTED_S = 0.1
+# Offsets are tried with the measurements that lie within the acceleration at all offsets of a segment, s.
+SEGMENT_S = 1.0
+# So many measurements are needed to look for another offset.
+MIN_ROWS = 20
+# So much of a long record is compared at all offsets, s.
+PART_S = 120.0
+# An offset is that of the clocks, whatever is left, where the acceleration explains more than this share of the
+# innovations' power there and at no other offset more than this share of the evidence is found. A tone's alternatives
+# have nearly all of it, those of another event hardly any anywhere.
+MIN_EXPLAINED, MAX_SHARE = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +80,18 @@ class OffsetSearch:
 
     def on_clock(self, late_s: float) -> "OffsetSearch":
         """The same where the other sensor's stamps are earlier by `late_s`, so that all offsets are larger."""
-        offset = TimeOffset(self.offset.value_s + late_s, self.offset.variance)
-        fit, other = (
-            None if one is None else replace(one, offset_s=one.offset_s + late_s) for one in (self.fit, self.runner_up)
+
+        def later(fit: Fit) -> Fit:
+            return replace(fit, offset_s=fit.offset_s + late_s)
+
+        return replace(
+            self,
+            fit=later(self.fit),
+            offset=TimeOffset(self.offset.value_s + late_s, self.offset.variance),
+            runner_up=None if self.runner_up is None else later(self.runner_up),
+            offsets_s=self.offsets_s + late_s,
+            pair=replace(self.pair, rows=self.pair.rows - np.array([late_s, 0.0, 0.0])),
         )
-        assert fit is not None
-        pair = replace(self.pair, rows=self.pair.rows - np.array([late_s, 0.0, 0.0]))
-        return OffsetSearch(fit, offset, other, self.offsets_s + late_s, self.likelihood, pair)
 
 
 def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> OffsetSearch:
@@ -90,7 +106,7 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
     for turn in range(ROUNDS):
         curve, corner = scan(pair, offsets)
         fits = _refined(pair, offsets, curve, corner)
-        best = max(fits, key=_likelihood)
+        best = max(fits, key=likelihood_of)
         # What is lively is no outlier. What outliers have hidden shows in a search without them.
         again = cleaned(with_input_noise(pair, best)[0] if turn == 0 else pair, best, step)
         if _may_shrink(pair, _apart(fits, best, step), best):
@@ -100,23 +116,22 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
         pair = again
     pair = with_input_noise(pair, best)[0]
     fits = [refine(pair, fit, step) for fit in fits]
-    best = max(fits, key=_likelihood)
+    best = max(fits, key=likelihood_of)
     if edge_s > 0.0:
-        fits = _within(pair, fits, max_offset_s)
-        best = max(fits, key=_likelihood)
-    runner_up = max(_apart(fits, best, step), key=_likelihood, default=None)
+        # Those within, give or take their deviation, unless one is clearly better than these.
+        reach = [max_offset_s + BEYOND * np.sqrt(min(curvature(pair, fit)[0], MAX_BEYOND**2)) for fit in fits]
+        near = [fit for fit, reach_s in zip(fits, reach, strict=True) if abs(fit.offset_s) < reach_s]
+        inner = max(near, key=likelihood_of, default=None)
+        if inner is not None and (inner is best or not clearly_better(best, inner)):
+            fits, best = near, inner
+    runner_up = max(_apart(fits, best, step), key=likelihood_of, default=None)
     variance, drag = curvature(pair, best)
     best = with_corner_doubt(pair, best, disputed=exceeds_own_noise(pair, best))
     best = replace(best, ratio_variance=best.ratio_variance + drag * drag * variance)
     return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
 
 
-def _likelihood(fit: Fit) -> float:
-    return fit.likelihood
-
-
 def _grid(pair: Pair, first_s: float, last_s: float) -> Floats:
-    """Offsets (k,) from the first to the last, a sample apart."""
     count = int(np.ceil((last_s - first_s) * min(pair.sample_rate_hz, MAX_RATE_HZ))) + 1
     return np.linspace(first_s, last_s, max(count, 3))
 
@@ -130,24 +145,27 @@ def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
     index = np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))
     middle = pair.used(float(np.mean(offsets)))
     rows = pair.rows[index if len(index) > OVERLAP * len(middle) else middle]
-    parts = np.array_split(offsets, min(len(offsets), -(-len(offsets) * len(rows) // AT_ONCE)))
-    table = np.concatenate([likelihoods(pair, rows, part, corners)[0] for part in parts], axis=1)
-    overlap = np.array([len(pair.used(float(offset))) for offset in offsets])
+    parts = _in_parts(offsets, len(rows))
+    table = np.concatenate([_likelihoods(pair, rows, part, corners)[0] for part in parts], axis=1)
+    first_s, last_s = float(pair.responses[0].edges_s[0]), float(pair.samples[-1, 0])
+    time_s = pair.rows[np.isfinite(pair.rows[:, 2]), 0]
+    at_s = (np.add.outer(part, time_s) for part in parts)
+    overlap = np.concatenate([np.count_nonzero((at >= first_s) & (at <= last_s), axis=1) for at in at_s])
     curve = np.where(overlap >= OVERLAP * len(middle), table.max(axis=0), -np.inf)
     return curve, corners[np.argmax(table, axis=0)]
 
 
+def _in_parts(offsets: Floats, rows: int) -> list[Floats]:
+    return np.array_split(offsets, min(len(offsets), -(-len(offsets) * rows // AT_ONCE)))
+
+
 def _coarse_corners(pair: Pair) -> Floats:
-    """The few corner frequencies (rad/s) that are tried at every offset."""
     low, high = corner_range(pair)
     return np.asarray(np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS))
 
 
-def likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> tuple[Floats, Floats]:
-    """Likelihood (corners, offsets) with and without the acceleration.
-
-    All offsets in one run of the filter for each corner frequency (rad/s).
-    """
+def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Likelihood (corners, offsets) with and without the acceleration: one run of the filter for each corner, rad/s."""
     count, time_s = len(offsets), rows[:, :1] + offsets
     responses = [response.at(time_s, pair.exposure_s, pair.logger) for response in pair.responses]
     values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)), drifts=pair.bias_drifts)[0]
@@ -172,7 +190,6 @@ def likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> t
 
 
 def _sums(first: Floats, second: Floats) -> Floats:
-    """Sums of the products of columns (m, c)."""
     return np.asarray(np.einsum("mc,mc->c", *np.broadcast_arrays(first, second)))
 
 
@@ -183,20 +200,11 @@ def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list
     step = float(offsets[1] - offsets[0])
     best = peaks[np.argsort(curve[peaks])[::-1][:CANDIDATES]]
     near = [refine(pair, evaluate(pair, float(offsets[i]), float(corner[i])), step) for i in best]
-    near = sorted(near, key=_likelihood, reverse=True)[:CONTENDERS]
+    near = sorted(near, key=likelihood_of, reverse=True)[:CONTENDERS]
     return [refine(pair, best_corner(pair, fit.offset_s), step) for fit in near]
 
 
-def _within(pair: Pair, fits: list[Fit], limit_s: float) -> list[Fit]:
-    """The fits within ±`limit_s`, give or take their deviation; the others where one is clearly better than these."""
-    near = [f for f in fits if abs(f.offset_s) < limit_s + BEYOND * np.sqrt(min(curvature(pair, f)[0], MAX_BEYOND**2))]
-    best = max(fits, key=_likelihood)
-    inner = max(near, key=_likelihood, default=None)
-    return fits if inner is None or (inner is not best and clearly_better(best, inner)) else near
-
-
 def _apart(fits: list[Fit], best: Fit, step_s: float) -> list[Fit]:
-    """The fits at other offsets than the best one's."""
     return [fit for fit in fits if abs(fit.offset_s - best.offset_s) > 2.0 * step_s]
 
 
@@ -240,50 +248,25 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
     pair = replace(pair, ratio=None, reference=None)
     pair = with_input_noise(pair, best_corner(pair, near.offset_s))[0]
     sides = [_grid(pair, -until_s, -within_s), _grid(pair, within_s, until_s)]
-    best = max((fit for side in sides for fit in _refined(pair, side, *scan(pair, side))), key=_likelihood)
+    best = max((fit for side in sides for fit in _refined(pair, side, *scan(pair, side))), key=likelihood_of)
     beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
-    own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=_likelihood)
+    own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=likelihood_of)
     return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None
-
-
-# Offsets are tried with the measurements that lie within the acceleration at all offsets of a segment, s.
-SEGMENT_S = 1.0
-# So many measurements are needed to look for another offset.
-MIN_ROWS = 20
-# So much of a long record is compared at all offsets, s.
-PART_S = 120.0
-# An offset is that of the clocks, whatever is left, where the acceleration explains more than this share of the
-# innovations' power there and at no other offset more than this share of the evidence is found. A tone's alternatives
-# have nearly all of it, those of another event hardly any anywhere.
-MIN_EXPLAINED, MAX_SHARE = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Rival:
     """The likeliest fit beyond a range of offsets, its evidence, and that of the best one within the range.
 
-    certain: the lead (either way) that no noise makes.
+    lead: by how much it is the likelier one (logarithm); better: beyond doubt; alike: noise may have decided.
     """
 
     fit: Fit
     evidence: float
     within: float
-    certain: float
-
-    @property
-    def lead(self) -> float:
-        """By how much it is the likelier one (logarithm)."""
-        return self.evidence - self.within
-
-    @property
-    def better(self) -> bool:
-        """Whether it is the right one beyond doubt."""
-        return self.lead >= self.certain
-
-    @property
-    def alike(self) -> bool:
-        """Whether noise may have decided between the two."""
-        return abs(self.lead) < self.certain
+    lead: float
+    better: bool
+    alike: bool
 
 
 def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
@@ -297,16 +280,21 @@ def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
     pair = replace(pair, reference=reference, motion_share=0.0, bias_drifts=False)
     offsets = _offsets(pair, within_s)
     step = 1.0 / min(pair.sample_rate_hz, MAX_RATE_HZ)
-    scanned = [row for part in offsets for row in zip(part.tolist(), *_scan(pair, part), strict=True)]
-    peaks = [scanned[k] for k in _peaks(scanned, step)]
-    fits = [refine(pair, evaluate(pair, at, corner), step) for at, _, corner in peaks]
+    if not offsets:
+        return None
+    evidence, corner = (np.concatenate(one) for one in zip(*(_scan(pair, part) for part in offsets), strict=True))
+    at_s = np.concatenate(offsets)
+    fits = [refine(pair, evaluate(pair, float(at_s[k]), float(corner[k])), step) for k in _peaks(at_s, evidence, step)]
     apart = [fit for fit in fits if abs(fit.offset_s) > within_s and abs(fit.offset_s - near.offset_s) > 2.0 * step]
     if not apart:
         return None
     best = max(apart, key=lambda fit: _evidence(pair, fit))
-    near, best = (_with_own_noise(pair, fit, step) for fit in (near, best))
-    count = len(pair.used(near.offset_s))
-    return Rival(best, _evidence(pair, best), _evidence(pair, near), least_lead(count))
+    # Each with what the accelerometer errs by at its offset.
+    near, best = (refine(*with_input_noise(pair, best_corner(pair, fit.offset_s)), step) for fit in (near, best))
+    certain = least_lead(len(pair.used(near.offset_s)))
+    beyond, within = _evidence(pair, best), _evidence(pair, near)
+    lead = beyond - within
+    return Rival(best, beyond, within, lead, better=lead >= certain, alike=abs(lead) < certain)
 
 
 def stands_alone(pair: Pair, fit: Fit) -> bool:
@@ -335,14 +323,7 @@ def first_part(pair: Pair) -> Pair:
     return replace(pair, rows=rows, samples=pair.samples[near], outside=outside, cross=None)
 
 
-def _with_own_noise(pair: Pair, fit: Fit, step_s: float) -> Fit:
-    """The fit with what the accelerometer errs by at its offset."""
-    own, found = with_input_noise(pair, best_corner(pair, fit.offset_s))
-    return refine(own, found, step_s)
-
-
 def _evidence(pair: Pair, fit: Fit) -> float:
-    """By how much (logarithm) a fit is likelier than the smoothest motion without acceleration."""
     return fit.likelihood - best_corner(replace(pair, ratio=0.0), fit.offset_s).likelihood
 
 
@@ -366,16 +347,15 @@ def _scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
     """Evidence (k,) at offsets (k,) that follow each other, and the likeliest corner frequency (k,), rad/s."""
     corners = _coarse_corners(pair)
     rows = pair.rows[np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))]
-    parts = np.array_split(offsets, min(len(offsets), -(-len(offsets) * len(rows) // AT_ONCE)))
-    tables = [likelihoods(pair, rows, part, corners) for part in parts]
+    tables = [_likelihoods(pair, rows, part, corners) for part in _in_parts(offsets, len(rows))]
     found, without = (np.concatenate(one, axis=1) for one in zip(*tables, strict=True))
     return found.max(axis=0) - without.max(axis=0), corners[np.argmax(found, axis=0)]
 
 
-def _peaks(scanned: list[tuple[float, float, float]], step_s: float) -> list[int]:
-    """Which of the scanned offsets (with evidence and corner) are the highest maxima."""
-    at, evidence = (np.array([one[k] for one in scanned]) for k in (0, 1))
-    before = np.r_[-np.inf, np.where(np.diff(at) < 1.5 * step_s, evidence[:-1], -np.inf)] if len(at) else at
-    after = np.r_[np.where(np.diff(at) < 1.5 * step_s, evidence[1:], -np.inf), -np.inf] if len(at) else at
+def _peaks(at_s: Floats, evidence: Floats, step_s: float) -> list[int]:
+    """The highest maxima of evidence (k,) at offsets (k,), in segments of which each goes on by a step."""
+    close = np.diff(at_s) < 1.5 * step_s
+    before = np.r_[-np.inf, np.where(close, evidence[:-1], -np.inf)]
+    after = np.r_[np.where(close, evidence[1:], -np.inf), -np.inf]
     peaks = np.flatnonzero((evidence >= before) & (evidence > after))
     return [int(k) for k in peaks[np.argsort(evidence[peaks])[::-1][:CANDIDATES]]]

@@ -51,7 +51,7 @@ def clocks(
 
 def ran_apart(clock: OneClock) -> bool:
     """Whether a clock jumped or drifted."""
-    return bool(clock.jumps) or (clock.running is not None and clock.running.course is not None)
+    return bool(clock.jumps) or clock.course is not None
 
 
 def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from midspan.calibration.accelerometer_clock import refuse_forward_step
-from midspan.calibration.displacement.clock import MANY_LEFT_OUT
+from midspan.calibration.displacement.learn import MANY_LEFT_OUT
 from midspan.calibration.displacement.wrong_values import wrong_values
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.sensors.displacement import DisplacementCalibration

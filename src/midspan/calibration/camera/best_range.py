@@ -11,7 +11,7 @@ from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
-from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region, seconds
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.integrate import path
 from midspan.thermal.temperature_range import DIVISIONS, ROUGH, THINNED, Expected, RangeSurface, optimise_range
@@ -22,6 +22,14 @@ from midspan.vision.tracker import open_tracker
 TOP_SHARE, BOTTOM_HZ, BOTTOM_SHARE = 0.1, 0.3, 1.0 / 3.0
 # The integral's drift that is taken off: of a bias and of a start in motion.
 DRIFT_DEGREE = 2
+# This many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that
+# the accelerometer makes what is compared.
+FRAMES, WEAKER = 90, 1e4
+MIN_FRAMES = 8
+SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
+# Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
+# many as are compared without thinning show it up to the second share.
+SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
 
 
 def felt_motion(
@@ -51,16 +59,6 @@ def printed_band(frame_s: float) -> tuple[float, float]:
     return min(BOTTOM_HZ, BOTTOM_SHARE * top), top
 
 
-# This many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that
-# the accelerometer makes what is compared.
-FRAMES, WEAKER = 90, 1e4
-MIN_FRAMES = 8
-SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
-# Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
-# many as are compared without thinning show it up to the second share.
-SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
-
-
 def best_range(
     frames: Sequence[Frame], view: View, targets: Sequence[SeenTarget], fit: CameraFit, divisions: int = DIVISIONS
 ) -> RangeSurface:
@@ -78,10 +76,10 @@ def best_range(
     band, count = compared_band(view.band_hz, rate)
     frames, region = frames[:count], fit.calibration.region
     expected = _expected_px(view, targets, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
-    settings = targets[0].tracker_settings
 
     def follow(greys: Sequence[Frame]) -> PixelTrack:
-        return _followed(greys, region, fit.calibration.tracker, settings)
+        tracker = open_tracker(fit.calibration.tracker, greys[0], region, targets[0].tracker_settings)
+        return PixelTrack.stack([tracker.push(frame) for frame in greys])
 
     return optimise_range(frames, region, follow, Expected(expected, view.axis, band), divisions)
 
@@ -103,13 +101,7 @@ def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple
     )
 
 
-def _followed(frames: Sequence[Frame], region: Region, name: str, settings: object) -> PixelTrack:
-    tracker = open_tracker(name, frames[0], region, settings)
-    return PixelTrack.stack([tracker.push(frame) for frame in frames])
-
-
 def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, frames_ns: Nanoseconds) -> Floats:
-    """The translation (n,) in px that the accelerometer says at frames' stamps on the camera's clock."""
     camera = fit.calibration
     acceleration = view.prepared.with_noise(fit.input_noise.density, fit.input_noise.motion_s)
     used = [target for target in targets if target.region == camera.region]

@@ -75,7 +75,6 @@ def fit_camera(
 
 
 def _refuse_vague(fit: CameraFit) -> None:
-    """UntrustedError where a scale factor is too vague to be given out, whatever makes it so."""
     total, scale = fit.calibration.relative_std, fit.calibration.scale
     if total <= REFUSED_ABOVE:
         return
@@ -163,7 +162,6 @@ def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, re
 
 
 def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]]) -> Fitted:
-    """Each target's own calibration along an axis; UntrustedError where all are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     apart_s: list[float] = []
@@ -261,20 +259,9 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
-    if start_m > 0.0:
-        text = (
-            "camera: its first frames are far noisier than the others; the zero is known to "
-            f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none."
-        )
-        warnings.append(Notice("zero-uncertain", text))
+    warnings += _zero_warnings(start_m)
     if apart_m > 0.0:
-        text = (
-            "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: "
-            f"they differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
-            "Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that it "
-            "shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
-        )
-        warnings.append(Notice("motion-not-shared", text))
+        warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m)))
     else:
         warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera")
     best = seen[_best(camera.targets)]
@@ -295,6 +282,23 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         slope=found.response.slope,
         direction=found.direction,
         parts=parts,
+    )
+
+
+def _zero_warnings(start_m: float) -> list[Notice]:
+    text = (
+        "camera: its first frames are far noisier than the others; the zero is known to "
+        f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none."
+    )
+    return [Notice("zero-uncertain", text)] if start_m > 0.0 else []
+
+
+def _contradiction_text(apart_m: float) -> str:
+    return (
+        "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
+        f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
+        "Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that it shows "
+        "as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
     )
 
 
@@ -323,7 +327,6 @@ def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration
 def _camera(
     seen: Sequence[SeenTarget], direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
 ) -> CameraCalibration:
-    """The record of one axis: the best target's values, and all targets."""
     place = _best(targets)
     best = targets[place]
     assert best.scale is not None

@@ -39,6 +39,8 @@ FAR_STD, JUMP_STD, MAX_OUTLIERS = 8.0, 4.0, 0.08
 ROUNDS = 4
 # Fewer frames tell nothing.
 MIN_FRAMES = 20
+# Draws of noise: their mean is known to a third of one draw's scatter, and the same ones are used each time.
+DRAWS, SEED = 12, 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,8 +79,9 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
         return nothing
     left = np.where(usable, value, np.nan)
     left = left - np.nanmedian(left)
-    own = _step_std(left)
-    usable &= ~_outliers(left, own)
+    # Robust, by the steps from each usable value to the next.
+    steps = np.diff(left[np.isfinite(left)])
+    usable &= ~_outliers(left, float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) + 1e-15)
     bands = _bands(len(value))
     if len(bands) < 3:
         return nothing
@@ -88,7 +91,9 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
     for _ in range(2):
         power = _cosines(filled) ** 2
         noise, exceeding = _floor(power, bands)
-        gains = _gains(power, exceeding, noise)
+        gains = np.zeros(len(power))
+        for band in exceeding:
+            gains[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)
         course = _shaped(filled, gains)
         filled = np.where(usable, left, course)
     std = float(np.sqrt(noise * len(usable) / np.count_nonzero(usable)))
@@ -99,23 +104,15 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
 
 
 def _cosines(value: Floats) -> Floats:
-    """Amplitudes of a series' cosines (n,), with the series' power in all."""
     from scipy.fft import dct
 
     return np.asarray(dct(value, norm="ortho"))
 
 
 def _shaped(value: Floats, gains: Floats) -> Floats:
-    """A series (n,) with its cosines times gains."""
     from scipy.fft import idct
 
     return np.asarray(idct(_cosines(value) * gains, norm="ortho"))
-
-
-def _step_std(value: Floats) -> float:
-    """Robust standard deviation of white noise by the steps from each usable value to the next."""
-    steps = np.diff(value[np.isfinite(value)])
-    return float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) + 1e-15
 
 
 def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
@@ -134,7 +131,6 @@ def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
 
 
 def _filled(value: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """A series (n,) with straight lines across what is not usable."""
     return np.interp(np.arange(len(value)), np.flatnonzero(usable), value[usable])
 
 
@@ -156,7 +152,6 @@ def _without_motion(
 
 
 def _bands(count: int) -> list[slice]:
-    """The bands of the cosines of so many frames, without the mean: octaves, then even ones."""
     begin, width, out = 1, 2, list[slice]()
     while begin + width <= count:
         out.append(slice(begin, begin + width))
@@ -184,18 +179,6 @@ def _differ(means: Floats, counts: Floats) -> bool:
     gain = 0.5 * float(np.sum(counts * apart))
     correction = 1.0 + (float(np.sum(1.0 / counts)) - 1.0 / total) / (3.0 * free)
     return bool(gain / correction > gammainccinv(0.5 * free, COLOURED_BY_CHANCE))
-
-
-def _gains(power: Floats, bands: list[slice], noise: float) -> Floats:
-    """The share of signal in each of these bands, 0 in the others, of a spectrum with white noise of this level."""
-    share = np.zeros(len(power))
-    for band in bands:
-        share[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)
-    return share
-
-
-# Draws of noise: their mean is known to a third of one draw's scatter, and the same ones are used each time.
-DRAWS, SEED = 12, 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

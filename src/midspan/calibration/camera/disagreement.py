@@ -12,9 +12,8 @@ from enum import Enum
 from math import degrees
 
 import numpy as np
-from numpy.typing import NDArray
 
-from midspan.calibration.camera.difference import Course, Difference, Share, difference, share_in
+from midspan.calibration.camera.difference import MIN_FRAMES, Course, Difference, Share, difference, share_in
 from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.scale import REFUSED_ABOVE
@@ -23,10 +22,16 @@ from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice
-from midspan.records import NANOSECONDS, Acceleration, Displacement, part
+from midspan.records import NANOSECONDS, Displacement, part
 
 # Scale factors nearer to each other than this share belong to targets at one distance.
 SAME_DISTANCE = 0.1
+# A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
+DISAGREES = 2.5
+# Less than this is of no weight: no tracker is right to the last digit.
+MIN_APART_M = 1e-5
+# A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
+MAX_RATIO = 30.0
 
 
 def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
@@ -58,14 +63,6 @@ def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float,
         f"{ratio}either the camera tilts, {makes}, or one of them moves by itself. Where it is tilt, {use}; where one "
         "may not stand still, leave that one out of camera.target, or add a third."
     )
-
-
-# A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
-DISAGREES = 2.5
-# Less than this is of no weight: no tracker is right to the last digit.
-MIN_APART_M = 1e-5
-# A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
-MAX_RATIO = 30.0
 
 
 class Cause(Enum):
@@ -136,11 +133,11 @@ def agreed(
         if verdict is None:
             break
         if verdict.open in (frozenset({Cause.OTHER}), frozenset({Cause.THIS})):
-            mover, beside = (
-                (verdict.other, verdict.kept) if Cause.OTHER in verdict.open else (verdict.kept, verdict.other)
-            )
+            mover, fixed = verdict.other, verdict.kept
+            if Cause.THIS in verdict.open:
+                mover, fixed = fixed, mover
             reason = (
-                f"it moves by itself: it differs from {beside.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
+                f"it moves by itself: it differs from {fixed.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
                 "its noise and scale factor explain."
             )
             left = list(camera.targets)
@@ -154,10 +151,15 @@ def agreed(
     small = last.slight(held)
     shared_m = last.shared()
     error_m = max((shared_m, *(one.error_m for one in (*judged, *small)), *(one.either_m for one in held.values())))
-    told = [_notice(one) for one in (*held.values(), *judged)]
+    texts = [
+        f"Targets {one.kept.name} and {one.other.name} differ by {1e3 * one.size_m:.2g} mm rms, more than their noise "
+        f"and scale factors explain; the error band holds {1e3 * one.either_m:.2g} mm for it. {_cause_text(one)}"
+        for one in (*held.values(), *judged)
+    ]
     if shared_m > 0.0:
-        told.append(Notice("motion-not-shared", f"{_shared_text(shared_m)} The error band holds it."))
-    return replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told)
+        texts.append(f"{_shared_text(shared_m)} The error band holds it.")
+    camera = replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m)))
+    return camera, tuple(Notice("motion-not-shared", text) for text in texts)
 
 
 class _Compared:
@@ -171,7 +173,11 @@ class _Compared:
         noise = best.input_noise
         acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
         blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
-        self._acceleration = _around(acceleration, blocks)
+        # Frames of a minute need no day of it.
+        first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
+        last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
+        first, last = (int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))
+        self._acceleration = part(acceleration, slice(first, last))
         self.members = [
             Member(k, targets[k].name, mapping.scale_m_per_px, mapping.relative_std, block)
             for k, mapping, block in zip(used, camera.mappings(), blocks, strict=True)
@@ -179,7 +185,8 @@ class _Compared:
         self._sharpest = min(self.members, key=lambda member: member.noise_m2)
         kalman = filter_settings(view.prepared, noise.density)
         self._path = smooth(self._acceleration, self._sharpest.block, kalman).estimate
-        self._window = _window(blocks[0], view.window_ns)
+        first, last = (int(i) for i in np.searchsorted(blocks[0].time_ns, view.window_ns))
+        self._window = slice(first, last) if last - first >= MIN_FRAMES else slice(0, len(blocks[0].time_ns))
         self._motion = at(self._path, blocks[0].time_ns)[0][self._window]
         self._found: dict[tuple[int, int], Difference] = {}
 
@@ -205,7 +212,10 @@ class _Compared:
         others = np.flatnonzero(moved[best])
         fewest = others[agreeing[others] == agreeing[others].min()]
         worst = int(fewest[np.argmax(apart[best, fewest])])
-        return self._verdict(members[best], members[worst], _group(members, moved, best, worst))
+        # Those that agree with the best one, where they are a majority against the worst one.
+        group = [member for k, member in enumerate(members) if k != best and not moved[best, k]]
+        majority = np.sum(~moved[best]) > np.sum(~moved[worst])
+        return self._verdict(members[best], members[worst], group if majority else [])
 
     def refused(self) -> list[Verdict]:
         """Targets without a scale factor, compared with the best one, where that one may be wrong as well."""
@@ -277,7 +287,6 @@ class _Compared:
         )
 
     def _between(self, one: Member, other: Member) -> Difference:
-        """What two targets differ by in the window, the first minus the second."""
         if (one.place, other.place) not in self._found:
             w = self._window
             # Rows of a rolling shutter are exposed one after the other.
@@ -309,7 +318,6 @@ class _Compared:
         return Member(place, target.name, 1.0 / ratio, np.inf, block)
 
     def _verdict(self, kept: Member, other: Member, agreeing: Sequence[Member]) -> Verdict:
-        """Which causes of a difference the accelerometer leaves open; agreeing: with the one that is kept."""
         found = self._between(kept, other)
         shares = _shares(kept, other)
         if agreeing:
@@ -326,7 +334,6 @@ class _Compared:
         return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
-        """The share of a difference that is in the target that is kept."""
         own = self._fit.found[kept.place]
         assert own is not None
         offset_s = own.search.fit.offset_s
@@ -346,20 +353,11 @@ def _shares(kept: Member, other: Member) -> dict[Cause, float]:
 
 
 def _alike(one: Member, other: Member) -> bool:
-    """Whether two targets are at one distance."""
     a, b = one.scale_m_per_px, other.scale_m_per_px
     return abs(a - b) <= SAME_DISTANCE * max(abs(a), abs(b))
 
 
-def _group(members: Sequence[Member], moved: NDArray[np.bool_], best: int, worst: int) -> list[Member]:
-    """Those that agree with the best one, without it, where they are a majority against the worst one."""
-    if np.sum(~moved[best]) <= np.sum(~moved[worst]):
-        return []
-    return [member for k, member in enumerate(members) if k != best and not moved[best, k]]
-
-
 def _cause_text(verdict: Verdict) -> str:
-    """What may be the cause, and what would decide."""
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
         return (
@@ -376,25 +374,3 @@ def _shared_text(shared_m: float) -> str:
         f"All targets move alike in the picture by {1e3 * shared_m:.2g} mm rms where the accelerometer feels nothing: "
         "the camera tilts, its bracket vibrates, or its frames' times are wrong."
     )
-
-
-def _notice(verdict: Verdict) -> Notice:
-    return Notice(
-        "motion-not-shared",
-        f"Targets {verdict.kept.name} and {verdict.other.name} differ by {1e3 * verdict.size_m:.2g} mm rms, more than "
-        f"their noise and scale factors explain; the error band holds {1e3 * verdict.either_m:.2g} mm for it. "
-        f"{_cause_text(verdict)}",
-    )
-
-
-def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
-    """The frames in the window; all of them where it holds too few."""
-    first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
-    return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
-
-
-def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
-    """The acceleration of the frames' time and a second on either side: frames of a minute need no day of it."""
-    first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
-    last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
-    return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))

@@ -5,21 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better, offset_variance_factor, unexplained
+from midspan.calibration.agreement import clearly_better, compared_by, offset_variance_factor, unexplained
 from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
+from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
-from midspan.calibration.displacement.clock import (
-    FEW_LEFT_OUT,
-    MANY_LEFT_OUT,
-    left_out,
-    many_left_out,
-    on_one_clock,
-    refuse_step,
-)
 from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
 from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
-from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
+from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s, without_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
@@ -49,8 +42,7 @@ NOISE_WINDOW_S = 1800.0
 TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 # Fewer samples of acceleration carry no motion between two measurements.
 MIN_SAMPLES = 10
-# A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
-# noise.
+# A clock offset that was not wanted is refused when it moves the displacement by more than so many times its noise.
 MAX_LATE = 2.0
 # A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
 CLEARLY_REVERSED = 20.0
@@ -61,6 +53,11 @@ MIN_LEAD, MIN_LEAD_SHARE = 12.0, 0.05
 TELLING_GAIN = 100.0
 # Beyond this share a scale is wrong rather than inexact.
 WRONG_SCALE = 0.5
+
+
+# Beyond this share the values that are left out are more than single outliers; beyond the smaller one they may be those
+# after a clock's step, which the motion hides in part.
+MANY_LEFT_OUT, FEW_LEFT_OUT = 0.2, 0.05
 
 
 class LoggerDelayError(UntrustedError):
@@ -176,13 +173,15 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
-    many = (share := left_out(pair, found.pair)) > MANY_LEFT_OUT
+    # Of the usable values.
+    usable = pair.rows[:, 2] < np.inf
+    share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
     if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
         even = _on_one_even_clock(given, series, pair)
         if even is not None:
             return even
         refuse_step(pair, found.fit)
-    if many:
+    if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
@@ -194,7 +193,6 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
-    """The calibration without the values at some stamps (k,), at which the sensor was stuck, and a warning."""
     learnt = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
     text = (
         f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
@@ -217,8 +215,53 @@ def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCal
     return None if exceeds_own_noise(*estimated.findings.noise) else estimated
 
 
+def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries | None:
+    """The values with the steps of their clock taken out of the stamps; None where none is found.
+
+    origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
+    """
+    # A step leaves one half without any, where the sensors agree; in the other it looks like the accelerometer's noise.
+    halves = [without_outliers(replace(pair, rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
+    fit = min(halves, key=lambda one: one.input_density)
+    used = pair.used(fit.offset_s)
+    jumps = clock_jumps(compared_by(pair, fit, pair.rows[used]))
+    if not jumps:
+        return None
+    late_s, certain = lateness(jumps, len(used)), np.ones(len(used), dtype=bool)
+    for jump in jumps:
+        certain[jump.first : jump.last] = False
+    place = np.searchsorted(origin_ns + np.rint(NANOSECONDS * pair.rows[used, 0]), series.time_ns, side="right") - 1
+    place = np.clip(place, 0, len(used) - 1)
+    moved = series.time_ns + np.rint(NANOSECONDS * (late_s - late_s[0])[place]).astype(np.int64)
+    kept = np.concatenate(([True], moved[1:] > np.maximum.accumulate(moved)[:-1]))
+    value = np.where(certain[place], series.value, np.nan)
+    return replace(series, time_ns=moved[kept], value=value[kept])
+
+
+def refuse_step(pair: Pair, fit: Fit) -> None:
+    """UntrustedError where a clock that steps explains what the sensors differ by, but could not be taken out.
+
+    None is claimed where the acceleration has gaps: what bridges them parts the sensors from there on as a step does.
+    """
+    if np.ptp(pair.samples[:, 2]) > 0.0:
+        return
+    cause = named_cause(replace(pair, ratio=1.0), fit.offset_s)
+    if cause is not None and cause.cause is Cause.STEP:
+        measured = f"displacement: it differs from the accelerometer by {1e3 * cause.difference_m:.3g} mm rms"
+        raise UntrustedError(disagreement(cause, measured))
+
+
+def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:
+    """What to say of many values that are left out; UntrustedError where one cause explains them."""
+    measured = f"displacement: {100 * share:.0f} % of its values contradict the acceleration"
+    cause = named_cause(pair, fit.offset_s)
+    if cause is not None:
+        raise UntrustedError(disagreement(cause, measured))
+    text = f"{measured} and were left out of the calibration as outliers. Where that is too many, check both sensors."
+    return Notice("outliers", text)
+
+
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
-    """The calibration with what the uncertain direction adds to everything that was compared."""
     offset = replace(learnt.offset, variance=learnt.offset.variance + axis.offset_variance)
 
     def wider(relative_std: float) -> float:
@@ -235,7 +278,6 @@ def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
 
 
 def _refuse_farther(overlap: _Overlap, near: Fit, axis: Turned) -> list[Notice]:
-    """UntrustedError where the clocks agree far better farther apart than was searched."""
     reach = overlap.reach_s
     until = min(reach + farther_s(overlap.max_offset_s), FARTHER_SHARE * overlap.overlap_s)
     try:
@@ -263,7 +305,6 @@ def _beyond(overlap: _Overlap, offset_s: float) -> UntrustedError:
 
 
 def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
-    """UntrustedError where the sign or the unit is wrong beyond doubt: no clock offset means anything then."""
     size = 1.0 / abs(found.free.ratio)
     times = "" if abs(size - 1.0) < WRONG_SCALE else f" and multiplied by {size:.3g}"
     if learnt.reversed_gain > CLEARLY_REVERSED:
@@ -390,7 +431,6 @@ def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration
 
 
 def _noise(learnt: NoiseCalibration, found: Findings) -> float:
-    """Variance of the sensor's noise, m²."""
     return learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
 
 

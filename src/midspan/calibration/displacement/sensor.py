@@ -7,9 +7,8 @@ import numpy as np
 
 from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.causes import Cause, disagreement, named_cause
+from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
 from midspan.calibration.clock_rate import ClockRate
-from midspan.calibration.displacement.clock import two_rates, with_offset, with_rate
 from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.own_noise import strange_noise
@@ -27,8 +26,7 @@ from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
 from midspan.signals.stuck import range_limits, resolution, stuck
 
-# A scale that was not estimated is reported when it is off by this share and this many deviations, and refused beyond
-# the second share.
+# A scale that was not estimated is reported when off by this share and so many deviations, refused beyond the third.
 TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
 MAX_OPTIMISTIC = 1.5
@@ -75,7 +73,6 @@ def fit_displacement(given: Given) -> DisplacementFit:
 
 
 def _clock_rate(given: Given) -> ClockRate | None:
-    """The rate of the sensor's clock where its values show that it is not the accelerometer's."""
     step_m = 0.0 if given.learns_scale else None
     series = _without(given.series, _frozen_values(given.prepared, given.series, resolution_m=step_m))
     try:
@@ -141,8 +138,52 @@ def _learnt(given: Given) -> NoiseCalibration:
     return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(given, _without(series, held))
 
 
+def with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
+    """The calibration with the rate of the clock that was corrected."""
+    if rate is None:
+        return learnt
+    offset = replace(learnt.offset, variance=learnt.offset.variance + rate.offset_variance)
+    text = (
+        f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s; this was corrected."
+    )
+    return replace(learnt, offset=offset, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def with_offset(learnt: NoiseCalibration) -> NoiseCalibration:
+    """The calibration with a sentence on an offset that was not asked for.
+
+    late_m: what it makes of the displacement where it may be a logger's delay.
+    """
+    assert learnt.findings is not None
+    text = (
+        f"displacement: its readings come as if its clock differs from the accelerometer's by "
+        f"{1e3 * learnt.offset.value_s:+.4g} ± {1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. "
+        f"{cause_of_lateness(learnt.findings.pair, learnt.offset.value_s)}"
+    )
+    if learnt.late_m > 0.0:
+        text += (
+            "With a low-pass in the accelerometer's logger the result is late by as much: the error band holds what "
+            f"that makes, {1e3 * learnt.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the "
+            "clock; "
+        )
+    else:
+        text += "displacement.estimate_offset = true asks for that; "
+    text += "false says that both have one clock."
+    return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def two_rates(rate: ClockRate) -> UntrustedError:
+    """The refusal of clocks that are said to be one, and run at two rates."""
+    return UntrustedError(
+        f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
+        "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
+        "the time column; live, set both clocks by NTP."
+    )
+
+
 def _part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
-    """What the measurements are read with: noise, clock offset, scale."""
     std = float(np.sqrt(learnt.variance_factor))
     if given.noise_std_m is not None:
         own = given.noise_std_m * abs(learnt.factor)
@@ -190,7 +231,6 @@ def _scale_error(learnt: NoiseCalibration) -> float:
 
 
 def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
-    """One sentence for all segments of frozen values (`held` (n,)) that were left out."""
     for a, b in runs(held)[:1]:
         more = f"So were {len(runs(held)) - 1} more such segments. " if len(runs(held)) > 1 else ""
         yield Notice(
@@ -202,7 +242,6 @@ def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
 
 
 def _range_warnings(part: DisplacementCalibration, held: Mask) -> Iterator[Notice]:
-    """A sentence where values (`held` (n,)) are held at the end of the sensor's range."""
     if held.any():
         ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
         yield Notice(
@@ -260,7 +299,6 @@ def _factor_warnings(learnt: NoiseCalibration) -> Iterator[Notice]:
 
 
 def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
-    """A sentence on an exposure that was not declared."""
     found_s = learnt.exposure_s or learnt.open_exposure_s
     if given.exposure_s is not None or not found_s > 0.0:
         return
@@ -283,7 +321,6 @@ def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notic
 
 
 def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
-    """Sentences on a clock offset that is not applied, and on a logger's delay."""
     if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         yield Notice(
             "clock-differs",
@@ -328,7 +365,6 @@ def _slow_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
 
 
 def _zero_warnings(given: Given, part: DisplacementCalibration) -> Iterator[Notice]:
-    """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
     value = part.scale * given.series.value
     level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
     if given.gives_zero and not part.relative_std * level < max(moved, part.noise_std_m):
@@ -347,7 +383,6 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
 
 
 def _without(series: TimeSeries, mask: Mask) -> TimeSeries:
-    """The channel with some values (n,) missing."""
     return replace(series, value=np.where(mask, np.nan, series.value)) if mask.any() else series
 
 

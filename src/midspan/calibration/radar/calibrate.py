@@ -15,7 +15,7 @@ from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.own_motion import judged
 from midspan.calibration.radar.window import OpenedWindow, clearly_seen, found_targets, refuse_farther
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
-from midspan.calibration.sensors.fit import Bias, SensorFit, bias_of
+from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
@@ -52,6 +52,8 @@ MAX_M = 0.5
 
 
 RadarFit = SensorFit[RadarCalibration, None]
+# Points of the window that are kept for the report.
+KEPT = 2000
 
 
 def fit_radar(
@@ -80,7 +82,8 @@ def fit_radar(
     targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples)
     best = next(item.target for item in targets if item.used)
     series = series_of(frames, best, info, samples)
-    search = searched(prepared, whole, series, (origin, max_offset))
+    # A second way to clock offset, factor and noise levels of the best target.
+    search = search_offset(radar_pair(prepared, whole, series, (origin, max_offset)), max_offset)
     _refuse_ambiguity(search, max_offset)
     # The clock offset is the targets' own.
     kinds = [kind for kind in kinds_of(search.pair, exposure_declared=True) if kind is not Kind.LAG]
@@ -90,31 +93,24 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
-    # What the accelerometer contradicts is in the targets' deviations.
-    targets, of_factor = _widened(targets, search)
-    _refuse_short(targets)
-    targets, of_motion = _with_slow_motion(targets, search)
-    used = [item.target for item in targets if item.used]
+    targets, contradicted = _contradicted(targets, search)
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
         variance_factor=_variance_factor(search, best, series),
-        # The accelerometer's noise is common to the factors of all targets.
-        relative_std=float(
-            np.average([one.relative_std for one in used], weights=[1.0 / one.noise_m**2 for one in used])
-        ),
+        relative_std=_relative_std([item.target for item in targets if item.used]),
         carrier_hz=info.carrier_hz,
         channels=info.channels,
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     coloured = misfit(search.pair, search.fit)
     about = (*response.texts(search.fit.motion_hz), *_warnings(calibration), *coloured.text("radar"))
-    warnings = (*info.warnings, *window.told, *hidden, *moving, *of_factor, *of_motion, *about)
+    warnings = (*info.warnings, *window.told, *hidden, *moving, *contradicted, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
         search.pair.input_noise(search.fit.input_density),
-        searched_bias(search),
+        bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance))),
         warnings,
         misfit=coloured,
         slope=response.slope,
@@ -134,14 +130,13 @@ class _Along:
 
 
 def _along_axis(window: OpenedWindow, prepared: PreparedAcceleration, info: RadarInfo) -> _Along:
-    """The acceleration along the direction that the clearest target shows, as it is where there is one axis only."""
     (origin, max_offset), samples = window.clock, window.samples
     if prepared.cross_m_s2 is None:
         return _Along(prepared, samples)
     found = found_targets(window.frames, samples, info, max_offset)
     best = min(found, key=lambda one: (bool(one.objection), one.noise_m))
     series = series_of(window.frames, best, info, samples)
-    axis = turned(_radar_pair(prepared, without_holes(window.frames), series, window.clock), max_offset)
+    axis = turned(radar_pair(prepared, without_holes(window.frames), series, window.clock), max_offset)
     assert axis.direction is not None
     prepared = prepared.along(axis.direction.components)
     first_ns, last_ns = (origin + int(np.rint(NANOSECONDS * time_s)) for time_s in samples[[0, -1], 0])
@@ -180,7 +175,6 @@ def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Flo
 
 
 def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:
-    """The targets in use, best first, then the others with the reason against them; and the clock offset of all."""
     best_first = list(ranked(found))
     if range_m is not None:
         best_first = [nearest_peak(found, range_m)]
@@ -233,14 +227,7 @@ def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     return reasons, TimeOffset(mean, max(float(std[kept].min()), scatter) ** 2)
 
 
-def searched(
-    prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
-) -> OffsetSearch:
-    """Clock offset, factor and noise levels of the best target by maximum likelihood: a second way to all of them."""
-    return search_offset(_radar_pair(prepared, whole, series, given), given[1])
-
-
-def _radar_pair(
+def radar_pair(
     prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
 ) -> Pair:
     """The range to a target, and the acceleration; given: stamp of the first frame (ns), largest clock offset (s)."""
@@ -256,11 +243,6 @@ def _radar_pair(
     return Pair(samples, rows, level_m_s2=prepared.level(window), cross=prepared.cross_rows(window))
 
 
-def searched_bias(search: OffsetSearch) -> Bias:
-    """The accelerometer's bias, estimated together with the target that a search was made for."""
-    return bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
-
-
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     other, fit = search.runner_up, search.fit
     if other is None or not is_ambiguous(search):
@@ -273,6 +255,12 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     )
 
 
+def _relative_std(used: Sequence[Target]) -> float:
+    """Of the displacement of all targets together; the accelerometer's noise is common to their factors."""
+    weights = [1.0 / target.noise_m**2 for target in used]
+    return float(np.average([target.relative_std for target in used], weights=weights))
+
+
 def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -> float:
     """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered."""
     if best.own_m > best.noise_m:
@@ -281,8 +269,17 @@ def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -
     return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
 
 
+def _contradicted(
+    targets: tuple[RadarTarget, ...], search: OffsetSearch
+) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
+    """The targets with what the accelerometer contradicts in their deviations, and sentences on it."""
+    targets, of_factor = _widened(targets, search)
+    _refuse_short(targets)
+    targets, of_motion = _with_slow_motion(targets, search)
+    return targets, [*of_factor, *of_motion]
+
+
 def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
-    """The targets with their factors' deviations widened where the likelihood finds another factor for the best one."""
     best, fit = targets[0].target, search.fit
     apart = abs(1.0 / (fit.ratio * best.conversion_factor) - 1.0)
     expected = float(np.hypot(best.relative_std, np.sqrt(fit.ratio_variance) / abs(fit.ratio)))
@@ -347,7 +344,6 @@ def _warnings(calibration: RadarCalibration) -> Iterator[Notice]:
 
 
 def _refuse_short(targets: Sequence[RadarTarget]) -> None:
-    """UntrustedError for a factor below 1, which no fixed target has: it is one over the cosine of an angle."""
     worst = min((item.target for item in targets if item.used), key=lambda target: abs(target.conversion_factor))
     if abs(worst.conversion_factor) >= 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std):
         return
@@ -358,10 +354,6 @@ def _refuse_short(targets: Sequence[RadarTarget]) -> None:
         "and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected "
         "twice."
     )
-
-
-# Points of the window that are kept for the report.
-KEPT = 2000
 
 
 def diagnostics_of(range_m: Floats, whole: RadarFrames, target: Target) -> RadarDiagnostics:

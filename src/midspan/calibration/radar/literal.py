@@ -16,13 +16,13 @@ from midspan.calibration.radar.calibrate import (
     diagnostics_of,
     nearest_peak,
     one_clock,
-    searched,
-    searched_bias,
+    radar_pair,
     series_of,
 )
 from midspan.calibration.radar.window import OpenedWindow, found_targets
+from midspan.calibration.sensors.fit import bias_of
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
-from midspan.calibration.time_offset import OffsetSearch
+from midspan.calibration.time_offset import search_offset
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.radar.frames import without_holes
@@ -87,8 +87,9 @@ def fit_radar_literal(
     usable = tuple(peak for peak in peaks if not peak.objection)
     if usable:
         series = series_of(window.frames, ranked(usable)[0], info, window.samples)
-    search = searched(prepared, window.frames, series, window.clock)
-    return RadarFit(calibration, search.pair.input_noise(search.fit.input_density), searched_bias(search), warnings)
+    search = search_offset(radar_pair(prepared, window.frames, series, window.clock), window.clock[1])
+    bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
+    return RadarFit(calibration, search.pair.input_noise(search.fit.input_density), bias, warnings)
 
 
 def _at_the_end(factor: float) -> bool:
@@ -97,7 +98,6 @@ def _at_the_end(factor: float) -> bool:
 
 
 def _check_length(frame_s: Floats) -> None:
-    """DataError where the high-pass of 0.5 Hz has too little to settle in."""
     length_s, rate = float(frame_s[-1] - frame_s[0]), 1.0 / float(np.median(np.diff(frame_s)))
     least_s = 2.0 * EDGE_S + MIN_INNER_S
     if length_s < least_s:
@@ -110,17 +110,6 @@ def _check_length(frame_s: Floats) -> None:
             f"fusion.literal: the printed high-pass of 0.5 Hz needs at least {MIN_RATE_HZ:g} frames a second; the "
             f"radar has {rate:.3g}. Leave fusion.literal out."
         )
-
-
-def _accelerometer_by_clean_target(
-    given: tuple[OpenedWindow, PreparedAcceleration, RadarInfo], peaks: Sequence[Target], series: TargetSeries
-) -> OffsetSearch:
-    """The search that gives noise and bias of the accelerometer: the printed chain does not."""
-    window, prepared, info = given
-    usable = tuple(peak for peak in peaks if not peak.objection)
-    if usable:
-        series = series_of(window.frames, ranked(usable)[0], info, window.samples)
-    return searched(prepared, window.frames, series, window.clock)
 
 
 def _judged(

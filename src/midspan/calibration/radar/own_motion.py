@@ -50,7 +50,6 @@ def judged(
 
 
 def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
-    """A sentence on each target that moves on its own."""
     if own.undecided.any() and len(targets) == 2 and not own.left_out.any():
         power = np.where(own.undecided, own.power_m2[0], 0.0)
         if _matters(float(power.sum()), min(targets, key=lambda target: target.noise_m)):

@@ -20,6 +20,11 @@ MIN_FRAMES = 100
 # Where acceleration is missing for longer than this, s, the longest part without it is used if it is this share of the
 # window at least: a double integral over a guess fits no phase.
 MIN_GAP_S, MIN_UNBROKEN = 0.05, 0.25
+# Where targets are hidden in the window for this many frames on end, its longest clear part is used if it is this share
+# of it at least; above the other share nothing needs to be left out.
+MIN_FLAW_FRAMES, MIN_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
+# Where no target follows the accelerometer, a clock offset is looked for up to this share of the window.
+FAR_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +82,6 @@ def _unbroken(prepared: PreparedAcceleration, frames: RadarFrames, known: tuple[
     k = int(np.argmax(ends - starts))
     enough = ends[k] - starts[k] >= max(MIN_FRAMES, MIN_UNBROKEN * len(frames.time_ns))
     return slice(int(starts[k]), int(ends[k])) if enough else None
-
-
-# Where targets are hidden in the window for this many frames on end, its longest clear part is used if it is this share
-# of it at least; above the other share nothing needs to be left out.
-MIN_FLAW_FRAMES, MIN_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
-# Where no target follows the accelerometer, a clock offset is looked for up to this share of the window.
-FAR_SHARE = 0.5
 
 
 def clearly_seen(
@@ -145,7 +143,6 @@ def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_off
 
 
 def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
-    """The longest segment of frames in which all targets had about their usual amplitude, short flaws allowed."""
     clear = np.ones(len(frames.time_ns), dtype=np.bool_)
     for target in targets:
         z = together(at_place(frames.phasors, target.place_bin)[..., None], target, frames.valid)[:, 0] - target.leak

@@ -13,9 +13,9 @@ import numpy as np
 
 from midspan.calibration.agreement import Misfit
 from midspan.calibration.direction import Direction
-from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range, evaluate
+from midspan.calibration.fit import Fit, Pair, aligned, corner_range, evaluate
 from midspan.notices import Notice
-from midspan.records import InputNoise
+from midspan.records import Floats, InputNoise
 
 # Logarithms of the corner frequency, relative to the best fit's, that are averaged over: reach and step.
 REACH, STEP = 3.0, 0.25
@@ -39,42 +39,34 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
     What is uncertain of the noise, of the ratio and of the clock offset (s) is in the deviation.
     """
     here, (low, high) = aligned(pair, fit.offset_s), corner_range(pair)
+
+    def acceleration(open_part: Floats, ratio: float) -> float:
+        # With the part of the acceleration outside a band, which does not decide the ratio.
+        own = open_part[1] + (open_part[3] if pair.outside is not None else 0.0)
+        return float(open_part[0] / ratio - own)
+
+    def own_variance(one: Fit) -> float:
+        own = one.noise * one.whitened.bias_variance / one.ratio**2
+        if pair.ratio is not None:
+            return own
+        # A ratio that is known is none of the unknowns; else the bias goes with it.
+        return float(own + (one.whitened.bias[0] / one.ratio**2) ** 2 * one.ratio_variance)
+
     corners = fit.corner * np.exp(np.arange(-REACH, REACH + STEP, STEP))
     fits = [fit, *(here.fit(float(corner)) for corner in corners if low <= corner <= high and corner != fit.corner)]
     likelihood = np.array([one.likelihood for one in fits])
     weight = np.exp(likelihood - np.max(likelihood))
-    value = np.array([_bias(pair, one) for one in fits])
+    value = np.array([acceleration(one.whitened.bias, one.ratio) for one in fits])
     mean = float(np.average(value, weights=weight))
-    spread = (value - mean) ** 2 + np.array([_variance(pair, one) for one in fits])
+    spread = (value - mean) ** 2 + np.array([own_variance(one) for one in fits])
     variance = float(np.average(spread, weights=weight))
     if pair.bias_drifts:
         # The slope of white noise of density S over T, 12 S / T³ (variance), was taken out with it: at the end 3 S / T.
         variance += 3.0 * fit.input_density / float(here.rows[-1, 0] - here.rows[0, 0])
     if 0.0 < offset_std_s < np.inf:
         late = evaluate(pair, fit.offset_s + offset_std_s, fit.corner)
-        variance += (_bias(pair, late) - _bias(pair, fit)) ** 2
-    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)), _drift(here, fit))
-
-
-def _drift(here: Aligned, fit: Fit) -> float:
-    """The rate of the bias, m/s³; 0 where it does not drift."""
-    own = here.cubic[1, 1] + (here.cubic[1, 3] if here.pair.outside is not None else 0.0)
-    return float(own - here.cubic[1, 0] / fit.ratio)
-
-
-def _bias(pair: Pair, fit: Fit) -> float:
-    """The filter's bias after the last sample, m/s² from the samples' level."""
-    whole = fit.whitened.bias
-    # With the part of the acceleration outside a band, which does not decide the ratio.
-    own = whole[1] + (whole[3] if pair.outside is not None else 0.0)
-    return float(whole[0] / fit.ratio - own)
-
-
-def _variance(pair: Pair, fit: Fit) -> float:
-    """Variance (m/s²)² of the bias with the noise levels of a fit."""
-    own = fit.noise * fit.whitened.bias_variance / fit.ratio**2
-    # A ratio that is known is none of the unknowns; else the bias goes with it.
-    return own if pair.ratio is not None else own + (fit.whitened.bias[0] / fit.ratio**2) ** 2 * fit.ratio_variance
+        variance += (acceleration(late.whitened.bias, late.ratio) - value[0]) ** 2
+    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)), 0.0 - acceleration(here.cubic[1], fit.ratio))
 
 
 Calibrated = TypeVar("Calibrated")
