@@ -16,13 +16,13 @@ from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
+from midspan.sources.boundary import available_bytes, shown_bytes
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
-from midspan.sources.declared_size import available_bytes, shown_bytes
 from midspan.sources.radar.inspect import LOOKED_AT, inspect_radar
 from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.light import is_dark
 

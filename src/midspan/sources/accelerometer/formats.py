@@ -7,8 +7,7 @@ from pathlib import Path
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
-from midspan.sources.boundary import reading, require_file
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import reading, require_file, require_memory
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.records import Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 _BLOCK = re.compile(rb"^WID2 (?P<header>[^\r\n]*)[\r\n]+(?P<rest>.*?)(?=^WID2 |\Z)", re.MULTILINE | re.DOTALL)
 _DATA = re.compile(rb"^DAT2[^\r\n]*[\r\n]+(?P<packed>.*?)^CHK2\s+(?P<checksum>-?\d+)", re.MULTILINE | re.DOTALL)

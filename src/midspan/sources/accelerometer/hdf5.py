@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from midspan.sources.accelerometer.channel import ChannelSet
 from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 from midspan.sources.hdf5_members import ElsewhereError, member, open_hdf5
 
 # Groups inside one another; a file that has more is damaged or made to be endless.

@@ -13,7 +13,7 @@ from midspan.records import Floats
 from midspan.sources.accelerometer import text
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.last_line import cut_last_line
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 _FIRST_WORDS, _HEAD_BYTES = b"LabVIEW Measurement", 64
 # Lines that hold the file's own header.

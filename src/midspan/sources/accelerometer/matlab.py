@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from midspan.sources.accelerometer.channel import ChannelSet
 from midspan.sources.accelerometer.hdf5 import read_matlab
 from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _TYPES = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from midspan.records import Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 # libmseed's status of a stream that ends within a record (MS_ENDOFFILE).
 _END_OF_FILE = 1

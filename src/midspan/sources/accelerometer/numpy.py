@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from midspan.sources.accelerometer.channel import ChannelSet
 from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
-from midspan.sources.declared_size import require_memory
-from midspan.sources.npy_header import read_npy_header
+from midspan.sources.boundary import read_npy_header, require_memory
 
 
 def read(path: Path) -> ChannelSet:

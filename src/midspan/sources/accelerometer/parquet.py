@@ -8,7 +8,7 @@ import numpy as np
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values, numbers
 from midspan.sources.accelerometer.clock import texts_to_ns
 from midspan.sources.accelerometer.dialect import named_unit
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ import numpy as np
 from midspan.errors import UsageError
 from midspan.records import Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 INSTALL = "pip install 'midspan[seismic]'"
 # A number of four bytes (SAC) becomes eight bytes of value, and what they are worked out of; one of K-NET has nine.

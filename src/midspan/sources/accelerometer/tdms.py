@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, numbers
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 _UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 # LabVIEW's zero of time, 1904: a waveform that starts there was never given a start.

@@ -14,7 +14,7 @@ from midspan.sources.accelerometer.channel import Channel, ChannelSet, Values
 from midspan.sources.accelerometer.clock import TIME_UNITS, texts_to_ns
 from midspan.sources.accelerometer.dialect import BLANKS, Dialect, find_dialect
 from midspan.sources.accelerometer.last_line import cut_last_line
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,7 +13,7 @@ from zipfile import ZipFile
 from midspan.errors import DataError
 from midspan.sources.accelerometer import text
 from midspan.sources.accelerometer.channel import ChannelSet
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 
 def read(path: Path) -> ChannelSet:

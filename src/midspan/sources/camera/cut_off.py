@@ -10,6 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+_HEAD_BYTES = 1024
+# Bytes of a packet of a transport stream, plain, with a time stamp of 4 bytes before it, with 16 bytes of parity.
+_TRANSPORT_PACKETS = (188, 192, 204)
+_SYNC = 0x47
+_SYNCS = 4  # in a row
+# The element of Matroska that holds all others.
+_SEGMENT = 0x18538067
+# Samples of luma and colour for four pixels in the kinds of Y4M.
+_Y4M_SAMPLES = {"420": 6, "411": 6, "422": 8, "444": 12, "mono": 4}
+_ASF = bytes.fromhex("3026b2758e66cf11a6d900aa0062ce6c")
+_ASF_PROPERTIES = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
+
 
 @dataclass(frozen=True, slots=True)
 class CutOff:
@@ -25,27 +37,12 @@ def cut_off(path: Path) -> CutOff | None:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
         file.seek(0)
-        found = next((check for known, check in _CHECKS if known(head)), None)
+        check = next((check for begins, check in _CHECKS if begins(head)), None)
         try:
-            return found(file, size) if found else None
+            return check(file, size) if check else None
         except (struct.error, IndexError, ValueError):
             # A header that cannot be taken apart says nothing about the end.
             return None
-
-
-_HEAD_BYTES = 1024
-# Bytes of a packet of a transport stream, plain, with a time stamp of 4 bytes before it, with 16 bytes of parity.
-_TRANSPORT_PACKETS = (188, 192, 204)
-_SYNC = 0x47
-_SYNCS = 4  # in a row
-_GIF_END = b";"
-# Elements of Matroska, and a size of which all bits are set: not known.
-_SEGMENT, _CLUSTER = 0x18538067, 0x1F43B675
-# Samples of luma and colour for four pixels in the kinds of Y4M.
-_Y4M_SAMPLES = {"420": 6, "411": 6, "422": 8, "444": 12, "mono": 4}
-_FRAME_LINE = b"FRAME\n"
-_ASF = bytes.fromhex("3026b2758e66cf11a6d900aa0062ce6c")
-_ASF_PROPERTIES = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
 
 
 def _short(missing: int, declared: int) -> CutOff | None:
@@ -61,21 +58,21 @@ def _y4m(file: BinaryIO, size: int) -> CutOff | None:
     width, height = int(keys["W"]), int(keys["H"])
     samples = next((count for name, count in _Y4M_SAMPLES.items() if kind.startswith(name)), 0)
     deep = any(kind.endswith(bits) for bits in ("p9", "p10", "p12", "p14", "p16", "mono16"))
-    if not samples or "alpha" in kind or file.read(len(_FRAME_LINE)) != _FRAME_LINE:
+    if not samples or "alpha" in kind or file.read(6) != b"FRAME\n":
         return None
     across, down = (width + 1) // 2 * 2, (height + 1) // 2 * 2
     # Planes of colour are rounded up to whole samples; that of luma is not.
     colour = (samples - 4) * {6: across * down, 8: across * height, 12: width * height, 4: 0}[samples] // 4
     if kind.startswith("411"):
         colour = 2 * ((width + 3) // 4) * height
-    frame = (width * height + colour) * (2 if deep else 1) + len(_FRAME_LINE)
+    frame = (width * height + colour) * (2 if deep else 1) + len(b"FRAME\n")
     whole, rest = divmod(size - len(line), frame)
     return CutOff(f"the file is cut off: frame {whole} has {rest} of {frame} bytes", False) if rest else None
 
 
 def _gif(file: BinaryIO, size: int) -> CutOff | None:
     file.seek(max(size - _HEAD_BYTES, 0))
-    if file.read().rstrip(b"\0").endswith(_GIF_END):
+    if file.read().rstrip(b"\0").endswith(b";"):
         return None
     return CutOff("the file is cut off: the byte that ends a GIF is missing", True)
 

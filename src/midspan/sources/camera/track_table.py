@@ -16,8 +16,7 @@ from midspan.records import Floats, Frame, Nanoseconds, PixelTrack, Region, Stat
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.camera.frames import FrameRequest
-from midspan.sources.camera.timing import rate_times
+from midspan.sources.camera.frames import FrameRequest, rate_times
 from midspan.trees import TreeError, read_json
 from midspan.vision.frame_source import FrameInfo, FrameSource, StoredTrack
 

@@ -9,13 +9,11 @@ import numpy as np
 from midspan.errors import DataError
 from midspan.radar.info import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
-from midspan.sources.boundary import reading
-from midspan.sources.declared_size import require_memory
-from midspan.sources.hdf5_members import open_hdf5
+from midspan.sources.boundary import reading, require_memory
+from midspan.sources.hdf5_members import dataset, open_hdf5, values
 from midspan.sources.radar.acconeer import CARRIER_HZ, FRAMES_AT_A_TIME
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
 from midspan.sources.radar.slow_time import MAX_PHASOR
-from midspan.sources.radar.stored import dataset, values
 from midspan.trees import json_tree
 
 _MEMBERS = ("mode", "data", "session_info", "sensor_config_dump")

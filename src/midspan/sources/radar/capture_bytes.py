@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.radar.layout import PACKET_BYTES
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 Bytes = NDArray[np.uint8]
 

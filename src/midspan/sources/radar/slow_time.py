@@ -12,11 +12,9 @@ from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, profile_from_json
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames
-from midspan.sources.boundary import reading
-from midspan.sources.declared_size import require_memory
-from midspan.sources.hdf5_members import open_hdf5
+from midspan.sources.boundary import reading, require_memory
+from midspan.sources.hdf5_members import dataset, open_hdf5, values
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
-from midspan.sources.radar.stored import dataset, values
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 4096
