@@ -1,7 +1,6 @@
 """Frames of a radar whose capture card sends its raw samples by UDP, as range profiles with their instants in UTC."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -11,8 +10,7 @@ from midspan.radar.interference import Interference, floor_of, probed_bins
 from midspan.radar.layout import Layout
 from midspan.radar.range_profile import averaged, range_profile, whole_channels
 from midspan.records import RangeFrame
-from midspan.sources.live.fault import SourceFault
-from midspan.sources.radar.ti_config import read_settings
+from midspan.sources.live.instants import SourceFault
 from midspan.sources.radar.udp import LiveCapture, UdpSettings
 
 # Nothing for so long ends the reading, s.
@@ -25,18 +23,6 @@ def host_and_port(address: str) -> tuple[str, int]:
     if not port.isdecimal() or not 0 < int(port) < 65536:
         raise ValueError("must be a port, or a host and a port: udp:4098 or udp:192.168.33.30:4098")
     return host, int(port)
-
-
-def live_layout(config: Path, iq_order: str) -> Layout:
-    """How the samples of a radar with these settings are ordered. Raises DataError."""
-    settings = read_settings(config)
-    if settings.header:
-        raise DataError(f"{config}: lvdsStreamCfg enableHeader = 1 cannot be read. Capture with 0.")
-    order = settings.order if iq_order == "auto" else iq_order
-    try:
-        return Layout(settings.profile, order, settings.lanes)
-    except UsageError as error:
-        raise DataError(f"{config}: {error}") from None
 
 
 def live_info(layout: Layout) -> RadarInfo:

@@ -17,6 +17,8 @@ from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
 from midspan.sources.boundary import reading
 
 Item = TypeVar("Item")
+# No receiver counts as far; the squares of what is below, and their sums, stay finite in single precision.
+MAX_PHASOR = 1e15
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,7 @@ class RadarRequest:
 class RadarSource(ABC):
     """Frames in the order of time, in blocks; never a whole recording in memory.
 
-    A subclass reads in `_profiles` and `_slow_time`; damage that shows there is one DataError, see `reading`.
+    A subclass reads in `_profiles`; damage that shows there is one DataError, see `reading`.
     """
 
     # What messages call the file.
@@ -59,14 +61,14 @@ class RadarSource(ABC):
         Frames with interference are not valid, here and in `slow_time`.
         """
         probed = probed_bins(self.info.bins).astype(np.int64)
-        return without_interference(self.guarded(self._profiles(start, stop)), probed, keep=True)
+        return _without_interference(self.guarded(self._profiles(start, stop)), probed, keep=True)
 
     def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
         """The phasors at the bins (k,), whole or between two, of the frames start … stop-1: what a replay runs on."""
         probed = probed_bins(self.info.bins)
         wanted = np.concatenate((np.asarray(bins, dtype=np.float64), probed))
         places = len(wanted) - len(probed) + np.arange(len(probed))
-        return without_interference(self.guarded(self._slow_time(wanted, start, stop)), places, keep=False)
+        return _without_interference(self.guarded(self._slow_time(wanted, start, stop)), places, keep=False)
 
     def guarded(self, items: Iterator[Item]) -> Iterator[Item]:
         """The items as they are read; what a library raises on damage becomes a DataError."""
@@ -76,17 +78,15 @@ class RadarSource(ABC):
     @abstractmethod
     def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
 
-    @abstractmethod
-    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
+        for block in self._profiles(start, stop):
+            yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
 
 
-def without_interference(
+def _without_interference(
     blocks: Iterator[RangeFrames], probed: NDArray[np.int64], *, keep: bool
 ) -> Iterator[RangeFrames]:
-    """The blocks with frames not valid that hold interference.
-
-    probed (k,): places of the bins that tell; none: nothing does. keep: whether these bins stay in the blocks.
-    """
+    """The blocks with frames not valid that hold interference; probed (k,): places of the bins that tell it."""
     interference = Interference()
     for block in blocks:
         valid = block.valid

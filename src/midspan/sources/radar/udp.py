@@ -224,9 +224,10 @@ class LiveCapture:
             except queue.Empty:
                 if self._failure is not None:
                     raise self._failure from None
+                senders = " and ".join(self._settings.senders or ("anybody",))
                 raise DataError(
                     f"No frame came from the capture card for {self._settings.timeout_s:g} s on port {self.port}; "
-                    f"{self.foreign_packets} packets came from other senders than {self._senders()}, "
+                    f"{self.foreign_packets} packets came from other senders than {senders}, "
                     f"{self.order.stray_packets} were none of the stream's. Check that the radar runs, its cable, and "
                     f"that the host has the address {HOST_ADDRESS}."
                 ) from None
@@ -299,6 +300,3 @@ class LiveCapture:
         """The time at which a frame begins."""
         first, first_ns = self._origin or (0, 0)
         return first_ns + round(NANOSECONDS * (number - first) * self._layout.profile.frame_period_s)
-
-    def _senders(self) -> str:
-        return " and ".join(self._settings.senders or ("anybody",))
