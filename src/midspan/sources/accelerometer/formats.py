@@ -40,18 +40,18 @@ _HEAD_BYTES = 512
 _FORMATS = (
     Format("text columns", (".csv", ".txt", ".dat", ".asc", ".tsv"), "pandas", "text"),
     Format("Parquet", (".parquet", ".pq"), "pyarrow", "parquet"),
-    Format("NumPy", (".npy", ".npz"), "numpy", "numpy"),
-    Format("MATLAB 5 to 7.3", (".mat",), "scipy, h5py", "matlab"),
-    Format("HDF5", (".h5", ".hdf5", ".hdf"), "h5py", "hdf5"),
-    Format("Excel workbook", (".xlsx", ".xlsm"), "openpyxl", "xlsx"),
+    Format("NumPy", (".npy", ".npz"), "numpy", "tree", "read_numpy"),
+    Format("MATLAB 5 to 7.3", (".mat",), "scipy, h5py", "tree", "read_matlab"),
+    Format("HDF5", (".h5", ".hdf5", ".hdf"), "h5py", "tree", "read_hdf5"),
+    Format("Excel workbook", (".xlsx", ".xlsm"), "openpyxl", "text", "read_xlsx"),
     Format("TDMS", (".tdms",), "npTDMS", "tdms"),
     Format("LabVIEW measurement", (".lvm",), "lvm_read", "lvm"),
-    Format("miniSEED or full SEED", _SEED_SUFFIXES, "pymseed", "miniseed", head=_SEED_HEAD),
+    Format("miniSEED or full SEED", _SEED_SUFFIXES, "pymseed", "seismic", "read_miniseed", _SEED_HEAD),
     Format("Universal file, dataset 58", (".uff", ".unv", ".58"), "pyuff", "uff"),
     Format("CSMIP and COSMOS V1 and V2", (".v2", ".v2c", ".v1", ".v1c"), "midspan", "strong_motion"),
     Format("K-NET and KiK-net", _KNET_SUFFIXES, _OBSPY, "seismic", "read_knet", re.compile(rb"Origin Time\s+\d{4}/")),
     Format("SAC", (".sac",), _OBSPY, "seismic", "read_sac", _SAC_HEAD),
-    Format("GSE2", (".gse", ".gse2"), "midspan", "gse2", head=re.compile(rb"(BEGIN GSE2|WID2 )")),
+    Format("GSE2", (".gse", ".gse2"), "midspan", "seismic", "read_gse2", re.compile(rb"(BEGIN GSE2|WID2 )")),
 )
 
 FORMATS = tuple((row.name, row.suffixes, row.reader) for row in _FORMATS)

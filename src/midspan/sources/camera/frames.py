@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Frame, Nanoseconds
+from midspan.sources.accelerometer.channel import even_ns
 from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.vision.frame_source import FrameSource
@@ -133,8 +134,7 @@ def grid(count: int, rate_hz: Fraction, start_ns: int) -> Nanoseconds:
         whole, rest = divmod(np.arange(count, dtype=np.int64) * rate_hz.denominator, rate_hz.numerator)
         fraction_ns = np.rint(rest * (1e9 / rate_hz.numerator)).astype(np.int64)
         return np.asarray(np.int64(start_ns) + whole * NANOSECONDS + fraction_ns, dtype=np.int64)
-    steps = np.rint(np.arange(count) * (1e9 / float(rate_hz))).astype(np.int64)
-    return np.asarray(np.int64(start_ns) + steps, dtype=np.int64)
+    return even_ns(start_ns, count, float(rate_hz))
 
 
 def luma(image: NDArray[np.generic], reversed_colours: bool) -> NDArray[np.generic]:
