@@ -210,13 +210,13 @@ def read_gse2(path: Path) -> ChannelSet:
             notes.append(note)
     if not groups and not damage:
         raise DataError(f"{path} has no header WID2. Give a GSE2 file with waveforms.")
-    return ChannelSet(tuple(_gse2_channel(name, parts) for name, parts in groups.items()), tuple(notes), tuple(damage))
-
-
-def _gse2_channel(name: str, parts: list[tuple[Nanoseconds, NDArray[np.int64], float]]) -> Channel:
-    parts.sort(key=lambda part: int(part[0][0]))
-    values = np.concatenate([samples for _, samples, _ in parts]).astype(np.float64)
-    return Channel(name, values, None, parts[0][2], None, np.concatenate([times for times, _, _ in parts]))
+    channels = []
+    for name, parts in groups.items():
+        parts.sort(key=lambda part: int(part[0][0]))
+        values = np.concatenate([samples for _, samples, _ in parts]).astype(np.float64)
+        time_ns = np.concatenate([times for times, _, _ in parts])
+        channels.append(Channel(name, values, None, parts[0][2], None, time_ns))
+    return ChannelSet(tuple(channels), tuple(notes), tuple(damage))
 
 
 def _gse2_times(start: str, count: int, rate_hz: float) -> Nanoseconds:

@@ -24,6 +24,8 @@ class ImageFrames(StoredFrames):
     """Images of one size, 8 or 16 bits (or float TIFF), in natural order of their names: img2 before img10."""
 
     def __init__(self, path: Path, request: FrameRequest) -> None:
+        import cv2
+
         super().__init__(path, request)
         files = listed(path)
         self._files = [file for file in files if file.suffix.lower() in IMAGES] if path.is_dir() else files
@@ -31,13 +33,15 @@ class ImageFrames(StoredFrames):
             raise DataError(f"{path} holds no images ({', '.join(IMAGES)}). Correct the folder or the glob.")
         self._suffix = self._files[0].suffix.lower()
         self._pages, largest = 1, 0
+        pages = list(_pages(self._files[0])) if self._suffix in _TIFF else []
         if len(self._files) == 1 and self._suffix in _TIFF:
-            self._pages, largest = _page_count(self._files[0])
+            largest = max((page.picture_bytes for page in pages), default=0)
+            require_memory(path, largest, "a page")
+            with _quiet():
+                self._pages = max(int(cv2.imcount(str(self._files[0]), cv2.IMREAD_UNCHANGED)), 1)
         self._count = self._pages if self._pages > 1 else len(self._files)
         self._at_once = max(min(_PAGES_AT_ONCE, _BLOCK_BYTES // max(largest, 1)), 1)
-        self._lossy = self._suffix in _LOSSY
-        if self._suffix in _TIFF:
-            self._lossy = any(page.lossy for page in _pages(self._files[0]))
+        self._lossy = self._suffix in _LOSSY or any(page.lossy for page in pages)
         self._block: tuple[int, list[NDArray[np.generic]]] = (0, [])
         self._first: NDArray[np.generic] | None = None
         self._first = self._image(0)
@@ -78,16 +82,6 @@ class ImageFrames(StoredFrames):
             pages = [np.asarray(page) for page in found]
             self._block = (start, pages)
         return pages[number - start]
-
-
-def _page_count(file: Path) -> tuple[int, int]:
-    """The pages of a TIFF, and the bytes of the largest."""
-    import cv2
-
-    largest = max((page.picture_bytes for page in _pages(file)), default=0)
-    require_memory(file, largest, "a page")
-    with _quiet():
-        return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1), largest
 
 
 def _pages(file: Path) -> Iterator[Page]:

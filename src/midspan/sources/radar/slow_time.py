@@ -35,7 +35,7 @@ class SlowTimeFile(RadarSource):
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
         settings = read_settings(request.config) if request.config else None
-        self._read, shape, beside = _opened_npy(path) if path.suffix.lower() == ".npy" else _opened_hdf5(path)
+        self._read, shape, beside = _opened(path)
         if not 1 <= len(shape) <= 3 or 0 in shape:
             raise DataError(
                 f"{path} must hold I/Q of shape (frames), (frames, channels) or (frames, channels, bins); received "
@@ -185,14 +185,13 @@ def _pair_shape(path: Path, dtype: Any, shape: tuple[int, ...]) -> tuple[int, ..
     )
 
 
-def _opened_npy(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
-    with reading(path, "a NumPy array"):
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    return lambda first, last: _paired(np.asarray(array[first:last])), _pair_shape(path, array.dtype, array.shape), {}
-
-
-def _opened_hdf5(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
-
+def _opened(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
+    """What reads the frames from one to another, their shape, and what stands with them."""
+    if path.suffix.lower() == ".npy":
+        with reading(path, "a NumPy array"):
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        shape = _pair_shape(path, array.dtype, array.shape)
+        return lambda first, last: _paired(np.asarray(array[first:last])), shape, {}
     with reading(path, "HDF5"):
         file = open_hdf5(path)
     keys = ("time_s", "time_ns", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
