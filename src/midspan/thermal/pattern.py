@@ -143,10 +143,8 @@ def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, 
 
 
 def _scene(free: Floats, inside: list[NDArray[np.bool_]], moved: Floats, before: Floats) -> Floats:
-    """The mean (rows, columns) of frames (n, rows, columns) moved back; 0 where none reaches.
-
-    before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
-    """
+    """The mean (rows, columns) of frames (n, rows, columns) moved back; 0 where none reaches."""
+    # before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
     total, weight = np.zeros_like(before), np.zeros_like(before)
     back = [_shifted(_spline(f), -x, -y) for f, (x, y) in zip(free, moved, strict=True)]
     shares = (

@@ -183,10 +183,8 @@ def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
 
 
 def _longest_run(table: list[list[str]], values: list[list[bool]], width: int) -> list[int]:
-    """The lines with numbers between two headings: those of the longest such run.
-
-    A line without any number parts two runs if it has a word for every column; a lone `ERROR` among numbers does not.
-    """
+    """The lines with numbers between two headings: those of the longest such run."""
+    # A line without any number parts two runs if it has a word for every column; a lone `ERROR` among numbers does not.
     runs: list[list[int]] = [[]]
     for k, row in enumerate(table):
         if len(row) == width and any(values[k]):

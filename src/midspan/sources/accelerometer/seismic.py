@@ -94,11 +94,9 @@ def read_miniseed(path: Path) -> ChannelSet:
 
 
 def _records(path: Path) -> tuple[bytes, tuple[str, ...], tuple[str, ...]]:
-    """The bytes of all records of data, notes, and sentences on what is damaged.
-
-    Records of another kind are passed over: control headers of a SEED volume, noise records. In a file that does not
-    begin as a volume it is not known what they are, and they count as damage.
-    """
+    """The bytes of all records of data, notes, and sentences on what is damaged."""
+    # Records of another kind are passed over: control headers of a SEED volume, noise records. In a file that does not
+    # begin as a volume it is not known what they are, and they count as damage.
     from pymseed import MiniSEEDError
 
     try:

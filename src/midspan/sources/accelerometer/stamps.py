@@ -119,10 +119,8 @@ def spread_equal_stamps(time_ns: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def _within_rounding(time_ns: Nanoseconds, groups: Nanoseconds, step: float, rounding: float) -> Nanoseconds:
-    """Stamps (n,) with the rows of each group (begin, end: the last row) spread evenly about their common instant.
-
-    A record begins and ends within a group: what is there of it lies at the usual step next to the others.
-    """
+    """Stamps (n,) with the rows of each group (begin, end: the last row) spread evenly about their common instant."""
+    # A record begins and ends within a group: what is there of it lies at the usual step next to the others.
     found = time_ns.copy()
     for begin, end in groups:
         count = int(end - begin) + 1

@@ -50,10 +50,9 @@ _MATLAB_HEADER_BYTES, _COMPRESSED = 128, 15
 
 @dataclass(frozen=True, slots=True)
 class _Leaf:
-    """An array of the tree under its full path, with its attributes, then those of the groups around it.
+    """An array of the tree under its full path, with its attributes, then those of the groups around it."""
 
-    shape, dtype: as the file declares them; read: gives the array.
-    """
+    # shape, dtype: as the file declares them; read: gives the array.
 
     name: str
     shape: tuple[int, ...]
@@ -71,11 +70,9 @@ def _loaded(name: str, values: NDArray[np.generic], attributes: tuple[dict[str, 
 
 
 def _channels_of(leaves: Sequence[_Leaf], notes: Sequence[str] = ()) -> ChannelSet:
-    """Channels of the leaves: columns of arrays (n, k) become `name_1` … `name_k`, single numbers may give the rate.
-
-    Arrays of more than two axes or 10 000 columns, complex numbers and words are left out and named in the notes,
-    behind `notes`.
-    """
+    """Channels of the leaves: columns of arrays (n, k) become `name_1` … `name_k`, single numbers may give the rate."""
+    # Arrays of more than two axes or 10 000 columns, complex numbers and words are left out and named in the notes,
+    # behind `notes`.
     file_rate = _rate({leaf.name.replace(".", "/").split("/")[-1]: leaf.read() for leaf in leaves if leaf.size == 1})
     channels: list[Channel] = []
     lines, last = list(notes), _Last()
@@ -194,10 +191,9 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> ChannelSet:
 
 @dataclass(slots=True)
 class _Walk:
-    """The way through a file's groups, each once: links can make a small file hold itself.
+    """The way through a file's groups, each once: links can make a small file hold itself."""
 
-    groups: the name under which each group was met, by its address.
-    """
+    # groups: the name under which each group was met, by its address.
 
     path: Path
     matlab: bool
@@ -302,10 +298,8 @@ def read_matlab(path: Path) -> ChannelSet:
 
 
 def _matlab_bytes(path: Path) -> list[int]:
-    """The bytes that each variable of a version 5 file takes as it is stored, compressed ones after expansion.
-
-    A compressed variable begins with its own size, of which only the first bytes are expanded here.
-    """
+    """The bytes that each variable of a version 5 file takes as it is stored, compressed ones after expansion."""
+    # A compressed variable begins with its own size, of which only the first bytes are expanded here.
     sizes: list[int] = []
     with path.open("rb") as file:
         end = file.seek(0, 2)

@@ -267,10 +267,9 @@ def made_s(path: Path) -> float | None:
 
 
 def _numbered(container: Any, packets: Packets, first: int) -> Iterator[tuple[int, Any]]:
-    """Decoded pictures with their number in presentation order, starting at or before `first`.
-
-    With usable stamps a picture's number is the place of its stamp, so that a lost one does not shift those behind it.
-    """
+    """Decoded pictures with their number in presentation order, starting at or before `first`."""
+    # With usable stamps a picture's number is the place of its stamp, so that a lost one does not shift those behind
+    # it.
     stream = container.streams.video[0]
     key = packets.key_before(first)
     if key is not None and key > 0 and packets.ticks is not None:

@@ -90,10 +90,8 @@ def _opened(address: str) -> Any:
 
 
 def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
-    """Frames with their instants: by the sender's clock once its reports agree, else by arrival.
-
-    Those of the stream's first `report_s` without the sender's clock are left out.
-    """
+    """Frames with their instants: by the sender's clock once its reports agree, else by arrival."""
+    # Those of the stream's first `report_s` without the sender's clock are left out.
     envelope, reports, count, first_s = ArrivalEnvelope(), SenderReports(), 0, None
     base = float(stream.time_base)
     newest_ns = -(2**62)

@@ -247,10 +247,8 @@ def _ordered(
 
 
 def _holes(words: Words, missing: Bytes | None, layout: Layout, *, runs: bool) -> NDArray[np.bool_]:
-    """Which receivers' chirps (frames, chirps, receivers) have a hole in them.
-
-    Where it is not known which bytes were received, a hole shows as a run of zeros, which noise never makes.
-    """
+    """Which receivers' chirps (frames, chirps, receivers) have a hole in them."""
+    # Where it is not known which bytes were received, a hole shows as a run of zeros, which noise never makes.
     profile = layout.profile
     length = block_words(layout)
     if missing is not None:

@@ -167,22 +167,10 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
             f"has a record of the camera's calibration that cannot be right: {error} Export it with its radiometric "
             "data, or as 16-bit TIFF."
         ) from error
-    return CameraInfo(
-        planck=planck,
-        path=OpticalPath(
-            emissivity=emissivity,
-            distance_m=distance,
-            reflected_k=reflected,
-            air_k=air_k,
-            window_k=window_k,
-            window_transmission=window or 1.0,
-            humidity=humidity / 100.0 if humidity > 1.0 else humidity,
-            air=air,
-        ),
-        model=model,
-        time_ns=stamp_s * 1_000_000_000 + stamp_ms % 1000 * 1_000_000,
-        rate_hz=rate,
-    )
+    humidity = humidity / 100.0 if humidity > 1.0 else humidity
+    path = OpticalPath(emissivity, distance, reflected, air_k, window_k, window or 1.0, humidity, air)
+    time_ns = stamp_s * 1_000_000_000 + stamp_ms % 1000 * 1_000_000
+    return CameraInfo(planck, path, model, time_ns, rate)
 
 
 def frame_size(data: Bytes, block: Block) -> tuple[int, int]:
@@ -219,11 +207,9 @@ def counts(data: Bytes, block: Block) -> NDArray[np.uint16]:
 
 
 def _from_png(packed: bytes) -> NDArray[np.uint16]:
-    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format.
-
-    In the right order neighbours differ by what the scene changes and the sensor's noise; in the wrong one their low
-    bytes, which are noise, count 256 times. The median in the camera's record can be that of another moment.
-    """
+    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format."""
+    # In the right order neighbours differ by what the scene changes and the sensor's noise; in the wrong one their low
+    # bytes, which are noise, count 256 times. The median in the camera's record can be that of another moment.
     import cv2
 
     found = cv2.imdecode(np.frombuffer(packed, dtype=np.uint8), cv2.IMREAD_UNCHANGED)

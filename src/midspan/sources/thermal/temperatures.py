@@ -79,7 +79,7 @@ def checked_celsius(image: NDArray[np.generic], name: str) -> Floats32:
     sample = sample[np.isfinite(sample)]
     if sample.size == 0:
         return values
-    low, middle, high = (float(v) for v in np.percentile(sample, (1.0, 50.0, 99.0)))
+    low, middle, high = np.percentile(sample, (1.0, 50.0, 99.0)).tolist()
     received = f"received {low:.6g} to {high:.6g}, in the middle {middle:.6g}"
     if _KELVIN_IN_C[0] <= low and high <= _KELVIN_IN_C[1]:
         raise DataError(
@@ -121,7 +121,6 @@ class ThermalPictures(FrameSource):
             raise DataError(f"{name} holds no frame that can be read. Check that the file is whole.")
         self._shape, self._dtype = first.pixels.shape, first.pixels.dtype
         self._scale: tuple[float, float] | None = None
-        self._doubt = ""
         if self._dtype == np.uint16:
             self._scale = count_scale(float(np.median(first.pixels.astype(np.float64))), request, name)
         self._doubt = _doubt(self._celsius(first)) if self._dtype.kind == "f" else ""
@@ -178,22 +177,18 @@ class ThermalPictures(FrameSource):
         if self._scale is None:
             return checked_celsius(pixels, name)
         kelvin_per_count, zero_k = self._scale
-        self._same_scale(pixels, name)
+        low, middle, high = _quartiles(pixels) or (0.0, 0.0, 0.0)
+        kelvin = zero_k + kelvin_per_count * middle
+        # By the scale of the first frame; blank ones are flat.
+        if high > low and not OUTDOOR_K[0] <= kelvin <= OUTDOOR_K[1]:
+            raise DataError(
+                f"{name} must hold counts of {kelvin_per_count:g} K as the first one does; its middle, {middle:g}, "
+                f"would mean {kelvin:.4g} K, and {OUTDOOR_K[0]:g} to {OUTDOOR_K[1]:g} K are expected. Split the "
+                "sequence where the camera's range changed."
+            )
         # In double precision: a count of 0.01 K is below float32's steps at 30 000 counts after a product with 0.01.
         celsius = pixels.astype(np.float64) * kelvin_per_count + (zero_k - 273.15)
         return checked_celsius(celsius, name)
-
-    def _same_scale(self, counts: NDArray[np.generic], name: str) -> None:
-        """DataError where counts mean no outdoor temperature by the scale of the first frame; blank ones are flat."""
-        assert self._scale is not None
-        low, middle, high = _quartiles(counts) or (0.0, 0.0, 0.0)
-        kelvin = self._scale[1] + self._scale[0] * middle
-        if high > low and not OUTDOOR_K[0] <= kelvin <= OUTDOOR_K[1]:
-            raise DataError(
-                f"{name} must hold counts of {self._scale[0]:g} K as the first one does; its middle, {middle:g}, would "
-                f"mean {kelvin:.4g} K, and {OUTDOOR_K[0]:g} to {OUTDOOR_K[1]:g} K are expected. Split the sequence "
-                "where the camera's range changed."
-            )
 
 
 def _quartiles(values: NDArray[Any]) -> Quartiles | None:
@@ -203,7 +198,7 @@ def _quartiles(values: NDArray[Any]) -> Quartiles | None:
     known = known[np.isfinite(known)]
     if not known.size:
         return None
-    low, middle, high = (float(v) for v in np.percentile(known, (25.0, 50.0, 75.0)))
+    low, middle, high = np.percentile(known, (25.0, 50.0, 75.0)).tolist()
     return low, middle, high
 
 
