@@ -117,16 +117,15 @@ def shown_bytes(count: int) -> str:
 @contextmanager
 def mapped(file: Path) -> Iterator[memoryview]:
     """The bytes of a file, mapped into memory."""
-    with file.open("rb") as handle:
-        if file.stat().st_size == 0:
-            yield memoryview(b"")
-            return
-        with mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            view = memoryview(data)
-            try:
-                yield view
-            finally:
-                view.release()
+    if file.stat().st_size == 0:
+        yield memoryview(b"")
+        return
+    with (
+        file.open("rb") as handle,
+        mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        memoryview(data) as view,
+    ):
+        yield view
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
-from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, foreign_share, is_foreign
+from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, is_foreign
 from midspan.thermal.pattern import FixedPattern, estimate_pattern
 from midspan.thermal.shutter import ShutterState, ShutterWatch
 
@@ -122,7 +122,7 @@ class ThermalCleaner:
         self._last = frame
         pixels = frame.pixels if self.pattern is None else self.pattern.removed(frame.pixels)
         clean = Frame(frame.time_ns, folded(pixels, limits), frame.index)
-        return Cleaned(clean, verdict.events, foreign_share(target, limits))
+        return Cleaned(clean, verdict.events, float(np.mean(is_foreign(target, limits))))
 
     def tracked(self, found: PixelTranslation) -> bool:
         """Learn the fixed pattern from what the tracker found in the frame that was pushed last.

@@ -58,11 +58,6 @@ def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = MARGIN)
     return np.asarray(np.float32(limits.middle_c) + np.float32(limits.half_k) * np.copysign(kept, place))
 
 
-def foreign_share(celsius: NDArray[np.generic], limits: Limits) -> float:
-    """Share of the pixels of a picture, 0 to 1, that are folded: what is warmer or colder than all of the target."""
-    return float(np.mean(is_foreign(celsius, limits)))
-
-
 def is_foreign(celsius: NDArray[np.generic], limits: Limits) -> NDArray[np.bool_]:
     """Which pixels of a picture (any shape) in °C are warmer or colder than all of the target."""
     place = np.abs(np.asarray(celsius, dtype=np.float32) - np.float32(limits.middle_c))

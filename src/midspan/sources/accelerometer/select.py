@@ -11,7 +11,7 @@ from midspan.checks import nearest, option
 from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.records import Floats, Nanoseconds, TimeSeries
-from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values, even_ns
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, even_ns
 from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.dialect import SPLIT, named_unit
 from midspan.sources.accelerometer.formats import list_channels
@@ -87,7 +87,11 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     unit, factor = _unit(path, channel, request, notes)
     value = _si(channel, factor, notes)
     _check_values(path, channel.name, time_ns, value)
-    repeated = repeated_rows(time_ns, _columns(found, channel))
+    # The columns of its file that are in memory tell whether two rows are one, so that all its channels lose the same
+    # rows; clocks do not, nor a column that rises throughout: it counts the rows.
+    in_memory = [c for c in found.channels if c.size == channel.size and not isinstance(c.stored, Stored)]
+    others = [c.values for c in in_memory if c is not channel and not _is_clock(c) and not _rising(c)]
+    repeated = repeated_rows(time_ns, [channel.values, *others])
     spread_ns, spread = spread_equal_stamps(time_ns[~repeated])
     _check_order(path, spread_ns, np.flatnonzero(~repeated) + 1)
     dropped = f"{int(repeated.sum())} rows written twice, or delivered twice, were dropped"
@@ -263,14 +267,6 @@ def _si(channel: Channel, factor: float, notes: list[str]) -> Floats:
             "as missing"
         )
     return value
-
-
-def _columns(found: ChannelSet, channel: Channel) -> list[Values]:
-    """What tells whether two rows of a channel are one: the columns of its file that are in memory, without clocks."""
-    # All channels of a file so lose the same rows. A column that rises throughout counts the rows.
-    alike = [c for c in found.channels if c.size == channel.size and not isinstance(c.stored, Stored)]
-    columns = [c.values for c in alike if c is not channel and not _is_clock(c) and not _rising(c)]
-    return [channel.values, *columns]
 
 
 def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:

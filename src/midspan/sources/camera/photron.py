@@ -12,7 +12,7 @@ from midspan.sources.camera.frames import FrameRequest, StoredFrames
 from midspan.vision.frame_source import FrameInfo
 
 # Keys of the header that the frames cannot be read without.
-_WIDTH, _HEIGHT, _COUNT, _BITS, _RATE = "Image Width", "Image Height", "Total Frame", "Color Bit", "Record Rate(fps)"
+_SIZES, _RATE = ("Image Width", "Image Height", "Total Frame", "Color Bit"), "Record Rate(fps)"
 _BITS_KNOWN = (8, 12, 16)
 # No width, count or rate (frames per second) of a recording comes near; stamps are whole nanoseconds.
 _MAX_HEADER_NUMBER = 1e9
@@ -32,7 +32,7 @@ class PhotronFrames(StoredFrames):
         )
         header = {key.strip(): value.strip() for key, value in pairs}
         self._columns, self._rows, self._count, self._bits = (
-            int(_number(header, key, header_file, least=1.0)) for key in (_WIDTH, _HEIGHT, _COUNT, _BITS)
+            int(_number(header, key, header_file, least=1.0)) for key in _SIZES
         )
         self._rate_hz = request.rate_hz or _number(header, _RATE, header_file)
         if header.get("Color Type", "Mono") != "Mono" or self._bits not in _BITS_KNOWN:

@@ -6,11 +6,12 @@ import numpy as np
 
 from midspan.errors import DataError, UsageError
 from midspan.radar.info import RadarInfo
-from midspan.radar.interference import Interference, floor_of, probed_bins
+from midspan.radar.interference import probed_bins
 from midspan.radar.layout import Layout
 from midspan.radar.range_profile import averaged, range_profile, whole_channels
-from midspan.records import RangeFrame
+from midspan.records import RangeFrame, RangeFrames
 from midspan.sources.live.instants import SourceFault
+from midspan.sources.radar.radar_source import without_interference
 from midspan.sources.radar.udp import LiveCapture, UdpSettings
 
 # Nothing for so long ends the reading, s.
@@ -42,17 +43,19 @@ def live_info(layout: Layout) -> RadarInfo:
 def profiles(address: str, layout: Layout) -> Iterator[RangeFrame]:
     """Range profiles as they come, until the card is silent. Raises SourceFault: not_found, no_answer, stopped."""
     host, port = host_and_port(address)
-    heard, interference, probed = False, Interference(), probed_bins(layout.profile.bins).astype(np.int64)
+    heard, probed = False, probed_bins(layout.profile.bins).astype(np.int64)
     try:
         with LiveCapture(layout, UdpSettings(address=host, port=port, timeout_s=SILENT_S)) as capture:
-            for frame in capture.frames():
+            for block in without_interference(_blocks(capture, layout), probed, keep=True):
                 heard = True
-                cube = averaged(range_profile(frame.samples[None], layout.profile), layout.profile)
-                valid = whole_channels(frame.valid[None], layout.profile)
-                if len(probed) and interference.found(floor_of(cube[..., probed], valid))[0]:
-                    valid = np.zeros_like(valid)
-                yield RangeFrame(frame.time_ns, cube[0], valid[0])
+                yield RangeFrame(int(block.time_ns[0]), block.phasors[0], block.valid[0])
     except UsageError as error:
         raise SourceFault("not_found", str(error)) from None
     except DataError as error:
         raise SourceFault("stopped" if heard else "no_answer", str(error)) from None
+
+
+def _blocks(capture: LiveCapture, layout: Layout) -> Iterator[RangeFrames]:
+    for frame in capture.frames():
+        cube = averaged(range_profile(frame.samples[None], layout.profile), layout.profile)
+        yield RangeFrames(np.array([frame.time_ns]), cube, whole_channels(frame.valid[None], layout.profile))

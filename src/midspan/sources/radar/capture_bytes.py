@@ -115,15 +115,6 @@ class CaptureBytes:
         return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype=np.uint8), *parts]), None
 
 
-def _sound(counts: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which packets' counts (n,) of bytes agree with their neighbours: damage hits one, a gap moves all after it."""
-    if len(counts) < NEIGHBOURS:
-        return np.ones(len(counts), dtype=np.bool_)
-    padded = np.pad(counts, NEIGHBOURS // 2, mode="reflect")
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS), axis=1)
-    return np.asarray(np.abs(counts - usual) <= LATE_PACKETS * PACKET_BYTES)
-
-
 class _Packets(CaptureBytes):
     """Packets with their headers: put in order by the count of bytes, holes filled with zeros and known."""
 
@@ -144,7 +135,12 @@ class _Packets(CaptureBytes):
         if rest > 0:
             counts = np.append(counts, _number(data, whole * step + head - 6, 6))
             starts, lengths = np.append(starts, whole * step + head), np.append(lengths, rest)
-        sound = _sound(counts)
+        sound = np.ones(len(counts), dtype=np.bool_)
+        if len(counts) >= NEIGHBOURS:
+            # Damage hits the count of one packet, a gap moves those of all after it.
+            padded = np.pad(counts, NEIGHBOURS // 2, mode="reflect")
+            usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS), axis=1)
+            sound = np.asarray(np.abs(counts - usual) <= LATE_PACKETS * PACKET_BYTES)
         damaged = int(np.count_nonzero(~sound))
         counts, starts, lengths = counts[sound], starts[sound], lengths[sound]
         order = np.argsort(counts, kind="stable")

@@ -61,14 +61,14 @@ class RadarSource(ABC):
         Frames with interference are not valid, here and in `slow_time`.
         """
         probed = probed_bins(self.info.bins).astype(np.int64)
-        return _without_interference(self.guarded(self._profiles(start, stop)), probed, keep=True)
+        return without_interference(self.guarded(self._profiles(start, stop)), probed, keep=True)
 
     def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
         """The phasors at the bins (k,), whole or between two, of the frames start … stop-1: what a replay runs on."""
         probed = probed_bins(self.info.bins)
         wanted = np.concatenate((np.asarray(bins, dtype=np.float64), probed))
         places = len(wanted) - len(probed) + np.arange(len(probed))
-        return _without_interference(self.guarded(self._slow_time(wanted, start, stop)), places, keep=False)
+        return without_interference(self.guarded(self._slow_time(wanted, start, stop)), places, keep=False)
 
     def guarded(self, items: Iterator[Item]) -> Iterator[Item]:
         """The items as they are read; what a library raises on damage becomes a DataError."""
@@ -83,7 +83,7 @@ class RadarSource(ABC):
             yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
 
 
-def _without_interference(
+def without_interference(
     blocks: Iterator[RangeFrames], probed: NDArray[np.int64], *, keep: bool
 ) -> Iterator[RangeFrames]:
     """The blocks with frames not valid that hold interference; probed (k,): places of the bins that tell it."""
