@@ -13,7 +13,7 @@ from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording
 from midspan.records import Frame, Prediction
 from midspan.simulate.scenarios.papers import ACCELEROMETER, CAMERA, FilmSettings, film, write_recording
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from midspan.vision.tracker import open_tracker, tracker_settings
 from plain_filters import adaptive_kalman, printed_calibration
 from recording_edits import set_keys

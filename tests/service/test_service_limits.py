@@ -13,7 +13,7 @@ from midspan.service.mqtt import Broker
 from midspan.service.web import application, server
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import ACCELERATION, MAX_BYTES, parse
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 
 HALF = b"GET /readyz HTTP/1.1\r\nHost: x\r\n"
 

@@ -24,7 +24,7 @@ from midspan.service.stored_rows import stored_table
 from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, Block, pack, parse
 from midspan.sources.live.camera import StampKind, frames
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 from midspan.store.store import open_store
 
 # The structure's motion: (mm, Hz, rad).

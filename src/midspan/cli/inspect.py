@@ -50,12 +50,12 @@ def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, 
 def _is_single(path: Path) -> bool:
     """Whether a path is a single file to look at, or a folder of pictures or FLIR frames that is no recording."""
     from midspan.settings.load import RECORDING_FILE
-    from midspan.sources.inspect import PICTURES
+    from midspan.sources.camera.formats import IMAGES
     from midspan.sources.thermal.formats import is_thermal
 
     if os.path.isdir(path):
         names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
-        return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
+        return any(name in IMAGES for name in names) or (bool(names) and is_thermal(path))
     try:
         path.stat()
     except FileNotFoundError:

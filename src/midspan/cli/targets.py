@@ -10,7 +10,7 @@ from midspan.errors import MidspanError
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.stored.calibration import CALIBRATION_FILE
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from midspan.store.store import is_address
 from midspan.trees import TreeError, read_json
 

@@ -13,8 +13,7 @@ from midspan.evaluate.metrics import MAX_LAG_S, Band, Comparison
 from midspan.recording.result import Result
 from midspan.records import TimeSeries
 from midspan.settings.load import RECORDING_FILE
-from midspan.sinks.metadata import read_metadata
-from midspan.sinks.pair import mismatch
+from midspan.sinks.metadata import mismatch, read_metadata
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, named_after, read_series

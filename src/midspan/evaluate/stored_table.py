@@ -9,8 +9,7 @@ import numpy as np
 
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Nanoseconds
-from midspan.sinks.metadata import read_metadata
-from midspan.sinks.pair import KEY
+from midspan.sinks.metadata import KEY, read_metadata
 from midspan.sinks.table import ResultTable, is_text, unit_of, words_of
 from midspan.sinks.tdms import GROUP
 from midspan.sinks.xlsx import ROWS_SHEET

@@ -21,7 +21,7 @@ from midspan.records import Frame, Region
 from midspan.service.cutting import part_of, whole_frame
 from midspan.service.pauses import Pauses
 from midspan.sources.live.camera import Stamped, StampKind, frames
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 
 # A process that sends nothing for so long, not even why, hangs: it is ended and started again, s.
 HUNG_S = 60.0

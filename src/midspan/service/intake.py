@@ -26,10 +26,10 @@ from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running, Stream
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
 from midspan.sources.live.serial_line import blocks
-from midspan.sources.thermal.request import ThermalRequest, count_scale
+from midspan.sources.thermal.temperatures import ThermalRequest, count_scale
 from midspan.thermal.radiometry import ICE_K
 
 # Stamps that far ahead of this machine's clock are refused, s: twice the clock offset that a calibration looks for.

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from midspan.service.pauses import Pauses
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 
 
 class ReadingThread:

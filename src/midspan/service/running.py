@@ -18,7 +18,8 @@ from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import PointPlan
 from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
-from midspan.sources.live.radar import live_info, live_layout
+from midspan.sources.live.radar import live_info
+from midspan.sources.radar.ti_config import read_settings
 
 # A stream that brings nothing for so long, and for so many of its usual intervals, is not fresh.
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
@@ -227,7 +228,7 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
             replayed = plan.sources[name].startswith("replay:")
             factors[name] = 1.0 if replayed else si_factor(sections[name].unit or unit, quantity, sensitivity)
     layouts = {
-        name: live_layout(site / plan.configs[name], sections[name].iq_order)
+        name: read_settings(site / plan.configs[name]).layout(site / plan.configs[name], sections[name].iq_order)
         for name, kind in kinds.items()
         if kind == "radar" and plan.sources[name].startswith("udp:")
     }

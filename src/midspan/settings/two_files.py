@@ -163,7 +163,7 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direct
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
     from midspan.sources.thermal.formats import is_thermal, open_thermal
-    from midspan.sources.thermal.request import ThermalRequest
+    from midspan.sources.thermal.temperatures import ThermalRequest
 
     thermal = is_thermal(video)
     section = "infrared" if thermal else "camera"

@@ -28,7 +28,7 @@ from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource
 from midspan.sources.thermal.formats import open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 from midspan.vision.frame_source import FrameSource
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.

@@ -1,11 +1,38 @@
-"""The luma of a decoded picture, taken from its plane without any conversion of colours."""
+"""What of a decoded picture is used: its luma without any conversion of colours, turned as players show it."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.notices import Notice
 from midspan.sources.camera.frames import luma
+
+# What a display matrix of each number of quarter turns, counted counterclockwise, does to a picture in words.
+_TURNS = {1: "90 degrees to the left", 2: "180 degrees", 3: "90 degrees to the right"}
+
+
+def turn_of(picture: Any) -> tuple[int, Notice | None]:
+    """How many quarter turns counterclockwise show a decoded picture upright, 0 to 3, and what to tell of it.
+
+    Mirrored pictures, and those turned by another angle, are left as they are.
+    """
+    matrix = picture.side_data.get("DISPLAYMATRIX")
+    if matrix is None:
+        return 0, None
+    # Its first two rows say where a step to the right and one down in the picture point on the screen, in fixed point.
+    (a, b), (c, d) = np.frombuffer(bytes(matrix), dtype=np.int32).reshape(3, 3)[:2, :2].tolist()
+    upright, sideways = b == c == 0 and a * d > 0, a == d == 0 and b * c < 0
+    text = (
+        "its display matrix mirrors the picture or turns it by no multiple of 90 degrees, which is left out; "
+        "directions and places are those of the picture as it is stored"
+    )
+    turns = 0
+    if upright or sideways:
+        turns = (0 if a > 0 else 2) if upright else (3 if b > 0 else 1)
+        text = f"its pictures are turned by {_TURNS.get(turns)}, as the film's display matrix says"
+        text += "; so are directions and places"
+    return turns, None if upright and not turns else Notice("film-turned", text)
 
 
 def depth_of(pixel_format: str | None) -> int:
