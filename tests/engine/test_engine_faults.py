@@ -11,9 +11,8 @@ from midspan.engine.axis import usual_figures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.plain import PlainChain, PlainSettings
-from midspan.engine.point import ACCELEROMETER, Point
+from midspan.engine.point import ACCELEROMETER, Point, PointStatus
 from midspan.engine.sensors import PlainSensor, Seen
-from midspan.engine.support import PointStatus
 from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings

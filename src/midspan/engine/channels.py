@@ -7,9 +7,9 @@ import numpy as np
 
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.engine.averaging import in_displacement_alone
-from midspan.engine.order import FIRST_NS
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.sensors import PlainSensor
+from midspan.engine.stream import FIRST_NS
 from midspan.fusion.model import Parameter, ParameterKind
 from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
 from midspan.signals.stuck import resolution

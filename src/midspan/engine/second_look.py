@@ -11,11 +11,11 @@ import numpy as np
 
 from midspan.calibration.one_clock import CourseError, OneClock, one_clock
 from midspan.calibration.scale_check import Fitting, Sensed, fitting
-from midspan.engine.order import BACKWARDS, KINDS
+from midspan.engine.point import Support
 from midspan.engine.sensor_series import SensorSeries, series_of
-from midspan.engine.support import Support
+from midspan.engine.stream import BACKWARDS, KINDS
 from midspan.fusion.blocks import Rows
-from midspan.fusion.estimator import BLOCK, Estimator, Log
+from midspan.fusion.estimator import BLOCK, Estimator
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
 from midspan.records import (
@@ -141,15 +141,17 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     return replace(settings, parameters=tuple(parameters))
 
 
-def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
+def once_more(
+    settings: EstimatorSettings, first: Estimator, measured: Sequence[Measured]
+) -> tuple[Estimator, list[Rows]]:
     """The estimator run again over the samples and measurements of a whole record, as the first pass logged it.
 
     Where stamps went back in the first pass they do so again: the samples are cut there.
     """
-    estimator, out, samples = Estimator(settings, log=True), list[Rows](), log.samples
+    estimator, out, samples = Estimator(settings, log=True), list[Rows](), first.logged_samples
     rows = joined(measured)
     rows = part(rows, np.argsort(rows.time_ns, kind="stable"))
-    back_ns = log.went_back_ns
+    back_ns = first.went_back_ns
     cuts = np.searchsorted(samples.time_ns, back_ns, side="right")
     edges = np.unique(np.concatenate((np.arange(0, len(samples.time_ns), BLOCK), cuts, [len(samples.time_ns)])))
     done = 0
@@ -162,5 +164,4 @@ def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured
         out += estimator.push(block)
         done = due
     out += estimator.finish()
-    assert estimator.log is not None
-    return estimator.log, Support().after(out)[1]
+    return estimator, Support().after(out)[1]

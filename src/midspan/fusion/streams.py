@@ -1,6 +1,6 @@
 """The estimator for plain arrays: one channel for each source of displacement, in metres, whose zero is known.
 
-For displacement that comes ready made; everything else about the estimator is in `estimator` and `second_pass`.
+For displacement that comes ready made; everything else about the estimator is in `estimator`.
 """
 
 from collections.abc import Sequence
@@ -11,10 +11,9 @@ import numpy as np
 from midspan.checks import refuse
 from midspan.fusion.blocks import Rows
 from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
-from midspan.fusion.estimator import Estimator, EstimatorState
+from midspan.fusion.estimator import Estimator, Lag, State, Stream
+from midspan.fusion.methods import SPLINE_FRAMES
 from midspan.fusion.model import EstimatorSettings, Rates
-from midspan.fusion.second_pass import Lag, LagState
-from midspan.fusion.second_pass import smooth as smooth_log
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -31,7 +30,6 @@ from midspan.records import (
     joined,
     part,
 )
-from midspan.signals.resample import SIDE
 
 Output = Estimate | Innovation | Event
 # Every measurement is as good as its variance says: none is rejected.
@@ -94,10 +92,9 @@ class MethodSettings:
 
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
-    What the papers leave open: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s of `adaptive-kalman`,
-    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`,
-    see `fir.FirSettings`; transition_hz, taps, anti_alias_taps of `two-stage-fir`, see `two_stage.TwoStageSettings`;
-    spline_frames of both.
+    What the papers leave open, see `papers/printed`: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s
+    of `adaptive-kalman` (`PrintedFilter`); half_window, cut_off_hz, accuracy of `fir` (`FirSettings`); transition_hz,
+    taps, anti_alias_taps of `two-stage-fir` (`TwoStageSettings`); spline_frames of both.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
@@ -114,7 +111,7 @@ class MethodSettings:
     transition_hz: tuple[float, float] = (0.5, 1.0)
     taps: int | None = None
     anti_alias_taps: int | None = None
-    spline_frames: int = SIDE
+    spline_frames: int = SPLINE_FRAMES
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting < 1.0:
@@ -158,7 +155,7 @@ class KalmanFilter:
             raise refuse("lag_samples", "0 or more", lag_samples)
         self.settings = settings or KalmanSettings()
         known = self.settings.estimator(tuple(Source))
-        self._estimator: Estimator | Lag = Lag(known, lag_samples) if lag_samples else Estimator(known)
+        self._estimator: Stream = Lag(known, lag_samples) if lag_samples else Estimator(known)
 
     def push(self, record: Acceleration | Displacement) -> list[Output]:
         """Take one block; returns for acceleration an Estimate, an Innovation and Events, each where there are any.
@@ -181,13 +178,13 @@ class KalmanFilter:
         return self._estimator.predict(Source.PREDICTION, time_ns)
 
     @property
-    def state(self) -> EstimatorState | LagState:
+    def state(self) -> State:
         """All that the filter remembers."""
         return self._estimator.state
 
-    def restore(self, state: EstimatorState | LagState) -> None:
+    def restore(self, state: State) -> None:
         """Go on from the state of a filter with the same settings."""
-        self._estimator.restore(state)  # type: ignore[arg-type]
+        self._estimator.restore(state)
 
 
 def smooth(acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings | None = None) -> Smoothed:
@@ -201,8 +198,7 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
     estimator = Estimator(known, log=True, rows=False, max_waiting=count)
     _, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
-    assert estimator.log is not None
-    return Smoothed(smooth_log(estimator.log, estimator.settings)[0], innovation or no_innovation(), tuple(events))
+    return Smoothed(estimator.smoothed()[0], innovation or no_innovation(), tuple(events))
 
 
 def filtered(
@@ -225,7 +221,7 @@ def filtered(
 
 
 def whole(
-    estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
+    estimator: Stream, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
 ) -> list[Rows]:
     """All that an estimator with one channel for each of `sources_of` gives for a whole record, in one piece.
 

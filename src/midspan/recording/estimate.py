@@ -20,14 +20,7 @@ from midspan.calibration.unfelt import (
 )
 from midspan.checks import option, path_of
 from midspan.engine.camera_result import CameraResult, camera_result, camera_series
-from midspan.engine.channels import clock_std_s, without_gain
-from midspan.engine.one_series import (
-    literal_warnings,
-    one_series,
-    run_on_series,
-    with_levels_since,
-    with_uncertain,
-)
+from midspan.engine.channels import without_gain
 from midspan.engine.radar_messages import REPORTED, radar_warnings
 from midspan.engine.row_messages import event_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
@@ -43,13 +36,12 @@ from midspan.engine.second_look import (
     without_measured,
     without_stamps,
 )
-from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
+from midspan.engine.sensor_series import SensorSeries, series_at_instants
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.estimator import Estimator
-from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
-from midspan.fusion.second_pass import Lag, smooth
+from midspan.fusion.estimator import Estimator, Lag
+from midspan.fusion.methods import METHODS, Method, Pass, named, no_literal_form
 from midspan.fusion.streams import MethodSettings
 from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
@@ -57,7 +49,6 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
-from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -65,7 +56,6 @@ from midspan.recording.tracked import (
     Eye,
     Side,
     known_sensors,
-    offsets_of,
     open_eyes,
     side_of,
 )
@@ -76,6 +66,9 @@ from midspan.settings.stored.calibration_file import load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
+# What stands in `papers`, above this room: methods over one series of displacements, and the printed radar.
+ON_SERIES = "midspan.papers.printed.one_series:on_series"
+PRINTED_RADAR = "midspan.papers.printed.radar:estimate_printed"
 # Events of a first pass that may come of values that are wrong.
 CONTRADICTS = frozenset({"rejected", "clock", "level_shift", "acceleration", "reacquired", "frozen", "lost", "noise"})
 
@@ -118,7 +111,8 @@ def estimate(
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
-        return estimate_printed(recording, calibration, method, progress)
+        printed: Result = named(PRINTED_RADAR)(recording, calibration, method, progress)
+        return printed
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given
@@ -324,7 +318,8 @@ def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
 def by_method(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
     """The rows of the method that is asked for; ran: how the sensors' clocks ran, which only the causal ones leave."""
     if asked.on_series:
-        return on_series(asked, first, ran, checked)
+        done: Found = named(ON_SERIES)(asked, first, ran, checked)
+        return done
     if asked.row.rows is Pass.SMOOTHED:
         return smoothed(first, ran, checked)
     return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
@@ -337,8 +332,6 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     """
     estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
-    log = estimator.log
-    assert log is not None
     off = {(name, axis): std for axis, one in enumerate(checked.scale_std) for name, std in one.items()}
     settings = with_scales(estimator.settings, off)
     if alone:
@@ -350,9 +343,9 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         blocks |= {name: without_measured(blocks[name], stamps) for name, stamps in first.wrong.items()}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
-        log, again = once_more(settings, log, tuple(blocks.values()))
+        estimator, again = once_more(settings, estimator, tuple(blocks.values()))
         outcome = Outcome(again)
-    found = _found(first, outcome, smooth(log, settings))
+    found = _found(first, outcome, estimator.smoothed(settings))
     refuse_unsettled(first, found)
     levels = [level for clock in ran.values() for level in clock.levels]
     rows = tuple(with_levels_of(one, levels) for one in found.rows)
@@ -360,53 +353,6 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     events += [left_out_event(name, stamps) for name, stamps in first.wrong.items()]
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
     return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
-
-
-def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
-    """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
-    known = first.estimator.settings
-    # What nothing measured shows is no reason to take a farther measurement for right: it enters at the end.
-    found, method = smoothed(first, ran, checked, alone=True), asked.by_settings
-    gain = asked.calibration.gain_std(asked.recording.accelerometer.scale_std, given=asked.given)
-    rows, innovations = list(found.rows), list(found.innovations)
-    warnings = list(found.warnings)
-    events: list[Event] = []
-    for axis, side in enumerate(first.sides):
-        tilt_m2 = known.unseen_std_m[axis] ** 2
-        if not side.recording.fused:
-            rows[axis] = replace(rows[axis], variance_m2=rows[axis].variance_m2 + 2.0 * tilt_m2)
-            continue
-        series = first.at_instants(axis)
-        if asked.recording.settings.fusion.switching == "matches":
-            series = {name: taken(one, first.outcome.measured_by(name)) for name, one in series.items()}
-        named = {name: on_clock(one, ran[name]) for name, one in series.items()}
-        # The filter as printed takes every measurement; what it wins by a gate would not be its own.
-        printed = method.literal and asked.row.rows is not None
-        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns, gated=not printed)
-        own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
-        done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
-        scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
-        clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())
-        own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
-        level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
-        own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)
-        own_rows = with_levels_since(own_rows, found.rows[axis], measured, first.outcome.restarts_ns)
-        rows[axis] = part(own_rows, np.isin(own_rows.time_ns, found.rows[axis].time_ns))
-        innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
-        events += done.events
-        found = replace(found, delay_s=max(found.delay_s, done.delay_s))
-        warnings += literal_warnings(measured, done) if method.literal else []
-    return replace(
-        found,
-        rows=tuple(rows),
-        zero_variance_m2=tuple(
-            known.misfit[axis] * zero + (0.0 if known.zero_ns is None else known.unseen_std_m[axis] ** 2)
-            for axis, zero in enumerate(found.zero_variance_m2)
-        ),
-        innovations=tuple(innovations),
-        events=(*found.events, *events),
-        warnings=tuple(warnings),
-    )
 
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
@@ -502,8 +448,7 @@ def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:
     own = first.estimator
     if asked.row.rows is Pass.SMOOTHED or asked.on_series or not isinstance(own, Estimator) or not found.events:
         return found.rows[0]
-    assert own.log is not None
-    return smooth(own.log, own.settings)[0]
+    return own.smoothed()[0]
 
 
 def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[Notice]]:

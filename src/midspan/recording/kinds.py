@@ -14,7 +14,6 @@ from midspan.calibration.displacement.learn import Given
 from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
 from midspan.calibration.noise import USUAL_GAIN_STD
 from midspan.calibration.radar.calibrate import RadarFit, fit_radar
-from midspan.calibration.radar.literal import fit_radar_literal
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.channels import Table, interval_s, plain_channel
@@ -22,6 +21,7 @@ from midspan.engine.radar_channels import radar_channels, require_same_radar
 from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import PlainSensor, RadarSensor
 from midspan.errors import UsageError
+from midspan.fusion.methods import named
 from midspan.progress import Progress
 from midspan.recording.radar_window import opened_window
 from midspan.recording.streams.recording import Recording
@@ -31,6 +31,9 @@ from midspan.settings.sensor_words import in_words_of
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stuck import at_limits
 from midspan.sources.accelerometer.units import si_factor
+
+# What stands in `papers`, above this room.
+PRINTED_FIT = "midspan.papers.printed.radar_calibration:fit_radar_literal"
 
 Log = tuple[Measured, Sequence[Channel], Estimate]
 """All that a sensor measured, the estimator's channels, the rows along the main axis."""
@@ -46,7 +49,8 @@ def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
     section, info = view.settings.radar, view.radar.info
     assert section is not None
     if view.settings.fusion.literal:
-        return fit_radar_literal(window, view.prepared, info, target_range_m=section.target_range_m)
+        fit: RadarFit = named(PRINTED_FIT)(window, view.prepared, info, target_range_m=section.target_range_m)
+        return fit
     wanted_m = section.target_range_m
     return fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
 

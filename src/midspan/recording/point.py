@@ -13,16 +13,12 @@ from midspan.engine.camera_channels import camera_channels
 from midspan.engine.channels import Table, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
-from midspan.engine.order import FIRST_NS
-from midspan.engine.point import ACCELEROMETER, Point
+from midspan.engine.point import ACCELEROMETER, Point, Switch
 from midspan.engine.sensors import MIN_STD_PX, RadarSensor, Sensor
-from midspan.engine.switching import Switch
-from midspan.engine.twilight import Place
-from midspan.fusion.blocks import VELOCITY_WITHIN
-from midspan.fusion.estimator import Estimator
+from midspan.engine.stream import FIRST_NS
+from midspan.fusion.estimator import Estimator, Lag
+from midspan.fusion.methods import named
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.printed_prediction import PredictedAsPrinted, StartOfPrinted
-from midspan.fusion.second_pass import Lag
 from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
@@ -33,6 +29,9 @@ from midspan.settings.band import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
 
+# What stands in `papers`, above this room: the rule of two cameras, and the estimator with printed predictions.
+SWITCH = "midspan.papers.printed.switching:switch_of"
+PREDICTED = "midspan.papers.printed.prediction:predicted_as_printed"
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
 # A bias that drifts is a random walk that is as far off after the first time, s, of the order of the filter's memory,
@@ -208,27 +207,11 @@ def measuring_point(
     guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
     unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
-    switch = Switch((eyes[0].sensor, eyes[1].sensor), _place(recording, eyes)) if one_at_a_time else None
+    switch: Switch | None = named(SWITCH)(recording, eyes) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
     estimator: Estimator | Lag
     if printed is not None:
-        estimator = PredictedAsPrinted(settings, start_of_printed(printed, main), log=log)
+        estimator = named(PREDICTED)(settings, printed, main, log=log)
     else:
         estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
-
-
-def start_of_printed(printed: MethodSettings, main: Side) -> StartOfPrinted:
-    """The start of the filter as printed, by what is usual of the acceleration."""
-    moved_m, omega = figures(main, main.prepared.rate_hz).motion
-    kalman = replace(main.kalman, velocity_std=VELOCITY_WITHIN * omega * moved_m)
-    step_s = interval_s(main.recording.acceleration.time_ns)
-    return StartOfPrinted(replace(printed, kalman=kalman), step_s, omega * moved_m)
-
-
-def _place(recording: Recording, eyes: Sequence[Eye]) -> Place | None:
-    """Where day and night decide between vision and infrared as printed; None where they do not."""
-    site, kinds = recording.settings.site, [eye.view.kind for eye in eyes[:2]]
-    if site is None or not recording.settings.fusion.literal or kinds != ["camera", "infrared"]:
-        return None
-    return Place(site.latitude_deg, site.longitude_deg)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
 from midspan.service.capture import Capture
