@@ -10,8 +10,7 @@ import pytest
 import midspan
 from lively_recordings import Lively, write
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain, CameraState
-from midspan.engine.camera_target import ChainSettings, Target
+from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge

@@ -26,7 +26,7 @@ from midspan.calibration.whitening import (
     whiten_columns,
 )
 from midspan.records import Floats, InputNoise
-from midspan.signals.lively import mean_square
+from midspan.signals.health import mean_square
 
 # Fewer usable measurements than these tell no scale.
 MIN_FRAMES = 20

@@ -9,11 +9,11 @@ import numpy as np
 
 from midspan.fusion.entry import MAX_M_S2
 from midspan.records import Event, Floats, Nanoseconds
-from midspan.signals.bridging import MIN_HZ, missed_share
 from midspan.signals.health import (
     BESIDE,
     CLIPPED_RUN,
     EQUAL_AT_FIRST,
+    MIN_HZ,
     REST_SHARE,
     SPIKE,
     SPIKE_SAMPLES,
@@ -26,12 +26,13 @@ from midspan.signals.health import (
     frozen,
     is_clipped,
     lone_spikes,
+    mean_square,
+    missed_share,
     runs,
     smallest_step,
     spikes,
     with_crests,
 )
-from midspan.signals.lively import mean_square
 
 # Samples already given out that are still looked at: a run counts as reached gently by the five steps before it.
 CONTEXT = 6

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.sensor_series import SensorSeries, agreed_series
-from midspan.engine.tracking import CameraTracking, TargetTracking
+from midspan.engine.tracking import CameraTracking
 from midspan.records import Displacement, Estimate, Event, Floats, PixelTrack, Region, Source
 from midspan.thermal.temperature_range import RangeSurface
 from midspan.vision.active_pixels import ActivePixels
@@ -85,22 +85,21 @@ def camera_result(
         source=calibrations[0].source,
         calibrations=tuple(calibrations),
         reference=tracking.reference.pixels,
-        targets=tuple(_target_result(target) for target in tracking.targets),
+        targets=tuple(
+            TargetResult(
+                name=target.name,
+                region=target.region,
+                track=target.track,
+                strength=target.strengths,
+                reference_px2=target.reference_px2,
+                active_pixels=target.tracker.active_pixels,
+            )
+            for target in tracking.targets
+        ),
         best=best_target([target.region for target in tracking.targets], calibrations[0]),
         choice=tracking.choice,
         range_surface=tracking.range_surface,
         events=tuple(events),
-    )
-
-
-def _target_result(target: TargetTracking) -> TargetResult:
-    return TargetResult(
-        name=target.name,
-        region=target.region,
-        track=target.track,
-        strength=target.strengths,
-        reference_px2=target.reference_px2,
-        active_pixels=target.tracker.active_pixels,
     )
 
 

@@ -9,8 +9,7 @@ from midspan.checks import positive, refuse
 from midspan.engine.axis import AxisFigures, AxisLimits, AxisMemory, Bridged, bridge, passed
 from midspan.engine.stream import FIRST_NS, STEPS
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds, Readings, SampleKind, Samples, joined, part
-from midspan.signals.bridging import GAP_STEPS, LONG_SHARE
-from midspan.signals.health import Mask
+from midspan.signals.health import GAP_STEPS, LONG_SHARE, Mask
 
 MEASURED = int(SampleKind.MEASURED)
 

@@ -31,7 +31,7 @@ from midspan.records import (
     Tracked,
     joined,
 )
-from midspan.signals.bridging import GAP_STEPS
+from midspan.signals.health import GAP_STEPS
 from midspan.signals.stamps import shown
 
 # The prediction across the measured axis, where nothing predicts: the motion there is small, px.
@@ -296,7 +296,7 @@ class PlainSensor:
 
     def restore(self, state: PlainState) -> None:
         """Go on from a `state` taken earlier."""
-        self.chain.restore(state)
+        self.chain.state = state
 
     def push(self, record: Readings, expect: Expect) -> Seen | None:
         """Take readings, which wait."""

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.engine.camera import CameraState
-from midspan.engine.camera_target import Target, TargetReport
+from midspan.engine.camera import CameraState, Target, TargetReport
 from midspan.engine.tracking import CameraTracking, TargetTracking, TrackingSettings
 from midspan.errors import DataError
 from midspan.progress import Progress, silent

@@ -34,14 +34,14 @@ MIN_INSIDE = 0.05
 class Opening:
     """What a target is tracked with.
 
-    tracker, settings: its name and settings record (None: its defaults). reference: "first", "key-frames" or
+    tracker, tracker_settings: its name and settings record (None: its defaults). reference: "first", "key-frames" or
     "updating"; reference_settings: of the last one, by name. thermal: whether frames are temperatures; those of whole
     numbers are pictures all the same. levels: the range of temperatures shown in 256 grey levels, None: °C as they are.
     lens: None: none is corrected.
     """
 
     tracker: str
-    settings: Any = None
+    tracker_settings: Any = None
     reference: str = "first"
     reference_settings: Mapping[str, Any] = field(default_factory=dict)
     thermal: bool = False
@@ -66,16 +66,13 @@ class Opening:
 
     def _followed(self, frame: Frame, region: Region) -> Tracker:
         """The tracker with its rule for the reference frame, on a frame that has been made ready."""
+        own = self.tracker_settings
         if self.reference == "key-frames":
-            own: dict[str, Any] = {"tracker": self.tracker, "tracker_settings": self.settings}
-            heat = frame.pixels.dtype.kind == "f"
-            settings = KeyFrameSettings(**own, **HEAT) if heat else KeyFrameSettings(**own)
-            return KeyFrameTracker(frame, region, settings)
+            heat = HEAT if frame.pixels.dtype.kind == "f" else {}
+            return KeyFrameTracker(frame, region, KeyFrameSettings(tracker=self.tracker, tracker_settings=own, **heat))
         if self.reference == "updating":
-            return UpdatingTracker(
-                frame, region, updating_settings(self.tracker, self.settings, self.reference_settings)
-            )
-        return open_tracker(self.tracker, frame, region, self.settings)
+            return UpdatingTracker(frame, region, updating_settings(self.tracker, own, self.reference_settings))
+        return open_tracker(self.tracker, frame, region, own)
 
 
 def tracker_states() -> list[Any]:

@@ -2,17 +2,18 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 from operator import attrgetter
+from struct import Struct
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.camera.view import SeenTarget
-from midspan.engine.camera import CameraChain
-from midspan.engine.camera_target import ChainSettings, Target, TargetChain
+from midspan.engine.camera import CameraChain, ChainSettings, Target, TargetChain
 from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
@@ -28,12 +29,10 @@ from midspan.records import (
     Region,
     Status,
 )
-from midspan.signals.growing import Columns
 from midspan.signals.stamps import shown
-from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import Expected, RangeSurface
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.lens import Lens, lens_warnings
+from midspan.vision.lens import lens_warnings
 from midspan.vision.light import LightReport
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
@@ -50,20 +49,44 @@ STRENGTH, REFERENCE_X, REFERENCE_Y = range(len(fields(PixelTrack)), len(fields(P
 Felt = Callable[[Nanoseconds], Expected]
 
 
-@dataclass(frozen=True, slots=True)
-class TrackingSettings:
-    """What to track: the tracker's name, the measured image axis, the targets (none: chosen) and the frames used.
+class Columns:
+    """Columns that grow by a row at a time; `codes`: a letter each, "q" int64, "d" float64, "B" uint8.
 
-    reference, reference_settings: how the reference frame is kept, see `Opening`; thermal: frames are temperatures, of
-    which `levels` are shown in grey (None: all, as they are). sensor: what messages call it.
-    automatic_targets: how many are chosen; trial_from_ns: where the calibration begins, on the camera's clock.
-    first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
-    first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
-    tracker_settings: the tracker's settings record, None for its defaults. lens: its distortion is taken out of the
-    translations (None: is not).
+    Numbers come out as they were put in, to the last bit.
     """
 
-    tracker: str
+    def __init__(self, codes: str) -> None:
+        self._row = Struct(f"={codes}")
+        self._kind = np.dtype([(str(k), f"={code}") for k, code in enumerate(codes)])
+        self._rows, self._count = bytearray(), 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, *row: float) -> None:
+        """Add a row, a number for each column."""
+        self._rows += self._row.pack(*row)
+        self._count += 1
+
+    def row(self, number: int) -> tuple[Any, ...]:
+        """The row of this number, from 0."""
+        return self._row.unpack_from(self._rows, number * self._row.size)
+
+    def column(self, number: int) -> NDArray[Any]:
+        """The rows so far (n,) of the column with this number, a copy."""
+        return np.frombuffer(self._rows, dtype=self._kind)[str(number)].copy()
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSettings(Opening):
+    """What to track, and with what (see `Opening`): the measured image axis, the targets and the frames used.
+
+    targets: none: `automatic_targets` are chosen. first: index of the reference frame; last: index after the last frame
+    used. readout_s: rolling shutter, s from the first row (which the stamps belong to) to the last: the track's times
+    are those of the target's middle row. trial_from_ns: where the calibration begins, on the camera's clock. sensor:
+    what messages call it.
+    """
+
     direction: str = "y"
     targets: tuple[Target, ...] = ()
     automatic_targets: int = 1
@@ -71,19 +94,7 @@ class TrackingSettings:
     last: int | None = None
     readout_s: float = 0.0
     trial_from_ns: int | None = None
-    tracker_settings: Any = None
-    lens: Lens | None = None
-    reference: str = "first"
-    reference_settings: Mapping[str, Any] = field(default_factory=dict)
-    thermal: bool = False
-    levels: Limits | None = None
     sensor: str = "camera"
-
-    @property
-    def opening(self) -> Opening:
-        """What each target is tracked with."""
-        rule = (self.reference, self.reference_settings)
-        return Opening(self.tracker, self.tracker_settings, *rule, self.thermal, self.levels, self.lens)
 
 
 class TargetTracking:
@@ -161,33 +172,25 @@ class TargetTracking:
 
     def warnings(self, axes: str) -> list[Notice]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
-        found, report = [], self.chain.report
+        found, report = list[Notice](), self.chain.report
         if report.frozen_frames:
-            found.append(
-                Notice(
-                    "frozen",
-                    f"camera: {report.frozen_frames} frames only repeat the picture before them (frozen); they were "
-                    "not used.",
-                )
-            )
+            text = f"{report.frozen_frames} frames only repeat the picture before them (frozen); they were not used."
+            found.append(Notice("frozen", f"camera: {text}"))
         if report.picture is not None:
             found += picture_warnings(report.picture, axes)
-        return found + (light_warnings(report.light) if report.light is not None else [])
+        return found + ([] if report.light is None else light_warnings(report.light))
 
 
 def light_warnings(light: LightReport) -> list[Notice]:
     """A sentence where light may have moved a target with a fixed reference."""
     if light.notable_ns is None:
         return []
-    return [
-        Notice(
-            "light-changed",
-            f"camera: from {shown(light.notable_ns)} on light has changed the target against its reference frame; its "
-            f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), "
-            "which "
-            'the band holds. Take camera.reference = "key-frames".',
-        )
-    ]
+    text = (
+        f"camera: from {shown(light.notable_ns)} on light has changed the target against its reference frame; its "
+        f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), which "
+        'the band holds. Take camera.reference = "key-frames".'
+    )
+    return [Notice("light-changed", text)]
 
 
 # The code of what compression does, which is said once for all targets.
@@ -221,7 +224,13 @@ class CameraTracking:
         self.choice: RegionChoice | None = None
         # Frames that were looked at before they are tracked.
         self._ahead: deque[Frame] = deque()
-        targets = settings.targets or self._choose(judge)
+        targets = settings.targets
+        if not targets:
+            request = ChoiceRequest(
+                settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns
+            )
+            self.choice = choose_targets(self._read, self.time_ns, request, progress, judge)
+            targets = tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))
         if not self._read_ahead(1):
             raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
         self.reference = self._ahead[0]
@@ -232,10 +241,14 @@ class CameraTracking:
                 refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
         info = source.info
-        chain = ChainSettings(settings.opening, settings.readout_s, info.lossless is True, info.quarter_turns)
+        chain = ChainSettings(settings, settings.readout_s, info.lossless is True, info.quarter_turns)
         self.chain = CameraChain(self.reference, targets, chain)
         self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
-        self._teach(felt)
+        # The chain learns from the first frames, which are kept to be tracked afterwards.
+        wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")
+        frames = list(islice(self._ahead, wanted))
+        stamps = np.array([frame.time_ns for frame in frames], dtype=np.int64)
+        self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
         self.done, self.ended = 0, False
         # The trackings of further cameras of the same recording; how a thermal camera's range was found.
         self.beside: tuple[CameraTracking, ...] = ()
@@ -304,11 +317,11 @@ class CameraTracking:
 
         They call the sensor by its kind.
         """
-        found, compressed = list[Notice](), list[Notice]()
+        found, compressed, info = list[Notice](), list[Notice](), self.source.info
         if self.skipped:
             found.append(Notice("frames-skipped", f"camera: {self._skipped_for}."))
-        found += [Notice("file-damaged", f"camera: {line}.") for line in self.source.info.damage]
-        found += [one.worded(f"camera: {one}.") for one in self.source.info.notices]
+        found += [Notice("file-damaged", f"camera: {line}.") for line in info.damage]
+        found += [one.worded(f"camera: {one}.") for one in info.notices]
         for target in self.targets:
             own = target.warnings(axes or self.settings.direction)
             if self.settings.lens is not None:
@@ -318,26 +331,15 @@ class CameraTracking:
             compressed = compressed or shared
             own = [line for line in own if line not in shared]
             found += own if len(self.targets) == 1 else [line.worded(f"target {target.name}: {line}") for line in own]
-        return found + (compressed or self._codec_warnings())
-
-    def _codec_warnings(self) -> list[Notice]:
-        """A sentence where the codec may have lost what the frames themselves do not show."""
-        info = self.source.info
-        if info.lossless is not False:
-            return []
-        text = (
-            f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
-            "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
-            "Record raw or lossless where you can."
-        )
-        return [Notice(COMPRESSED, text)]
-
-    def _teach(self, felt: Felt | None) -> None:
-        """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
-        wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")
-        frames = list(islice(self._ahead, wanted))
-        stamps = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
+        if info.lossless is False and not compressed:
+            # The codec may have lost what the frames themselves do not show.
+            text = (
+                f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
+                "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
+                "Record raw or lossless where you can."
+            )
+            compressed = [Notice(COMPRESSED, text)]
+        return found + compressed
 
     @property
     def learns_by_acceleration(self) -> bool:
@@ -371,9 +373,3 @@ class CameraTracking:
                 return
             if self._ahead[number].index >= first:
                 yield self._ahead[number]
-
-    def _choose(self, judge: Judge | None) -> tuple[Target, ...]:
-        settings = self.settings
-        request = ChoiceRequest(settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns)
-        self.choice = choose_targets(self._read, self.time_ns, request, self.progress, judge)
-        return tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))

@@ -193,10 +193,9 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. The
     estimate has one row a sample; its standard deviation is that of the smoother.
     """
-    settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
-    estimator = Estimator(known, log=True, rows=False, max_waiting=count)
+    settings, count = settings or KalmanSettings(), len(displacement.time_ns) + 1
+    estimator = Estimator(settings.estimator(sources_of(displacement)), log=True, rows=False, max_waiting=count)
     _, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
     return Smoothed(estimator.smoothed()[0], innovation or no_innovation(), tuple(events))
 
@@ -209,9 +208,9 @@ def filtered(
     lag_s: float = 0.0,
 ) -> Smoothed:
     """Filter a whole record, as `smooth`; each row rests on what came before it, and on what came `lag_s` after it."""
-    settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
+    settings, count = settings or KalmanSettings(), len(displacement.time_ns) + 1
+    known = settings.estimator(sources_of(displacement))
     step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
     lag_samples = round(lag_s / step_s)
     estimator = Lag(known, lag_samples, max_waiting=count) if lag_samples else Estimator(known, max_waiting=count)

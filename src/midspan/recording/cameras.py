@@ -14,9 +14,7 @@ from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
-from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.temperatures import IN_GREY, is_grey, range_seen
+from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, range_seen, where_it_sees
 from midspan.records import Frame, Source
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.sensor_words import in_words_of, renamed

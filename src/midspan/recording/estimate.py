@@ -1,6 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,8 +21,7 @@ from midspan.calibration.unfelt import (
 from midspan.checks import option, path_of
 from midspan.engine.camera_result import CameraResult, camera_result, camera_series
 from midspan.engine.channels import without_gain
-from midspan.engine.radar_messages import REPORTED, radar_warnings
-from midspan.engine.row_messages import event_warnings, shares, unmeasured_ends
+from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
     clocks,
     left_out_event,
@@ -59,7 +58,7 @@ from midspan.recording.tracked import (
     open_eyes,
     side_of,
 )
-from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, Source, joined, part
+from midspan.records import Estimate, Event, Innovation, Nanoseconds, Source, part
 from midspan.settings.sensor_words import renamed
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
@@ -213,14 +212,18 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
     looks = asked.on_series or asked.row.rows is Pass.SMOOTHED
-    main = first.sides[0]
-    ran: dict[str, OneClock] = {}
+    main, ran = first.sides[0], dict[str, OneClock]()
     if looks or asked.given:
         ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
     if looks:
         first = replace(first, wrong=_wrong(first, ran))
     checked = check(asked, first, ran)
-    found = by_method(asked, first, ran, checked)
+    if asked.on_series:
+        found: Found = named(ON_SERIES)(asked, first, ran, checked)
+    elif asked.row.rows is Pass.SMOOTHED:
+        found = smoothed(first, ran, checked)
+    else:
+        found = _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
     progress(1, 1, "fusing")
     return result_of(asked, first, replace(found, warnings=(*checked.warnings, *found.warnings)), checked)
 
@@ -240,12 +243,17 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
         eye.tracking.close()
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome.measured_ns))
-    events = outcome.events_of
+    events, series = outcome.events_of, []
     cameras = tuple(
         camera_result(eye.tracking, eye.sensor, eye.calibrations, events.get(eye.sensor, ())) for eye in eyes
     )
-    first = FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, ())
-    return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
+    for axis in range(len(sides)):
+        rows = outcome.estimate(axis)
+        series.append({camera.sensor: camera_series(camera, rows, axis) for camera in cameras})
+        for view, known in known_sensors(sides[0]) if axis == 0 else ():
+            log = (outcome.measured_by(view.sensor), point.estimator.settings.channels, rows)
+            series[0][view.sensor] = ROWS[view.kind].series(view, known, log)
+    return FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, tuple(series))
 
 
 def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanoseconds]:
@@ -315,16 +323,6 @@ def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
     return {name: without_gain(std, own) for name, std in found.items()}
 
 
-def by_method(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
-    """The rows of the method that is asked for; ran: how the sensors' clocks ran, which only the causal ones leave."""
-    if asked.on_series:
-        done: Found = named(ON_SERIES)(asked, first, ran, checked)
-        return done
-    if asked.row.rows is Pass.SMOOTHED:
-        return smoothed(first, ran, checked)
-    return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
-
-
 def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *, alone: bool = False) -> Found:
     """The rows smoothed by the whole record, after what it shows of scales and clocks.
 
@@ -363,7 +361,7 @@ def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Fo
     channels = first.estimator.settings.channels
     return Found(
         rows=tuple(part(one, span) for one in rows),
-        innovations=tuple(innovation_along(outcome, channels, axis) for axis in range(len(rows))),
+        innovations=tuple(outcome.innovation_along(channels, axis) for axis in range(len(rows))),
         zero_variance_m2=outcome.zero_variance_m2[: len(rows)],
         used={name: used_when(outcome, channels, name) for name in first.series[0]},
         events=tuple(event for event in outcome.fusion_events if event.time_ns <= last_ns),
@@ -376,7 +374,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
     if not asked.by_settings.literal:
-        refuse_untrue(first, judged(asked, first, found), found)
+        refuse_untrue(asked, first, found)
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
@@ -427,12 +425,16 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     return replace(result, across=across)
 
 
-def refuse_untrue(first: FirstPass, whole: Estimate, found: Found) -> None:
+def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
     """UntrustedError where the accelerometer contradicts the rows, or a radar has lost its target too often."""
-    main, rows = first.sides[0], measured_rows(whole, found.innovations[0])
+    main, whole, estimator = first.sides[0], found.rows[0], first.estimator
+    if asked.row.rows is Pass.CAUSAL and not asked.on_series and isinstance(estimator, Estimator) and found.events:
+        # The band of a causal method opens for a jump, that of the whole record does not.
+        whole = estimator.smoothed()[0]
+    rows = measured_rows(whole, found.innovations[0])
     refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
-    settings, usual = first.estimator.settings, figures(main, main.prepared.rate_hz)
-    density = settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
+    usual = figures(main, main.prepared.rate_hz)
+    density = estimator.settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
     steps_ns = [event.time_ns for event in found.events if event.kind == "clock"]
     for view, known in known_sensors(main):
         if view.kind == Source.RADAR.word:
@@ -441,14 +443,6 @@ def refuse_untrue(first: FirstPass, whole: Estimate, found: Found) -> None:
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
             refuse_wide(main.prepared, whole)
-
-
-def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:
-    """The rows that are judged: the band of a causal method opens for a jump, that of the whole record does not."""
-    own = first.estimator
-    if asked.row.rows is Pass.SMOOTHED or asked.on_series or not isinstance(own, Estimator) or not found.events:
-        return found.rows[0]
-    return own.smoothed()[0]
 
 
 def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[Notice]]:
@@ -467,16 +461,6 @@ def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool
     ]
 
 
-def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
-    """What each sensor measured along an axis."""
-    rows = first.outcome.estimate(axis)
-    found = {camera.sensor: camera_series(camera, rows, axis) for camera in first.cameras}
-    for view, known in known_sensors(first.sides[axis]) if axis == 0 else ():
-        log = (first.outcome.measured_by(view.sensor), first.estimator.settings.channels, rows)
-        found[view.sensor] = ROWS[view.kind].series(view, known, log)
-    return found
-
-
 def clocks_shared(main: Side) -> set[str]:
     """Names of the displacement sensors whose clock is the accelerometer's, as is said or as the calibration says."""
     found = set()
@@ -487,13 +471,6 @@ def clocks_shared(main: Side) -> set[str]:
             if section.estimate_offset is False or (section.estimate_offset is None and one):
                 found.add(view.sensor)
     return found
-
-
-def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:
-    """Innovations of all channels along an axis in the order of time."""
-    numbers = [k for k, channel in enumerate(channels) if channel.axis == axis]
-    found = joined([outcome.innovation(k) for k in numbers])
-    return part(found, np.argsort(found.time_ns, kind="stable"))
 
 
 def _no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:

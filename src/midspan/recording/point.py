@@ -9,8 +9,7 @@ import numpy as np
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera_channels import camera_channels
-from midspan.engine.channels import Table, interval_s
+from midspan.engine.channels import Table, camera_channels, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point, Switch

@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
-from midspan.checks import instance
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import SensorSeries
-from midspan.notebook import table
+from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.band import not_in_band
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
-from midspan.signals.thinning import envelope
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
 
@@ -28,9 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Stretches drawn by `plot`; a longer record is thinned to the extremes of each.
-MAX_STRETCHES = 4000
-FIGURE_INCHES = (9.0, 3.0)
+# What stands in `report`, above this room.
+PLOT, NOTEBOOK = "midspan.report.plot:plot", "midspan.report.plot:notebook_html"
+REPORT = "midspan.report.report:write_report"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,22 +241,8 @@ class Result:
 
         axes: where to draw; left out: in a new figure of pyplot, which `matplotlib.pyplot.show()` shows in a script.
         """
-        from matplotlib import axes as kinds
-        from matplotlib import pyplot
-
-        if axes is None:
-            figure, axes = pyplot.subplots(figsize=FIGURE_INCHES, layout="constrained")
-            if "inline" in pyplot.get_backend():
-                # A notebook shows the figure that a cell returns; it would show one that is still open once more.
-                pyplot.close(figure)
-        instance("axes", axes, kinds.Axes, "axes of matplotlib", "Leave axes out for a figure of its own.")
-        for one in (self,) if self.across is None else (self, self.across):
-            one._draw(axes, "displacement" if self.across is None else f"displacement along {one.axis}")
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("displacement (mm)")
-        axes.legend(loc="upper right", frameon=False)
-        axes.grid(alpha=0.3)
-        return axes.get_figure(root=True)  # type: ignore[return-value]
+        figure: Figure = named(PLOT)(self, axes)
+        return figure
 
     def report(self, path: str | Path) -> Path:
         """Write a self-contained HTML report, compared with the recording's [reference] where it has one.
@@ -266,10 +250,7 @@ class Result:
         Returns `path`. Raises UsageError where the file cannot be written, DataError where the reference cannot be
         read.
         """
-        # Reports are made in a room above this one, which the package's name leads to.
-        import midspan
-
-        written: Path = midspan.write_report(self, path, *self.references())
+        written: Path = named(REPORT)(self, path, *self.references())
         return written
 
     def references(self) -> tuple[TimeSeries | None, TimeSeries | None]:
@@ -279,27 +260,10 @@ class Result:
             return None, None
         return recording.reference, recording.reference_across
 
-    def _draw(self, axes: "Axes", label: str) -> None:
-        """The displacement with its band."""
-        time_s, value, half = self.time_s, self.displacement_mm, 1.96 * self.displacement_std_mm
-        band = envelope(time_s, value - half, value + half, MAX_STRETCHES)
-        axes.fill_between(band.t, band.low, band.high, alpha=0.3, linewidth=0, label="±1.96 σ")
-        axes.plot(*envelope(time_s, value, value, MAX_STRETCHES).line(), linewidth=0.9, label=label)
-
     def _repr_html_(self) -> str:
         """What a notebook shows: the picture and the first figures."""
-        import base64
-        import io
-
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=FIGURE_INCHES, layout="constrained")
-        self.plot(figure.subplots())
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=96)
-        data = base64.b64encode(picture.getvalue()).decode()
-        rows = [("displacement", self.summary()), *self.calibration.summary()]
-        return f'<img src="data:image/png;base64,{data}"/>{table(self.name, rows, self.warnings)}'
+        html: str = named(NOTEBOOK)(self)
+        return html
 
 
 def _events(events: tuple[Event, ...]) -> list[dict[str, Any]]:

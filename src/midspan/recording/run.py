@@ -109,6 +109,11 @@ class Outcome:
         """The innovations of a channel as one block."""
         return joined([rows.innovations[channel] for rows in self.rows if rows.innovations])
 
+    def innovation_along(self, channels: Sequence[Channel], axis: int) -> Innovation:
+        """Those of all channels along an axis in the order of time."""
+        found = joined([self.innovation(k) for k, channel in enumerate(channels) if channel.axis == axis])
+        return part(found, np.argsort(found.time_ns, kind="stable"))
+
 
 def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> list[tuple[int, int]]:
     """First and last stamp (ns) of each segment in which a sensor's measurements were accepted without a long pause."""
@@ -165,7 +170,8 @@ def records_of(
     ahead = next(blocks, None)
     for name, record in in_time(feeds, offsets_ns):
         if isinstance(record, Arrival):
-            stamp = _stamp(record) + offsets_ns[name]
+            assert not isinstance(record.record, Readings)
+            stamp = record.record.time_ns + offsets_ns[name]
             while ahead is not None and ahead[0] <= stamp:
                 yield ahead[1].stream, ahead[1]
                 ahead = next(blocks, None)
@@ -192,11 +198,6 @@ def blocks_of(
                 part = Readings(one.time_ns[places[name] : end], one.value[places[name] : end])
                 yield first_ns + round(number * step_ns), Arrival(name, counts[name], part)
                 places[name], counts[name] = end, counts[name] + 1
-
-
-def _stamp(arrival: Arrival) -> int:
-    assert not isinstance(arrival.record, Readings)
-    return arrival.record.time_ns
 
 
 def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
@@ -247,11 +248,6 @@ def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, 
             if kept[output.sensor] >= 0:
                 continue
             eye = cameras[output.sensor]
-            early_ns = -late_ns(eye)
+            early_ns = -round(NANOSECONDS * eye.calibrations[0].offset.value_s)
             found = [one for one in output.found if isinstance(one, PixelTranslation)]
             eye.tracking.keep([one.later(early_ns) for one in found])
-
-
-def late_ns(eye: Eye) -> int:
-    """What is added to a camera's stamps to get the accelerometer's clock."""
-    return round(NANOSECONDS * eye.calibrations[0].offset.value_s)

@@ -12,8 +12,7 @@ from midspan.engine.tracking import CameraTracking
 from midspan.fusion.streams import KalmanSettings
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.opening import open_tracking
+from midspan.recording.tracking.opening import open_tracking, where_it_sees
 from midspan.records import Acceleration, TimeOffset
 from midspan.settings.kinds import CAMERAS
 from midspan.settings.sensor_words import in_words_of

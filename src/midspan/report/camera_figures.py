@@ -25,7 +25,7 @@ from midspan.report.drawing import (
 )
 from midspan.report.material import Clock
 from midspan.report.tables import partly_static
-from midspan.signals.thinning import envelope
+from midspan.report.thinning import envelope
 from midspan.vision.roi import RegionChoice
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Material
-from midspan.signals.thinning import envelope, spans
+from midspan.report.thinning import envelope, spans
 from midspan.thermal.temperature_range import RangeSurface
 
 if TYPE_CHECKING:

@@ -20,8 +20,10 @@ from midspan.records import (
     part,
     seconds,
 )
-from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, MIN_HZ, missed_share, unknown_density
 from midspan.signals.health import (
+    GAP_STEPS,
+    LONG_SHARE,
+    MIN_HZ,
     Clock,
     Mask,
     bridged,
@@ -30,10 +32,12 @@ from midspan.signals.health import (
     dominant_frequency,
     frozen,
     lone_spikes,
+    mean_square,
+    missed_share,
     runs,
+    unknown_density,
     with_crests,
 )
-from midspan.signals.lively import mean_square
 from midspan.signals.stamps import inside, shown
 
 # Standard gravity, m/s².

@@ -9,8 +9,7 @@ import numpy as np
 from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.channels import clock_std_s, without_gain
 from midspan.engine.point import Support
-from midspan.engine.radar_messages import radar_warnings
-from midspan.engine.row_messages import event_warnings, shares
+from midspan.engine.row_messages import event_warnings, radar_warnings, shares
 from midspan.engine.sensor_series import series_of
 from midspan.errors import UsageError
 from midspan.fusion.blocks import Rows

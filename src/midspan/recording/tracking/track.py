@@ -9,14 +9,13 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.checks import option, path_of
-from midspan.engine.camera_target import Target
+from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
 from midspan.notices import Notice, notice_trees
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
-from midspan.recording.tracking.opening import settings_of
-from midspan.recording.tracking.temperatures import levels_of
+from midspan.recording.tracking.opening import levels_of, settings_of
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.sensor_words import in_words_of, renamed
