@@ -4,13 +4,13 @@ import numpy as np
 
 from benchmarks.cases import fused, rms
 from benchmarks.table import goal, show
-from midspan.fusion.fir import FirSettings, fir
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.radar_phase import grid_factor
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
 from midspan.radar.channels import channel_weights, combined, noise_variance, phase_variance
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
 from midspan.radar.layout import Layout, pack
-from midspan.radar.literal import grid_factor
 from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import averaged, followed, noise_gain, range_profile

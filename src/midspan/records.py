@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,14 @@ def nanoseconds(time_s: Floats, origin_ns: int = 0) -> Nanoseconds:
     return np.int64(origin_ns) + np.rint(np.asarray(time_s, dtype=np.float64) * NANOSECONDS).astype(np.int64)
 
 
+class Arrays(Protocol):
+    """A block: a dataclass whose fields are all arrays."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
 def joined(blocks: "Sequence[Block]") -> "Block":
-    """One block out of blocks of the same kind whose fields are all arrays, in their order; also from a single one."""
+    """One block out of blocks of the same kind, in their order; also from a single one."""
     if len(blocks) == 1:
         return blocks[0]
     names = blocks[0].__dataclass_fields__
@@ -40,18 +46,8 @@ def joined(blocks: "Sequence[Block]") -> "Block":
 
 
 def part(block: "Block", which: slice | NDArray[np.generic]) -> "Block":
-    """The rows `which` (a slice, mask or index array) of a block whose fields are all arrays."""
+    """The rows `which` (a slice, mask or index array) of a block."""
     return type(block)(*[getattr(block, name)[which] for name in block.__dataclass_fields__])
-
-
-def cut(block: "Block", size: int) -> "Iterator[Block]":
-    """A block with a field `time_ns` in pieces of this many rows."""
-    count = len(block.time_ns)
-    if count <= size:
-        yield from (block,) if count else ()
-        return
-    for first in range(0, count, size):
-        yield part(block, slice(first, first + size))
 
 
 class Source(IntEnum):
@@ -444,34 +440,7 @@ class ClockOffset:
     from_ns: int
 
 
-class StreamState(IntEnum):
-    """How a stream stands: nothing came yet; in time; later than the others wait; silent for too long."""
-
-    WAITING = 0
-    LIVE = 1
-    BEHIND = 2
-    OUT = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """How a stream stands, and why.
-
-    newest_ns: its newest stamp on the common clock. Counts of readings and frames: used; late; disordered (doubled,
-    backwards, outside the times that are possible); lost records, by their sequence numbers.
-    """
-
-    stream: str
-    state: StreamState
-    reason: str
-    newest_ns: int | None
-    used: int
-    late: int
-    disordered: int
-    lost: int
-
-
-Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, Measured, PixelTrack, Readings, Samples)
+Block = TypeVar("Block", bound="Arrays")
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ import midspan
 from lively_recordings import Lively, write, write_several
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, PointState
-from midspan.fusion.estimator import Estimator
-from midspan.fusion.second_pass import Lag
+from midspan.fusion.estimator import Estimator, Lag
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.point import measuring_point

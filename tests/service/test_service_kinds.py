@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.recording.streams.recording import open_recording
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.opening import opened

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.capture import capture_settings
 from midspan.service.opening import opened

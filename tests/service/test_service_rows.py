@@ -10,7 +10,7 @@ from test_service_point import running as opened_point
 import midspan
 from lively_recordings import Lively, write
 from midspan.cli.main import run
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Estimate, Event, Status
 from midspan.service.journal import Journal
 from midspan.service.opening import opened, resumed

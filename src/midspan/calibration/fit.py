@@ -26,7 +26,7 @@ from midspan.calibration.whitening import (
     whiten_columns,
 )
 from midspan.records import NANOSECONDS, Floats, InputNoise, Nanoseconds
-from midspan.signals.lively import mean_square
+from midspan.signals.health import mean_square
 
 # Fewer usable measurements than these tell no scale.
 MIN_FRAMES = 20
@@ -71,7 +71,7 @@ class Pair:
     reference: the size of the ratio that other ratios are compared with, None at first (see `shrinking`).
     level_m_s2: the mean acceleration, which the samples are without.
     motion_share: share of the accelerometer's noise, 0 to 1, that goes with the mean square of the motion (see
-    `signals.lively`), of the mean over the record.
+    `signals.health.mean_square`), of the mean over the record.
     slow: variance of the slow error of the measurements (first-order Gauss-Markov) in units of their noise variance,
     and its rate, 1/s.
     cross: acceleration (n, k) of the accelerometer's other axes at the samples, without its means (k,), and these; None

@@ -11,18 +11,19 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import calibrate_scale
 from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
-from midspan.engine.switching import Switch
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.errors import UsageError
-from midspan.fusion.adaptive import PrintedFilter
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanFilter, KalmanSettings, MethodSettings
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.printed.adaptive import PrintedFilter
+from midspan.papers.printed.camera import calibrate_printed
+from midspan.papers.printed.switching import Switch
 from midspan.records import (
     NANOSECONDS,
     Acceleration,

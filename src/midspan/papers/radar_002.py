@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.runners import run_method
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.radar_phase import best_on_grid
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
-from midspan.radar.literal import best_on_grid
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.range_profile import averaged, range_profile
 from midspan.radar.target import Target, find_targets, ranked

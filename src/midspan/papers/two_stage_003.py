@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from midspan.fusion import fir, two_stage
-from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.printed import fir, two_stage
+from midspan.papers.printed.complementary import fused, smoothed_record
 from midspan.records import Acceleration, Displacement, Floats, Source
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.records import Floats
-from midspan.signals.thinning import Envelope
+from midspan.report.thinning import Envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -27,8 +27,8 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import BAND, Material, Measured
+from midspan.report.thinning import envelope, logarithmic_means, spans
 from midspan.signals.stamps import inside
-from midspan.signals.thinning import envelope, logarithmic_means, spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

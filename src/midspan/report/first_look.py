@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.calibration.camera.view import judged_by
-from midspan.engine.camera_target import Target
+from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress
 from midspan.recording.cameras import view_of
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of
+from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of, where_it_sees
 from midspan.records import NANOSECONDS, Floats, Region
 from midspan.report.drawing import BLACK, ORANGE, SKY, VERMILLION, saved, sheet, style
 from midspan.report.lens import described

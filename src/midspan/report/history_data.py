@@ -9,7 +9,7 @@ import numpy as np
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
 from midspan.report.columns import Column, packed, round_below
 from midspan.report.material import BAND, Material
-from midspan.signals.thinning import PAUSE_STEPS, starts
+from midspan.report.thinning import PAUSE_STEPS, starts
 
 # Longer records (an hour at 200 Hz is 720 000 rows) keep the extremes of half as many segments.
 MAX_ROWS = 800_000

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.records import Event, Floats, Source
 from midspan.report.drawing import (
     BLACK,
@@ -20,7 +20,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Material
-from midspan.signals.thinning import envelope, spans
+from midspan.report.thinning import envelope, spans
 from midspan.thermal.temperature_range import RangeSurface
 
 if TYPE_CHECKING:

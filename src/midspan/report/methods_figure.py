@@ -13,7 +13,7 @@ from midspan.recording.result import Result
 from midspan.records import Floats, TimeSeries
 from midspan.report.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, saved, sheet, style
 from midspan.report.lens import described
-from midspan.signals.thinning import envelope
+from midspan.report.thinning import envelope
 from midspan.writing import write_whole
 
 if TYPE_CHECKING:

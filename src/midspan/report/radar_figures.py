@@ -25,7 +25,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Clock
-from midspan.signals.thinning import Envelope, spans
+from midspan.report.thinning import Envelope, spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

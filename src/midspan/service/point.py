@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
 from midspan.service.capture import Capture
@@ -130,7 +130,7 @@ class LivePoint:
     @property
     def disordered(self) -> int:
         """How many readings of the accelerometer were left out since their stamps were wrong."""
-        return 0 if self.opened is None else self.opened.point.merge.health[0].disordered
+        return 0 if self.opened is None else self.opened.point.merge.state.streams[0].disordered
 
     @property
     def held_up(self) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.radar.layout import Layout
 from midspan.service.camera_process import CameraProcess
 from midspan.service.capture import capture_settings

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializationInfo, model_serializer, model_validator
 
-from midspan.calibration.printed import PrintedSteps
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.checks import RATE_HZ
-from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import (
     IsNumber,
@@ -20,8 +20,6 @@ from midspan.settings.fields import (
 )
 from midspan.settings.kinds import KINDS, Listed, sensor_names
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
-from midspan.signals.fir import MAX_TAPS, MIN_TAPS
-from midspan.signals.resample import SIDE
 
 if TYPE_CHECKING:
     from midspan.fusion.streams import KalmanSettings, MethodSettings
@@ -120,8 +118,8 @@ class FusionSettings(Section):
     anti_alias_taps: Annotated[int, IsNumber, AfterValidator(_is_a_length)] | None = Field(
         None, description="`two-stage-fir`: length of its anti-aliasing filter, odd; left out: by a ripple of 0.001"
     )
-    spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SIDE)] = Field(
-        SIDE,
+    spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SPLINE_FRAMES)] = Field(
+        SPLINE_FRAMES,
         description="`fir`, `two-stage-fir`: displacements ahead that the spline through them uses; fewer shortens the "
         "delay",
     )

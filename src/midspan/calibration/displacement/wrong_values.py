@@ -11,6 +11,7 @@ likelier as white noise about the path together with a share of them anywhere wi
 changes from moment to moment: a sensor or an accelerometer that is noisy for a while, or off its place, makes no crowd.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -182,7 +183,7 @@ def _gain(left: Floats, far: NDArray[np.bool_]) -> float:
     """
     inner, share, span = left[~far], float(np.mean(far)), float(np.ptp(left))
     pieces = np.array_split(left, -(-len(left) // NOISE_READINGS))
-    without = sum(_noise_alone(piece) for piece in pieces)
+    without = math.fsum(_noise_alone(piece) for piece in pieces)
     about = _noise_alone(inner) + len(inner) * np.log1p(-share)
     return float(about + np.count_nonzero(far) * (np.log(share) - np.log(span)) - without)
 

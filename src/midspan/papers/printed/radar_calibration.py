@@ -25,9 +25,7 @@ from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import search_offset
 from midspan.errors import DataError
 from midspan.notices import Notice
-from midspan.radar.frames import without_holes
-from midspan.radar.info import RadarInfo
-from midspan.radar.literal import (
+from midspan.papers.printed.radar_phase import (
     EDGE_S,
     GRID,
     GridFactor,
@@ -38,6 +36,8 @@ from midspan.radar.literal import (
     printed_phase_per_m,
     printed_series,
 )
+from midspan.radar.frames import without_holes
+from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import Target, ranked
 from midspan.records import NANOSECONDS, Floats, TimeOffset

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from midspan.fusion.complementary import LONGEST_STEPS
+from midspan.papers.printed.complementary import LONGEST_STEPS
 from midspan.records import NANOSECONDS, Displacement, part
 from midspan.signals.health import Mask
 

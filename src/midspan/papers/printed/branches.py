@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.checks import refuse
+from midspan.fusion.methods import SPLINE_FRAMES
+from midspan.papers.printed.filters import FilterSum
+from midspan.papers.printed.integrate import RULES
+from midspan.papers.printed.resample import spline_kernel, spline_reach
 from midspan.records import Floats
-from midspan.signals.fir import FilterSum
-from midspan.signals.integrate import RULES
-from midspan.signals.resample import SIDE, spline_kernel, spline_reach
 
 # Its own error counts as none: 0.07 % at a tenth of the rate, 1.1 % at a fifth.
 EXACT_RULE = "numerov"
@@ -60,7 +61,7 @@ class Branches:
     high: Floats
     rule: str
     removed: AtFrames | None = None
-    spline_frames: int = SIDE
+    spline_frames: int = SPLINE_FRAMES
     warnings: tuple[str, ...] = ()
 
     @property
@@ -71,8 +72,8 @@ class Branches:
 
 def check_spline_frames(count: int) -> None:
     """UsageError unless the spline to the grid can look at so many displacements after an interval."""
-    if not 0 <= count <= SIDE:
-        raise refuse("spline_frames", f"from 0 to {SIDE} displacements", count)
+    if not 0 <= count <= SPLINE_FRAMES:
+        raise refuse("spline_frames", f"from 0 to {SPLINE_FRAMES} displacements", count)
 
 
 class NoiseGain:

@@ -22,13 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import positive, refuse
-from midspan.fusion.branches import AtFrames, Branches, Rates, check_spline_frames
-from midspan.fusion.complementary import fused, smoothed_record
+from midspan.fusion.methods import SPLINE_FRAMES
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
+from midspan.papers.printed.branches import AtFrames, Branches, Rates, check_spline_frames
+from midspan.papers.printed.complementary import fused, smoothed_record
+from midspan.papers.printed.filters import complement
+from midspan.papers.printed.integrate import integrating, weights
 from midspan.records import Acceleration, Displacement, Estimate, Floats
-from midspan.signals.fir import complement
-from midspan.signals.integrate import integrating, weights
-from midspan.signals.resample import SIDE
 
 # Half the window: so many times the time constant 1/corner of matched noises, or periods of the cut-off (Lee and
 # others, 2010); as printed in the radar paper, s.
@@ -60,7 +60,7 @@ class FirSettings:
     cut_off_hz: float | None = None
     accuracy: float = 0.97
     half_window: int | None = None
-    spline_frames: int = SIDE
+    spline_frames: int = SPLINE_FRAMES
 
     def __post_init__(self) -> None:
         if self.cut_off_hz is not None:

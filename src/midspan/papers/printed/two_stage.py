@@ -12,14 +12,14 @@ and 2.3.
 from dataclasses import dataclass, field
 
 from midspan.checks import refuse
-from midspan.fusion.branches import Branches, Rates, check_spline_frames
-from midspan.fusion.complementary import fused, smoothed_record
-from midspan.fusion.fir import at_frames
+from midspan.fusion.methods import MAX_TAPS, MIN_TAPS, SPLINE_FRAMES
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
+from midspan.papers.printed.branches import Branches, Rates, check_spline_frames
+from midspan.papers.printed.complementary import fused, smoothed_record
+from midspan.papers.printed.filters import Transition, complement, equiripple_low_pass, equiripple_of_length
+from midspan.papers.printed.fir import at_frames
+from midspan.papers.printed.integrate import integrating
 from midspan.records import Acceleration, Displacement, Estimate, Floats
-from midspan.signals.fir import MAX_TAPS, MIN_TAPS, Transition, complement, equiripple_low_pass, equiripple_of_length
-from midspan.signals.integrate import integrating
-from midspan.signals.resample import SIDE
 
 # Least width of the anti-aliasing filter's transition band, Hz: half the displacement's rate is at least f_c + this.
 LEAST_WIDTH_HZ = 0.5
@@ -45,7 +45,7 @@ class TwoStageSettings:
     literal: bool = False
     taps: int | None = None
     anti_alias_taps: int | None = None
-    spline_frames: int = SIDE
+    spline_frames: int = SPLINE_FRAMES
 
     def __post_init__(self) -> None:
         Transition(1.0, 2.0, self.anti_alias_ripple)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from midspan.signals.thinning import envelope, logarithmic_means, spans
+from midspan.report.thinning import envelope, logarithmic_means, spans
 
 
 def test_an_envelope_holds_every_value_and_both_extremes():

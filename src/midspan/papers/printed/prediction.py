@@ -5,15 +5,18 @@ Ma, Choi and Sohn 2022, doi 10.1111/mice.12767, equations 27 to 29; Ma, Choi, Li
 10.1016/j.autcon.2022.104338, equations 14 to 16.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.fusion.adaptive import PrintedFilter, PrintedState
-from midspan.fusion.blocks import Rows
-from midspan.fusion.estimator import Estimator, EstimatorState
+from midspan.engine.channels import interval_s
+from midspan.fusion.blocks import VELOCITY_WITHIN, Rows
+from midspan.fusion.estimator import Estimator, State
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.streams import MethodSettings
+from midspan.papers.printed.adaptive import PrintedFilter
+from midspan.recording.point import figures
+from midspan.recording.tracked import Side
 from midspan.records import Acceleration, Displacement, Event, Measured, Samples
 
 
@@ -26,13 +29,8 @@ class StartOfPrinted:
     speed_m_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class PredictedState:
-    """What a `PredictedAsPrinted` remembers; printed: None before the first sample, which origin_ns is the stamp of."""
-
-    estimator: EstimatorState
-    printed: PrintedState | None
-    origin_ns: int
+# Of the estimator, of the printed filter (None before the first sample), and the stamp of its first sample.
+PredictedState = tuple[State, State | None, int]
 
 
 class PredictedAsPrinted(Estimator):
@@ -72,15 +70,16 @@ class PredictedAsPrinted(Estimator):
     def state(self) -> PredictedState:  # type: ignore[override]
         """All that is remembered besides the log."""
         one = self._printed
-        return PredictedState(super().state, None if one is None else one.state, 0 if one is None else one.origin_ns)
+        return super().state, None if one is None else one.state, 0 if one is None else one.origin_ns
 
     def restore(self, state: PredictedState) -> None:  # type: ignore[override]
         """Go on from a state of an estimator with the same settings."""
-        super().restore(state.estimator)
+        estimator, printed, origin_ns = state
+        super().restore(estimator)
         self._printed = None
-        if state.printed is not None:
-            self._printed = self._begun(state.origin_ns)
-            self._printed.restore(state.printed)
+        if printed is not None:
+            self._printed = self._begun(origin_ns)
+            self._printed.restore(printed)
 
     def _begun(self, origin_ns: int) -> PrintedFilter:
         start = self._printed_start
@@ -96,3 +95,12 @@ class PredictedAsPrinted(Estimator):
         units = np.array([one.units_per_m for one in channels])[record.channel[taken]]
         source = np.array([one.source for one in channels], dtype=np.uint8)[record.channel[taken]]
         return Displacement(stamps, record.value[taken] / units, record.variance[taken] / units**2, source)
+
+
+def predicted_as_printed(settings: EstimatorSettings, printed: MethodSettings, main: Side, *, log: bool) -> Estimator:
+    """The estimator of a recording's main axis, its printed filter begun by what is usual of the acceleration."""
+    moved_m, omega = figures(main, main.prepared.rate_hz).motion
+    kalman = replace(main.kalman, velocity_std=VELOCITY_WITHIN * omega * moved_m)
+    step_s = interval_s(main.recording.acceleration.time_ns)
+    start = StartOfPrinted(replace(printed, kalman=kalman), step_s, omega * moved_m)
+    return PredictedAsPrinted(settings, start, log=log)

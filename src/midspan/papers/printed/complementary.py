@@ -12,13 +12,21 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.fusion.branches import EXACT_RULE, AtFrames, Branches, NoiseGain, Rates, integration_error, velocity
-from midspan.fusion.path import at, rows_at
+from midspan.fusion.path import at
 from midspan.fusion.streams import KalmanSettings, Smoothed, smooth
+from midspan.papers.printed.branches import (
+    EXACT_RULE,
+    AtFrames,
+    Branches,
+    NoiseGain,
+    Rates,
+    integration_error,
+    velocity,
+)
+from midspan.papers.printed.filters import FilterBank
+from midspan.papers.printed.resample import REACH_STEPS, filtered_at, local_spline
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, part, seconds
-from midspan.signals.fir import FilterBank
 from midspan.signals.health import Mask, runs
-from midspan.signals.resample import REACH_STEPS, filtered_at, local_spline
 
 # A step of the acceleration outside these shares of the usual one ends a stretch.
 SHORTEST_STEP, LONGEST_STEP = 0.5, 1.5
@@ -110,6 +118,19 @@ def fused(
     told = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
     events = (*smoothed.events, *told, *slow)
     return replace(smoothed, estimate=rows, events=events, delay_s=_delay_s(method))
+
+
+def rows_at(path: Estimate, time_ns: Nanoseconds) -> Estimate:
+    """The rows of an estimate at other stamps (n,); source and status are those of its last row before each.
+
+    The velocity is that of straight lines: the slope of the cubic would be sharper on a smoothed path, but a causal one
+    jumps where a measurement is met.
+    """
+    displacement, variance = at(path, time_ns)
+    origin = int(path.time_ns[0])
+    velocity = np.interp(seconds(time_ns, origin), seconds(path.time_ns, origin), path.velocity_m_s)
+    last = np.maximum(np.searchsorted(path.time_ns, time_ns, side="right") - 1, 0)
+    return Estimate(time_ns, displacement, variance, velocity, path.source[last], path.status[last])
 
 
 def _delay_s(method: Method) -> float:

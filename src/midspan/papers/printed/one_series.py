@@ -9,18 +9,34 @@ from itertools import pairwise
 
 import numpy as np
 
+from midspan.calibration.one_clock import OneClock
+from midspan.engine.channels import clock_std_s
+from midspan.engine.second_look import on_clock
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UntrustedError
-from midspan.fusion.adaptive import speed_of
 from midspan.fusion.blocks import VELOCITY_WITHIN
-from midspan.fusion.complementary import OUTLIER_STD
-from midspan.fusion.in_turn import in_turn
 from midspan.fusion.path import at
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
 from midspan.notices import Notice
-from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, joined, part
-from midspan.signals.acceleration import from_first_measurement
+from midspan.papers.printed.adaptive import speed_of
+from midspan.papers.printed.complementary import OUTLIER_STD
+from midspan.papers.printed.in_turn import in_turn
+from midspan.recording.estimate import Asked, Checked, FirstPass, Found, smoothed
+from midspan.recording.tracked import offsets_of
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Estimate,
+    Event,
+    Floats,
+    Measured,
+    Nanoseconds,
+    joined,
+    part,
+)
+from midspan.signals.health import unknown_density
 from midspan.signals.stamps import shown
 
 # Noise estimated by a method as printed, over that of its start, beyond which it is called a run-away.
@@ -105,6 +121,25 @@ def run_on_series(
     )
 
 
+def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
+    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
+    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
+    if first >= start or start - first > 2 * NANOSECONDS:
+        return acceleration
+    value = float(np.mean(acceleration.value_m_s2[:100]))
+    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
+    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
+    widened = acceleration.noise_density.copy()
+    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
+    return joined([before, replace(acceleration, noise_density=widened)])
+
+
+def taken(series: SensorSeries, measured: Measured) -> SensorSeries:
+    """The series with nothing where the estimator was given no measurement of the sensor: another one measured."""
+    return replace(series, value_m=np.where(np.isin(series.time_ns, measured.time_ns), series.value_m, np.nan))
+
+
 def rms(values: Floats) -> float:
     """Root mean square of values (n,) that are finite."""
     return float(np.sqrt(np.nanmean(values**2)))
@@ -149,3 +184,51 @@ def literal_warnings(measured: Displacement, done: Smoothed) -> list[Notice]:
             )
         )
     return found
+
+
+def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
+    """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
+    known = first.estimator.settings
+    restarts_ns = {name: log.restarts_ns for name, log in first.outcome.radars.items()}
+    # What nothing measured shows is no reason to take a farther measurement for right: it enters at the end.
+    found, method = smoothed(first, ran, checked, alone=True), asked.by_settings
+    gain = asked.calibration.gain_std(asked.recording.accelerometer.scale_std, given=asked.given)
+    rows, innovations = list(found.rows), list(found.innovations)
+    warnings = list(found.warnings)
+    events: list[Event] = []
+    for axis, side in enumerate(first.sides):
+        tilt_m2 = known.unseen_std_m[axis] ** 2
+        if not side.recording.fused:
+            rows[axis] = replace(rows[axis], variance_m2=rows[axis].variance_m2 + 2.0 * tilt_m2)
+            continue
+        series = first.at_instants(axis)
+        if asked.recording.settings.fusion.switching == "matches":
+            series = {name: taken(one, first.outcome.measured_by(name)) for name, one in series.items()}
+        named = {name: on_clock(one, ran[name]) for name, one in series.items()}
+        # The filter as printed takes every measurement; what it wins by a gate would not be its own.
+        printed = method.literal and asked.row.rows is not None
+        measured = one_series(named, found.rows[axis], restarts_ns, gated=not printed)
+        own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
+        done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
+        scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
+        clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())
+        own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
+        level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
+        own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)
+        own_rows = with_levels_since(own_rows, found.rows[axis], measured, restarts_ns)
+        rows[axis] = part(own_rows, np.isin(own_rows.time_ns, found.rows[axis].time_ns))
+        innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
+        events += done.events
+        found = replace(found, delay_s=max(found.delay_s, done.delay_s))
+        warnings += literal_warnings(measured, done) if method.literal else []
+    return replace(
+        found,
+        rows=tuple(rows),
+        zero_variance_m2=tuple(
+            known.misfit[axis] * zero + (0.0 if known.zero_ns is None else known.unseen_std_m[axis] ** 2)
+            for axis, zero in enumerate(found.zero_variance_m2)
+        ),
+        innovations=tuple(innovations),
+        events=(*found.events, *events),
+        warnings=tuple(warnings),
+    )

@@ -4,13 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan import _core
+from midspan.fusion.methods import SPLINE_FRAMES
 from midspan.records import Floats
 
-# Knots used on each side of an interval. A cubic spline forgets what is k knots away by 0.268 to the power k: 0.5 %.
-SIDE = 4
 # The spline of an interval looks at knots at most this many usual steps behind the interval's start.
-REACH_STEPS = SIDE + 1.5
-WIDEST = 2 * SIDE
+REACH_STEPS = SPLINE_FRAMES + 1.5
+WIDEST = 2 * SPLINE_FRAMES
 
 
 def local_spline(
@@ -49,7 +48,7 @@ def spline_kernel(knot_step: float, reach: float = REACH_STEPS) -> Floats:
 
     reach: how far the spline looks behind the start of an interval, steps between knots.
     """
-    half = int(np.ceil((SIDE + 2) * knot_step))
+    half = int(np.ceil((SPLINE_FRAMES + 2) * knot_step))
     knots = np.arange(-WIDEST, WIDEST + 1, dtype=np.float64)
     value = np.repeat(np.where(knots == 0.0, 1.0, 0.0)[:, None], 2, axis=1)
     grid = np.arange(-half, half + 1) / knot_step

@@ -13,12 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import positive, refuse
+from midspan.fusion.methods import MAX_TAPS
 from midspan.records import Floats
 
-# Beyond this many taps the exchange algorithm fails to converge; the filter is then designed at a lower rate.
-MAX_TAPS = 1500
-# Fewer taps than this leave `flat_at_zero` nothing to shape.
-MIN_TAPS = 9
 # `flat_at_zero` adds ripple to the pass band only; the exchange leaves room for it. Measured at 0.5 to 1 Hz and 100 Hz:
 # with these two 721 taps keep 1e-3, a Blackman window and even weights need 861, no flatness at all 653.
 PASS_WEIGHT, CORRECTION_SHAPE = 2.0, 3.0

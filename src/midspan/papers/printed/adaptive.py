@@ -7,14 +7,13 @@ as there: G the covariance before a frame, K the gain, R the noise variance of a
 The guarded form is the estimator with a memory of as many measurements.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.fusion.blocks import ACCEPTED
-from midspan.fusion.estimator import restore
+from midspan.fusion.estimator import State, restore
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import (
     NANOSECONDS,
@@ -35,13 +34,6 @@ MAX_WAITING = 65536
 ROW_X, ROW_VARIANCE, ROW_VELOCITY, ROW_ACCEPTED, ROW_SOURCE = range(5)
 # And of each frame: the innovation, its variance, the noise R, and whether it was used.
 MET_INNOVATION, MET_TOTAL, MET_NOISE, MET_USED = range(4)
-
-
-@dataclass(frozen=True, slots=True)
-class PrintedState:
-    """What a `PrintedFilter` remembers, as the core writes it."""
-
-    core: NDArray[np.uint8]
 
 
 class PrintedFilter:
@@ -72,13 +64,13 @@ class PrintedFilter:
         )
 
     @property
-    def state(self) -> PrintedState:
+    def state(self) -> State:
         """All that has an effect on what comes later."""
-        return PrintedState(np.frombuffer(self._core.state(), dtype=np.uint8))
+        return np.frombuffer(self._core.state(), dtype=np.uint8)
 
-    def restore(self, state: PrintedState) -> None:
+    def restore(self, state: State) -> None:
         """Go on from where `state` was read."""
-        restore(self._core, state.core)
+        restore(self._core, state)
 
     def wait(self, met: Displacement) -> None:
         """Take frames that are later than the last sample, all of them finite."""

@@ -8,15 +8,15 @@ import numpy as np
 
 from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.channels import clock_std_s, without_gain
-from midspan.engine.one_series import literal_warnings, run_on_series, with_uncertain
-from midspan.engine.printed_radar import Printed, printed_displacement
-from midspan.engine.radar_messages import radar_warnings
-from midspan.engine.row_messages import event_warnings, shares
+from midspan.engine.point import Support
+from midspan.engine.row_messages import event_warnings, radar_warnings, shares
 from midspan.engine.sensor_series import series_of
-from midspan.engine.support import Support
 from midspan.errors import UsageError
+from midspan.fusion.blocks import Rows
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.notices import Notice, once
+from midspan.papers.printed.one_series import literal_warnings, run_on_series, with_uncertain
+from midspan.papers.printed.radar_series import Printed, printed_displacement
 from midspan.progress import Progress
 from midspan.radar.frames import fetched
 from midspan.recording.calibrate import calibrate_and_track
@@ -71,7 +71,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     zero_m2 = known.best.noise_m**2
     rows = with_uncertain(done.estimate, zero_m2, relative, clock_std_s(known.offset))
     rows = _measured_rows(rows, printed.measured)
-    _, alone = Support().over(rows)
+    alone = Support().after([Rows((rows,), (), ())])[1][0].events
     warnings = (
         *recording.channel_warnings,
         *event_warnings((*done.events, *alone)),
