@@ -159,7 +159,7 @@ def _scores(axes: "Axes", found: RegionChoice) -> None:
     (x0, x1), (y0, y1) = _edges(found.score_x), _edges(found.score_y)
     top = min(float(np.nanmax(score)), 5.0 * float(np.nanmin(score)))
     shown = axes.imshow(score, cmap="viridis", vmax=top, extent=(x0, x1, y1, y0), interpolation="nearest")
-    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)")
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)", use_gridspec=False)
 
 
 def _edges(centres: Any) -> tuple[float, float]:

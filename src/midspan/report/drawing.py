@@ -83,14 +83,20 @@ def style() -> Iterator[None]:
 
 
 def sheet(height_in: float = 3.0, width_in: float = WIDTH_IN) -> "Figure":
-    """An empty figure across the page."""
+    """An empty figure across the page, whose layout `picture` and `saved` make."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    return Figure(figsize=(width_in, height_in))
 
 
 def picture(figure: "Figure") -> Picture:
     """The figure as lines (SVG) that follow the page's colour scheme, transparent; photographs lie inside."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    FigureCanvasSVG(figure)
+    # A figure that has a layout engine is drawn twice by savefig, the first time for the layout alone.
+    ConstrainedLayoutEngine().execute(figure)
     drawn = _drawing(figure)
     if len(drawn) > MAX_SVG:
         for axes in figure.axes:
@@ -101,7 +107,9 @@ def picture(figure: "Figure") -> Picture:
 
 
 def _drawing(figure: "Figure") -> str:
-    text = saved(figure, "svg", metadata={"Date": None, "Creator": None}, dpi=DOTS_PER_INCH).decode()
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None}, dpi=DOTS_PER_INCH)
+    text = file.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r' d="([^"]*)"', lambda found: f' d="{_shorter(found[1])}"', text)
     text = re.sub(r"data:image/png;base64,([^\"]*)", lambda found: _smaller(found[1]), text)
@@ -150,6 +158,7 @@ def _smaller(data: str) -> str:
 
 def saved(figure: "Figure", kind: str, **options: Any) -> bytes:
     """The figure as the bytes of a file of this kind."""
+    figure.set_layout_engine("constrained")
     file = io.BytesIO()
     figure.savefig(file, format=kind, **options)
     return file.getvalue()

@@ -206,7 +206,7 @@ def surface(found: RangeSurface) -> Picture:
     axes.set_facecolor("#dddddd")
     axes.grid(False)
     shown = axes.imshow(error, cmap="viridis", origin="lower", aspect="auto", interpolation="nearest")
-    figure.colorbar(shown, ax=axes, label="error in the band (px)")
+    figure.colorbar(shown, ax=axes, label="error in the band (px)", use_gridspec=False)
     for row, column in np.argwhere(np.isnan(error)):
         axes.text(column, row, "lost", ha="center", va="center", fontsize=7, color=BLACK)
     row, column = chosen_place(found)
