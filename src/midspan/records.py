@@ -420,6 +420,11 @@ class Arrival:
     sequence: int
     record: Readings | Frame | Tracked | RangeFrame | Event
 
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp of the record."""
+        return int(self.record.time_ns[-1] if isinstance(self.record, Readings) else self.record.time_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class Tick:

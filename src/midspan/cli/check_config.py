@@ -81,9 +81,7 @@ def _require_units(path: str, settings: "RecordingSettings") -> None:
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
-    from midspan.settings.addresses import without_secrets
-    from midspan.settings.site import load_site
-    from midspan.settings.site_folders import require_folders
+    from midspan.settings.site import load_site, require_folders, without_secrets
 
     site = load_site(file)
     file = str(site.file)

@@ -56,7 +56,7 @@ def run(arguments: list[str]) -> int:
 
     import click
 
-    from midspan.cli.group import commands
+    from midspan.cli.console import commands
     from midspan.errors import MidspanError
 
     try:

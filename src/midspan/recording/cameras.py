@@ -19,7 +19,7 @@ from midspan.recording.tracking.opening import open_tracking
 from midspan.recording.tracking.temperatures import IN_GREY, is_grey, range_seen
 from midspan.records import Frame, Source
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.sensor_words import in_words_of, renamed
+from midspan.settings.messages import in_words_of, renamed
 from midspan.sources.thermal.pictures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 

@@ -27,7 +27,7 @@ from midspan.recording.radar_window import opened_window
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, within_window
 from midspan.records import Channel, Estimate, Measured, Source
-from midspan.settings.sensor_words import in_words_of
+from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stuck import at_limits
 from midspan.sources.accelerometer.units import si_factor

@@ -16,7 +16,7 @@ from midspan.notebook import table
 from midspan.notices import Notice, notice_trees
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
-from midspan.settings.band import not_in_band
+from midspan.settings.plausible import not_in_band
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.thinning import envelope

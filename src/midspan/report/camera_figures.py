@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.camera_result import CameraResult
 from midspan.records import PixelTrack, Region, Status
-from midspan.report.columns import round_below
 from midspan.report.drawing import (
     BLACK,
     BLUE,
@@ -23,9 +23,12 @@ from midspan.report.drawing import (
     picture,
     sheet,
 )
+from midspan.report.history_data import round_below
 from midspan.report.material import Clock
 from midspan.report.tables import partly_static
+from midspan.signals.health import Mask
 from midspan.signals.thinning import envelope
+from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
 
 if TYPE_CHECKING:
@@ -239,3 +242,43 @@ def explained(found: ScaleCalibration) -> float:
     fit = found.search.fit
     whole = np.sum(fit.whitened.translation**2 / fit.whitened.variance)
     return float(1.0 - fit.noise * np.sum(fit.residual**2) / whole)
+
+
+TINT = 0.45  # of the colour over an active pixel
+
+
+def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
+    """The region in the `reference` frame (rows, columns), and its active pixels along x and y tinted."""
+    region = found.region
+    pixels = np.asarray(reference, dtype=np.float64)
+    cut = pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+    low, high = np.nanpercentile(cut, (0.5, 99.5))
+    grey = np.clip((cut - low) / max(high - low, 1e-9), 0.0, 1.0)
+    figure = sheet(3.2)
+    whole, *others = figure.subplots(1, 3)
+    whole.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
+    whole.imshow(_tinted(grey, None, ""))
+    for axes, axis, mask, fit, colour in zip(
+        others, "xy", (found.x, found.y), found.r_squared, (ORANGE, SKY), strict=True
+    ):
+        axes.set_title(_title(axis, mask, fit), fontsize=9)
+        axes.imshow(_tinted(grey, mask, colour))
+    for axes in (whole, *others):
+        axes.grid(False)
+        axes.set_xlabel("x in the region (px)")
+    return picture(figure)
+
+
+def _title(axis: str, mask: Mask, fit: float) -> str:
+    how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
+    return f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})"
+
+
+def _tinted(grey: Any, active: Any, colour: str) -> Any:
+    """An image (rows, columns, 3) from 0 to 1 with the pixels of the mask coloured."""
+    from matplotlib.colors import to_rgb
+
+    out = np.repeat(grey[:, :, None], 3, axis=2)
+    if active is not None:
+        out[active] = (1.0 - TINT) * out[active] + TINT * np.array(to_rgb(colour))
+    return out

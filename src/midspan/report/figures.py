@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.errors import DataError
-from midspan.evaluate.interpolation import step_of
-from midspan.evaluate.metrics import Band, normalised_innovation
+from midspan.evaluate.metrics import Band, normalised_innovation, step_of
 from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, spectrum
 from midspan.fusion.blocks import REJECTED
 from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, Status, TimeSeries, part, seconds

@@ -11,8 +11,7 @@ from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import DataError, MidspanError
-from midspan.evaluate.interpolation import step_of
-from midspan.evaluate.metrics import Band, Comparison, compare
+from midspan.evaluate.metrics import Band, Comparison, compare, step_of
 from midspan.recording.cameras import view_of
 from midspan.recording.result import Result
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries, seconds

@@ -8,7 +8,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -19,9 +19,68 @@ import numpy as np
 from midspan.errors import MidspanError
 from midspan.records import Frame, Region
 from midspan.service.cutting import part_of, whole_frame
-from midspan.service.pauses import Pauses
 from midspan.sources.live.camera import Stamped, StampKind, frames
 from midspan.sources.live.fault import SourceFault
+
+# The shortest and the longest pause, s.
+SHORTEST_S, LONGEST_S = 1.0, 30.0
+# A pause is this part of the time that the source has been away: one that is back is opened soon after a short
+# absence, and seldom asked for in a long one.
+PART = 0.25
+
+
+class Pauses:
+    """`worked` whenever the source gave something, `next_s` after each failure; clock_s: a monotonic clock, s."""
+
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock_s = clock_s
+        self._away_s: float | None = None
+
+    def worked(self) -> None:
+        """The source gave something."""
+        self._away_s = None
+
+    def next_s(self) -> float:
+        """How long to wait now, s."""
+        now_s = self._clock_s()
+        if self._away_s is None:
+            self._away_s = now_s
+        return min(max(PART * (now_s - self._away_s), SHORTEST_S), LONGEST_S)
+
+
+class ReadingThread:
+    """read: opens the source and gives what it brings, until it raises SourceFault.
+
+    taken: called from the thread for each thing that it brings, and for each fault.
+    """
+
+    def __init__(self, name: str, read: Callable[[], Iterable[Any]], taken: Callable[[Any], None]) -> None:
+        self._read, self._taken = read, taken
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._reading, daemon=True, name=name)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a source that is being waited for ends with the process."""
+        self._ending.set()
+        self._thread.join(timeout=0.5)
+
+    def _reading(self) -> None:
+        pauses = Pauses()
+        while not self._ending.is_set():
+            try:
+                for item in self._read():
+                    if self._ending.is_set():
+                        return
+                    pauses.worked()
+                    self._taken(item)
+            except SourceFault as fault:
+                self._taken(fault)
+            self._ending.wait(pauses.next_s())
+
 
 # A process that sends nothing for so long, not even why, hangs: it is ended and started again, s.
 HUNG_S = 60.0

@@ -16,11 +16,10 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
-from midspan.service.camera_process import CameraProcess, Delivered, Failed, pasted
+from midspan.service.camera_process import CameraProcess, Delivered, Failed, ReadingThread, pasted
 from midspan.service.cutting import around, wider
 from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
-from midspan.service.reading_thread import ReadingThread
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running, Stream

@@ -24,7 +24,7 @@ from midspan.recording.tracked import open_eyes
 from midspan.records import NANOSECONDS, Arrival, Complete, Readings
 from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
-from midspan.service.stored_rows import FIRST_NS, LAST_NS
+from midspan.service.stored_recording import FIRST_NS, LAST_NS
 from midspan.settings.site import is_a_point
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk

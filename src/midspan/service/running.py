@@ -13,9 +13,8 @@ from midspan.service.capture import capture_settings
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
-from midspan.settings.addresses import without_secrets
 from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.site import PointPlan
+from midspan.settings.site import PointPlan, without_secrets
 from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info, live_layout

@@ -2,6 +2,7 @@
 
 import os
 import re
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, SecretStr, ValidationError, model_validator
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.addresses import address_of
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER
@@ -19,7 +19,52 @@ from midspan.settings.load import RECORDING_FILE
 from midspan.settings.messages import explain, unknown
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
+from midspan.sources.live.radar import host_and_port
+from midspan.sources.live.serial_line import device_and_baud
 from midspan.trees import TreeError, read_toml
+
+ADDRESSES = {
+    ACCELEROMETER: ("mqtt:", "serial:", "replay:"),
+    "camera": ("rtsp://", "usb:", "replay:"),
+    "infrared": ("rtsp://", "usb:", "replay:"),
+    "radar": ("udp:", "replay:"),
+    "displacement": ("mqtt:", "serial:", "replay:"),
+}
+
+
+def address_of(kind: str, section: dict[str, Any], where: str) -> str:
+    """The `source` of a sensor's section; `where` names the section in UsageError."""
+    value = section.get("source")
+    known = ADDRESSES[kind]
+    if not isinstance(value, str) or not value.startswith(known) or value in known:
+        listed = ", ".join(f"{one}…" for one in known)
+        raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
+                         f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
+    scheme = next(one for one in known if value.startswith(one))
+    try:
+        _checked(scheme, value.removeprefix(scheme))
+    except ValueError as error:
+        raise UsageError(f"{where}.source: {error}; received {without_secrets(value)!r}.") from None
+    return value
+
+
+def _checked(scheme: str, place: str) -> None:
+    """ValueError for what cannot follow a scheme."""
+    if scheme == "serial:":
+        device_and_baud(place)
+    elif scheme == "udp:":
+        host_and_port(place)
+    elif scheme == "usb:" and not (place.isascii() and place.isdecimal()):
+        raise ValueError("must be usb: and the number of a camera, as usb:0 for /dev/video0")
+    elif scheme == "mqtt:" and any(sign in place for sign in "+#"):
+        raise ValueError("must be one topic, without the wildcards + and #; write one source for each topic")
+
+
+def without_secrets(address: str) -> str:
+    """An address without user and password."""
+    scheme, at, rest = address.partition("://")
+    return f"{scheme}://{rest.rpartition('@')[2]}" if at else address
+
 
 SITE_FILE = "SITE.toml"
 SENSORS: dict[str, type[Section]] = {
@@ -350,3 +395,42 @@ def _validated(model: Any, tree: dict[str, Any], where: str) -> Any:
     except ValidationError as error:
         lines = [explain(item, tree, model) for item in error.errors()]
         raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None
+
+
+def captures_of(site: Site) -> Path:
+    """The folder below which each point has its captured recordings."""
+    own = site.settings.store.captures
+    if own is not None:
+        return site.file.parent / own
+    return Path(site.store) / "captures" if site.settings.store.path else site.file.parent / f"{site.name}-captures"
+
+
+def require_folders(site: Site) -> None:
+    """Raises UsageError with the key for a store, an archive or captures in a folder that is a file or cannot be made.
+
+    A folder that this user may not write is refused too: the service's user has to be the one who asks.
+    """
+    store = site.settings.store
+    captures = store.captures or (None if store.path else str(captures_of(site)))
+    for key, given in (("path", store.path), ("archive", store.archive), ("captures", captures)):
+        if given is not None and (wrong := _why_not(site.file.parent / given)):
+            raise UsageError(
+                f"{site.file}: store.{key} = {given!r}: must be a folder that can be made and written; {wrong}. "
+                "Give another folder, or let the user of midspan write this one."
+            )
+
+
+def _why_not(folder: Path) -> str:
+    """Why files cannot be written into a folder, which is not made; empty where they can."""
+    there = folder.absolute()
+    try:
+        there = next(place for place in (there, *there.parents) if place.exists())
+        if not there.is_dir():
+            return f"{there} is a file"
+        if there == folder.absolute():
+            # Another process may write into it: nothing is touched.
+            return "" if os.access(there, os.W_OK | os.X_OK) else f"{there} may not be written"
+        tempfile.TemporaryDirectory(prefix=".midspan-", dir=there).cleanup()
+    except OSError as error:
+        return f"{there}: {error.strerror}"
+    return ""

@@ -22,14 +22,16 @@ from midspan.notices import Notice, notice_trees
 from midspan.settings.kinds import KINDS, sensor_names
 from midspan.settings.recording import Sensor
 from midspan.settings.stored.sections import (
+    camera_summary,
     camera_tree,
+    displacement_summary,
     displacement_tree,
     finite_or_none,
+    radar_summary,
     radar_tree,
     scale_tree,
     usual_tree,
 )
-from midspan.settings.stored.summaries import camera_summary, displacement_summary, radar_summary
 from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"
