@@ -8,7 +8,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -137,15 +137,13 @@ class CameraProcess:
     def cut(self, region: Region | None) -> None:
         """From now on only this part of each frame is needed; None: whole frames."""
         self._region = region
-        self._send()
+        self._send(region)
 
     def stop(self) -> None:
         """End the process, by force after a second."""
         self._ending.set()
         self._taking.set()
-        if self._pipe is not None:
-            with suppress(OSError):
-                self._pipe.send("end")
+        self._send("end")
         self._thread.join(timeout=5.0)
 
     @property
@@ -153,10 +151,10 @@ class CameraProcess:
         """The process's number."""
         return None if self._process is None else self._process.pid
 
-    def _send(self) -> None:
+    def _send(self, message: Region | str | None) -> None:
         if self._pipe is not None:
             with suppress(OSError):
-                self._pipe.send(self._region)
+                self._pipe.send(message)
 
     def _watch(self) -> None:
         while not self._ending.is_set():
@@ -166,17 +164,13 @@ class CameraProcess:
             self._taken(Failed("process_ended", "the camera's process ended; it is started again"))
             self._ending.wait(self._pauses.next_s())
 
-    def _is_over(self, item: Delivered | Failed) -> bool:
-        """Whether a recording that is replayed has ended, which nothing brings back."""
-        return self.address.startswith("replay:") and isinstance(item, Failed) and item.code == "ended"
-
     def _run_once(self) -> None:
         """One life of the process."""
         self._pipe, child = self._context.Pipe()
         self._process = self._context.Process(target=serve, args=(self.address, child, self._stamps), daemon=True)
         self._process.start()
         child.close()
-        self._send()
+        self._send(self._region)
         self._taking.wait()
         heard_s = time.monotonic()
         try:
@@ -187,7 +181,8 @@ class CameraProcess:
                     self._taken(item)
                     self._pauses.worked()
                     heard_s = time.monotonic()
-                    if self._is_over(item):
+                    if self.address.startswith("replay:") and isinstance(item, Failed) and item.code == "ended":
+                        # Nothing brings a recording back that has been replayed.
                         self._ending.wait()
                 elif not self._process.is_alive() or time.monotonic() - heard_s > HUNG_S:
                     return
@@ -206,11 +201,12 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
 
     stamps: how the frames of an earlier process were dated.
     """
-    sender = _Sender(pipe)
-    pauses = Pauses()
+    from midspan.service.replayed import film
+
+    sender, pauses, replayed = _Sender(pipe), Pauses(), address.startswith("replay:")
     while not sender.ended:
         try:
-            for stamped in _frames(address, stamps):
+            for stamped in film(address) if replayed else frames(address, earlier=stamps):
                 if sender.ended:
                     return
                 sender.give(stamped)
@@ -218,21 +214,11 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
                 pauses.worked()
         except SourceFault as fault:
             sender.say(Failed(fault.code, str(fault)))
-            if fault.code == "ended" and address.startswith("replay:"):
+            if fault.code == "ended" and replayed:
                 sender.wait(math.inf)
         except MidspanError as error:
             sender.say(Failed("damaged", str(error)))
         sender.wait(pauses.next_s())
-
-
-def _frames(address: str, stamps: StampKind | None) -> Iterator[Stamped]:
-    """The frames of an address, at the pace that they are taken at."""
-    if not address.startswith("replay:"):
-        yield from frames(address, earlier=stamps)
-        return
-    from midspan.service.replayed import film
-
-    yield from film(address)
 
 
 class _Sender:

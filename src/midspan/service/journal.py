@@ -310,7 +310,13 @@ class Journal:
 
     def batch(self) -> Batch:
         """Everything since the last time, to be written at once."""
-        chunks = [*self._raw_chunks(), *self._found_chunks(), *self._row_chunks()]
+        streams: dict[str, list[Readings | RangeFrame]] = {}
+        for arrival in self._raw:
+            assert isinstance(arrival.record, Readings | RangeFrame)
+            streams.setdefault(arrival.stream, []).append(arrival.record)
+        chunks = [self._chunk(stream, *raw_columns(records)) for stream, records in streams.items()]
+        rows = [self._rows_along(number, axis, self._rows) for number, axis in enumerate(self._axes)]
+        chunks += [*self._found_chunks(), *(one for one in rows if one is not None)]
         events = [(self.point, event) for event in self._events]
         self._raw, self._found, self._rows, self._events, self._given = [], {}, [], [], 0
         return Batch(chunks, events)
@@ -319,13 +325,6 @@ class Journal:
         """The rows along the main axis since the last time, which are kept all the same; None without any."""
         new, self._given = self._rows[self._given :], len(self._rows)
         return self._rows_along(0, "", new)
-
-    def _raw_chunks(self) -> list[Chunk]:
-        streams: dict[str, list[Readings | RangeFrame]] = {}
-        for arrival in self._raw:
-            assert isinstance(arrival.record, Readings | RangeFrame)
-            streams.setdefault(arrival.stream, []).append(arrival.record)
-        return [self._chunk(stream, *raw_columns(records)) for stream, records in streams.items()]
 
     def _found_chunks(self) -> list[Chunk]:
         chunks = []
@@ -337,10 +336,6 @@ class Journal:
                 time_ns = np.array([row.time_ns for row in rows], dtype=np.int64)
                 chunks.append(self._chunk(target_stream(sensor, target), time_ns, columns))
         return chunks
-
-    def _row_chunks(self) -> list[Chunk]:
-        found = [self._rows_along(number, axis, self._rows) for number, axis in enumerate(self._axes)]
-        return [one for one in found if one is not None]
 
     def _rows_along(self, number: int, axis: str, given: Sequence[KeptRows]) -> Chunk | None:
         """Rows along one axis as a chunk."""

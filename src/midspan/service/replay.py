@@ -64,7 +64,12 @@ def replay(
     """
     option("method", method, LIVE)
     name = point_called(name, recording)
-    require_free(store, name, recording)
+    newest_ns = store.newest_ns(name, "rows")
+    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
+        raise UsageError(
+            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
+            "another name (--point), or another store (-o)."
+        )
     given = calibration is not None
     tracking = None
     if calibration is None:
@@ -179,13 +184,3 @@ def point_called(given: str | None, recording: Recording) -> str:
         return point_name(recording.name) if given is None else is_a_point(given)
     except ValueError as error:
         raise UsageError(f"--point {error}; received {given!r}. Give another name.") from None
-
-
-def require_free(store: Store, name: str, recording: Recording) -> None:
-    """UsageError where the store has rows of the point that are as new as the recording's."""
-    newest_ns = store.newest_ns(name, "rows")
-    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
-        raise UsageError(
-            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
-            "another name (--point), or another store (-o)."
-        )

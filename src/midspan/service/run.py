@@ -20,7 +20,7 @@ from midspan.service.cutting import needed
 from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
-from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, rows_of, summary
+from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
 from midspan.service.notify import notify
 from midspan.service.opening import head_of, opened, resumed
 from midspan.service.point import Job, LivePoint
@@ -382,7 +382,7 @@ class Service:
             self._publish_event(one, event)
         if self._broker is None:
             return
-        for rows in rows_of(batch.chunks):
+        for rows in [chunk for chunk in batch.chunks if chunk.stream == ROWS]:
             self._broker.publish(f"{one.name}/summary", summary(rows, one.live.status.name.lower()))
         self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), qos=1, retain=True)
 

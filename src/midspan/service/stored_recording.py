@@ -26,7 +26,7 @@ from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import calibration_from_dict
 from midspan.sinks.table import ResultTable
 from midspan.store.chunk import Chunk, join
-from midspan.store.store import Store, StoredCalibration, is_address
+from midspan.store.store import Store, is_address
 from midspan.trees import TreeError, json_tree
 
 FIRST_NS, LAST_NS = -(2**62), 2**62
@@ -181,14 +181,20 @@ def stored_recording(
     known = store.calibration(point) or next(reversed(store.calibrations(point)), None)
     if known is None:
         raise DataError(f"The store has no calibration of {point!r}.")
+    try:
+        calibration = calibration_from_dict(json_tree(known.body), f"calibration {known.number} of the store")
+    except TreeError as error:
+        raise DataError(f"Calibration {known.number} of the store {error}.") from None
     # What is stored is along the calibrated axis already.
-    calibration = replace(_calibration(known), sensor_axis=None)
+    calibration = replace(calibration, sensor_axis=None)
     settings = json_tree(known.settings)
     acceleration = stored_rows(store, point, "accelerometer", first_ns, last_ns)
     if acceleration is None or not len(acceleration.time_ns):
         raise DataError(f"The store has no acceleration of {point!r} in that time.")
     tree: dict[str, Any] = {key: value for key, value in settings.items() if key in ("name", "calibration", "fusion")}
-    _save(folder / ACCELERATION_FILE, {"time_ns": acceleration.time_ns, **_values(acceleration)})
+    value = acceleration.columns["value"]
+    values = {"value": value} if value.ndim == 1 else {f"value_{k}": value[:, k] for k in range(value.shape[1])}
+    np.savez(folder / ACCELERATION_FILE, time_ns=acceleration.time_ns, **values)  # type: ignore[arg-type]
     tree["accelerometer"] = _accelerometer(settings["accelerometer"], acceleration)
     # Sensors' own clocks may be apart by what the calibration says.
     span = (int(acceleration.time_ns[0]) - 2 * NANOSECONDS, int(acceleration.time_ns[-1]) + 2 * NANOSECONDS)
@@ -204,22 +210,6 @@ def stored_recording(
             tree[kind] = written if len(written) > 1 else written[0]
     (folder / RECORDING_FILE).write_text(tomli_w.dumps(tree), encoding="utf-8")
     return folder, calibration
-
-
-def _save(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    np.savez(file, **arrays)  # type: ignore[arg-type]
-
-
-def _calibration(known: StoredCalibration) -> Calibration:
-    try:
-        return calibration_from_dict(json_tree(known.body), f"calibration {known.number} of the store")
-    except TreeError as error:
-        raise DataError(f"Calibration {known.number} of the store {error}.") from None
-
-
-def _values(acceleration: Chunk) -> dict[str, NDArray[Any]]:
-    value = acceleration.columns["value"]
-    return {"value": value} if value.ndim == 1 else {f"value_{k}": value[:, k] for k in range(value.shape[1])}
 
 
 def _accelerometer(section: dict[str, Any], acceleration: Chunk) -> dict[str, Any]:
@@ -245,7 +235,7 @@ def _section(
         found = stored_rows(store, point, name, *span)
         if found is None:
             raise DataError(f"The store has no raw records of {name} in that time.")
-        _save(folder / f"{name}.npz", {"time_ns": found.time_ns, "value": found.columns["value"]})
+        np.savez(folder / f"{name}.npz", time_ns=found.time_ns, value=found.columns["value"])
         unit = {"unit": "m", "time": "time_ns", "value": "value"}
         return {**kept, "file": f"{name}.npz", **unit}
     streams = store.streams(point)
@@ -256,7 +246,7 @@ def _section(
         if found is None:
             raise DataError(f"The store has no track of {name} in that time.")
         columns |= _track(found, f"_{k + 1}" if k else "")
-    _save(folder / f"{name}.npz", columns)
+    np.savez(folder / f"{name}.npz", **columns)  # type: ignore[arg-type]
     # The regions stand in the calibration; a track has them no more.
     for key in ("roi", "target", "automatic_targets", "temperature_range_c"):
         kept.pop(key, None)
