@@ -134,7 +134,7 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
         return
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
-    from midspan.settings.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration import load_calibration
     from midspan.sinks.write import check_target
 
     output = check_result(options["output"] or opened.folder / "result.csv", opened)
@@ -191,41 +191,30 @@ def write_report(
     console.done()
 
 
-def _second(result: "Result") -> list[tuple[str, str]]:
-    """The same two rows along the second image axis, where there is one."""
-    if result.across is None:
-        return []
-    return [(f"{label} along {result.across.axis}", value) for label, value in _first(result.across.figures())]
-
-
-def _first(f: dict[str, Any]) -> list[tuple[str, str]]:
-    """The displacement's range and its typical standard deviation."""
+def _extent(f: dict[str, Any], axis: str = "") -> list[tuple[str, str]]:
+    """The displacement's range and its typical standard deviation; axis: the second one of the image."""
+    along = f" along {axis}" if axis else ""
     return [
-        ("displacement", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
-        ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
+        (f"displacement{along}", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
+        (f"standard deviation{along}", f"{f['median_std_mm']:.3g} mm (median)"),
     ]
-
-
-def _sources(shares: dict[str, float]) -> list[tuple[str, str]]:
-    """Which sensor the rows rest on, where there are several."""
-    named = [f"{100 * part:.3g} % {word}" for word, part in shares.items()]
-    return [("source", ", ".join(named))] if len(named) > 1 else []
 
 
 def show(console: Console, result: "Result", written: list[str]) -> None:
     """Print the first figures of a result and where it went."""
     f = result.figures()
     share = ", ".join(f"{100 * part:.3g} % {word}" for word, part in f["status"].items() if part > 0)
+    sources = [f"{100 * part:.3g} % {word}" for word, part in f["source"].items()]
     console.table(
         [
             ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
-            *_first(f),
+            *_extent(f),
             ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
             ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
-            *_second(result),
+            *([] if result.across is None else _extent(result.across.figures(), result.across.axis)),
             *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
             ("status", share),
-            *_sources(f["source"]),
+            *([("source", ", ".join(sources))] if len(sources) > 1 else []),
             *(("not in the band", line) for line in result.not_in_band),
             ("written", ", ".join(written)),
         ]
@@ -254,7 +243,7 @@ def compare_methods(opened: "Recording", console: Console, options: dict[str, An
     from midspan.cli.targets import check_picture
     from midspan.evaluate.methods import reference_of, run_all
     from midspan.report.methods_figure import draw_methods
-    from midspan.settings.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration import load_calibration
 
     if options["report"]:
         raise click.UsageError("--report: is of one method. Name it with --method, or leave --report out.")

@@ -52,7 +52,7 @@ def supervised(command: "Callable[[], int]") -> int:
         code = command()
     except Stopped as stopped:
         _use(before, signal.SIG_IGN)
-        name = "interrupted" if stopped.number == signal.SIGINT else f"stopped by {_name(stopped.number)}"
+        name = "interrupted" if stopped.number == signal.SIGINT else f"stopped by {signal.Signals(stopped.number).name}"
         _say(f"midspan: {name}; nothing half-written was left.")
         code = _BY_SIGNAL + stopped.number
     except OutputError as failed:
@@ -65,10 +65,6 @@ def supervised(command: "Callable[[], int]") -> int:
     # The work is done: what comes now ends the process at once and without a traceback.
     _use(before, signal.SIG_DFL)
     return code
-
-
-def _name(number: int) -> str:
-    return signal.Signals(number).name
 
 
 def _catch_signals() -> "tuple[int, ...]":

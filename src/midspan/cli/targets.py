@@ -35,7 +35,7 @@ def check_result(output: str | Path, *recordings: Recording, option: str = "-o")
     calibrations = {(owner.folder / CALIBRATION_FILE).resolve() for owner in owners}
     for target in written:
         _refuse_kept(f"{option} {output}", target, owners, calibrations)
-    known = _is_metadata(partner(path)) if pair else _is_marked(path)
+    known = _keys(partner(path)) >= _METADATA and not _keys(partner(path)) >= _LENS if pair else _is_marked(path)
     kind = f"not a result (one has a {partner(path).name} of midspan's)" if pair else "no file of midspan's"
     for target in written:
         _refuse_foreign(f"{option} {output}", target, kind, known=known)
@@ -104,12 +104,6 @@ def _refuse_foreign(what: str, target: Path, kind: str, *, known: bool) -> None:
         raise click.UsageError(
             f"{what}: would overwrite {target}, which is {kind}. Choose another name, or remove that file first."
         )
-
-
-def _is_metadata(path: Path) -> bool:
-    """Whether a file is the metadata of a CSV that midspan wrote, and not a calibration or a lens of that name."""
-    found = _keys(path)
-    return found >= _METADATA and not found >= _LENS
 
 
 def _keys(path: Path) -> set[str]:

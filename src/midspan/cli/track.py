@@ -1,16 +1,12 @@
 """`midspan track SOURCE`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from midspan.cli.console import Console, RegionType, common_options
 from midspan.notices import notice_trees
-
-if TYPE_CHECKING:
-    from midspan.recording.tracking.track import Tracked
-    from midspan.records import Region
 
 
 @click.command("track")
@@ -35,7 +31,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     from midspan.cli.targets import check_result
     from midspan.recording.streams.recording import open_recording
     from midspan.recording.tracking.track import track
-    from midspan.records import Status
+    from midspan.records import Region, Status
     from midspan.settings.load import RECORDING_FILE
     from midspan.sinks.write import check_target
     from midspan.vision.tracker import TRACKERS
@@ -57,48 +53,44 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     tracked = track(source, **options, progress=console.progress)
     console.done()
     tracked.save(output)
-    rows, region = tracked.track, tracked.region
+    rows, count = tracked.track, len(tracked.track.time_ns)
     lost = int(np.count_nonzero(rows.status == Status.LOST))
+    regions = {one.name: [getattr(one.region, key) for key in Region.__slots__] for one in tracked.tracking.targets}
+    several = len(regions) > 1
     figures = {
-        "frames": len(rows.time_ns),
+        "frames": count,
         "lost": lost,
-        "roi": [region.x, region.y, region.width, region.height],
-        **_others(tracked),
-        "range_x_px": _range(rows.x_px),
-        "range_y_px": _range(rows.y_px),
-        "median_std_x_px": float(np.nanmedian(np.sqrt(rows.variance_x_px2))) if lost < len(rows.time_ns) else None,
-        "median_std_y_px": float(np.nanmedian(np.sqrt(rows.variance_y_px2))) if lost < len(rows.time_ns) else None,
+        "roi": [getattr(tracked.region, key) for key in Region.__slots__],
+        **({"targets": regions} if several else {}),
+        **{f"range_{axis}_px": _range(rows.along(axis)[0]) for axis in "xy"},
+        **{
+            f"median_std_{axis}_px": float(np.nanmedian(np.sqrt(rows.along(axis)[1]))) if lost < count else None
+            for axis in "xy"
+        },
         "written": output,
         "warnings": list(tracked.warnings),
         "notices": notice_trees(tracked.warnings),
     }
-    console.table(_rows(figures, tracked))
+    console.table(
+        [
+            ("frames", f"{count}, {lost} lost"),
+            *(
+                (f"target {name}" if several else "roi", f"x {x}, y {y}, {width} × {height} px")
+                for name, (x, y, width, height) in regions.items()
+            ),
+            *((axis, _along(figures, axis)) for axis in "xy"),
+            ("written", output),
+        ]
+    )
     console.warn(tracked.warnings)
     console.document(figures)
 
 
-def _others(tracked: "Tracked") -> dict[str, Any]:
-    """Regions by name, where there are several targets."""
-    targets = tracked.tracking.targets
-    if len(targets) == 1:
-        return {}
-    regions = {t.name: [t.region.x, t.region.y, t.region.width, t.region.height] for t in targets}
-    return {"targets": regions}
+def _range(values: Any) -> list[float] | None:
+    import numpy as np
 
-
-def _rows(figures: dict[str, Any], tracked: "Tracked") -> list[tuple[str, str]]:
-    """The figures for a person."""
-    several = len(tracked.tracking.targets) > 1
-    return [
-        ("frames", f"{figures['frames']}, {figures['lost']} lost"),
-        *((f"target {one.name}" if several else "roi", _place(one.region)) for one in tracked.tracking.targets),
-        *((axis, _along(figures, axis)) for axis in "xy"),
-        ("written", figures["written"]),
-    ]
-
-
-def _place(region: "Region") -> str:
-    return f"x {region.x}, y {region.y}, {region.width} × {region.height} px"
+    ends = (np.nanmin, np.nanmax)
+    return [round(float(end(values)), 4) for end in ends] if np.isfinite(values).any() else None
 
 
 def _along(figures: dict[str, Any], axis: str) -> str:
@@ -107,11 +99,3 @@ def _along(figures: dict[str, Any], axis: str) -> str:
     if found is None or std is None:
         return "not measured"
     return f"{found[0]:.4g} … {found[1]:.4g} px, standard deviation {std:.3g} px (median)"
-
-
-def _range(values: Any) -> list[float] | None:
-    import numpy as np
-
-    return (
-        [round(float(np.nanmin(values)), 4), round(float(np.nanmax(values)), 4)] if np.isfinite(values).any() else None
-    )

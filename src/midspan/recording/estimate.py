@@ -71,8 +71,7 @@ from midspan.recording.tracked import (
 )
 from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, Source, joined, part
 from midspan.settings.messages import renamed
-from midspan.settings.stored.calibration import Calibration
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration import Calibration, load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 

@@ -20,13 +20,13 @@ from midspan.report.drawing import (
     Picture,
     draw_line,
     draw_points,
+    legend,
     picture,
     sheet,
 )
 from midspan.report.history_data import round_below
 from midspan.report.material import Clock
 from midspan.report.tables import partly_static
-from midspan.signals.health import Mask
 from midspan.signals.thinning import envelope
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
@@ -219,7 +219,7 @@ def _regression(axes: "Axes", found: ScaleCalibration) -> None:
     axes.fill_between(reach, slope * reach - wide, slope * reach + wide, color=SKY, alpha=0.5, linewidth=0)
     axes.set_xlabel("acceleration's response, whitened (mm)")
     axes.set_ylabel("translation in the image, whitened (px)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    legend(axes, 2)
 
 
 def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
@@ -234,7 +234,7 @@ def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
         options: dict[str, Any] = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
         axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
     axes.set_ylabel("log-likelihood below the best scanned")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    legend(axes, 2)
 
 
 def explained(found: ScaleCalibration) -> float:
@@ -261,17 +261,13 @@ def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
     for axes, axis, mask, fit, colour in zip(
         others, "xy", (found.x, found.y), found.r_squared, (ORANGE, SKY), strict=True
     ):
-        axes.set_title(_title(axis, mask, fit), fontsize=9)
+        how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
+        axes.set_title(f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})", fontsize=9)
         axes.imshow(_tinted(grey, mask, colour))
     for axes in (whole, *others):
         axes.grid(False)
         axes.set_xlabel("x in the region (px)")
     return picture(figure)
-
-
-def _title(axis: str, mask: Mask, fit: float) -> str:
-    how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
-    return f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})"
 
 
 def _tinted(grey: Any, active: Any, colour: str) -> Any:

@@ -6,12 +6,14 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from midspan.records import Floats
 from midspan.signals.thinning import Envelope
+from midspan.writing import WRITTEN_BY, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -156,12 +158,21 @@ def _smaller(data: str) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def saved(figure: "Figure", kind: str, **options: Any) -> bytes:
-    """The figure as the bytes of a file of this kind."""
+def write_picture(figure: "Figure", path: Path, dpi: int, **options: Any) -> Path:
+    """Write a figure as a picture file, by its suffix, that says what wrote it."""
+    kind, file = path.suffix.lower().lstrip("."), io.BytesIO()
+    says: dict[str, Any] = {"metadata": {"Software" if kind == "png" else "Creator": WRITTEN_BY}}
+    if kind in ("jpg", "jpeg"):
+        says = {"pil_kwargs": {"comment": WRITTEN_BY}}
     figure.set_layout_engine("constrained")
-    file = io.BytesIO()
-    figure.savefig(file, format=kind, **options)
-    return file.getvalue()
+    figure.savefig(file, format=kind, dpi=dpi, **says, **options)
+    write_whole(path, file.getvalue())
+    return path
+
+
+def legend(axes: "Axes", columns: int) -> None:
+    """The legend in a row over the axes."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2)
 
 
 def draw_line(axes: "Axes", drawn: Envelope, colour: str, label: str, **options: Any) -> None:

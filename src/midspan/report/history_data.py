@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.evaluate.metrics import step_of
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
 from midspan.report.material import BAND, Material
 from midspan.signals.thinning import PAUSE_STEPS, starts
@@ -125,6 +126,8 @@ def chart_of(material: Material) -> tuple[dict[str, str], str]:
     rows, std = result.estimate, result.displacement_std_mm
     own = 1e3 * float(np.sqrt(max(float(np.median(rows.variance_m2)) - result.zero_std_m**2, 0.0)))
     fine = QUANTUM_STD * (own or float(np.median(std)))
+    # Half of what the noise of one sample of the acceleration changes the velocity by, mm/s.
+    velocity_fine = 0.5 * 1e3 * result.calibration.noise_std_m_s2 * step_of(rows.time_ns)
     main = packing.series(rows.time_ns, result.displacement_mm, fine, std)
     known = np.isfinite(result.displacement_mm) & np.isfinite(std)
     status = rows.status[known].astype(np.float64)
@@ -135,7 +138,7 @@ def chart_of(material: Material) -> tuple[dict[str, str], str]:
         *_reference(packing, fine),
         *_measured(packing),
         {"name": "velocity", "unit": "mm/s", "panel": "velocity", "shape": "line"}
-        | packing.series(rows.time_ns, result.velocity_mm_s, _velocity_fine(material)),
+        | packing.series(rows.time_ns, result.velocity_mm_s, velocity_fine),
         *_acceleration(packing),
     ]
     # One value is no line.
@@ -156,8 +159,7 @@ def _reference(packing: Packing, fine: float) -> list[dict[str, Any]]:
     reference = packing.material.reference
     if reference is None:
         return []
-    value = reference.value + packing.material.reference_moved_mm
-    found = packing.series(reference.time_ns, value, fine)
+    found = packing.series(reference.time_ns, reference.value + packing.material.reference_moved_mm, fine)
     return [{"name": "reference", "unit": "mm", "panel": "displacement", "shape": "under"} | found]
 
 
@@ -169,12 +171,6 @@ def _measured(packing: Packing) -> list[dict[str, Any]]:
         for one in packing.material.measured
         if np.isfinite(one.value_mm).any()
     ]
-
-
-def _velocity_fine(material: Material) -> float:
-    """Half of what the noise of one sample of the acceleration changes the velocity by, mm/s."""
-    step_s = float(np.median(np.diff(material.result.estimate.time_ns))) / NANOSECONDS
-    return 0.5 * 1e3 * material.result.calibration.noise_std_m_s2 * step_s
 
 
 def _acceleration(packing: Packing) -> list[dict[str, Any]]:

@@ -161,9 +161,6 @@ def _aligned(result: Result, series: SensorSeries) -> Measured:
     difference = value - 1e3 * fused
     known = np.isfinite(difference)
     moved = float(np.median(difference[known])) if known.any() else 0.0
-    return Measured(_shown(series), time_ns, value - moved, 1e3 * series.std_m[which])
-
-
-def _shown(series: SensorSeries) -> str:
-    """What a sensor is called: "displacement" alone could be the result's."""
-    return "displacement sensor" if series.sensor == "displacement" else series.sensor
+    # "displacement" alone could be the result's.
+    name = "displacement sensor" if series.sensor == "displacement" else series.sensor
+    return Measured(name, time_ns, value - moved, 1e3 * series.std_m[which])

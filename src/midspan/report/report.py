@@ -37,7 +37,7 @@ def report_html(result: Result, reference: TimeSeries | None = None, across: Tim
     material = gather(result, reference, across)
     with style():
         body = _sections(material)
-    top = [page.heading(material.name, _lines(material)), page.contents(body), sections.summary(material)]
+    top = [page.heading(material.name, _lines(material)), page.contents(body), page.cards(tables.summary(material))]
     return page.document(f"{material.name} – midspan report", [*top, *body])
 
 

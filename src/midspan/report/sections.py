@@ -13,12 +13,6 @@ from midspan.report.history_data import chart_of
 from midspan.report.material import Material, shown_here
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable, metadata_json
-from midspan.thermal.temperature_range import RangeSurface
-
-
-def summary(material: Material) -> str:
-    """The cards."""
-    return page.cards(tables.summary(material))
 
 
 def warnings(material: Material) -> str:
@@ -41,12 +35,10 @@ def _events(material: Material) -> list[str]:
     if len(found) <= tables.FEW_EVENTS:
         return [page.table(tables.events(material, found), header)]
     pieces = [page.paragraph(f"{len(found)} events; a click opens those of a kind.", "note")]
-    for kind, own in tables.by_kind(found):
-        pieces.append(
-            page.folded(
-                tables.kind_line(material, kind, own), page.table(tables.events(material, own), header), "events"
-            )
-        )
+    for kind in dict.fromkeys(event.kind for event in found):
+        rows = tables.events(material, [event for event in found if event.kind == kind])
+        when = f"at {rows[0][0]} s" if len(rows) == 1 else f"from {rows[0][0]} to {rows[-1][0]} s"
+        pieces.append(page.folded(f"{kind}: {len(rows)}, {when}", page.table(rows, header), "events"))
     whole = page.table(tables.events(material, found), header)
     return [*pieces, page.folded(f"all {len(found)} in the order of time", whole, "events")]
 
@@ -292,7 +284,14 @@ def _one(material: Material, found: CameraResult) -> str:
     if found.source is Source.INFRARED:
         caption += " Grey levels are temperatures: brighter is warmer."
     pieces = [page.figure(camera_figures.frame(found), "Region of interest", caption)]
-    pieces += [_targets(learnt), _choice(material, found), _active_pixels(found)]
+    if len(learnt.targets) > 1:
+        pieces += ["<h3>Targets</h3>", page.table(tables.targets(learnt), tables.TARGETS_HEADER)]
+    pieces.append(_choice(material, found))
+    active = found.targets[0].active_pixels
+    if active is not None:
+        caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."
+        drawn = camera_figures.active_pixels(active, found.reference)
+        pieces.append(page.figure(drawn, "Active pixels", caption))
     caption = (
         "Quality, how well the target of the first frame is found again, from 0 (not at all) to 1 (as it was), and the "
         "standard deviation of each frame's translation. Drops show fog, glare, something in front of the target or "
@@ -300,22 +299,6 @@ def _one(material: Material, found: CameraResult) -> str:
     )
     pieces.append(page.figure(camera_figures.tracker(found, material.clock), "Tracking", caption))
     return page.section(found.sensor, found.sensor.capitalize(), *pieces)
-
-
-def _targets(learnt: CameraCalibration) -> str:
-    """What became of each of several targets; empty for one."""
-    if len(learnt.targets) < 2:
-        return ""
-    return "<h3>Targets</h3>" + page.table(tables.targets(learnt), tables.TARGETS_HEADER)
-
-
-def _active_pixels(found: CameraResult) -> str:
-    """Which pixels the phase was taken from; empty with other trackers."""
-    active = found.targets[0].active_pixels
-    if active is None:
-        return ""
-    caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."
-    return page.figure(camera_figures.active_pixels(active, found.reference), "Active pixels", caption)
 
 
 def _choice(material: Material, found: CameraResult) -> str:
@@ -358,17 +341,13 @@ def cameras(material: Material) -> str:
     if len(material.result.cameras) > 1:
         caption += " The ground has the colour of the rows' source; dashed: the other camera measures from there on."
     pieces = [page.figure(infrared_figures.over_time(material), "Cameras over the record", caption)]
-    pieces += [_range(found.sensor, found.range_surface) for found in material.result.cameras]
+    for camera in material.result.cameras:
+        surface = camera.range_surface
+        if surface is not None:
+            caption = (
+                f"Error of the {camera.sensor} translation against the accelerometer, by the two limits of the "
+                f"temperatures shown. Square: the range chosen, {surface.best.low_c:.2f} to {surface.best.high_c:.2f} "
+                "°C. A flat floor is usual: many ranges are as good. “lost”: the target was, in too many frames."
+            )
+            pieces.append(page.figure(infrared_figures.surface(surface), "Temperature range", caption))
     return page.section("cameras", "Cameras over the record", *pieces)
-
-
-def _range(sensor: str, found: RangeSurface | None) -> str:
-    """How the temperature range was found; empty where it was not looked for."""
-    if found is None:
-        return ""
-    caption = (
-        f"Error of the {sensor} translation against the accelerometer, by the two limits of the temperatures shown. "
-        f"Square: the range chosen, {found.best.low_c:.2f} to {found.best.high_c:.2f} °C. A flat floor is usual: many "
-        "ranges are as good. “lost”: the target was, in too many frames."
-    )
-    return page.figure(infrared_figures.surface(found), "Temperature range", caption)

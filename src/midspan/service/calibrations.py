@@ -14,8 +14,7 @@ from midspan.radar.chirp import profile_to_json
 from midspan.radar.info import RadarInfo
 from midspan.service.point import LivePoint
 from midspan.settings.recording import RecordingSettings
-from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration
-from midspan.settings.stored.calibration_file import calibration_from_dict, load_calibration
+from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, calibration_from_dict, load_calibration
 from midspan.store.store import Store
 
 # Where the chirps stand among the settings.

@@ -22,8 +22,7 @@ from midspan.records import NANOSECONDS, seconds
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import NEW_DATUM, rows_stream, target_stream
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.stored.calibration import Calibration
-from midspan.settings.stored.calibration_file import calibration_from_dict
+from midspan.settings.stored.calibration import Calibration, calibration_from_dict
 from midspan.sinks.table import ResultTable
 from midspan.store.chunk import Chunk, join
 from midspan.store.store import Store, is_address

@@ -86,7 +86,11 @@ DELAY = (
 
 def not_in_band(settings: RecordingSettings, calibration: Calibration) -> tuple[str, ...]:
     """What the standard deviations of a result do not contain."""
-    found = (SENSITIVITY,) if sensitivity_left_out(settings, calibration) else ()
+    own = settings.accelerometer
+    # Neither the settings nor a sensor in metres tell how well the accelerometer's gain is known.
+    open_gain = own is not None and own.scale_std == 0.0 and calibration.accelerometer_scale_std <= 0.0
+    in_metres = any(not one.estimate_scale for one in settings.displacements)
+    found = (SENSITIVITY,) if own is not None and open_gain and not (in_metres and own.estimate_scale) else ()
     cameras = [(one.name, one.settings) for one in settings.sensors if isinstance(one.settings, CameraSettings)]
     tilting = ", ".join(name for name, camera in cameras if camera.tilt_std_mdeg == 0.0)
     # The clock offset of all sensors but those of a displacement is estimated; of these where the motion shows one.
@@ -109,12 +113,3 @@ def tilt_std_m(camera: CameraSettings, calibration: CameraCalibration) -> float:
         focal_px = lens.matrix["xy".index(calibration.direction)]
         distance_m = focal_px * max(abs(one.scale_m_per_px) for one in calibration.mappings())
     return math.radians(1e-3 * camera.tilt_std_mdeg) * (distance_m or 0.0)
-
-
-def sensitivity_left_out(settings: RecordingSettings, calibration: Calibration) -> bool:
-    """Whether nothing tells how well the accelerometer's gain is known: neither the settings nor a sensor in metres."""
-    own = settings.accelerometer
-    if own is None or own.scale_std > 0.0 or calibration.accelerometer_scale_std > 0.0:
-        return False
-    in_metres = any(not one.estimate_scale for one in settings.displacements)
-    return not (in_metres and own.estimate_scale)

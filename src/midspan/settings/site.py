@@ -4,7 +4,7 @@ import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -41,23 +41,19 @@ def address_of(kind: str, section: dict[str, Any], where: str) -> str:
         raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
                          f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
     scheme = next(one for one in known if value.startswith(one))
+    place = value.removeprefix(scheme)
     try:
-        _checked(scheme, value.removeprefix(scheme))
+        if scheme == "serial:":
+            device_and_baud(place)
+        elif scheme == "udp:":
+            host_and_port(place)
+        elif scheme == "usb:" and not (place.isascii() and place.isdecimal()):
+            raise ValueError("must be usb: and the number of a camera, as usb:0 for /dev/video0")
+        elif scheme == "mqtt:" and any(sign in place for sign in "+#"):
+            raise ValueError("must be one topic, without the wildcards + and #; write one source for each topic")
     except ValueError as error:
         raise UsageError(f"{where}.source: {error}; received {without_secrets(value)!r}.") from None
     return value
-
-
-def _checked(scheme: str, place: str) -> None:
-    """ValueError for what cannot follow a scheme."""
-    if scheme == "serial:":
-        device_and_baud(place)
-    elif scheme == "udp:":
-        host_and_port(place)
-    elif scheme == "usb:" and not (place.isascii() and place.isdecimal()):
-        raise ValueError("must be usb: and the number of a camera, as usb:0 for /dev/video0")
-    elif scheme == "mqtt:" and any(sign in place for sign in "+#"):
-        raise ValueError("must be one topic, without the wildcards + and #; write one source for each topic")
 
 
 def without_secrets(address: str) -> str:
@@ -329,7 +325,7 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     own = {key: value for key, value in tree.items() if key not in SENSORS}
     settings = _validated(PointSettings, own, where)
     sections: dict[str, Any] = {}
-    addresses: dict[str, list[str]] = {}
+    addresses: dict[str, Iterator[str]] = {}
     for kind in SENSORS:
         if kind not in tree:
             continue
@@ -339,35 +335,22 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
         if kind == ACCELEROMETER and len(given) > 1:
             raise UsageError(f"{where}: {kind}: must be one section.")
         sections[kind] = [_captured(kind, number, one, where) for number, one in enumerate(given)]
-        addresses[kind] = [address_of(kind, one, f"{where}: {kind}") for one in given]
+        addresses[kind] = iter([address_of(kind, one, f"{where}: {kind}") for one in given])
     fusion = {"method": settings.method, "lag_s": settings.lag_s}
     plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
     if ACCELEROMETER not in plain:
         raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
     recording = _validated(RecordingSettings, {"name": settings.name, "fusion": fusion, **plain}, where)
-    named = {sensor.name: (sensor.kind, k) for k, sensor in enumerate(recording.sensors)}
-    counts: Counter[str] = Counter()
-    sources = {ACCELEROMETER: addresses[ACCELEROMETER][0]}
-    for name, (kind, _) in named.items():
-        sources[name] = addresses[kind][counts[kind]]
-        counts[kind] += 1
-    configs = {
-        sensor.name: sensor.settings.config
-        for sensor in recording.sensors
-        if sensor.kind == "radar" and sensor.settings.config is not None
-    }
-    if missing := [
-        name for name, (kind, _) in named.items() if kind == "radar" and _needs(sources[name], configs, name)
-    ]:
-        raise UsageError(
-            f"{where}: radar.config: is missing for {missing[0]!r}. Add the .cfg or .json that the radar runs with."
-        )
+    sources = {ACCELEROMETER: next(addresses[ACCELEROMETER])}
+    sources |= {sensor.name: next(addresses[sensor.kind]) for sensor in recording.sensors}
+    radars = [sensor for sensor in recording.sensors if isinstance(sensor.settings, RadarSettings)]
+    configs = {radar.name: config for radar in radars if (config := radar.settings.config) is not None}
+    for radar in radars:
+        if radar.name not in configs and sources[radar.name].startswith("udp:"):
+            raise UsageError(
+                f"{where}: radar.config: is missing for {radar.name!r}. Add the .cfg or .json that the radar runs with."
+            )
     return PointPlan(settings, recording, sources, configs)
-
-
-def _needs(address: str, configs: dict[str, str], name: str) -> bool:
-    """Whether a radar's settings are needed, and not there."""
-    return address.startswith("udp:") and name not in configs
 
 
 def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> dict[str, Any]:
