@@ -1,12 +1,15 @@
 """`midspan track SOURCE`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midspan.cli.console import Console, RegionType, common_options
 from midspan.notices import notice_trees
+
+if TYPE_CHECKING:
+    from midspan.recording.tracking.track import Tracked
 
 
 @click.command("track")
@@ -25,13 +28,10 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
 
     SOURCE is a recording, a video, a folder or glob of images, or an .npy/.npz stack.
     """
-    import numpy as np
-
     from midspan.checks import RATE_HZ, option, within
     from midspan.cli.targets import check_result
     from midspan.recording.streams.recording import open_recording
     from midspan.recording.tracking.track import track
-    from midspan.records import Region, Status
     from midspan.settings.load import RECORDING_FILE
     from midspan.sinks.write import check_target
     from midspan.vision.tracker import TRACKERS
@@ -53,29 +53,13 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     tracked = track(source, **options, progress=console.progress)
     console.done()
     tracked.save(output)
-    rows, count = tracked.track, len(tracked.track.time_ns)
-    lost = int(np.count_nonzero(rows.status == Status.LOST))
-    regions = {one.name: [getattr(one.region, key) for key in Region.__slots__] for one in tracked.tracking.targets}
-    several = len(regions) > 1
-    figures = {
-        "frames": count,
-        "lost": lost,
-        "roi": [getattr(tracked.region, key) for key in Region.__slots__],
-        **({"targets": regions} if several else {}),
-        **{f"range_{axis}_px": _range(rows.along(axis)[0]) for axis in "xy"},
-        **{
-            f"median_std_{axis}_px": float(np.nanmedian(np.sqrt(rows.along(axis)[1]))) if lost < count else None
-            for axis in "xy"
-        },
-        "written": output,
-        "warnings": list(tracked.warnings),
-        "notices": notice_trees(tracked.warnings),
-    }
+    figures = _figures(tracked, output)
+    regions = figures.get("targets") or {"": figures["roi"]}
     console.table(
         [
-            ("frames", f"{count}, {lost} lost"),
+            ("frames", f"{figures['frames']}, {figures['lost']} lost"),
             *(
-                (f"target {name}" if several else "roi", f"x {x}, y {y}, {width} × {height} px")
+                (f"target {name}" if name else "roi", f"x {x}, y {y}, {width} × {height} px")
                 for name, (x, y, width, height) in regions.items()
             ),
             *((axis, _along(figures, axis)) for axis in "xy"),
@@ -86,11 +70,25 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     console.document(figures)
 
 
-def _range(values: Any) -> list[float] | None:
+def _figures(tracked: "Tracked", output: str) -> dict[str, Any]:
+    """The document: counts, regions, and along each axis the translation's range and typical standard deviation."""
     import numpy as np
 
-    ends = (np.nanmin, np.nanmax)
-    return [round(float(end(values)), 4) for end in ends] if np.isfinite(values).any() else None
+    from midspan.records import Region, Status
+
+    rows, count, keys = tracked.track, len(tracked.track.time_ns), Region.__slots__
+    lost = int(np.count_nonzero(rows.status == Status.LOST))
+    figures: dict[str, Any] = {"frames": count, "lost": lost, "roi": [getattr(tracked.region, key) for key in keys]}
+    if len(tracked.tracking.targets) > 1:
+        targets = tracked.tracking.targets
+        figures["targets"] = {one.name: [getattr(one.region, key) for key in keys] for one in targets}
+    for axis in "xy":
+        value, variance = rows.along(axis)
+        ends = [round(float(end(value)), 4) for end in (np.nanmin, np.nanmax)] if np.isfinite(value).any() else None
+        figures[f"range_{axis}_px"] = ends
+        figures[f"median_std_{axis}_px"] = float(np.nanmedian(np.sqrt(variance))) if lost < count else None
+    notices = {"warnings": list(tracked.warnings), "notices": notice_trees(tracked.warnings)}
+    return {**figures, "written": output, **notices}
 
 
 def _along(figures: dict[str, Any], axis: str) -> str:

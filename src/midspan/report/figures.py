@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.evaluate.metrics import Band, normalised_innovation, step_of
-from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, spectrum
+from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, hann, spectrum, welch
 from midspan.fusion.blocks import REJECTED
 from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, Status, TimeSeries, part, seconds
 from midspan.report.drawing import (
@@ -241,7 +241,7 @@ def _coherence(material: Material, measured: Measured) -> tuple[Floats, Floats, 
 
     what unrelated records stay below in 95 % of the frequencies; None for short records and without an acceleration.
     """
-    from scipy.signal import coherence
+    from matplotlib import mlab
 
     felt, known = material.acceleration, np.isfinite(measured.value_mm)
     if felt is None or np.count_nonzero(known) < MIN_VALUES:
@@ -256,7 +256,9 @@ def _coherence(material: Material, measured: Measured) -> tuple[Floats, Floats, 
     moved = np.interp(even, seconds(felt.time_ns[heard], origin), felt.value[heard])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Nothing moves: no share is defined.
-        frequency, share = coherence(seen, moved, 1.0 / step, nperseg=segment, detrend="linear")
+        window, overlap = hann(segment), segment // 2
+        found = mlab.cohere(seen, moved, segment, 1.0 / step, "linear", window, overlap)
+    share, frequency = (np.asarray(one, dtype=np.float64) for one in found)
     # Half overlapping Hann windows are worth about as many as fit side by side.
     chance = 1.0 - 0.05 ** (1.0 / (len(even) / segment - 1.0))
     usable = (frequency > 0.0) & (frequency < 0.5 * measured.rate_hz) & np.isfinite(share)
@@ -277,8 +279,6 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
 
     Hann windows of an eighth of the record, half overlapping; irregular stamps are brought to an even grid before.
     """
-    from scipy.signal import welch
-
     known = np.isfinite(value)
     if np.count_nonzero(known) < MIN_VALUES:
         return None
@@ -288,7 +288,7 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
     if len(even) < MIN_VALUES:
         return None
     segment = min(max(len(even) // SEGMENTS * 2, MIN_VALUES), MAX_SEGMENT, len(even))
-    frequency, power = welch(np.interp(even, t, value), 1.0 / step, nperseg=segment, detrend="linear")
+    frequency, power = welch(np.interp(even, t, value), 1.0 / step, segment)
     return logarithmic_means(frequency[1:], np.maximum(power[1:], 1e-300))
 
 

@@ -324,7 +324,13 @@ class Service:
                 self._dropped = self._keeper.dropped
                 for one in self._points:
                     self._event(one, "rows_dropped", f"store: {sentence('rows_dropped')}")
-            self._tell_changes()
+            # Store and broker that are away, or back, are an event of every point.
+            for name, reason in (("store", self._keeper.reason), ("mqtt", self._broker.reason if self._broker else "")):
+                if reason != self._away.get(name, "") and reason != "starting":
+                    text = f"{name}: {sentence(reason) if reason else 'is there again.'}"
+                    for one in self._points:
+                        self._event(one, reason or "returned", text)
+                    self._away[name] = reason
             # While the store is away the broker would hold back all that comes after a few messages without an
             # acknowledgement: live goes on with what is held in memory.
             if not self._keeper.waiting or self._keeper.reason:
@@ -332,15 +338,6 @@ class Service:
                     acknowledge()
             else:
                 self._acknowledge.extendleft(reversed(done))
-
-    def _tell_changes(self) -> None:
-        """Store and broker that are away, or back, are an event of every point."""
-        for name, reason in (("store", self._keeper.reason), ("mqtt", self._broker.reason if self._broker else "")):
-            if reason != self._away.get(name, "") and reason != "starting":
-                text = f"{name}: {sentence(reason) if reason else 'is there again.'}"
-                for one in self._points:
-                    self._event(one, reason or "returned", text)
-                self._away[name] = reason
 
     def _sweep(self) -> None:
         """Archive the days that are over; then those that are too old may be removed."""
