@@ -108,16 +108,14 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
     from midspan.recording.streams.recording import Recording
     from midspan.settings.two_files import draft, settings_of
 
-    for given in ("point", "begin", "end"):
-        if options[given]:
-            raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
+    if options["point"] or options["begin"] or options["end"]:
+        raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
     found = draft(accel, video, options["value"], options["unit"], options["direction"])
     tree = found.sections
-    chosen = {"tracker": options["tracker"]} if options["tracker"] else {}
-    tree[found.camera] |= chosen
-    tree["fusion"] = {"literal": bool(options["literal"])} | (
-        {"method": options["method"]} if options["method"] else {}
-    )
+    tree["fusion"] = {"literal": bool(options["literal"])}
+    for section, key in ((found.camera, "tracker"), ("fusion", "method")):
+        if options[key]:
+            tree[section][key] = options[key]
     for channel in ("value", "unit"):
         if channel in tree["accelerometer"]:
             console.say(f"{accel.name}: {channel} {tree['accelerometer'][channel]}")

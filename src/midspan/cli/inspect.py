@@ -21,29 +21,28 @@ if TYPE_CHECKING:
 @common_options
 def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
+    from midspan.cli.targets import check_picture
     from midspan.recording.inspect import inspect_recording
     from midspan.recording.streams.recording import open_recording
     from midspan.sources.inspect import inspect_file
 
-    console = Console(quiet, as_json)
-    path = Path(recording)
-    if _is_single(path):
-        target = None if picture is None else _target(picture)
+    console, path = Console(quiet, as_json), Path(recording)
+    opened = None if _is_single(path) else open_recording(path)
+    # Refused before the work where it could not be written.
+    target = None if picture is None else check_picture(picture, "--picture", *([] if opened is None else [opened]))
+    if opened is None:
         tree = inspect_file(path, console.progress)
         console.done()
         _show_file(console, tree)
-        if target is not None:
-            tree |= _picture(console, target, path)
-        console.document(tree)
-        return
-    opened = open_recording(path)
-    target = None if picture is None else _target(picture, opened)
-    tree = inspect_recording(opened, all_frames, console.progress)
-    console.done()
-    show(console, tree)
+    else:
+        tree = inspect_recording(opened, all_frames, console.progress)
+        console.done()
+        show(console, tree)
     if target is not None:
-        tree |= _picture(console, target, opened)
+        tree |= _picture(console, target, path if opened is None else opened)
     console.document(tree)
+    if opened is None:
+        return
     for branch in tree.values():
         if isinstance(branch, dict) and "error" in branch:
             click.echo(f"midspan: {branch['error']}", err=True)
@@ -67,13 +66,6 @@ def _is_single(path: Path) -> bool:
         # No path that can be: refused with the reason as the file that it is not.
         return True
     return path.suffix.lower() != ".toml"
-
-
-def _target(picture: str, *recordings: "Recording") -> Path:
-    """The picture's path, refused before the work where it could not be written."""
-    from midspan.cli.targets import check_picture
-
-    return check_picture(picture, "--picture", *recordings)
 
 
 def _picture(console: Console, target: Path, source: "Path | Recording") -> dict[str, Any]:

@@ -178,7 +178,6 @@ def _between(time_ns: Nanoseconds, material: Material, which: slice) -> slice:
 
 def spectra(material: Material, modes: Sequence[Mode]) -> Picture:
     """Amplitude densities of result, reference and the sensors alone over the first natural frequencies, and below how
-
     coherent each sensor is with the acceleration.
     """
     coherent = [(one, found) for one in material.measured if (found := _coherence(material, one)) is not None]
@@ -238,7 +237,6 @@ def _coherences(axes: "Axes", coherent: Sequence[tuple[Measured, tuple[Floats, F
 
 def _coherence(material: Material, measured: Measured) -> tuple[Floats, Floats, float] | None:
     """Frequencies (Hz) up to the sensor's Nyquist frequency, coherence of its measurements with the acceleration, and
-
     what unrelated records stay below in 95 % of the frequencies; None for short records and without an acceleration.
     """
     from matplotlib import mlab

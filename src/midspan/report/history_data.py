@@ -88,7 +88,6 @@ class Packing:
 
     def series(self, time_ns: Nanoseconds, value: Floats, fine: float, std: Floats | None = None) -> dict[str, Any]:
         """The columns of a series: times, values to `fine` or finer, standard deviations; what is not finite is left
-
         out, and more than MAX_ROWS are thinned.
         """
         known = np.isfinite(value) & (True if std is None else np.isfinite(std))

@@ -39,7 +39,6 @@ class Clock:
 @dataclass(frozen=True, slots=True)
 class Measured:
     """What a displacement sensor said: value_mm (n,) at time_ns (n,) on the accelerometer's clock, brought to the
-
     result's zero; std_mm (n,); NaN where it was lost. rate_hz: its mean rate.
     """
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, SecretStr, ValidationError, model_validator
+from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from midspan.errors import DataError, UsageError
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.load import RECORDING_FILE
-from midspan.settings.messages import explain, unknown
+from midspan.settings.load import RECORDING_FILE, validate
+from midspan.settings.messages import unknown
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
 from midspan.sources.live.radar import host_and_port
@@ -245,7 +245,7 @@ def load_site(path: str | Path) -> Site:
         raise UsageError(f"{file}: point: is missing. Add one [[point]] for each measuring point.")
     if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
-    settings = _validated(SiteFile, tree, str(file))
+    settings = validate(tree, str(file), SiteFile)
     plans = tuple(_plan(point, f"{file}: {point_at(number, point)}") for number, point in enumerate(points, start=1))
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
@@ -323,7 +323,7 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     """One point of plain values; `where` names it in messages."""
     _require_known(tree, PointSettings, tuple(SENSORS), f"{where}: ")
     own = {key: value for key, value in tree.items() if key not in SENSORS}
-    settings = _validated(PointSettings, own, where)
+    settings = validate(own, where, PointSettings)
     sections: dict[str, Any] = {}
     addresses: dict[str, Iterator[str]] = {}
     for kind in SENSORS:
@@ -340,15 +340,15 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
     if ACCELEROMETER not in plain:
         raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
-    recording = _validated(RecordingSettings, {"name": settings.name, "fusion": fusion, **plain}, where)
+    recording = validate({"name": settings.name, "fusion": fusion, **plain}, where, RecordingSettings)
     sources = {ACCELEROMETER: next(addresses[ACCELEROMETER])}
     sources |= {sensor.name: next(addresses[sensor.kind]) for sensor in recording.sensors}
-    radars = [sensor for sensor in recording.sensors if isinstance(sensor.settings, RadarSettings)]
-    configs = {radar.name: config for radar in radars if (config := radar.settings.config) is not None}
-    for radar in radars:
-        if radar.name not in configs and sources[radar.name].startswith("udp:"):
+    radars = {one.name: one.settings for one in recording.sensors if isinstance(one.settings, RadarSettings)}
+    configs = {name: radar.config for name, radar in radars.items() if radar.config is not None}
+    for name in radars:
+        if name not in configs and sources[name].startswith("udp:"):
             raise UsageError(
-                f"{where}: radar.config: is missing for {radar.name!r}. Add the .cfg or .json that the radar runs with."
+                f"{where}: radar.config: is missing for {name!r}. Add the .cfg or .json that the radar runs with."
             )
     return PointPlan(settings, recording, sources, configs)
 
@@ -370,14 +370,6 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
     stem, dot, suffix = name.partition(".")
     own = {"file": f"{stem}-{number + 1}{dot}{suffix}" if number else name}
     return {**{key: value for key, value in section.items() if key != "source"}, **own}
-
-
-def _validated(model: Any, tree: dict[str, Any], where: str) -> Any:
-    try:
-        return model.model_validate(tree)
-    except ValidationError as error:
-        lines = [explain(item, tree, model) for item in error.errors()]
-        raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None
 
 
 def captures_of(site: Site) -> Path:
