@@ -42,15 +42,19 @@ def check_result(output: str | Path, *recordings: Recording, option: str = "-o")
     return path
 
 
-def check_picture(output: str | Path, option: str, *recordings: Recording) -> Path:
-    """Refuse a picture of another format, and one in place of anything but its like; returns the path."""
-    path = Path(output)
-    if path.suffix.lower() not in PICTURES:
-        raise click.UsageError(f"{option} {path}: the picture's suffix must be one of {', '.join(PICTURES)}.")
+def require_place(option: str, path: Path, suffixes: tuple[str, ...], what: str) -> None:
+    """Refuse a file of another format, and one in a folder that does not exist."""
+    if path.suffix.lower() not in suffixes:
+        raise click.UsageError(f"{option} {path}: the {what}'s suffix must be one of {', '.join(suffixes)}.")
     folder = path.absolute().parent
     if not folder.is_dir():
         raise click.UsageError(f"{option} {path}: the folder {folder} does not exist; make it first.")
-    return check_result(path, *recordings, option=option)
+
+
+def check_picture(output: str | Path, option: str, *recordings: Recording) -> Path:
+    """Refuse a picture of another format, and one in place of anything but its like; returns the path."""
+    require_place(option, Path(output), PICTURES, "picture")
+    return check_result(output, *recordings, option=option)
 
 
 def check_calibration(output: str | Path, recording: Recording) -> Path:
@@ -128,10 +132,5 @@ def report_path(path: str | None) -> Path | None:
     """The report's path, refused before the work where it could not be written."""
     if path is None:
         return None
-    target = Path(path)
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise click.UsageError(f"--report {path}: must end in .html.")
-    folder = target.absolute().parent
-    if not folder.is_dir():
-        raise click.UsageError(f"--report {path}: the folder {folder} does not exist; make it first.")
-    return check_result(target, option="--report")
+    require_place("--report", Path(path), (".html", ".htm"), "report")
+    return check_result(path, option="--report")

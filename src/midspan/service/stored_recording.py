@@ -21,6 +21,7 @@ from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, seconds
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import NEW_DATUM, rows_stream, target_stream
+from midspan.settings.kinds import KINDS
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.stored.calibration import Calibration, calibration_from_dict
 from midspan.sinks.table import ResultTable
@@ -134,6 +135,12 @@ def _metadata(store: Store, point: str, rows: Chunk, span: tuple[int, int]) -> d
 
 
 ACCELERATION_FILE = "acceleration.npz"
+# Keys of a section that say where the file of a recording is, and what only its frames need: the regions stand in the
+# calibration, a track has them no more.
+_FILE = ("file", "times", "rate_hz", "start_s", "every")
+_FRAMES = (*_FILE, "roi", "target", "automatic_targets", "temperature_range_c")
+_RADAR = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
+OF_FILES = {"camera": _FRAMES, "infrared": _FRAMES, "displacement": _FILE, "radar": _RADAR}
 # A radar's frames that are written together.
 FRAMES_AT_A_TIME = 1024
 # What messages advise for files, and for a store in its place.
@@ -149,12 +156,52 @@ ADVICE = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Own:
-    """The calibration that chose a radar's bins, its number in the store, and the chirps of the point's radars."""
+class _Segment:
+    """A point's records of a span (ns) that go into a folder; calibration: that chose the radars' bins, with its number
+    in the store; chirps: of the radars.
+    """
 
+    store: Store
+    point: str
+    folder: Path
+    span: tuple[int, int]
     calibration: Calibration
     number: int
     chirps: dict[str, Any]
+
+    def section(self, kind: str, settings: dict[str, Any]) -> dict[str, Any]:
+        """A sensor's section with its file written."""
+        name = settings.get("name") or kind
+        kept = {key: value for key, value in settings.items() if key not in OF_FILES[kind]}
+        if kind == "radar":
+            return {**kept, "file": self._radar(name)}
+        columns: dict[str, NDArray[Any]] = {}
+        if kind == "displacement":
+            found = self._rows(name, f"raw records of {name}")
+            columns = {"time_ns": found.time_ns, "value": found.columns["value"]}
+            kept |= {"unit": "m", "time": "time_ns", "value": "value"}
+        else:
+            streams = self.store.streams(self.point)
+            for k in [k for k in range(len(streams)) if target_stream(name, k) in streams]:
+                columns |= _track(self._rows(target_stream(name, k), f"track of {name}"), f"_{k + 1}" if k else "")
+        np.savez(self.folder / f"{name}.npz", **columns)  # type: ignore[arg-type]
+        return {**kept, "file": f"{name}.npz"}
+
+    def _radar(self, name: str) -> str:
+        """A radar's phasors written as slow-time I/Q."""
+        radar, chirp, what = self.calibration.of(name), self.chirps.get(name), f"phasors of {name} by calibration"
+        found = self._rows(name, f"{what} {self.number}", self.number)
+        if not isinstance(radar, RadarCalibration):
+            raise DataError(f"The store has no {what} {self.number} in that time.")
+        profile = None if chirp is None else profile_from_json(json.dumps(chirp))
+        _save_slow_time(self.folder / f"{name}.h5", found, radar, profile)
+        return f"{name}.h5"
+
+    def _rows(self, stream: str, what: str, calibration: int | None = None) -> Chunk:
+        found = stored_rows(self.store, self.point, stream, *self.span, calibration)
+        if found is None:
+            raise DataError(f"The store has no {what} in that time.")
+        return found
 
 
 def in_words_of_a_store(text: str, folder: Path, where: str, point: str) -> str:
@@ -197,14 +244,10 @@ def stored_recording(
     tree["accelerometer"] = _accelerometer(settings["accelerometer"], acceleration)
     # Sensors' own clocks may be apart by what the calibration says.
     span = (int(acceleration.time_ns[0]) - 2 * NANOSECONDS, int(acceleration.time_ns[-1]) + 2 * NANOSECONDS)
-    for kind in ("camera", "infrared", "displacement", "radar"):
+    segment = _Segment(store, point, folder, span, calibration, known.number, settings.get(CHIRPS, {}))
+    for kind in KINDS:
         sections = settings.get(kind, [])
-        sections = sections if isinstance(sections, list) else [sections]
-        if kind == "radar":
-            own = _Own(calibration, known.number, settings.get(CHIRPS, {}))
-            written = [_radar_section(store, point, section, folder, span, own) for section in sections]
-        else:
-            written = [_section(store, point, kind, section, folder, span) for section in sections]
+        written = [segment.section(kind, one) for one in (sections if isinstance(sections, list) else [sections])]
         if written:
             tree[kind] = written if len(written) > 1 else written[0]
     (folder / RECORDING_FILE).write_text(tomli_w.dumps(tree), encoding="utf-8")
@@ -222,49 +265,6 @@ def _accelerometer(section: dict[str, Any], acceleration: Chunk) -> dict[str, An
     order = ["value_y", "value_x"] if "value_y" in section else ["value_x", "value_y"]
     own.update({key: f"value_{k}" for k, key in enumerate(order)})
     return own
-
-
-def _section(
-    store: Store, point: str, kind: str, section: dict[str, Any], folder: Path, span: tuple[int, int]
-) -> dict[str, Any]:
-    """A sensor's section with its files written."""
-    name = section.get("name") or kind
-    kept = {key: value for key, value in section.items() if key not in ("file", "times", "rate_hz", "start_s", "every")}
-    if kind == "displacement":
-        found = stored_rows(store, point, name, *span)
-        if found is None:
-            raise DataError(f"The store has no raw records of {name} in that time.")
-        np.savez(folder / f"{name}.npz", time_ns=found.time_ns, value=found.columns["value"])
-        unit = {"unit": "m", "time": "time_ns", "value": "value"}
-        return {**kept, "file": f"{name}.npz", **unit}
-    streams = store.streams(point)
-    targets = [k for k in range(len(streams)) if target_stream(name, k) in streams]
-    columns: dict[str, NDArray[Any]] = {}
-    for k in targets:
-        found = stored_rows(store, point, target_stream(name, k), *span)
-        if found is None:
-            raise DataError(f"The store has no track of {name} in that time.")
-        columns |= _track(found, f"_{k + 1}" if k else "")
-    np.savez(folder / f"{name}.npz", **columns)  # type: ignore[arg-type]
-    # The regions stand in the calibration; a track has them no more.
-    for key in ("roi", "target", "automatic_targets", "temperature_range_c"):
-        kept.pop(key, None)
-    return {**kept, "file": f"{name}.npz"}
-
-
-def _radar_section(
-    store: Store, point: str, section: dict[str, Any], folder: Path, span: tuple[int, int], own: _Own
-) -> dict[str, Any]:
-    """A radar's section with its phasors written as slow-time I/Q."""
-    name = section.get("name") or "radar"
-    radar, chirp = own.calibration.of(name), own.chirps.get(name)
-    found = stored_rows(store, point, name, *span, own.number)
-    if found is None or not isinstance(radar, RadarCalibration):
-        raise DataError(f"The store has no phasors of {name} by calibration {own.number} in that time.")
-    profile = None if chirp is None else profile_from_json(json.dumps(chirp))
-    _save_slow_time(folder / f"{name}.h5", found, radar, profile)
-    of_files = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
-    return {**{key: value for key, value in section.items() if key not in of_files}, "file": f"{name}.h5"}
 
 
 def _save_slow_time(file: Path, found: Chunk, radar: RadarCalibration, profile: ChirpProfile | None) -> None:
