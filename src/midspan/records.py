@@ -54,7 +54,14 @@ def cut(block: "Block", size: int) -> "Iterator[Block]":
         yield part(block, slice(first, first + size))
 
 
-class Source(IntEnum):
+class _Code(IntEnum):
+    @property
+    def word(self) -> str:
+        """The lower-case word of the result files."""
+        return self.name.lower()
+
+
+class Source(_Code):
     """Which sensor fixes a row of the result; `prediction` is the accelerometer alone."""
 
     PREDICTION = 0
@@ -63,23 +70,13 @@ class Source(IntEnum):
     RADAR = 3
     DISPLACEMENT = 4
 
-    @property
-    def word(self) -> str:
-        """The lower-case word of the result files."""
-        return self.name.lower()
 
-
-class Status(IntEnum):
+class Status(_Code):
     """What a row of the result rests on."""
 
     TRACKING = 0
     COASTING = 1
     LOST = 2
-
-    @property
-    def word(self) -> str:
-        """The lower-case word of the result files."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True, slots=True)

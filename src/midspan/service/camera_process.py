@@ -8,7 +8,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -201,12 +201,10 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
 
     stamps: how the frames of an earlier process were dated.
     """
-    from midspan.service.replayed import film
-
     sender, pauses, replayed = _Sender(pipe), Pauses(), address.startswith("replay:")
     while not sender.ended:
         try:
-            for stamped in film(address) if replayed else frames(address, earlier=stamps):
+            for stamped in _replayed(address) if replayed else frames(address, earlier=stamps):
                 if sender.ended:
                     return
                 sender.give(stamped)
@@ -219,6 +217,13 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
         except MidspanError as error:
             sender.say(Failed("damaged", str(error)))
         sender.wait(pauses.next_s())
+
+
+def _replayed(address: str) -> Iterator[Stamped]:
+    # What reads recordings is imported where one is replayed alone.
+    from midspan.service.replayed import film
+
+    return film(address)
 
 
 class _Sender:
