@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from midspan.radar.chirp import profile_to_json
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
-from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.recording import RecordingSettings
+from midspan.settings.kinds import ACCELEROMETER, KINDS
+from midspan.settings.recording import RecordingSettings, Sensor
+from midspan.settings.sensors import DisplacementSettings
 from midspan.writing import write_whole
 
 # Profiles are written together, so many at a time.
 FRAMES_AT_A_TIME = 64
+READINGS = {"time": "time_ns", "value": "value"}
 
 
 class Capture:
@@ -182,32 +184,26 @@ def capture_settings(settings: RecordingSettings, factors: dict[str, float]) -> 
     factors: SI units in one unit of each channel's readings, by the sensor's name.
     """
     assert settings.accelerometer is not None
-    own = {"unit": "m/s^2", "sensitivity": 0.0, "time": "time_ns", "value": "value"}
+    own = {**READINGS, "unit": "m/s^2", "sensitivity": 0.0}
     # Stamps are UTC: a clock that is farther off than the range has to be set, and is no offset to live with.
     range_s = {"max_offset_s": settings.calibration.max_offset_s}
     changed: dict[str, Any] = {
         "accelerometer": settings.accelerometer.model_copy(update=own),
         "calibration": settings.calibration.model_copy(update=range_s),
     }
-    films: dict[str, list[Any]] = {kind: [] for kind in ("cameras", "infrareds", "radars")}
-    plain = []
-    for sensor in settings.sensors:
-        if sensor.kind in ("camera", "infrared"):
-            name = f"{Path(sensor.settings.file).name}.npy"
-            files = {"file": name, "times": times_file(Path(name)).name}
-            films[f"{sensor.kind}s"].append(sensor.settings.model_copy(update=files))
-        elif sensor.kind == "radar":
-            own_files = {"file": f"{Path(sensor.settings.file).name}.h5", "config": None}
-            films["radars"].append(sensor.settings.model_copy(update=own_files))
-        elif sensor.kind == "displacement":
-            noise: float | None = getattr(sensor.settings, "noise_std", None)
-            scaled = None if noise is None else noise * factors[sensor.name]
-            # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
-            is_sought = bool(getattr(sensor.settings, "estimate_offset", False))
-            plain.append(sensor.settings.model_copy(
-                update={
-                    "unit": "m", "time": "time_ns", "value": "value", "noise_std": scaled, "estimate_offset": is_sought
-                }
-            ))  # fmt: skip
-    changed |= {kind: tuple(listed) for kind, listed in films.items()} | {"displacements": tuple(plain)}
+    for kind in KINDS:
+        listed = [(sensor, _captured(sensor, factors)) for sensor in settings.sensors if sensor.kind == kind]
+        changed[f"{kind}s"] = tuple(sensor.settings.model_copy(update=files) for sensor, files in listed)
     return settings.model_copy(update=changed)
+
+
+def _captured(sensor: Sensor, factors: dict[str, float]) -> dict[str, Any]:
+    """What a captured recording says of a sensor besides."""
+    name, own = Path(sensor.settings.file).name, sensor.settings
+    if isinstance(own, DisplacementSettings):
+        noise_std = None if own.noise_std is None else own.noise_std * factors[sensor.name]
+        # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
+        return {**READINGS, "unit": "m", "noise_std": noise_std, "estimate_offset": bool(own.estimate_offset)}
+    if sensor.kind == "radar":
+        return {"file": f"{name}.h5", "config": None}
+    return {"file": f"{name}.npy", "times": times_file(Path(f"{name}.npy")).name}
