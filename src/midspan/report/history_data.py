@@ -35,7 +35,11 @@ def round_below(fine: float) -> float:
 
 
 def packed(columns: Sequence[Column]) -> tuple[list[dict[str, Any]], str]:
-    """How each column is to be read (quantum, count, order of the differences, bytes a value), and all data as text."""
+    """How each column is to be read (quantum, count, order of the differences, bytes a value), and all data as text.
+
+    A column is rounded to whole multiples of its quantum. Differences of the order that makes them smallest, coded
+    without sign (0, −1, 1, −2, … as 0, 1, 2, 3, …) and split into bytes of equal weight, are deflated (RFC 1950).
+    """
     layout, data = list[dict[str, Any]](), list[bytes]()
     for column in columns:
         multiple = np.clip(np.rint(column.value / column.quantum), -MAX_MULTIPLE, MAX_MULTIPLE).astype(np.int64)

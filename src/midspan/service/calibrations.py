@@ -1,4 +1,4 @@
-"""Calibrations of live points in the store: the one in force, new ones, accepted ones."""
+"""Calibrations of live points: made in a process of their own, kept in the store, accepted, in force."""
 
 import asyncio
 import json

@@ -1,5 +1,6 @@
-"""A camera in a process of its own: it decodes, cuts the region out and stamps; the engine's process takes what it can.
+"""Sources that are opened again when they fail: lines and radars in threads, each camera in a process of its own.
 
+A camera's process decodes, cuts the region out and stamps; the engine's process takes what it can.
 Frames wait in the camera's process, a few at most: where the engine does not keep up the oldest is skipped and counted.
 """
 

@@ -97,6 +97,11 @@ class Zero:
 def carried(older: Estimate, newer: Estimate, zero: Zero, scale_std: float) -> Zero | None:
     """The zero in force for the rows of the new opening; None where too few rows of both rest on measurements.
 
+    Rows of both openings, before the change: a(t) counts from the zero in force, b(t) from the new one. Both have the
+    same errors of the sensors, so that d = mean(a - b) over the common rows is the distance of the zeros. Then b(t) + d
+    counts from the zero in force: the error of the new zero cancels, and what is left is that of the zero in force, of
+    d, and of the scale in force over the way from its zero to where the structure is.
+
     older: rows that count from the zero in force; newer: of the new opening, as it counts them. zero: in force, with
     what was added to the older rows. scale_std: relative standard deviation of the scale in force.
     """

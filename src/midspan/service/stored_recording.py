@@ -1,4 +1,4 @@
-"""A stretch of a store as a recording: raw acceleration, readings and tracks, to be computed again by any method."""
+"""A segment of a store: its rows as a result table, its raw records as a recording that any method computes again."""
 
 import json
 import re

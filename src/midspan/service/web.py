@@ -1,4 +1,4 @@
-"""/healthz, /readyz and /metrics."""
+"""/healthz, /readyz and /metrics, their server and its connections."""
 
 import asyncio
 import os

@@ -1,4 +1,4 @@
-"""What a calibration found against what is known of it otherwise: gravity, and the camera's optics."""
+"""What settings say of a calibration: what gravity and optics contradict, and what its band does not contain."""
 
 import math
 
