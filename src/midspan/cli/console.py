@@ -1,4 +1,4 @@
-"""What all commands share: --quiet and --json, what is printed where, progress bars; and their group, as click has it."""
+"""What all commands share: --quiet and --json, what is printed where, progress bars; their group, as click has it."""
 
 import importlib
 import json
