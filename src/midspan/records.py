@@ -50,7 +50,14 @@ def part(block: "Block", which: slice | NDArray[np.generic]) -> "Block":
     return type(block)(*[getattr(block, name)[which] for name in block.__dataclass_fields__])
 
 
-class Source(IntEnum):
+class _Code(IntEnum):
+    @property
+    def word(self) -> str:
+        """The lower-case word of the result files."""
+        return self.name.lower()
+
+
+class Source(_Code):
     """Which sensor fixes a row of the result; `prediction` is the accelerometer alone."""
 
     PREDICTION = 0
@@ -59,23 +66,13 @@ class Source(IntEnum):
     RADAR = 3
     DISPLACEMENT = 4
 
-    @property
-    def word(self) -> str:
-        """The lower-case word of the result files."""
-        return self.name.lower()
 
-
-class Status(IntEnum):
+class Status(_Code):
     """What a row of the result rests on."""
 
     TRACKING = 0
     COASTING = 1
     LOST = 2
-
-    @property
-    def word(self) -> str:
-        """The lower-case word of the result files."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +86,8 @@ class Region:
 
     def inside(self, columns: int, rows: int) -> bool:
         """Whether the region lies wholly in an image of `columns` by `rows` pixels."""
-        return (
-            self.width > 0
-            and self.height > 0
-            and self.x >= 0
-            and self.y >= 0
-            and self.x + self.width <= columns
-            and self.y + self.height <= rows
-        )
+        inside_x = self.x >= 0 and self.width > 0 and self.x + self.width <= columns
+        return inside_x and self.y >= 0 and self.height > 0 and self.y + self.height <= rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,15 +213,8 @@ class PixelTrack:
     @classmethod
     def stack(cls, rows: list[PixelTranslation]) -> "PixelTrack":
         """The block of single translations in their order."""
-        return cls(
-            time_ns=np.array([r.time_ns for r in rows], dtype=np.int64),
-            x_px=np.array([r.x_px for r in rows], dtype=np.float64),
-            y_px=np.array([r.y_px for r in rows], dtype=np.float64),
-            variance_x_px2=np.array([r.variance_x_px2 for r in rows], dtype=np.float64),
-            variance_y_px2=np.array([r.variance_y_px2 for r in rows], dtype=np.float64),
-            quality=np.array([r.quality for r in rows], dtype=np.float64),
-            status=np.array([r.status for r in rows], dtype=np.uint8),
-        )
+        kinds = dict.fromkeys(cls.__slots__, np.float64) | {"time_ns": np.int64, "status": np.uint8}
+        return cls(**{name: np.array([getattr(r, name) for r in rows], dtype=kind) for name, kind in kinds.items()})
 
     def along(self, direction: str) -> tuple[Floats, Floats]:
         """Translation and its variance (n,) along the image axis "x" or "y"."""
@@ -415,6 +399,11 @@ class Arrival:
     stream: str
     sequence: int
     record: Readings | Frame | Tracked | RangeFrame | Event
+
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp of the record."""
+        return int(self.record.time_ns[-1] if isinstance(self.record, Readings) else self.record.time_ns)
 
 
 @dataclass(frozen=True, slots=True)

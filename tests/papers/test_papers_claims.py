@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from midspan.cli.group import commands
+from midspan.cli.console import commands
 from midspan.papers import entries_000, entries_001, entries_002, entries_003, entries_004, two_stage_003
 from midspan.papers.claims import Claim, Effort, Entry, Experiment, Measured, Verdict, judged
 from midspan.papers.page import write_papers

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from midspan.recording.estimate import unmeasured_ends
+from midspan.engine.row_messages import unmeasured_ends
 from midspan.recording.point import zero_instant
 from midspan.recording.tracked import Eye
 from midspan.recording.tracking.opening import where_it_sees

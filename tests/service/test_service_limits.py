@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from midspan.service import connection
+from midspan.service import web as connection
 from midspan.service.mqtt import Broker
 from midspan.service.web import application, server
 from midspan.settings.site import MqttSettings

@@ -12,11 +12,10 @@ from lively_recordings import Lively, write
 from midspan.cli.main import run
 from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Estimate, Event, Status
-from midspan.service.journal import Journal
+from midspan.service.journal import Journal, RowHealth
 from midspan.service.opening import opened, resumed
-from midspan.service.row_health import RowHealth
 from midspan.service.running import running
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.settings.site import load_site
 from midspan.store.store import open_store
 from recording_edits import set_keys

@@ -20,7 +20,7 @@ from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS
 from midspan.service.point import Job
 from midspan.service.run import Service
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, Block, pack, parse
 from midspan.sources.live.camera import StampKind, frames

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from midspan.cli.group import commands
+from midspan.cli.console import commands
 from midspan.errors import UsageError
 from midspan.simulate.scenarios.published import PUBLISHED
 from midspan.simulate.scenarios.stage import stage

@@ -8,7 +8,7 @@ from midspan.papers.claims import Curve, Row
 from midspan.papers.published import PAPERS, Paper
 from midspan.papers.table import Outcome
 from midspan.report import page
-from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, saved, sheet, style
+from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, sheet, style, write_picture
 from midspan.writing import write_whole
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
             for curve in one.curves:
                 name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
                 picture_file = path.parent / "images" / f"{name}.png"
-                write_whole(picture_file, saved(_axes(curve), "png", dpi=DOTS_PER_INCH))
+                write_picture(_axes(curve), picture_file, DOTS_PER_INCH)
                 lines += ["", f"![{curve.figure}: {curve.y} over {curve.x}](images/{name}.png)"]
         lines.append("")
     return "\n".join(lines)

@@ -21,8 +21,8 @@ from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.streams.window import calibration_window, liveliest_minute
+from midspan.settings.messages import in_words_of, renamed
 from midspan.settings.plausible import implausible
-from midspan.settings.sensor_words import in_words_of, renamed
 from midspan.settings.stored.calibration import Calibration, placed
 
 

@@ -18,7 +18,7 @@ from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
 from midspan.records import Source
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.sensor_words import in_words_of, renamed
+from midspan.settings.messages import in_words_of, renamed
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 

@@ -28,7 +28,7 @@ from midspan.radar.frames import collected
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, window_ends, within_window
 from midspan.records import NANOSECONDS, Channel, Estimate, Measured, Source
-from midspan.settings.sensor_words import in_words_of
+from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import inside
 from midspan.signals.stuck import at_limits

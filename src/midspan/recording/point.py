@@ -24,7 +24,7 @@ from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, ClockOffset, RangeFrame, Source, Status
-from midspan.settings.band import tilt_std_m
+from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
 

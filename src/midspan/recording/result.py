@@ -14,7 +14,7 @@ from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
-from midspan.settings.band import not_in_band
+from midspan.settings.plausible import not_in_band
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable

@@ -32,7 +32,7 @@ from midspan.records import (
     joined,
     part,
 )
-from midspan.settings.sensor_words import in_words_of, worded
+from midspan.settings.messages import in_words_of, worded
 
 NOTHING_SEEN = (
     "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "

@@ -15,7 +15,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import open_tracking, where_it_sees
 from midspan.records import Acceleration, TimeOffset
 from midspan.settings.kinds import CAMERAS
-from midspan.settings.sensor_words import in_words_of
+from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.acceleration import PreparedAcceleration, still
 

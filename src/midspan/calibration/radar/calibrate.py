@@ -33,7 +33,8 @@ from midspan.radar.frames import (
 )
 from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
-from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, at_place, ranked
+from midspan.radar.peaks import at_place
+from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, ranked
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.stamps import inside

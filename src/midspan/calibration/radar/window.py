@@ -10,7 +10,8 @@ from midspan.notices import Notice
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.frames import RadarFrames, samples_of, together, without_holes
 from midspan.radar.info import RadarInfo
-from midspan.radar.target import Target, at_place, find_targets
+from midspan.radar.peaks import at_place
+from midspan.radar.target import Target, find_targets
 from midspan.records import NANOSECONDS, Floats
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import runs

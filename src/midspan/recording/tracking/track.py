@@ -18,7 +18,7 @@ from midspan.recording.streams.recording import open_with_cameras
 from midspan.recording.tracking.opening import levels_of, settings_of
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.sensor_words import in_words_of, renamed
+from midspan.settings.messages import in_words_of, renamed
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
