@@ -134,6 +134,12 @@ class Pair:
             ends[:: max(round(PIECE_S * self.sample_rate_hz), 1)] = True
         return np.column_stack((time_s, density))[ends]
 
+    def noisier(self, motion_share: float, *, bias_drifts: bool) -> "Pair":
+        """The pair with other errors of the accelerometer; what was made of its samples is kept."""
+        other = replace(self, motion_share=motion_share, bias_drifts=bias_drifts)
+        vars(other).update({name: getattr(self, name) for name in ("responses", "lively")})
+        return other
+
     def input_noise(self, mean_density: float) -> InputNoise:
         """The acceleration's noise whose mean density over the record is `mean_density`, (m/s²)²/Hz."""
         share = self.motion_share
@@ -397,10 +403,10 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     nothing (G. Schwarz, Estimating the dimension of a model, Ann. Statist. 6 (1978) 461-464, doi
     10.1214/aos/1176344136).
     """
-    constant = replace(pair, motion_share=0.0, bias_drifts=False)
+    constant = pair.noisier(0.0, bias_drifts=False)
     without = best_corner(constant, fit.offset_s, fit.corner)
     least = 0.5 * np.log(max(len(without.whitened.variance), 1))
-    drifting = replace(constant, bias_drifts=True)
+    drifting = pair.noisier(0.0, bias_drifts=True)
     found = best_corner(drifting, fit.offset_s)
     if found.likelihood - without.likelihood > least:
         constant, without = drifting, found
@@ -408,7 +414,7 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
 
     @cache
     def with_odds(odds: float) -> tuple[Pair, Fit]:
-        noisy = replace(constant, motion_share=float(1.0 / (1.0 + np.exp(-odds))))
+        noisy = constant.noisier(float(1.0 / (1.0 + np.exp(-odds))), bias_drifts=constant.bias_drifts)
         return noisy, best_corner_here(replace(here, pair=noisy), without.corner)
 
     odds = global_minimum(lambda one: -with_odds(one)[1].likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
