@@ -11,8 +11,7 @@ from scipy.ndimage import shift
 from midspan.errors import UsageError
 from midspan.simulate.day.camera import DayCamera, wall_in_relief
 from midspan.simulate.day.infrared import FOG_SHARE, DayCourse, DayInfrared
-from midspan.simulate.day.sky import Sky
-from midspan.simulate.day.weather import DRYING_S, Drops, Headlights
+from midspan.simulate.day.sky import DRYING_S, Drops, Headlights, Sky
 from midspan.simulate.motion.motion import Sines, Window
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.write import write

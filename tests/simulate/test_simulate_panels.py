@@ -8,8 +8,7 @@ from midspan.simulate.motion.motion import Rest, Sines
 from midspan.simulate.scenarios.stage import stage
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scene.camera import Camera, View
-from midspan.simulate.scene.disturbances import Water
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Panel, Water
 from midspan.simulate.scene.texture import textured_scene
 
 REGION = Region(8, 12, 40, 32)

@@ -23,6 +23,7 @@ from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanFilter, KalmanSettings, MethodSettings
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.motions import Sweep
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -39,7 +40,7 @@ from midspan.records import (
 )
 from midspan.simulate.day.camera import Wall, wall_in_relief
 from midspan.simulate.day.sky import Light
-from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
+from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.scene.scene import Image
 from midspan.simulate.scene.texture import textured_scene

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.filming import Film, FilmSettings, film
 from midspan.papers.films import Run, Track, Way, followed, frames_of, half_sample_mm, run_all, with_means
 from midspan.records import Floats, Prediction, Region
-from midspan.simulate.scenarios.papers import Film, FilmSettings, film
 from midspan.vision.features import FeatureSettings, earlier_rules, good_matches
 from midspan.vision.tracker import open_tracker, tracker_settings
 

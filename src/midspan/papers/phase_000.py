@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.camera.felt import felt_motion
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.filming import FRAME_RATE, Film
 from midspan.papers.films import (
     Run,
     Track,
@@ -27,7 +28,6 @@ from midspan.papers.kalman_004 import existing_technique, fused_values, printed_
 from midspan.recording.streams.window import calibration_window
 from midspan.records import Floats, Frame, Region
 from midspan.signals.band_pass import band_passed
-from midspan.simulate.scenarios.papers import FRAME_RATE, Film
 from midspan.vision.active_pixels import slope_and_r_squared
 from midspan.vision.phase_flow import phase_change
 from midspan.vision.phase_model import region_patch

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats
-from midspan.simulate.day.sky import Light, Sky
-from midspan.simulate.day.weather import Drops, Headlights
+from midspan.simulate.day.sky import Drops, Headlights, Light, Sky
 from midspan.simulate.scene.camera import WHITE_DN, Camera
 from midspan.simulate.scene.scene import SAMPLES, Image, Scene, canvas_shape, scene_of
 from midspan.simulate.scene.texture import natural

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Floats
-from midspan.simulate.day.sky import Sky
-from midspan.simulate.day.weather import Drops
+from midspan.simulate.day.sky import Drops, Sky
 from midspan.simulate.scene.scene import Image
 from midspan.simulate.scene.thermal import Course, ThermalView
 

@@ -10,10 +10,8 @@ import numpy as np
 from midspan.records import Floats
 from midspan.simulate.day.camera import DayCamera, wall_in_relief
 from midspan.simulate.day.infrared import DayCourse, DayInfrared
-from midspan.simulate.day.sky import Sky, Span
-from midspan.simulate.day.weather import Drops, Headlights
-from midspan.simulate.files.celsius import write_celsius
-from midspan.simulate.files.folder import exact_in_video, write_table, write_video
+from midspan.simulate.day.sky import Drops, Headlights, Sky, Span
+from midspan.simulate.files.folder import exact_in_video, write_celsius, write_table, write_video
 from midspan.simulate.motion.motion import Motion
 from midspan.simulate.scene.camera import Pixels
 from midspan.simulate.scene.scene import Image

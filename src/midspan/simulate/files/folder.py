@@ -1,5 +1,6 @@
 """Writing of simulated recordings: tables, lossless video, and a folder that appears whole or not at all."""
 
+import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -10,6 +11,7 @@ import numpy as np
 from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.simulate.scene.camera import Pixels
+from midspan.simulate.scene.scene import Image
 from midspan.writing import replacing_folder, settle_folder
 
 MARK = "known.json"  # the file by which a folder written here is known again
@@ -18,6 +20,9 @@ OWN_FILES = frozenset(
     | {"adc_data.bin", "radar.cfg", "radar.h5", "infrared.npz"}
 )
 MILLISECONDS = 1000  # Matroska's time stamps are whole milliseconds
+
+
+Progress = Callable[[int, int], None]  # frames done, in all
 
 
 def write_table(path: Path, columns: dict[str, Floats], *, decimals: dict[str, int]) -> None:
@@ -95,3 +100,21 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     with replacing_folder(folder) as partial:
         yield partial
         check_free(folder)
+
+
+# Temperatures are rounded to 1/64 K: that adds a hundredth to the noise of a good camera, and half the bytes are zeros.
+STEPS_A_KELVIN = 64.0
+_FASTEST = 1
+
+
+def write_celsius(path: Path, pictures: Iterable[Image], stamps_s: Floats, size_px: tuple[int, int]) -> None:
+    """An npz of `celsius` (n, rows, columns), float32 in °C rounded to 1/64 K, and `time_s` (n,), n stamps."""
+    form = {"descr": "<f4", "fortran_order": False, "shape": (len(stamps_s), *size_px)}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_FASTEST) as archive:
+        with archive.open("time_s.npy", "w") as file:
+            np.lib.format.write_array(file, np.asarray(stamps_s, dtype=np.float64), allow_pickle=False)
+        with archive.open("celsius.npy", "w", force_zip64=True) as file:
+            np.lib.format.write_array_header_1_0(file, form)
+            for picture in pictures:
+                rounded = np.rint(picture * np.float32(STEPS_A_KELVIN)) / np.float32(STEPS_A_KELVIN)
+                file.write(rounded.astype("<f4").tobytes())

@@ -1,6 +1,6 @@
 """What `midspan simulate --break` breaks: a recording that no longer obeys the model, with its truth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,24 +29,16 @@ AT_REST = ("no-excitation",)
 
 
 @dataclass(frozen=True, slots=True)
-class Sensed:
+class Sensed(Motion):
     """A motion as broken sensors meet it: the accelerometer `felt` (m/s²), every other sensor `seen` (m)."""
 
     motion: Motion
     felt: Signal
     seen: Signal
 
-    def displacement(self, time_s: Floats) -> Floats:
-        """What the other sensors meet (n,) in m at times (n,) in s."""
-        return self.seen(np.asarray(time_s, dtype=np.float64))
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """True velocity (n,) in m/s at times (n,) in s."""
-        return self.motion.velocity(time_s)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """What the accelerometer meets (n,) in m/s² at times (n,) in s."""
-        return self.felt(np.asarray(time_s, dtype=np.float64))
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`, of what the sensors meet; the velocity is the true one."""
+        return (self.seen, self.motion.velocity, self.felt)[order](time_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +222,7 @@ BREAKS: dict[str, Break] = {
 
 
 def broken(
-    staged: Stage, scenario: str, breaks: Sequence[str], scenarios: dict[str, Scenario]
+    staged: Stage, scenario: str, breaks: Sequence[str], scenarios: Mapping[str, Scenario]
 ) -> tuple[Stage, dict[str, Facts]]:
     """The stage of `scenario` with every break of `breaks` (names of BREAKS), and what each one drew.
 

@@ -11,8 +11,7 @@ from midspan.simulate.motion.motion import Motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
 from midspan.simulate.radar.setup import RadarRun, RadarSetup
 from midspan.simulate.scene.camera import Camera, Light, View, cramer_rao_std_px
-from midspan.simulate.scene.disturbances import Disturbance
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Disturbance, Panel
 from midspan.simulate.scene.texture import textured_scene
 
 Span = tuple[float, float]  # start and end in s

@@ -1,42 +1,43 @@
 """How the recording of a scenario is written: each sensor's file, the truth, and what an estimate should find."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from midspan.checks import option
-from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.simulate.files.folder import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
 from midspan.simulate.scenarios.breaks import broken
-from midspan.simulate.scenarios.papers import film, write_recording
-from midspan.simulate.scenarios.published import PUBLISHED
-from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Stage, stage, within
-from midspan.simulate.scenarios.table import FILMS, SCENARIOS
+from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
+from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
 
 Progress = Callable[[int, int], None]
 
 
 def write(
-    name: str, folder: str | Path, *, seed: int = 0, breaks: Sequence[str] = (), progress: Progress | None = None
+    name: str,
+    folder: str | Path,
+    *,
+    seed: int = 0,
+    breaks: Sequence[str] = (),
+    progress: Progress | None = None,
+    scenarios: Mapping[str, Scenario] = SCENARIOS,
 ) -> Path:
-    """Write the recording of scenario `name`, one of NAMES or PAPER_NAMES, into `folder`, and return the folder.
+    """Write the recording of scenario `name`, one of `scenarios`, into `folder`, and return the folder.
 
     It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
     frame) and known.json (what an estimate should find). The same `seed` gives the same files. `breaks`: names of
     BREAKS, ways in which the sensors leave the model; the truth stays. `progress` is called with frames done and frames
     in all. Raises UsageError for an unknown name, a break that does not fit, or a folder with other content.
     """
-    scenarios = SCENARIOS | PUBLISHED
-    option("scenario", name, {**scenarios, **FILMS})
+    option("scenario", name, scenarios)
     target = Path(folder).resolve()
     check_free(target)
-    if name in FILMS:
-        return _write_film(name, target, seed, breaks)
+    progress = progress or (lambda done, total: None)
     staged, drawn = broken(stage(scenarios[name], seed), name, breaks, scenarios)
     with whole_folder(target) as partial:
         _write_acceleration(partial, staged)
@@ -44,41 +45,27 @@ def write(
             "written_by": "midspan simulate",
             "scenario": name,
             "seed": seed,
-            "accelerometer": _known_noise(staged),
+            "accelerometer": {
+                "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
+                "bias_m_s2": staged.accelerometer.bias_m_s2,
+            },
         }
         if drawn:
             known["broken"] = drawn
         if staged.scenario.free:
             known["chosen_here"] = staged.scenario.free
         if staged.scenario.camera is not None:
-            known["camera"] = _write_camera(
-                partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
-            )
+            known["camera"] = _write_camera(partial, staged, staged.scenario.camera, progress)
         if staged.scenario.gnss is not None:
             known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
         if staged.scenario.radar is not None:
-            run = staged.radar_run(staged.scenario.radar)
-            known["radar"] = run.write(partial, progress or (lambda done, total: None))
+            known["radar"] = staged.radar_run(staged.scenario.radar).write(partial, progress)
         if staged.scenario.day is not None:
-            known |= staged.day_run(staged.scenario.day).write(partial, progress or (lambda done, total: None))
+            known |= staged.day_run(staged.scenario.day).write(partial, progress)
         _write_truth(partial, staged)
         _write_settings(partial, staged)
         (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
     return target
-
-
-def _write_film(name: str, target: Path, seed: int, breaks: Sequence[str]) -> Path:
-    """The film of a paper, which no break fits."""
-    if breaks:
-        raise UsageError(f"--break {breaks[0]} does not fit {name!r}, a paper's film. Leave it out.")
-    return write_recording(film(FILMS[name], seed=seed), target)
-
-
-def _known_noise(staged: Stage) -> dict[str, float]:
-    return {
-        "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
-        "bias_m_s2": staged.accelerometer.bias_m_s2,
-    }
 
 
 def _write_acceleration(folder: Path, staged: Stage) -> None:
