@@ -5,9 +5,8 @@ import pytest
 from radar_cases import SHORT, accelerometer, profiles_of
 
 from midspan.errors import UntrustedError, UsageError
-from midspan.radar.following import at_places, bins_within, places_of, response, standing_in_bins
+from midspan.radar.following import at_place, at_places, bins_within, places_of, response, standing_in_bins
 from midspan.radar.measurement import TargetFrames, displacement
-from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import bin_kernel
 from midspan.radar.target import Target, find_targets, ranked
 from midspan.simulate.motion.motion import Sines

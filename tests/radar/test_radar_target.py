@@ -10,8 +10,7 @@ from midspan.errors import UntrustedError
 from midspan.radar.alignment import align
 from midspan.radar.channels import channel_weights, combined, noise_variance, phase_variance
 from midspan.radar.chirp import RangeAxis
-from midspan.radar.circle import standing_still
-from midspan.radar.evidence import clutter_share
+from midspan.radar.evidence import clutter_share, standing_still
 from midspan.radar.literal import best_on_grid, grid_factor
 from midspan.radar.target import find_targets, ranked
 from midspan.simulate.motion.motion import Sines, random_motion

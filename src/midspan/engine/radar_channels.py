@@ -12,8 +12,8 @@ from midspan.engine.radar_target import FollowedTarget
 from midspan.engine.sensors import RadarSensor
 from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import bin_m_of
-from midspan.radar.info import RadarInfo
 from midspan.radar.target import Target
 from midspan.records import Channel, Source
 

@@ -182,10 +182,7 @@ def _row(paper: str, entry: Entry, values: dict[str, Floats]) -> Row:
     if not claims:
         return Row(paper, entry, shown, ours, Verdict.UNTRIED, entry.because, own)
     failed = [claim.text for claim in claims if not claim.holds(own)]
-    if failed:
-        why = f"not that {'; '.join(failed)}. {entry.because}".rstrip()
-    else:
-        why = "; ".join(entry.claims)
+    why = f"not that {'; '.join(failed)}. {entry.because}".rstrip() if failed else "; ".join(entry.claims)
     verdict = Verdict.FAILS if failed else Verdict.HOLDS
     return Row(paper, entry, shown, ours, verdict, why, own, _factor(entry, own))
 

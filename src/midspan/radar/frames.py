@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.progress import Progress
 from midspan.radar.channels import MIN_BINS, Phasors, combined
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.following import MIN_EXCURSION_BINS, bins_within
-from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from midspan.checks import refuse, same_length
 from midspan.errors import UntrustedError
-from midspan.radar.aligned import unwrap_aligned
+from midspan.radar.aligned import Unwrapped, unwrap_aligned
 from midspan.radar.blockage import blocked
 from midspan.radar.channels import Phasors, combined, phase_variance
 from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
-from midspan.radar.phase_filter import Unwrapped
 from midspan.radar.target import Target
 from midspan.records import Floats
 

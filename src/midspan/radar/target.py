@@ -23,8 +23,15 @@ from midspan.radar.channels import (
     phase_variance,
 )
 from midspan.radar.chirp import RangeAxis
-from midspan.radar.circle import standing_still
-from midspan.radar.evidence import clutter_share, coherence, own_motion
+from midspan.radar.evidence import (
+    clutter_share,
+    coherence,
+    factor_spread,
+    measured_variance,
+    modulation,
+    own_motion,
+    standing_still,
+)
 from midspan.radar.following import (
     MIN_EXCURSION_BINS,
     Background,
@@ -34,9 +41,8 @@ from midspan.radar.following import (
     standing_in_bins,
     tracked_places,
 )
-from midspan.radar.peaks import at_place as at_place
-from midspan.radar.peaks import peaks as peaks
-from midspan.radar.phase_noise import factor_spread, measured_variance, modulation
+from midspan.radar.following import at_place as at_place
+from midspan.radar.following import peaks as peaks
 from midspan.records import Floats
 
 # What a target must show to be chosen.

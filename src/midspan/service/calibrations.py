@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from midspan.radar.chirp import profile_to_json
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.service.point import LivePoint
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration

@@ -11,7 +11,7 @@ from enum import Enum
 from pathlib import Path
 
 from midspan.engine.support import PointStatus
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
 from midspan.service.capture import Capture
 from midspan.service.captures import forget

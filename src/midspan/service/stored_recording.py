@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import DataError
-from midspan.radar.chirp import ChirpProfile, profile_from_json, profile_to_json
+from midspan.radar.chirp import ChirpProfile, RadarInfo, profile_from_json, profile_to_json
 from midspan.radar.frames import bin_m_of
-from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import target_stream

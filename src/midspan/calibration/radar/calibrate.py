@@ -24,6 +24,7 @@ from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.notices import Notice
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import (
     RadarFrames,
     TargetPhasors,
@@ -34,7 +35,6 @@ from midspan.radar.frames import (
     together,
     without_holes,
 )
-from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import (
     MAX_CLUTTER,

@@ -8,8 +8,8 @@ from midspan.calibration.radar.window import MIN_FRAMES
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import RadarFrames, samples_of, together, without_holes
-from midspan.radar.info import RadarInfo
 from midspan.radar.target import Target, at_place, find_targets
 from midspan.records import NANOSECONDS, Floats
 from midspan.signals.acceleration import PreparedAcceleration

@@ -4,8 +4,8 @@ import numpy as np
 
 from midspan.calibration.sensors.radar import RadarDiagnostics
 from midspan.radar.channels import noise_variance
+from midspan.radar.following import at_place
 from midspan.radar.frames import RadarFrames
-from midspan.radar.peaks import at_place
 from midspan.radar.target import Target
 from midspan.records import Floats
 

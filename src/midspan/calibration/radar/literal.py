@@ -26,8 +26,8 @@ from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch
 from midspan.errors import DataError
 from midspan.notices import Notice
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import without_holes
-from midspan.radar.info import RadarInfo
 from midspan.radar.literal import (
     EDGE_S,
     GRID,
