@@ -16,14 +16,14 @@ from midspan.papers.motions import Excitation, Later, Sweep, random, sine
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.day.setup import DaySetup, Eye
 from midspan.simulate.day.sky import Sky
-from midspan.simulate.files.folder import check_free
+from midspan.simulate.files.folder import Progress, check_free
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, Reflector, noise_for
 from midspan.simulate.scenarios.stage import CameraSetup, Scenario
 from midspan.simulate.scenarios.table import SCENARIOS
-from midspan.simulate.scenarios.write import Progress, write
+from midspan.simulate.scenarios.write import write
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
 

@@ -1,6 +1,10 @@
-"""A whole record unwrapped: the accelerometer aligned with the phase first, then the filter forwards and backwards.
+"""A whole record unwrapped: the accelerometer aligned with the phase first, then a filter forwards and backwards.
 
-Where the two directions disagree about the cycle it is a guess: a slip, or an outage that was too long.
+The filter's state is the range change u (m), its rate v (m/s) and the bias b (m/s²) of the acceleration in the line of
+sight; the wrapped phase corrects its prediction from the accelerometer. Only the innovation is wrapped, so no speed is
+too high while the prediction is within a quarter of a wavelength, and the prediction averages over many frames: it
+stays right at signal-to-noise ratios and through fades where the last two phases alone lead astray. Where the two
+directions disagree about the cycle it is a guess: a slip, or an outage that was too long.
 """
 
 from dataclasses import dataclass, replace
@@ -9,33 +13,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan import _core
-from midspan.checks import positive, same_length
+from midspan.checks import same_length
 from midspan.radar.alignment import Alignment, align
 from midspan.radar.unwrap import BLIND_RAD, TURN, inertial_steps
 from midspan.records import Floats
 
+# Errors of the alignment that are allowed for where it has been found, at least.
+MIN_SCALE_ERROR, MIN_TIME_ERROR_S = 0.002, 1e-4
+# Frames that tell the speed at the start, and how well they do, m/s.
+START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
+# A motion that turns the phase by less needs no unwrapping.
+QUIET_RAD = 1.6
+# The shortest record whose trend tells a drift from a swing, s.
+MIN_TREND_S = 8.0
+# A filter settles within this time, s: before it the other direction is accepted.
+SETTLED_S = 2.0
+# The directions are compared as medians of this many frames; noise takes single ones a cycle off.
+COMPARED_FRAMES = 11
+
 
 @dataclass(frozen=True, slots=True)
-class PhaseFilterSettings:
+class _Trust:
     """How far the accelerometer is trusted.
 
-    noise_density: of the acceleration in the line of sight, (m/s²)²/Hz; higher trusts the radar more.
-    scale_error, time_error_s: relative error of the conversion factor and error of the time offset that the filter
-    allows for; higher follows a wrongly calibrated accelerometer, lower rides longer through fades.
-    start_inflation: natural logarithm of the factor on all of these at the first frame, estimated from then on; 0 where
-    the alignment is known, more where it is not.
-    bias_walk: growth of the bias' variance, (m/s²)² a second; start_bias_m_s2: its standard deviation at the first
-    frame; start_speed_m_s, start_speed_std_m_s: speed of the range there, and how well it is known.
+    noise_density: of the acceleration in the line of sight, (m/s²)²/Hz; scale_error, time_error_s: relative error of
+    the conversion factor and error of the time offset that are allowed for; start_inflation: natural logarithm of the
+    factor on all of these at the first frame, estimated from then on; speed_m_s, speed_std_m_s: of the range there;
+    bias_walk, bias_std_m_s2: growth of the bias' variance, (m/s²)² a second, and its deviation at the first frame.
     """
 
     noise_density: float = 1e-6
     scale_error: float = 0.02
     time_error_s: float = 1e-3
-    bias_walk: float = 1e-8
     start_inflation: float = 4.6
-    start_bias_m_s2: float = 0.05
-    start_speed_m_s: float = 0.0
-    start_speed_std_m_s: float = 0.05
+    speed_m_s: float = 0.0
+    speed_std_m_s: float = 0.05
+    bias_walk: float = 1e-8
+    bias_std_m_s2: float = 0.05
+
+
+# The radar alone: the range changes at a speed that drifts slowly, or fast.
+WITHOUT_ACCELEROMETER = tuple(_Trust(noise_density=density, start_inflation=0.0) for density in (1e-2, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,77 +73,6 @@ class Unwrapped:
     restarts: tuple[int, ...]
     surprise: float = np.nan
     explained: bool = True
-
-
-class PhaseFilter:
-    """The filter over blocks of frames; any cutting into blocks gives the same output.
-
-    phase_per_m: rad per m of range. settings: how far the accelerometer is trusted.
-    """
-
-    def __init__(self, phase_per_m: float, settings: PhaseFilterSettings | None = None) -> None:
-        s = settings or PhaseFilterSettings()
-        self._follower = _core.PhaseFollower(
-            positive("phase_per_m", phase_per_m, "rad/m"),
-            (s.noise_density, s.scale_error, s.time_error_s, s.bias_walk),
-            (s.start_speed_m_s, s.start_speed_std_m_s, s.start_bias_m_s2, s.start_inflation),
-        )
-        self._time_s: float | None = None
-
-    def push(self, frame_s: Floats, phase_rad: Floats, variance_rad2: Floats, steps: Floats) -> Unwrapped:
-        """Unwrap the phases (n,) of frames at `frame_s` (n,), s, on the accelerometer's clock.
-
-        phase_rad: wrapped, NaN where there is none; variance_rad2: of each, half the inverse signal-to-noise ratio;
-        steps (n, 4): of `inertial_steps` in the line of sight, the first row being the step to the first of these.
-        """
-        time = np.asarray(frame_s, dtype=np.float64)
-        phase, variance = np.asarray(phase_rad, dtype=np.float64), np.asarray(variance_rad2, dtype=np.float64)
-        same_length(frame_s=time, phase_rad=phase, variance_rad2=variance, steps=steps)
-        before = time[:1] if self._time_s is None else np.array([self._time_s])
-        rows = np.column_stack((np.diff(time, prepend=before), phase, variance, steps))
-        found = self._follower.push(rows)
-        self._time_s = float(time[-1]) if len(time) else self._time_s
-        used, surprise = np.isfinite(found[:, 0]), found[:, 4]
-        return Unwrapped(
-            phase_rad=found[:, 0] - self._follower.origin,
-            variance_rad2=np.where(used, variance, np.inf),
-            filtered_m=found[:, 1],
-            filtered_variance_m2=found[:, 2],
-            restarts=tuple(int(k) for k in np.flatnonzero(found[:, 3])),
-            surprise=float(np.nanmean(surprise)) if np.isfinite(surprise).any() else np.nan,
-        )
-
-
-def unwrap_filtered(
-    frame_s: Floats,
-    phase_rad: Floats,
-    *,
-    variance_rad2: Floats,
-    steps: Floats,
-    phase_per_m: float,
-    settings: PhaseFilterSettings | None = None,
-) -> Unwrapped:
-    """Unwrap a whole record (n,) with a `PhaseFilter`; the arguments are those of its `push`."""
-    return PhaseFilter(phase_per_m, settings).push(frame_s, phase_rad, variance_rad2, steps)
-
-
-# Errors of the alignment that are allowed for where it has been found, at least.
-MIN_SCALE_ERROR, MIN_TIME_ERROR_S = 0.002, 1e-4
-# Frames that tell the speed at the start, and how well they do, m/s.
-START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
-# A motion that turns the phase by less needs no unwrapping.
-QUIET_RAD = 1.6
-# The shortest record whose trend tells a drift from a swing, s.
-MIN_TREND_S = 8.0
-# A filter settles within this time, s: before it the other direction is accepted.
-SETTLED_S = 2.0
-# The directions are compared as medians of this many frames; noise takes single ones a cycle off.
-COMPARED_FRAMES = 11
-# The radar alone: the range changes at a speed that drifts slowly, or fast.
-WITHOUT_ACCELEROMETER = (
-    PhaseFilterSettings(noise_density=1e-2, start_inflation=0.0),
-    PhaseFilterSettings(noise_density=1.0, start_inflation=0.0),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +110,7 @@ def unwrap_aligned(
     whether the accelerometer accounts for the phase, without which slips are likely and not always seen.
     """
     time, variance = np.asarray(frame_s, dtype=np.float64), np.asarray(variance_rad2, dtype=np.float64)
+    same_length(frame_s=time, phase_rad=phase_rad, variance_rad2=variance)
     phase = np.where(variance < BLIND_RAD**2, phase_rad, np.nan)
     found = align(time, phase, samples=samples, phase_per_m=phase_per_m, max_offset_s=max_offset_s, prior=ratio)
     offset, ratio = (found.offset_s, found.ratio) if found is not None else (0.0, ratio)
@@ -179,20 +127,34 @@ def unwrap_aligned(
 
 def _passed(record: _Record, found: Alignment | None, kind: int) -> Unwrapped:
     """One pass of the filter: kind 0 with the accelerometer, else one of those without."""
-    steps = inertial_steps(record.frame_s, record.los)
-    if kind == 0:
-        settings = _settings(found, _first_speed(record.frame_s, record.phase, steps, record.unit))
-    else:
-        steps, settings = np.zeros_like(steps), WITHOUT_ACCELEROMETER[kind - 1]
-    run = unwrap_filtered(
-        record.frame_s,
-        record.phase,
-        variance_rad2=record.variance,
-        steps=steps,
-        phase_per_m=record.unit,
-        settings=settings,
+    time, phase, unit = record.frame_s, record.phase, record.unit
+    steps, trust = inertial_steps(time, record.los), _Trust()
+    if kind > 0:
+        steps, trust = np.zeros_like(steps), WITHOUT_ACCELEROMETER[kind - 1]
+    elif found is not None:
+        trust = _Trust(
+            scale_error=max(3.0 * found.ratio_std / abs(found.ratio), MIN_SCALE_ERROR),
+            time_error_s=max(3.0 * found.offset_std_s, MIN_TIME_ERROR_S),
+            start_inflation=0.0,
+            speed_m_s=_first_speed(time, phase, steps, unit),
+            speed_std_m_s=START_SPEED_STD_M_S,
+        )
+    follower = _core.PhaseFollower(
+        unit,
+        (trust.noise_density, trust.scale_error, trust.time_error_s, trust.bias_walk),
+        (trust.speed_m_s, trust.speed_std_m_s, trust.bias_std_m_s2, trust.start_inflation),
     )
-    return _without_drift(run, record.frame_s, record.unit)
+    rows = follower.push(np.column_stack((np.diff(time, prepend=time[:1]), phase, record.variance, steps)))
+    surprise = rows[:, 4]
+    run = Unwrapped(
+        phase_rad=rows[:, 0] - follower.origin,
+        variance_rad2=np.where(np.isfinite(rows[:, 0]), record.variance, np.inf),
+        filtered_m=rows[:, 1],
+        filtered_variance_m2=rows[:, 2],
+        restarts=tuple(int(k) for k in np.flatnonzero(rows[:, 3])),
+        surprise=float(np.nanmean(surprise)) if np.isfinite(surprise).any() else np.nan,
+    )
+    return _without_drift(run, time, unit)
 
 
 def _agreed(forward: Unwrapped, backward: Unwrapped, time: Floats, unit: float) -> Unwrapped:
@@ -268,16 +230,3 @@ def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> 
     speeds = np.linspace(-limit, limit, 8 * START_FRAMES, endpoint=False)
     turns = np.exp(-1j * unit * np.multiply.outer(speeds, frame_s[known] - frame_s[first]))
     return float(speeds[np.argmax(np.abs(turns @ phasors))])
-
-
-def _settings(found: Alignment | None, speed_m_s: float) -> PhaseFilterSettings:
-    """What the filter allows for: the alignment's own errors where it is known."""
-    if found is None:
-        return PhaseFilterSettings()
-    return PhaseFilterSettings(
-        start_speed_m_s=speed_m_s,
-        start_speed_std_m_s=START_SPEED_STD_M_S,
-        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), MIN_SCALE_ERROR),
-        time_error_s=max(3.0 * found.offset_std_s, MIN_TIME_ERROR_S),
-        start_inflation=0.0,
-    )

@@ -10,7 +10,7 @@ from midspan.errors import DataError
 from midspan.progress import Progress
 from midspan.radar.channels import MIN_BINS, Phasors, combined
 from midspan.radar.chirp import RadarInfo
-from midspan.radar.following import MIN_EXCURSION_BINS, bins_within
+from midspan.radar.following import MIN_EXCURSION_BINS, at_place, bins_within
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
@@ -27,18 +27,6 @@ class RadarFrames:
     time_ns: Nanoseconds
     phasors: NDArray[np.complex64]
     valid: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class TargetPhasors:
-    """One target, receivers combined: bins (k,) whole ones in which it moves, or the one place (1,) where it stays.
-
-    time_ns (n,): on the radar's clock; phasors (n, k): NaN where nothing was received.
-    """
-
-    time_ns: Nanoseconds
-    bins: Floats
-    phasors: NDArray[np.complex64]
 
 
 def collected(blocks: Iterable[RangeFrames], total: int, progress: Progress, what: str) -> RadarFrames:
@@ -88,12 +76,6 @@ def bin_m_of(info: RadarInfo) -> float:
     return float(np.median(np.diff(info.range_m)))
 
 
-def bins_of(target: Target, info: RadarInfo) -> Floats:
-    """The bins to fetch of a target that moves as the calibration saw; its place if by little."""
-    followed = bin_m_of(info) > 0 and target.reach_bins > MIN_EXCURSION_BINS
-    return bins_within(target.place_bin, target.reach_bins, info.bins) if followed else np.array([target.place_bin])
-
-
 def fetched(
     blocks: Iterable[RangeFrames], target: Target, total: int, progress: Progress
 ) -> tuple[Nanoseconds, NDArray[np.complex64]]:
@@ -111,27 +93,32 @@ def fetched(
     return np.concatenate(times), np.concatenate(parts)
 
 
-def target_series(own: TargetPhasors, target: Target, given: tuple[float, float, Floats]) -> TargetSeries:
-    """The displacement at one target, on the even grid of `even_places`.
+def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
+    """The displacement at one target on the even grid of `even_places`; samples: of `samples_of`, counted as stamps.
 
-    given: rad per m of range, from bin to bin in m, and `samples_of` with the stamps' own origin.
+    It is followed through the bins in which the calibration saw it move; met in its place if it moves by little.
     """
-    phase_per_m, bin_m, samples = given
-    places = even_places(own.time_ns)
+    bin_m = bin_m_of(info)
+    if bin_m > 0 and target.reach_bins > MIN_EXCURSION_BINS:
+        bins = bins_within(target.place_bin, target.reach_bins, info.bins)
+        some = frames.phasors[..., bins.astype(np.int64)]
+    else:
+        bins, some = np.array([target.place_bin]), at_place(frames.phasors, target.place_bin)[..., None]
+    places = even_places(frames.time_ns)
     count = int(places[-1]) + 1
-    several = len(own.bins) > 1
-    phasors = np.full((count, 1, len(own.bins)), np.nan, dtype=np.complex64)
-    phasors[places, 0] = own.phasors
-    frames = TargetFrames(
-        frame_s=np.interp(np.arange(count), places, seconds(own.time_ns, 0)),
+    several = len(bins) > 1
+    phasors = np.full((count, 1, len(bins)), np.nan, dtype=np.complex64)
+    phasors[places, 0] = together(some, target, frames.valid)
+    even = TargetFrames(
+        frame_s=np.interp(np.arange(count), places, seconds(frames.time_ns, 0)),
         phasors=phasors if several else phasors[..., 0],
         valid=np.asarray(np.isfinite(phasors).all(axis=2)),
-        bins=own.bins if several else None,
+        bins=bins if several else None,
         bin_m=bin_m,
     )
     # The receivers are together already.
     alone = replace(target, weights=np.ones(1, dtype=np.complex128))
-    return displacement(frames, alone, samples=samples, phase_per_m=phase_per_m)
+    return displacement(even, alone, samples=samples, phase_per_m=info.axis.phase_per_m(target.range_m))
 
 
 def together(phasors: Phasors, target: Target, valid: NDArray[np.bool_]) -> NDArray[np.complex64]:

@@ -27,11 +27,8 @@ from midspan.notices import Notice
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import (
     RadarFrames,
-    TargetPhasors,
-    bin_m_of,
-    bins_of,
     samples_of,
-    target_series,
+    series_of,
     together,
     without_holes,
 )
@@ -176,20 +173,6 @@ def _at_one_pace(
     late_ns = np.rint(skew * (frames.time_ns - middle)).astype(np.int64)
     frames = replace(frames, time_ns=frames.time_ns + late_ns)
     return found_targets(frames, samples, given[0], given[1]), frames
-
-
-def phasors_of(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPhasors:
-    """The phasors of one target out of whole profiles."""
-    bins = bins_of(target, info)
-    single = len(bins) == 1
-    some = at_place(frames.phasors, bins[0])[..., None] if single else frames.phasors[..., bins.astype(np.int64)]
-    return TargetPhasors(frames.time_ns, bins, together(some, target, frames.valid))
-
-
-def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
-    """The displacement at a target in the frames of the window."""
-    given = (info.axis.phase_per_m(target.range_m), bin_m_of(info), samples)
-    return target_series(phasors_of(frames, target, info), target, given)
 
 
 def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:

@@ -17,7 +17,6 @@ from midspan.calibration.radar.calibrate import (
     one_clock,
     searched,
     searched_bias,
-    series_of,
 )
 from midspan.calibration.radar.clear_part import found_targets
 from midspan.calibration.radar.diagnostics import diagnostics_of
@@ -27,7 +26,7 @@ from midspan.calibration.time_offset import OffsetSearch
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.radar.chirp import RadarInfo
-from midspan.radar.frames import without_holes
+from midspan.radar.frames import series_of, without_holes
 from midspan.radar.literal import (
     EDGE_S,
     GRID,

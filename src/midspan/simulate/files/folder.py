@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,6 +24,16 @@ MILLISECONDS = 1000  # Matroska's time stamps are whole milliseconds
 
 
 Progress = Callable[[int, int], None]  # frames done, in all
+T = TypeVar("T")
+
+
+def counted(blocks: Iterable[T], size: Callable[[T], int], done: Callable[[int], None]) -> Iterator[T]:
+    """The blocks as they are; `done` is called after each with the sum of all sizes so far."""
+    total = 0
+    for block in blocks:
+        yield block
+        total += size(block)
+        done(total)
 
 
 def write_table(path: Path, columns: dict[str, Floats], *, decimals: dict[str, int]) -> None:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,9 @@ from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import PACKET_BYTES, Layout, pack
 from midspan.radar.range_profile import bin_kernel
 from midspan.records import Floats
+from midspan.simulate.files.folder import Progress, counted
 from midspan.simulate.motion.motion import Motion
 from midspan.simulate.radar.signal import Cubes, RadarModel, Reflector, phase_bound_m
-
-# The codes of bits in the settings.
-_BITS = {12: 0, 14: 1, 16: 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +64,8 @@ def demo_settings(profile: ChirpProfile, *, frames: int = 0, order: str = "QQII"
         "sensorStop",
         "flushCfg",
         "dfeDataOutputMode 1",
-        f"channelCfg {2**profile.receivers - 1} {_senders(profile)} 0",
-        f"adcCfg {_BITS[profile.bits]} {1 if profile.complex_samples else 0}",
+        f"channelCfg {2**profile.receivers - 1} {reduce(or_, profile.transmitters)} 0",
+        f"adcCfg {(12, 14, 16).index(profile.bits)} {1 if profile.complex_samples else 0}",
         f"adcbufCfg -1 {0 if profile.complex_samples else 1} {swapped} 1 1",
         f"profileCfg 0 {profile.start_frequency_hz / 1e9:.9g} {idle_us:.6g} {1e6 * profile.adc_start_s:.9g} "
         f"{ramp_us:.6g} 0 0 {slope:.9g} 1 {profile.samples} {profile.sample_rate_hz / 1e3:.9g} 0 0 30",
@@ -77,15 +77,7 @@ def demo_settings(profile: ChirpProfile, *, frames: int = 0, order: str = "QQII"
     return "\n".join(lines) + "\n"
 
 
-def _senders(profile: ChirpProfile) -> int:
-    mask = 0
-    for one in profile.transmitters:
-        mask |= one
-    return mask
-
-
 RAW, CONFIG, SLOW_TIME = "adc_data.bin", "radar.cfg", "radar.h5"
-Progress = Callable[[int, int], None]
 
 # 128 samples at 6 MHz of a chirp of 65 MHz/µs from 77 GHz: 1.4 GHz of bandwidth, bins of 0.11 m, up to 13.8 m.
 NEAR = ChirpProfile(77e9, 64.985e12, 6e6, 128, 0.01, receivers=2)
@@ -141,42 +133,39 @@ class RadarSetup:
         found: dict[str, Any] = {"file": SLOW_TIME} if self.slow_time else {"file": RAW, "config": CONFIG}
         return found | ({"start_s": self.start_s} if self.start_s else {})
 
-
-@dataclass(frozen=True, slots=True)
-class RadarRun:
-    """A radar's setup with the motion that it rides on: how long, and the generator of what is random."""
-
-    setup: RadarSetup
-    motion: Motion
-    duration_s: float
-    rng: np.random.Generator
-
-    def write(self, folder: Path, progress: Progress) -> dict[str, Any]:
-        """Write the radar's files into `folder`, in blocks; returns what an estimate should find.
+    def write(
+        self, folder: Path, motion: Motion, *, duration_s: float, rng: np.random.Generator, progress: Progress
+    ) -> dict[str, Any]:
+        """Write the files of the radar on a motion into `folder`, in blocks; returns what an estimate should find.
 
         progress: called with frames done and frames in all.
         """
-        setup, frames = self.setup, self.setup.frames(self.duration_s)
-        rng_view, rng_noise = self.rng.spawn(2)
-        model = setup.model(rng_view)
-        blocks = _counted(model.blocks(self.motion, frames, rng=rng_noise), frames, progress)
-        if setup.slow_time:
-            places = np.array([target.range_m for target in model.reflectors[: setup.targets]])
-            write_slow_time(folder / SLOW_TIME, blocks, (setup.profile, frames, places))
+        frames = self.frames(duration_s)
+        rng_view, rng_noise = rng.spawn(2)
+        model = self.model(rng_view)
+        targets = model.reflectors[: self.targets]
+        blocks = counted(model.blocks(motion, frames, rng=rng_noise), len, lambda done: progress(done, frames))
+        if self.slow_time:
+            places = np.array([target.range_m for target in targets])
+            write_slow_time(folder / SLOW_TIME, blocks, (self.profile, frames, places))
         else:
-            layout = Layout(setup.profile, setup.order)
-            write_capture(folder / RAW, blocks, Capture(layout, lost=setup_lost(setup, layout)))
-            text = demo_settings(setup.profile, frames=frames, order=setup.order)
+            layout = Layout(self.profile, self.order)
+            write_capture(folder / RAW, blocks, Capture(layout, lost=setup_lost(self, layout)))
+            text = demo_settings(self.profile, frames=frames, order=self.order)
             (folder / CONFIG).write_text(text, encoding="utf-8")
-        return _known(setup, model)
+        speed = 1e3 * self.profile.limit_speed_m_s
+        told = [self._known(target) for target in targets]
+        return {"time_offset_s": self.time_offset_s, "limit_speed_mm_s": speed, "targets": told}
 
-
-def _counted(blocks: Iterator[Cubes], frames: int, progress: Progress) -> Iterator[Cubes]:
-    done = 0
-    for block in blocks:
-        yield block
-        done += len(block)
-        progress(done, frames)
+    def _known(self, target: Reflector) -> dict[str, float]:
+        ratio_db = float(20.0 * np.log10(target.amplitude / self.noise_std))
+        bound_m = phase_bound_m(ratio_db, self.profile, self.profile.receivers) / target.ratio
+        return {
+            "range_m": target.range_m,
+            "conversion_factor": 1.0 / target.ratio,
+            "snr_db_a_sample": ratio_db,
+            "cramer_rao_std_mm": 1e3 * abs(bound_m),
+        }
 
 
 def setup_lost(setup: RadarSetup, layout: Layout) -> tuple[int, ...]:
@@ -207,27 +196,3 @@ def write_slow_time(path: Path, cubes: Iterator[Cubes], stored: tuple[ChirpProfi
         for cube in cubes:
             data[done : done + len(cube)] = (cube @ kernel.T).mean(axis=1)
             done += len(cube)
-
-
-def _known(setup: RadarSetup, model: RadarModel) -> dict[str, Any]:
-    targets = [
-        {
-            "range_m": target.range_m,
-            "conversion_factor": 1.0 / target.ratio,
-            "snr_db_a_sample": _decibels(target.amplitude / setup.noise_std),
-            "cramer_rao_std_mm": 1e3 * abs(_bound_m(setup, target)),
-        }
-        for target in model.reflectors[: setup.targets]
-    ]
-    speed = 1e3 * setup.profile.limit_speed_m_s
-    return {"time_offset_s": setup.time_offset_s, "limit_speed_mm_s": speed, "targets": targets}
-
-
-def _bound_m(setup: RadarSetup, target: Reflector) -> float:
-    """Cramér-Rao bound of one frame's displacement from one target, all receivers, m."""
-    ratio = _decibels(target.amplitude / setup.noise_std)
-    return phase_bound_m(ratio, setup.profile, setup.profile.receivers) / target.ratio
-
-
-def _decibels(share: float) -> float:
-    return float(20.0 * np.log10(share))

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.records import Floats, Region, TimeSeries
-from midspan.simulate.day.setup import DayRun, DaySetup
+from midspan.simulate.day.setup import DaySetup
 from midspan.simulate.motion.motion import Motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
-from midspan.simulate.radar.setup import RadarRun, RadarSetup
-from midspan.simulate.scene.camera import Camera, Light, View, cramer_rao_std_px
+from midspan.simulate.radar.setup import RadarSetup
+from midspan.simulate.scene.camera import Camera, Light, View
 from midspan.simulate.scene.disturbances import Disturbance, Panel
 from midspan.simulate.scene.texture import textured_scene
 
@@ -137,14 +137,6 @@ class Stage:
         whole = setup.sensor.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
         return with_gaps(whole, absent=setup.absent, unread=setup.unread)
 
-    def radar_run(self, setup: RadarSetup) -> RadarRun:
-        """The radar on the moving structure."""
-        return RadarRun(setup, self.sensed, self.scenario.duration_s, self.rng_radar)
-
-    def day_run(self, setup: DaySetup) -> DayRun:
-        """A camera and a thermal camera on the moving structure, by day and by night."""
-        return DayRun(setup, self.sensed, self.scenario.duration_s, self.rng_sensor)
-
     def zero_m(self, motion: Motion | None = None) -> float:
         """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""
         camera, radar = self.scenario.camera, self.scenario.radar
@@ -183,14 +175,6 @@ def stage(scenario: Scenario, seed: int) -> Stage:
     across = None if scenario.across is None else scenario.across(rng_motion_across)
     generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar, rng_breaks)
     return Stage(scenario, motion, motion, accelerometer, *generators, across)
-
-
-def pixel_bound(scenario: Scenario, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
-    """Cramér-Rao bound (x, y) in px of one frame of the scenario's camera, in `region` or the whole picture."""
-    if scenario.camera is None:
-        return (np.nan, np.nan)
-    view = stage(scenario, seed).view(scenario.camera)
-    return cramer_rao_std_px(view.scene, view.camera, region=region)
 
 
 def within(time_s: Floats, spans: tuple[Span, ...]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

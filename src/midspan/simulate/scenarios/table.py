@@ -13,9 +13,8 @@ from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Rest, modes, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel
 from midspan.simulate.scenarios.radar import RADAR_SCENARIOS, lively
-from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario
-from midspan.simulate.scenarios.stage import pixel_bound as _pixel_bound
-from midspan.simulate.scene.camera import Camera, Light
+from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario, stage
+from midspan.simulate.scene.camera import Camera, Light, cramer_rao_std_px
 from midspan.simulate.scene.disturbances import Car, Disturbance, Foliage, Panel, Water
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
@@ -241,6 +240,9 @@ NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.ite
 
 
 def pixel_bound(name: str, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
-    """Cramér-Rao bound (x, y) in px of one frame of scenario `name`, in `region` or the whole picture."""
-    option("scenario", name, SCENARIOS)
-    return _pixel_bound(SCENARIOS[name], region, seed=seed)
+    """Cramér-Rao bound (x, y) in px of one frame of scenario `name`, in `region` or all of it; NaN: no camera."""
+    setup = SCENARIOS[option("scenario", name, SCENARIOS)].camera
+    if setup is None:
+        return (np.nan, np.nan)
+    view = stage(SCENARIOS[name], seed).view(setup)
+    return cramer_rao_std_px(view.scene, view.camera, region=region)

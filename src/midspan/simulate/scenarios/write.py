@@ -1,7 +1,7 @@
 """How the recording of a scenario is written: each sensor's file, the truth, and what an estimate should find."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +9,19 @@ import numpy as np
 
 from midspan.checks import option
 from midspan.records import Floats
-from midspan.simulate.files.folder import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
+from midspan.simulate.files.folder import (
+    MARK,
+    Progress,
+    check_free,
+    exact_in_video,
+    whole_folder,
+    write_table,
+    write_video,
+)
 from midspan.simulate.scenarios.breaks import broken
 from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
 from midspan.simulate.scenarios.table import SCENARIOS
-from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
-
-Progress = Callable[[int, int], None]
+from midspan.simulate.scene.camera import cramer_rao_std_px
 
 
 def write(
@@ -39,6 +45,7 @@ def write(
     check_free(target)
     progress = progress or (lambda done, total: None)
     staged, drawn = broken(stage(scenarios[name], seed), name, breaks, scenarios)
+    duration_s = staged.scenario.duration_s
     with whole_folder(target) as partial:
         _write_acceleration(partial, staged)
         known = {
@@ -59,9 +66,13 @@ def write(
         if staged.scenario.gnss is not None:
             known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
         if staged.scenario.radar is not None:
-            known["radar"] = staged.radar_run(staged.scenario.radar).write(partial, progress)
+            known["radar"] = staged.scenario.radar.write(
+                partial, staged.sensed, duration_s=duration_s, rng=staged.rng_radar, progress=progress
+            )
         if staged.scenario.day is not None:
-            known |= staged.day_run(staged.scenario.day).write(partial, progress)
+            known |= staged.scenario.day.write(
+                partial, staged.sensed, duration_s=duration_s, rng=staged.rng_sensor, progress=progress
+            )
         _write_truth(partial, staged)
         _write_settings(partial, staged)
         (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
@@ -105,7 +116,11 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
     stamps = staged.frame_stamps_s(setup)
     view = staged.view(setup)
     true_times = stamps + setup.time_offset_s
-    frames = darkened(view.film(staged.sensed, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
+    film = view.film(staged.sensed, true_times, rng=staged.rng_sensor)
+    frames = (
+        np.zeros_like(pixels) if black else pixels
+        for pixels, black in zip(film, within(true_times, setup.black), strict=True)
+    )
     write_video(
         folder / "camera.mkv",
         frames,
@@ -122,12 +137,6 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
         "cramer_rao_std_px": {"x": x_px, "y": y_px},
         "cramer_rao_region": [0, 0, view.scene.columns, view.scene.rows],
     }
-
-
-def darkened(frames: Iterator[Pixels], dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Iterator[Pixels]:
-    """The frames in their order, those marked in `dark` (n,) all black."""
-    for pixels, black in zip(frames, dark, strict=True):
-        yield np.zeros_like(pixels) if black else pixels
 
 
 def _write_settings(folder: Path, staged: Stage) -> None:
