@@ -1,5 +1,7 @@
 """The figures of the radar paper with what it prints and claims."""
 
+from functools import partial
+
 from midspan.papers import radar_002 as measured
 from midspan.papers.claims import Entry, Experiment
 
@@ -76,7 +78,7 @@ CHIRP = Experiment(
 WALL = Experiment(
     "002",
     "wall at 1.3 m",
-    measured.wall,
+    partial(measured.tested, "wall"),
     (
         _factor("Fig. 9", "0.985 at 1.3137 m"),
         _unwrapping("Fig. 10", "aided below 0.32; existing fails except at 0.3 Hz"),
@@ -88,7 +90,7 @@ WALL = Experiment(
 BUILDING = Experiment(
     "002",
     "building at 48 m",
-    measured.building,
+    partial(measured.tested, "building"),
     (
         Entry(
             "Fig. 13, 14",
@@ -114,7 +116,7 @@ BUILDING = Experiment(
 ANGLED = Experiment(
     "002",
     "target at an angle",
-    measured.angled,
+    partial(measured.tested, "angled"),
     (
         _factor("Fig. 17", "1.2748 at 2.0543 m"),
         Entry(
@@ -132,7 +134,7 @@ ANGLED = Experiment(
 BRIDGE = Experiment(
     "002",
     "footbridge",
-    measured.bridge,
+    partial(measured.tested, "bridge"),
     (
         Entry(
             "Fig. 20",

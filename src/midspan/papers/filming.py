@@ -26,16 +26,13 @@ from midspan.simulate.scene.camera import Camera, View, cramer_rao_std_px
 from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import textured_scene
 
-SIDE_PX, REGION = 200, Region(68, 68, 64, 64)
+REGION = Region(68, 68, 64, 64)
 FRAME_RATE = Fraction(30000, 3 * 1001)  # every third frame of 29.97 Hz, as both papers take them
 CAMERA = Camera(exposure_s=0.008, full_well_e=5000.0, read_noise_e=8.0)
-LENS_PX = 0.9
-REACH_PX = 40.0
 # A force-balance sensor behind a 16-bit converter of some 2 g: one step is 0.6 mm/s².
 ACCELEROMETER = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
 TIME_OFFSET_S = 0.037
-LEAD_S, RAMP_S, REST_S = 1.0, 1.5, 0.5
-CRF = 20
+LEAD_S = 1.0
 CALIBRATION = "calibration"  # the name of the span that the scale factor is learnt in
 
 Frames = NDArray[np.uint8]
@@ -260,14 +257,14 @@ def _in_turn(
     for name, excitation in {CALIBRATION: scene.calibration, **chosen}.items():
         length = positive("length", settings.calibration_s if name == CALIBRATION else settings.excitation_s, "s")
         spans[name] = (start, start + length)
-        parts.append(Window(Later(excitation(length, rng), start), start, start + length, RAMP_S))
-        start += length + REST_S
+        parts.append(Window(Later(excitation(length, rng), start), start, start + length, ramp_s=1.5))
+        start += length + 0.5
     return Sum(tuple(parts)), spans
 
 
 def _contrasted(scene: PaperScene, rng: np.random.Generator) -> tuple[Scene, float]:
     """The texture with the contrast that gives the region its bound, and the bound in px."""
-    drawn = textured_scene(scene.texture, (SIDE_PX, SIDE_PX), rng=rng, reach_px=REACH_PX, lens_px=LENS_PX)
+    drawn = textured_scene(scene.texture, (200, 200), rng=rng, reach_px=40.0, lens_px=0.9)
     axis = "xy".index(scene.direction)
     factor = cramer_rao_std_px(drawn, CAMERA, region=REGION)[axis] / scene.bound_px
     # The rendered image is linear in the coefficients; the noise hardly changes with the contrast.
@@ -275,7 +272,7 @@ def _contrasted(scene: PaperScene, rng: np.random.Generator) -> tuple[Scene, flo
     return seen, cramer_rao_std_px(seen, CAMERA, region=REGION)[axis]
 
 
-def write_h264(path: Path, frames: Frames, *, crf: int = CRF) -> None:
+def write_h264(path: Path, frames: Frames, *, crf: int = 20) -> None:
     """Write frames (n, rows, columns), of even size, as H.264 of constant rate factor `crf`, medium preset."""
     import av
 

@@ -44,7 +44,7 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
         chosen = page.folded("What the paper does not print, chosen here", free)
         body.append(
             page.section(
-                paper.key, _title(paper), page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn
+                paper.key, paper.name, page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn
             )
         )
     title = "The papers' experiments, repeated in simulation"
@@ -75,7 +75,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
     lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
-        lines += [f"## {paper.key}: {_title(paper)}", "", f"{paper.citation}.", ""]
+        lines += [f"## {paper.key}: {paper.name}", "", f"{paper.citation}.", ""]
         lines += [_line(HEADER), _line(["---"] * len(HEADER))]
         lines += [_line(_cells(row)) for one in own for row in one.rows]
         lines += ["", "The paper does not print, and is chosen here:", ""]
@@ -107,10 +107,6 @@ def _repeated(outcomes: Sequence[Outcome]) -> list[Paper]:
 
 def _free(outcomes: Sequence[Outcome]) -> list[tuple[str, str]]:
     return [(one.experiment.name, one.experiment.free) for one in outcomes if one.experiment.free]
-
-
-def _title(paper: Paper) -> str:
-    return f"{paper.name}"
 
 
 def _made(command: str) -> str:

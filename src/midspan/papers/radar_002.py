@@ -266,26 +266,6 @@ def chirp(effort: Effort) -> Measured:
     )
 
 
-def wall(effort: Effort) -> Measured:
-    """Section 4.1."""
-    return tested("wall", effort)
-
-
-def building(effort: Effort) -> Measured:
-    """Section 4.2."""
-    return tested("building", effort)
-
-
-def angled(effort: Effort) -> Measured:
-    """Section 4.3."""
-    return tested("angled", effort)
-
-
-def bridge(effort: Effort) -> Measured:
-    """Section 5."""
-    return tested("bridge", effort)
-
-
 def unwrap_plain(phase_rad: Floats) -> Floats:
     """Phase (n,) in rad without jumps of half a turn or more from frame to frame.
 

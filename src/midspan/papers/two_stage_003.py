@@ -25,39 +25,31 @@ RATE_HZ, CAMERA_HZ = 100.0, 30000 / 1001
 TONES_HZ = (2.2, 3.3, 5.1, 6.3, 10.3)
 # The beam's two aliases in a displacement at 10 Hz, Hz.
 ALIASES_HZ = (0.3, 2.0)
-# As printed: settings of `FirSettings` and `TwoStageSettings`.
-EXISTING: dict[str, Any] = {"literal": True, "cut_off_hz": 1.0}
-PROPOSED: dict[str, Any] = {"literal": True}
-# The lengths that leave the delay of 2.5 s that section 5.1.2 states at 3 frames/s; the paper prints no length.
-SHORT: dict[str, Any] = {"literal": True, "taps": 201, "anti_alias_taps": 201, "spline_frames": 0}
 # Rows nearer to the ends than the filters' reach are the smoother's; no more is left out than this, s.
 MAX_EDGE_S = 12.0
 
 Method = Callable[[Acceleration, Displacement, Smoothed], Smoothed]
 
 
-def _existing(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return fused(fir.design, fir.FirSettings(**EXISTING), (a, d), path)
-
-
-def _proposed(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return fused(two_stage.design, two_stage.TwoStageSettings(**PROPOSED), (a, d), path)
-
-
-def _short(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return fused(two_stage.design, two_stage.TwoStageSettings(**SHORT), (a, d), path)
+def _designed(design: Any, settings: Any) -> Method:
+    return lambda a, d, path: fused(design, settings, (a, d), path)
 
 
 def _kalman(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
     return run_method("adaptive-kalman", a, d, MethodSettings(KalmanSettings(bias=STOREY.bias_m_s2), literal=True))
 
 
-def _smoother(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return path
-
-
-FIRS: dict[str, Method] = {"existing": _existing, "proposed": _proposed, "smoother": _smoother}
+# As printed; SHORT with the lengths that leave the delay of 2.5 s that section 5.1.2 states at 3 frames/s: the
+# paper prints no length.
+FIRS: dict[str, Method] = {
+    "existing": _designed(fir.design, fir.FirSettings(literal=True, cut_off_hz=1.0)),
+    "proposed": _designed(two_stage.design, two_stage.TwoStageSettings(literal=True)),
+    "smoother": lambda a, d, path: path,
+}
 ALL: dict[str, Method] = {"Kalman": _kalman, **FIRS}
+SHORT = _designed(
+    two_stage.design, two_stage.TwoStageSettings(literal=True, taps=201, anti_alias_taps=201, spline_frames=0)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,7 +286,7 @@ def _short_at_3(tone: float, seed: int) -> tuple[float, float, float]:
     s.
     """
     record = recorded(storey_motion(tone, seed), STOREY_S, CAMERA_HZ / 10, STOREY, seed)
-    found = record.run({"proposed": _proposed, "short": _short})
+    found = record.run({"proposed": FIRS["proposed"], "short": SHORT})
     edge = round(MAX_EDGE_S * RATE_HZ)
     error, delay_s = found["short"]
     return float(np.std(error[edge : len(error) - edge])), found["proposed"][1], delay_s

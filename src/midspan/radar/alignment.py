@@ -21,7 +21,6 @@ MAX_LAG_S = 0.25
 PRIOR_SHARE = 0.6
 # Lags of the first search, frames, and the fewest second differences that it needs.
 SEARCHED_LAGS, MIN_FRAMES = (1, 4, 16), 20
-_STEPS, _RATIOS = 6, 25
 # Frames of the search of a motion so strong that its differences wrap, at most; it tries a grid of ratios too.
 MAX_SEARCHED = 4096
 # Sums by Fourier transform are exact to about this share.
@@ -212,12 +211,13 @@ def _search_strong(
     second, frame = second[lively], frame[lively]
     turns = np.exp(1j * second)
     found, best = None, float(np.abs(turns.mean())) + MIN_SIGNIFICANCE / np.sqrt(2.0 * len(second))
+    ratios = prior * np.linspace(1.0 - PRIOR_SHARE, 1.0 + PRIOR_SHARE, 25)
     for offset in _offsets(known[1], known[2]):
         response = known[0] * integrals.second_difference(time[frame] + offset, known[1])
-        for ratio in prior * np.linspace(1.0 - PRIOR_SHARE, 1.0 + PRIOR_SHARE, _RATIOS):
+        for ratio in ratios:
             together = float(np.abs(np.mean(turns * np.exp(-1j * ratio * response))))
             if together > best:
-                found, best = (Alignment(float(ratio), abs(prior) / _RATIOS, float(offset), known[1]), 1), together
+                found, best = (Alignment(float(ratio), abs(prior) / len(ratios), float(offset), known[1]), 1), together
     return found
 
 
@@ -247,7 +247,7 @@ def _sharpened(
         return None
     second, frame = _differences(phase, lag)
     value = np.array([start.ratio, start.offset_s, 0.0])
-    for _ in range(_STEPS):
+    for _ in range(6):
         at = time[frame] + value[1]
         response = integrals.second_difference(at, lag * period)
         slope = integrals.second_difference(at, lag * period, 1)

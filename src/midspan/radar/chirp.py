@@ -89,16 +89,13 @@ class ChirpProfile:
         """From the start of the frame to the middle of all its chirps, s."""
         return self.centre_s + 0.5 * (self.chirps - 1) * self.chirp_period_s
 
-    def effective_carrier_hz(self, range_m: float) -> float:
-        """Frequency (Hz) whose phase a target at `range_m` turns by: the echo is late on the ramp by its delay.
-
-        The difference from `carrier_hz` is slope · delay: 7e-5 of it at 12 m with 65 MHz/µs.
-        """
-        return self.carrier_hz - self.slope_hz_s * 2.0 * range_m / SPEED_OF_LIGHT_M_S
-
     def phase_per_m(self, range_m: float = 0.0) -> float:
-        """Phase in rad that one metre more of range adds, for a target at `range_m`."""
-        return 4.0 * np.pi * self.effective_carrier_hz(range_m) / SPEED_OF_LIGHT_M_S
+        """Phase in rad that one metre more of range adds, for a target at `range_m`.
+
+        The echo is late on the ramp by its delay: slope · delay is 7e-5 of the carrier at 12 m with 65 MHz/µs.
+        """
+        hertz = self.carrier_hz - self.slope_hz_s * 2.0 * range_m / SPEED_OF_LIGHT_M_S
+        return 4.0 * np.pi * hertz / SPEED_OF_LIGHT_M_S
 
     @property
     def axis(self) -> "RangeAxis":

@@ -106,8 +106,8 @@ def clutter_share(z: Phasors, phase_rad: Floats) -> float:
     return min(abs(circle.centre) / max(circle.radius, 1e-300), 1.0)
 
 
-# Weights of a fourth difference and the sum of their squares: a motion of 4 Hz at 100 Hz is left with 0.4 % of it.
-FOURTH, FOURTH_POWER = (1.0, -4.0, 6.0, -4.0, 1.0), 70.0
+# Weights of a fourth difference: a motion of 4 Hz at 100 Hz is left with 0.4 % of it.
+FOURTH = (1.0, -4.0, 6.0, -4.0, 1.0)
 # Fewer frames say nothing about the modulation, nor does a phase that turns too little.
 MIN_FRAMES = 50
 # From this turn on (rad) the amplitude also changes because the target moves across its bin: smooth in the range.
@@ -127,7 +127,7 @@ def measured_variance(phase_rad: Floats, expected_rad: Floats) -> float:
     fourth = fourth[np.isfinite(fourth)]
     if len(fourth) < MIN_FRAMES:
         return float("nan")
-    return float((SIGMA_OF_MEDIAN * np.median(np.abs(fourth))) ** 2 / FOURTH_POWER)
+    return float((SIGMA_OF_MEDIAN * np.median(np.abs(fourth))) ** 2 / np.dot(FOURTH, FOURTH))
 
 
 def modulation(phasors: NDArray[np.complexfloating], phase_rad: Floats, noise: float) -> float:

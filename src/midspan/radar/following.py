@@ -119,10 +119,6 @@ def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Backgrou
     return Background(np.asarray(bins, dtype=np.float64), found)
 
 
-# The covariance of neighbouring bins of a Hann window, over the variance of one.
-NEIGHBOURS = 2.0 / 3.0
-
-
 def response_at(distance_bins: float) -> float:
     """`following.response` at one distance."""
     d = abs(distance_bins)
@@ -138,7 +134,8 @@ def between(share: float) -> float:
 
 def noise_between(share: float) -> float:
     """Variance of the noise of two neighbouring bins, weighed linearly, over that of one."""
-    return 1.0 - 2.0 * (1.0 - NEIGHBOURS) * share * (1.0 - share)
+    # The covariance of neighbouring bins of a Hann window is 2/3 of the variance of one.
+    return 1.0 - 2.0 * (1.0 - 2.0 / 3.0) * share * (1.0 - share)
 
 
 def fraction_between(low: complex, high: complex, value: complex) -> float:

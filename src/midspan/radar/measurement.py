@@ -11,11 +11,11 @@ from midspan.radar.aligned import Unwrapped, unwrap_aligned
 from midspan.radar.blockage import blocked
 from midspan.radar.channels import Phasors, combined, phase_variance
 from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
-from midspan.radar.target import Target
+from midspan.radar.target import FOLLOWING_PASSES, Target
 from midspan.records import Floats
 
-# The frames are gone through again until the places change by less than this, at most so often.
-SETTLED_BINS, MAX_PASSES = 0.1, 4
+# The frames are gone through again until the places change by less than this.
+SETTLED_BINS = 0.1
 # A target seen in fewer frames than this share is looked for in the other bins.
 MOSTLY_SEEN = 0.95
 # The prediction of an unseen target is a place to look for it up to this standard deviation, m.
@@ -68,7 +68,7 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
     bins, seen = _several_bins(frames, target)
     places = np.full(len(seen), target.place_bin)
     still = target.background.at(bins) if target.background is not None else np.full(len(bins), target.leak)
-    for turn in range(MAX_PASSES):
+    for turn in range(FOLLOWING_PASSES):
         found = _unwrapped(at_places(seen - still, bins, places), target, given)
         if turn == 0 and np.mean(np.isfinite(found.phase_rad)) < MOSTLY_SEEN:
             # It may have left its bin, not be blocked: the strongest bin of each frame tells.

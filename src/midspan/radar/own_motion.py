@@ -18,7 +18,6 @@ from midspan.signals.health import runs
 
 # Edges of the bands, Hz; the accelerometer alone is asked from the third edge on.
 EDGES_HZ = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-MIN_HZ = 0.1
 # Below this frequency the noise of an accelerometer rises, Hz.
 CORNER_HZ = 0.3
 # Stretches without a hole that are used, s.
@@ -43,7 +42,7 @@ class Shown:
     """What the targets show, on evenly spaced frames.
 
     frame_s (n,): on the accelerometer's clock; value_m, variance_m2 (targets, n): displacement, NaN where not seen;
-    steps (targets, n): frames at which a target's zero is a new one; blind (n,): where no acceleration was measured;
+    steps (targets, n): frames at which a target's zero is a new one;
     relative_std, lasting_m (targets,): of the factors, and error of what else is in the bins.
     """
 
@@ -51,7 +50,6 @@ class Shown:
     value_m: Floats
     variance_m2: Floats
     steps: NDArray[np.bool_]
-    blind: NDArray[np.bool_]
     relative_std: Floats
     lasting_m: Floats
 
@@ -185,7 +183,7 @@ def _alone(shown: Shown, target: int, integrals: Integrals, frequency: Floats) -
     found, expected = _power(rest, period) / _transfer(hz, shown), _unexplained(shown, target, integrals, hz)
     lasting = float(shown.lasting_m[target] ** 2)
     power, limits, at = _excess(found, expected, (len(rest), period, lasting), frequency)
-    heard = np.array(EDGES_HZ[:-1]) >= MIN_HZ
+    heard = np.arange(len(frequency)) >= 2
     return np.where(heard, power, 0.0), np.where(heard, limits, np.inf), at
 
 
@@ -258,7 +256,7 @@ def _second(shown: Shown, target: int, integrals: Integrals) -> Floats:
     lag = _lag(shown)
     rest = _bridged(shown.value_m[target] - integrals.displacement(shown.frame_s), lag)
     second = rest[2 * lag :] - 2.0 * rest[lag:-lag] + rest[: -2 * lag]
-    spoilt = near(shown.steps[target] | shown.blind, lag + 1)[lag:-lag]
+    spoilt = near(shown.steps[target], lag + 1)[lag:-lag]
     return np.where(spoilt, np.nan, second)
 
 

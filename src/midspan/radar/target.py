@@ -132,18 +132,12 @@ class Target:
         receiver = 0.5 * 10 ** (-self.snr_db / 10)
         return self.bent_rad * self.noise_m / float(np.sqrt(receiver + self.phase_noise_rad2))
 
-    def bins(self, range_change_m: Floats | float, bin_m: float, count: int | None = None) -> Floats:
+    def bins(self, excursion_m: float, bin_m: float, count: int | None = None) -> Floats:
         """Whole bins (k,) to fetch so that the target can be followed, for `measurement.TargetFrames.bins`.
 
-        range_change_m: of the record, as a first pass at `place_bin` found it (n,), or its largest excursion, m; bin_m:
-        from bin to bin, m; count: bins that there are.
+        excursion_m: largest change of the range in the record; bin_m: from bin to bin, m; count: bins that there are.
         """
-        change = np.atleast_1d(range_change_m)
-        change = change[np.isfinite(change)]
-        excursion = (
-            np.max(np.abs(change - np.median(change))) if len(change) > 1 else np.max(np.abs(change), initial=0.0)
-        )
-        return bins_within(self.place_bin, max(self.reach_bins, float(excursion) / bin_m), count)
+        return bins_within(self.place_bin, max(self.reach_bins, excursion_m / bin_m), count)
 
     @property
     def objection(self) -> str:

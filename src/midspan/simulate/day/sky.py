@@ -10,12 +10,6 @@ from midspan.simulate.scene.scene import Image
 
 Span = tuple[float, float]  # start and end in s
 
-# Optical depth of the air over which the light falls by e when the sun stands overhead.
-AIR_DEPTH = 0.14
-# Light of the whole sky relative to the full sun, the elevation below which it fades, and over how many degrees by ten.
-SKY_SHARE, FADES_DEG, TENTH_DEG = 0.3, 4.0, 4.0
-NIGHT_LIGHT = 1e-6
-
 
 @dataclass(frozen=True, slots=True)
 class Light:
@@ -40,7 +34,9 @@ class Sky:
     """24 hours of sun and weather that last `length_s`, from noon at time 0, again and again.
 
     latitude_deg, declination_deg: of the place and of the sun. `fog` and `rain` are spans in s; the fog comes and goes
-    over `ramp_s` and takes so much contrast that exp(-fog_depth) of it are left.
+    over `ramp_s` and takes so much contrast that exp(-fog_depth) of it are left. air_depth: optical depth of the air
+    with the sun overhead; sky_share, night_light: light of the whole sky by day and by night relative to the full sun;
+    it fades below an elevation of `fades_deg`, by ten every `tenth_deg`.
     """
 
     length_s: float = 86_400.0
@@ -50,6 +46,11 @@ class Sky:
     fog_depth: float = 1.2
     rain: tuple[Span, ...] = ()
     ramp_s: float = 6.0
+    air_depth: float = 0.14
+    sky_share: float = 0.3
+    fades_deg: float = 4.0
+    tenth_deg: float = 4.0
+    night_light: float = 1e-6
 
     def __post_init__(self) -> None:
         positive("length_s", self.length_s, "s")
@@ -64,9 +65,9 @@ class Sky:
     def light(self, time_s: float) -> Light:
         """The light at `time_s`."""
         right, up, out = self._toward_sun(time_s)
-        beam = float(np.exp(-AIR_DEPTH / (up + 0.05))) if up > 0.0 else 0.0
-        faded = min(0.0, (self.elevation_deg(time_s) - FADES_DEG) / TENTH_DEG)
-        return Light(right, -up, out, beam, SKY_SHARE * 10.0**faded + NIGHT_LIGHT)
+        beam = float(np.exp(-self.air_depth / (up + 0.05))) if up > 0.0 else 0.0
+        faded = min(0.0, (self.elevation_deg(time_s) - self.fades_deg) / self.tenth_deg)
+        return Light(right, -up, out, beam, self.sky_share * 10.0**faded + self.night_light)
 
     def night(self, day: int = 0) -> Span:
         """Start and end (s) of the time with the sun below the horizon after noon number `day`."""

@@ -113,19 +113,16 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         check_free(folder)
 
 
-# Temperatures are rounded to 1/64 K: that adds a hundredth to the noise of a good camera, and half the bytes are zeros.
-STEPS_A_KELVIN = 64.0
-_FASTEST = 1
-
-
 def write_celsius(path: Path, pictures: Iterable[Image], stamps_s: Floats, size_px: tuple[int, int]) -> None:
     """An npz of `celsius` (n, rows, columns), float32 in °C rounded to 1/64 K, and `time_s` (n,), n stamps."""
+    # 1/64 K adds a hundredth to the noise of a good camera, and half the bytes are zeros.
+    steps = np.float32(64.0)
     form = {"descr": "<f4", "fortran_order": False, "shape": (len(stamps_s), *size_px)}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_FASTEST) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("time_s.npy", "w") as file:
             np.lib.format.write_array(file, np.asarray(stamps_s, dtype=np.float64), allow_pickle=False)
         with archive.open("celsius.npy", "w", force_zip64=True) as file:
             np.lib.format.write_array_header_1_0(file, form)
             for picture in pictures:
-                rounded = np.rint(picture * np.float32(STEPS_A_KELVIN)) / np.float32(STEPS_A_KELVIN)
+                rounded = np.rint(picture * steps) / steps
                 file.write(rounded.astype("<f4").tobytes())

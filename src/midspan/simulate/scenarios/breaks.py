@@ -16,13 +16,6 @@ Signal = Callable[[Floats], Floats]  # of times (n,) in s
 Facts = dict[str, float]  # what a break drew, as known.json says it
 Change = Callable[[Stage, np.random.Generator], tuple[Stage, Facts]]
 
-# The slope at the top of a cantilever in its first mode over its displacement there, times its height.
-CANTILEVER_SLOPE = 1.38
-VIEW_DISTANCE_M = 10.0
-# Steps at which the logger's analogue filter is run: 40 times its highest corner, where the bilinear transform bends
-# frequencies by (pi f / rate)^2 / 3 = 0.2 %, and by nothing at the corner itself.
-FILTER_HZ = 500.0
-ROWS_AT_A_TIME = 20_000
 NOISE_HZ = 10.0  # steps of a sensor's own error; no scenario's slow sensor is faster
 LEANING = ("building", "radar-tall-building")
 AT_REST = ("no-excitation",)
@@ -67,14 +60,15 @@ def _instants(staged: Stage, rate_hz: float) -> Floats:
 
 def tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     """The structure leans by slope × displacement: gravity reaches the accelerometer; a camera tilts slowly besides."""
-    slope = CANTILEVER_SLOPE / rng.uniform(30.0, 100.0)
+    # The slope at the top of a cantilever in its first mode is 1.38 times its displacement there over its height.
+    slope = 1.38 / rng.uniform(30.0, 100.0)
     before = staged.sensed.acceleration
     leaning = _felt(staged, lambda t: before(t) - GRAVITY_M_S2 * slope * staged.motion.displacement(t))
     facts = {"slope_per_m": slope}
     if staged.scenario.camera is None:
         return leaning, facts
-    tilt_rad = np.radians(1e-3 * rng.uniform(1.0, 3.0))
-    slow = random_motion((0.01, 0.05), VIEW_DISTANCE_M * tilt_rad, rng=rng, lines=12)
+    view_m, tilt_rad = 10.0, np.radians(1e-3 * rng.uniform(1.0, 3.0))
+    slow = random_motion((0.01, 0.05), view_m * tilt_rad, rng=rng, lines=12)
     return _seen(leaning, slow.displacement), facts | {"camera_tilt_std_mdeg": 1e3 * float(np.degrees(tilt_rad))}
 
 
@@ -100,10 +94,13 @@ def logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
+    # Steps of 40 times the highest corner: the bilinear transform bends frequencies by (pi f / rate)^2 / 3 = 0.2 %, and
+    # by nothing at the corner itself.
+    step_rate_hz = 500.0
     corner, order = rng.uniform(5.0, 12.0), int(rng.choice([4, 6, 8]))
-    sections = butter(order, corner, fs=FILTER_HZ, output="sos")
-    time = _instants(staged, FILTER_HZ)
-    parts = np.array_split(time, len(time) // ROWS_AT_A_TIME + 1)
+    sections = butter(order, corner, fs=step_rate_hz, output="sos")
+    time = _instants(staged, step_rate_hz)
+    parts = np.array_split(time, len(time) // 20_000 + 1)
     value = np.concatenate([staged.sensed.acceleration(part) for part in parts])
     filtered, _ = sosfilt(sections, value, zi=sosfilt_zi(sections) * value[0])
     return _felt(staged, CubicSpline(time, filtered)), {"corner_hz": corner, "order": float(order)}

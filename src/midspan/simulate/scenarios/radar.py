@@ -15,8 +15,6 @@ FORCE_BALANCE = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-4, bias_m_s2
 
 # Spans of `radar-blockage`, s: a van hides two targets of three, then a lorry all of them.
 VAN, LORRY = (25.0, 35.0), (43.0, 45.5)
-# Spans of `radar-and-camera`, s.
-DARK, HIDDEN = (20.0, 25.0), (38.0, 43.0)
 
 
 # A footbridge under walkers: modes at 2.1 and 5.3 Hz that come and go, a slow sag; at rest for 1.5 s.
@@ -94,7 +92,7 @@ def _piers(rng: np.random.Generator) -> tuple[Reflector, ...]:
 def _below_and_hidden(rng: np.random.Generator) -> tuple[Reflector, ...]:
     """The view below the deck, the abutment hidden for five seconds."""
     wall, *others = _below_the_deck(rng)
-    return (replace(wall, blocked=(HIDDEN,)), *others)
+    return (replace(wall, blocked=((38.0, 43.0),)), *others)
 
 
 _FOOTBRIDGE = Scenario(
@@ -153,7 +151,7 @@ RADAR_SCENARIOS: dict[str, Scenario] = {
         _FOOTBRIDGE,
         line="footbridge with a camera at 10 Hz, dark for 5 s, and a radar whose target is hidden for another 5 s",
         title="simulated footbridge with a camera and a radar",
-        camera=CameraSetup(time_offset_s=0.137, black=(DARK,)),
+        camera=CameraSetup(time_offset_s=0.137, black=((20.0, 25.0),)),
         radar=RadarSetup(_below_and_hidden, time_offset_s=0.052),
         window_s=(0.0, 37.0),
     ),
