@@ -198,11 +198,7 @@ def _restarted(run: Unwrapped, used: NDArray[np.int64], cycles: NDArray[np.int64
 
 
 def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
-    """The run less a whole number of cycles a frame, where its trend is nearest to one.
-
-    Wrapped phases and accelerations are the same for a range that changes by a cycle more in every frame. A record that
-    begins in the middle of a swing can settle there; but no structure drifts so far.
-    """
+    """The run less whole cycles a frame, where its trend is nearest to them: wrapped phases tell no such drift."""
     known = np.flatnonzero(np.isfinite(run.phase_rad))
     if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < MIN_TREND_S:
         return run
@@ -213,11 +209,7 @@ def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
 
 
 def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:
-    """Speed of the range at the first usable frame, m/s: the one that turns the first frames' phasors alike.
-
-    What the accelerometer says of them is taken off first. Speeds a cycle a frame apart look the same; the smallest is
-    meant (see `_without_drift`).
-    """
+    """The range's smallest speed at the first usable frame, m/s, that turns the first frames' phasors alike."""
     known = np.flatnonzero(np.isfinite(phase))[:START_FRAMES]
     if len(known) < START_FRAMES:
         return 0.0

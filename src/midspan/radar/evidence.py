@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from midspan.radar.alignment import Integrals
 from midspan.radar.channels import Phasors
+from midspan.radar.own_motion import EXCESS
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
@@ -37,7 +38,7 @@ def fit_circle(phasors: Phasors) -> Circle:
     return Circle(centre, float(np.sqrt(max(rest + abs(centre) ** 2, 0.0))), float(np.std(distance)))
 
 
-def standing_still(phasors: Phasors) -> complex:
+def static_centre(phasors: Phasors) -> complex:
     """What to subtract from phasors (n,): the circle's centre, or 0 where the arc is too short or it is no circle."""
     known = np.asarray(phasors)[np.isfinite(phasors)]
     if len(known) < 20:
@@ -53,9 +54,8 @@ def standing_still(phasors: Phasors) -> complex:
 MIN_TURN = 2.0
 # Lag of the second differences whose agreement is the coherence, s: it weighs motion of about 1 to 4 Hz.
 COHERENCE_LAG_S = 0.12
-# Lag that shows what moves on its own at 0.3 to 1 Hz, as the wind moves trees; what is left over it counts as such from
-# this many times the variance on that the accelerometer's and the phase's noise make.
-OWN_LAG_S, OWN_EXCESS = 0.5, 1.5
+# Lag that shows what moves on its own at 0.3 to 1 Hz, as the wind moves trees, s.
+OWN_LAG_S = 0.5
 # The variance of a second difference of white noise over that of the noise: 1² + 2² + 1².
 SECOND_POWER = 6.0
 
@@ -90,7 +90,7 @@ def own_motion(los_m: Floats, time_s: Floats, integrals: Integrals, ratio: float
         return 0.0
     expected = SECOND_POWER * noise_m2 + ratio**2 * integrals.noise_variance(OWN_LAG_S)
     rest = float(np.var(second - ratio * response))
-    return float(np.sqrt((rest - expected) / SECOND_POWER)) if rest > OWN_EXCESS * expected else 0.0
+    return float(np.sqrt((rest - expected) / SECOND_POWER)) if rest > EXCESS * expected else 0.0
 
 
 def clutter_share(z: Phasors, phase_rad: Floats) -> float:

@@ -17,12 +17,6 @@ from midspan.records import Floats
 MIN_EXCURSION_BINS = 0.25
 # Bins on each side beyond the target's own that are fetched.
 SPARE_BINS = 2
-# Steps of the background's fit: each halves what is left.
-STEPS = 4
-# How far from the frame before a target is looked for without a prediction, bins.
-NEAR_BINS = 2.0
-# A record's place is looked for in steps of this many bins, on some of its frames.
-SEARCHED_STEP, SEARCHED_FRAMES = 1 / 16, 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +65,9 @@ def places_of(phasors: Phasors, bins: Floats, *, place_bin: float, moved_bins: F
         return np.full(len(moved_bins), place_bin)
     n = np.arange(len(moved_bins))
     moved = np.interp(n, n[known], moved_bins[known]) - np.median(moved_bins[known])
-    some = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // SEARCHED_FRAMES)]
-    shifts = np.linspace(-search, search, 2 * int(np.ceil(search / SEARCHED_STEP)) + 1)
+    some = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // 2000)]
+    # In sixteenths of a bin, on some 2000 frames.
+    shifts = np.linspace(-search, search, 2 * int(np.ceil(16 * search)) + 1)
     power = [np.nansum(np.abs(_weighed(phasors[some], bins, place_bin + s + moved[some])) ** 2) for s in shifts]
     return np.asarray(place_bin + shifts[int(np.argmax(power))] + moved)
 
@@ -84,7 +79,8 @@ def tracked_places(power: Floats, bins: Floats, place_bin: float) -> Floats:
     """
     home = int(np.argmin(np.abs(bins - place_bin)))
     begin = int(np.argmax(power[:, home]))
-    near = np.exp(-np.square(np.arange(-len(bins) + 1, len(bins))) / (2.0 * NEAR_BINS**2))
+    # A target moves by some two bins from one frame to the next at most.
+    near = np.exp(-np.square(np.arange(-len(bins) + 1, len(bins))) / (2.0 * 2.0**2))
     out = np.empty(len(power))
     for frames in (range(begin, len(power)), range(begin, -1, -1)):
         k = home
@@ -101,7 +97,7 @@ def _weighed(phasors: Phasors, bins: Floats, places: Floats) -> Phasors:
     return np.asarray((phasors * shape).sum(axis=1) / np.sqrt((shape**2).sum(axis=1)))
 
 
-def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Background:
+def static_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Background:
     """What is static in each bin under a target that turns many times, from phasors (n, k) and its places (n,).
 
     Each bin is the target's response, turning, and a constant: least squares, the phase taken again without the
@@ -109,7 +105,8 @@ def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Backgrou
     """
     shape = response(bins[None, :] - places[:, None])
     found = np.zeros(len(bins), dtype=np.complex128)
-    for _ in range(STEPS):
+    # Each step halves what is left.
+    for _ in range(4):
         z = at_places(phasors - found, bins, places)
         turn = np.exp(1j * np.angle(z))
         for k in range(len(bins)):

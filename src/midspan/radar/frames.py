@@ -8,16 +8,13 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.progress import Progress
-from midspan.radar.channels import MIN_BINS, Phasors, combined
+from midspan.radar.channels import MIN_BINS, Phasors, combined_bins
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.following import MIN_EXCURSION_BINS, at_place, bins_within
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
 from midspan.signals.acceleration import PreparedAcceleration
-
-# Of an even grid the frames fill one in this many places or more, of a short record these places at most.
-MAX_GRID, MAX_GRID_FRAMES = 100, 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +49,8 @@ def even_places(time_ns: Nanoseconds) -> NDArray[np.int64]:
         return np.zeros(len(time_ns), dtype=np.int64)
     usual = np.median(steps)
     wanted = float(np.sum(np.maximum(np.rint(steps / usual), 1.0)))
-    if wanted > MAX_GRID * len(time_ns) + MAX_GRID_FRAMES:
+    # The frames fill one in a hundred places or more; a short record has 100 000 at most.
+    if wanted > 100 * len(time_ns) + 100_000:
         raise DataError(
             f"radar: the {len(time_ns)} frames looked at are usually {usual / NANOSECONDS:.3g} s apart, but lie in "
             f"{np.sum(steps) / NANOSECONDS:.3g} s. Check the times in radar.file, or give radar.rate_hz."
@@ -123,8 +121,7 @@ def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Flo
 
 def together(phasors: Phasors, target: Target, valid: NDArray[np.bool_]) -> NDArray[np.complex64]:
     """Phasors (n, k) of phasors (n, channels, k), receivers combined as the target was calibrated."""
-    each = [combined(phasors[..., k], target.weights, valid) for k in range(phasors.shape[2])]
-    return np.stack(each, axis=1).astype(np.complex64)
+    return combined_bins(phasors, target.weights, valid).astype(np.complex64)
 
 
 def without_holes(frames: RadarFrames) -> RadarFrames:

@@ -9,8 +9,8 @@ from midspan.checks import refuse, same_length
 from midspan.errors import UntrustedError
 from midspan.radar.aligned import Unwrapped, unwrap_aligned
 from midspan.radar.blockage import blocked
-from midspan.radar.channels import Phasors, combined, phase_variance
-from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
+from midspan.radar.channels import Phasors, combined, combined_bins, phase_variance
+from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, static_in_bins, tracked_places
 from midspan.radar.target import FOLLOWING_PASSES, Target
 from midspan.records import Floats
 
@@ -82,7 +82,7 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
             break
         if target.background is None and np.ptp(places) > 2.0 * MIN_EXCURSION_BINS:
             # The target was not found to go through these bins; it has now turned often enough to tell.
-            still = standing_in_bins(seen, bins, np.where(np.isfinite(found.phase_rad), places, np.nan)).phasors
+            still = static_in_bins(seen, bins, np.where(np.isfinite(found.phase_rad), places, np.nan)).phasors
     return _series(found, target, phase_per_m)
 
 
@@ -91,14 +91,11 @@ def _several_bins(frames: TargetFrames, target: Target) -> tuple[Floats, Phasors
     bins = np.asarray(frames.bins, dtype=np.float64)
     if frames.phasors.ndim != 3 or frames.phasors.shape[2] != len(bins) or not frames.bin_m > 0:
         raise refuse("phasors, bins and bin_m", "(n, channels, bins), (bins,) and > 0 m", frames.phasors.shape)
-    seen = [combined(frames.phasors[..., k], target.weights, frames.valid) for k in range(len(bins))]
-    return bins, np.stack(seen, axis=1)
+    return bins, combined_bins(frames.phasors, target.weights, frames.valid)
 
 
 def _unwrapped(z: Phasors, target: Target, given: tuple[Floats, Floats, float]) -> Unwrapped:
-    """Phase of phasors (n,), what is static taken out; given: instants on the accelerometer's clock (n,), s,
-    samples, and rad per m of range.
-    """
+    """Phase of phasors (n,) without what is static; given: instants (n,) in s, samples, rad per m of range."""
     frame_s, samples, unit = given
     hidden = blocked(np.abs(z), target.amplitude, target.noise_variance)
     variance = np.where(hidden, np.inf, phase_variance(z, target.noise_variance))

@@ -20,8 +20,8 @@ from midspan.signals.health import runs
 EDGES_HZ = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
 # Below this frequency the noise of an accelerometer rises, Hz.
 CORNER_HZ = 0.3
-# Stretches without a hole that are used, s.
-MIN_STRETCH_S = 5.0
+# Segments without a hole that are used, s.
+MIN_SEGMENT_S = 5.0
 # Second differences over this time tell accelerometer and radar apart without the drift of a double integral, s.
 LAG_S = 0.07
 # What is found counts as motion beyond this many times what noise makes, and this many of its standard deviations.
@@ -110,11 +110,7 @@ def _of_several(apart: Floats) -> Floats:
 
 
 def _witnessed(power: Floats, alone: Sequence[tuple[Floats, Floats]]) -> Floats:
-    """Powers (targets, bands), each no more than the accelerometer leaves of its target, where that could tell it.
-
-    The sum over three differences of pairs holds by how much two of them happened to move together in a short record.
-    alone: of each target, as `_alone` gives them.
-    """
+    """Powers (targets, bands), each no more than the accelerometer leaves of it (`_alone`) where that could tell it."""
     left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
     return np.where(power > limit, np.minimum(power, left), power)
 
@@ -292,13 +288,10 @@ def _bridged(value: Floats, most: int) -> Floats:
 
 
 def _spectrum(value: Floats, period: float) -> NDArray[np.complex128]:
-    """Spectrum (bins,) from the first frequency on; the squares of its sizes add up to the variance.
-
-    Every segment without a hole has a window of its own: a cut in the noise would look like slow motion.
-    """
+    """Spectrum (bins,) from the first frequency on, whose squares add up to the variance; a window a segment."""
     window = np.zeros(len(value))
     for a, b in runs(np.isfinite(value)):
-        if (b - a) * period >= MIN_STRETCH_S:
+        if (b - a) * period >= MIN_SEGMENT_S:
             window[a:b] = np.sin(np.pi * (np.arange(b - a) + 0.5) / (b - a)) ** 2
     used = window > 0.0
     if not used.any():

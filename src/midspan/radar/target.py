@@ -18,6 +18,7 @@ from midspan.radar.channels import (
     Phasors,
     channel_weights,
     combined,
+    combined_bins,
     disagreement_rad,
     noise_variance,
     phase_variance,
@@ -30,7 +31,7 @@ from midspan.radar.evidence import (
     measured_variance,
     modulation,
     own_motion,
-    standing_still,
+    static_centre,
 )
 from midspan.radar.following import (
     MIN_EXCURSION_BINS,
@@ -38,7 +39,7 @@ from midspan.radar.following import (
     at_places,
     bins_within,
     places_of,
-    standing_in_bins,
+    static_in_bins,
     tracked_places,
 )
 from midspan.radar.following import at_place as at_place
@@ -200,8 +201,7 @@ class _Window:
 
     def seen(self, bins: Floats, weights: NDArray[np.complex128]) -> Phasors:
         """Phasors (frames, k) at whole bins (k,), receivers combined; NaN where nothing was received."""
-        some = self.profiles[:, :, bins.astype(np.int64)]
-        return np.stack([combined(some[..., k], weights, self.valid) for k in range(len(bins))], axis=1)
+        return combined_bins(self.profiles[:, :, bins.astype(np.int64)], weights, self.valid)
 
 
 def _examined(window: _Window, place: float) -> Target:
@@ -209,7 +209,7 @@ def _examined(window: _Window, place: float) -> Target:
     channels = at_place(window.profiles, place)
     weights = channel_weights(channels)
     seen = combined(channels, weights, window.valid)
-    leak = standing_still(seen)
+    leak = static_centre(seen)
     plain = Target(
         place_bin=place,
         range_m=window.axis.range_at(place),
@@ -220,18 +220,14 @@ def _examined(window: _Window, place: float) -> Target:
         leak=leak,
     )
     found, change = _compared(plain, seen - leak, window)
-    if np.isfinite(window.bin_m) and _often_faint(seen - leak):
+    # As those of a target that leaves its bin.
+    if np.isfinite(window.bin_m) and np.mean(_faint(seen - leak)) > OFTEN:
         again = _tracked(plain, window)
         found, change = again if again[0].coherence > found.coherence else (found, change)
     reach = float(np.nanmax(np.abs(change - np.nanmedian(change)))) / window.bin_m if len(change) else 0.0
     if found.coherence < FOLLOWED_COHERENCE or not MIN_EXCURSION_BINS < reach < 0.25 * window.profiles.shape[2]:
         return found
     return _followed(found, reach, change, window)
-
-
-def _often_faint(z: Phasors) -> bool:
-    """Whether phasors (n,) are often too faint, as those of a target that leaves its bin."""
-    return bool(np.mean(_faint(z)) > OFTEN)
 
 
 def _faint(z: Phasors) -> NDArray[np.bool_]:
@@ -257,7 +253,7 @@ def _followed(found: Target, reach: float, change_m: Floats, window: _Window) ->
         bins = bins_within(found.place_bin, reach + search, count)
         seen = window.seen(bins, found.weights)
         places = places_of(seen, bins, place_bin=found.place_bin, moved_bins=change_m / window.bin_m, search=search)
-        background = standing_in_bins(seen, bins, places)
+        background = static_in_bins(seen, bins, places)
         place = float(np.median(places))
         met = replace(
             found,

@@ -144,19 +144,14 @@ class Headlights:
     reach_px: float = 45.0
     strength: float = 0.08
 
-    def place(self, time_s: float) -> float | None:
-        """How far across the picture the car is at `time_s`, from 0 to 1; None without one."""
-        return next(
-            ((time_s - s) / self.crossing_s for s in self.starts_s if 0.0 <= time_s - s < self.crossing_s), None
-        )
-
     def lights(self, size_px: tuple[int, int], time_s: float) -> tuple[Image, Image] | None:
         """Light thrown on the wall and light into the lens (rows, columns), relative to the full sun; None without a
         car.
         """
-        place = self.place(time_s)
-        if place is None:
+        since = next((time_s - s for s in self.starts_s if 0.0 <= time_s - s < self.crossing_s), None)
+        if since is None:
             return None
+        place = since / self.crossing_s
         centre = (size_px[1] + 2 * self.reach_px) * place - self.reach_px
         thrown = self.strength * _spot(size_px, (self.row_px - 0.6 * self.reach_px, centre), self.reach_px)
         lamps = [(self.row_px, centre + side * self.apart_px / 2) for side in (-1.0, 1.0)]

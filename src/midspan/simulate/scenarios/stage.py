@@ -99,15 +99,13 @@ class Stage:
     rng_breaks: np.random.Generator
     across: Motion | None = None
 
-    def acceleration(self) -> TimeSeries:
-        """Acceleration in m/s² as stored, with its gaps; NaN where no number is written."""
-        whole = self.accelerometer.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_accelerometer)
-        return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
-
-    def acceleration_across(self) -> TimeSeries:
-        """Acceleration along the other image axis, m/s², at the same instants; its scenario draws a motion for it."""
-        assert self.across is not None
-        whole = self.accelerometer.measure(self.across, (0.0, self.scenario.duration_s), rng=self.rng_across)
+    def acceleration(self, *, across: bool = False) -> TimeSeries:
+        """Acceleration in m/s² as stored, with its gaps; NaN where no number is written. across: the other axis'."""
+        motion, rng = self.sensed, self.rng_accelerometer
+        if across:
+            assert self.across is not None
+            motion, rng = self.across, self.rng_across
+        whole = self.accelerometer.measure(motion, (0.0, self.scenario.duration_s), rng=rng)
         return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
 
     def frame_stamps_s(self, setup: CameraSetup) -> Floats:

@@ -85,7 +85,7 @@ def _write_acceleration(folder: Path, staged: Stage) -> None:
     if staged.across is not None and staged.scenario.camera is not None:
         main = staged.scenario.camera.direction
         columns[f"accel_{main}"] = columns.pop("accel")
-        columns[f"accel_{_other(main)}"] = staged.acceleration_across().value
+        columns[f"accel_{_other(main)}"] = staged.acceleration(across=True).value
     write_table(folder / "accel.csv", columns, decimals=dict.fromkeys(columns, 7) | {"time_s": 6})
 
 

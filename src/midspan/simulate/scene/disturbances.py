@@ -1,20 +1,12 @@
 """What moves in a picture although the structure does not: a car that passes, foliage that flickers."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from midspan.records import Floats, Region
 from midspan.simulate.motion.motion import Motion
 from midspan.simulate.scene.scene import Image, Scene
-
-
-class Disturbance(Protocol):
-    """Something that changes a picture of mean DN at a moment."""
-
-    def disturb(self, image: Image, time_s: float) -> None:
-        """Change `image` (rows, columns) of mean DN in place, as it is at `time_s`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +76,10 @@ class Foliage:
         swing = np.sin(2 * np.pi * self.frequency_hz * time_s + self.phase_rad)
         r = self.region
         image[r.y : r.y + r.height, r.x : r.x + r.width] += np.tensordot(swing, self.patterns, 1).astype(np.float32)
+
+
+# What changes a picture of mean DN in place, as it is at a moment.
+Disturbance = Car | Water | Foliage
 
 
 @dataclass(frozen=True, slots=True)
