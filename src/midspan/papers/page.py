@@ -39,7 +39,11 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
         rows = [_cells(row) for one in own for row in one.rows]
-        drawn = [_figure(curve, paper) for one in own for curve in one.curves]
+        drawn = [
+            page.figure(picture(_axes(curve)), f"{paper.key} {curve.figure}", f"{curve.y} over {curve.x}.")
+            for one in own
+            for curve in one.curves
+        ]
         free = page.bullets([f"{name}: {text}" for name, text in _free(own)], "")
         chosen = page.folded("What the paper does not print, chosen here", free)
         body.append(
@@ -49,10 +53,6 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
         )
     title = "The papers' experiments, repeated in simulation"
     return page.document(title, [page.heading(title, [_made(command)]), page.contents(body), *body])
-
-
-def _figure(curve: Curve, paper: Paper) -> str:
-    return page.figure(picture(_axes(curve)), f"{paper.key} {curve.figure}", f"{curve.y} over {curve.x}.")
 
 
 def _axes(curve: Curve) -> "Figure":

@@ -159,25 +159,25 @@ def _passed(record: _Record, found: Alignment | None, kind: int) -> Unwrapped:
 
 def _agreed(forward: Unwrapped, backward: Unwrapped, time: Floats, unit: float) -> Unwrapped:
     """The forward pass with its start from the other direction, and restarts where the directions disagree."""
+    from scipy.ndimage import median_filter
+
     used = np.flatnonzero(np.isfinite(forward.phase_rad) & np.isfinite(backward.phase_rad[::-1]))
     if len(used) < COMPARED_FRAMES:
         return forward
     apart = (forward.phase_rad - backward.phase_rad[::-1])[used] / TURN
-    cycles = _median_of_neighbours(np.rint(apart - np.median(apart)).astype(np.int64))
+    cycles = median_filter(np.rint(apart - np.median(apart)).astype(np.int64), COMPARED_FRAMES, mode="nearest")
     begin = int(np.searchsorted(time[used], time[used[0]] + SETTLED_S))
     end = int(np.searchsorted(time[used], time[used[-1]] - SETTLED_S))
     restarts = set(forward.restarts)
     if begin < end:
         restarts |= {_after_gap(used, int(k) + 1) for k in np.flatnonzero(np.diff(cycles[begin : end + 1])) + begin}
-        forward = _restarted(forward, used[:begin], cycles[:begin] - cycles[begin], unit)
+        if np.any(early := cycles[:begin] - cycles[begin]):
+            # The start less its cycles, its first frame being zero again.
+            first, last = used[0], used[begin - 1] + 1
+            shift = np.zeros(len(time))
+            shift[:last] = early[np.searchsorted(used[:begin], np.arange(last), side="right").clip(1) - 1]
+            forward = _shifted(forward, shift - shift[first], unit)
     return replace(forward, restarts=tuple(sorted(restarts)))
-
-
-def _median_of_neighbours(cycles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Running median of whole numbers (n,)."""
-    from scipy.ndimage import median_filter
-
-    return np.asarray(median_filter(cycles, COMPARED_FRAMES, mode="nearest"))
 
 
 def _after_gap(used: NDArray[np.int64], k: int) -> int:
@@ -187,14 +187,9 @@ def _after_gap(used: NDArray[np.int64], k: int) -> int:
     return int(used[k] if len(gaps) == 0 else used[gaps[np.argmin(np.abs(gaps - k))]])
 
 
-def _restarted(run: Unwrapped, used: NDArray[np.int64], cycles: NDArray[np.int64], unit: float) -> Unwrapped:
-    """The run with `cycles` taken off its first frames `used`, its first one being zero again."""
-    if not np.any(cycles):
-        return run
-    shift = np.zeros(len(run.phase_rad))
-    shift[: used[-1] + 1] = cycles[np.searchsorted(used, np.arange(used[-1] + 1), side="right").clip(1) - 1]
-    shift -= shift[used[0]]
-    return replace(run, phase_rad=run.phase_rad - TURN * shift, filtered_m=run.filtered_m - TURN * shift / unit)
+def _shifted(run: Unwrapped, cycles: Floats, unit: float) -> Unwrapped:
+    """The run less cycles (n,)."""
+    return replace(run, phase_rad=run.phase_rad - TURN * cycles, filtered_m=run.filtered_m - TURN * cycles / unit)
 
 
 def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
@@ -204,8 +199,7 @@ def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
         return run
     turns = run.phase_rad[known] / TURN
     cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
-    extra = cycles * (np.arange(len(run.phase_rad)) - known[0])
-    return replace(run, phase_rad=run.phase_rad - TURN * extra, filtered_m=run.filtered_m - TURN * extra / unit)
+    return _shifted(run, cycles * (np.arange(len(run.phase_rad)) - known[0]), unit)
 
 
 def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:

@@ -174,17 +174,13 @@ def peaks(profiles: Phasors, noise: float, *, weak: bool = False) -> tuple[float
     least = (1.0 + WEAK_POWER_RATIO / z.shape[1] if weak else MIN_POWER_RATIO) * noise
     found: dict[int, float] = {}
     for values in (power, changing):
-        for k in _summits(values, least):
+        inner = values[1:-1]
+        high = (inner > values[:-2]) & (inner >= values[2:]) & (inner > least)
+        for k in map(int, np.flatnonzero(high) + 1):
             if not any(abs(k - known) <= 1 for known in found):
                 found[k] = k + _fraction(values[k - 1 : k + 2])
     strongest = sorted(found, key=lambda k: -power[k])[:MAX_TARGETS]
     return tuple(found[k] for k in sorted(strongest))
-
-
-def _summits(values: Floats, least: float) -> list[int]:
-    inner = values[1:-1]
-    high = (inner > values[:-2]) & (inner >= values[2:]) & (inner > least)
-    return [int(k) + 1 for k in np.flatnonzero(high)]
 
 
 def _fraction(three: Floats) -> float:

@@ -140,14 +140,9 @@ def without_holes(frames: RadarFrames) -> RadarFrames:
     z[places], valid[places] = np.where(frames.valid[..., None], frames.phasors, 0.0), frames.valid
     first = int(np.argmax(valid.all(axis=1)))
     for k in np.flatnonzero(~valid.all(axis=1)):
-        _fill(z, valid, int(k), int(k) - 1 if k > first else first)
+        good, before = valid[k], z[k - 1 if k > first else first]
+        turn = np.sum(z[k, good] * np.conj(before[good]), axis=0) if good.any() else np.ones(z.shape[2])
+        size = np.abs(turn)
+        some = size > np.finfo(np.float32).tiny
+        z[k, ~good] = before[~good] * (np.where(some, turn, 1.0) / np.where(some, size, 1.0))
     return RadarFrames(time_ns, z, valid)
-
-
-def _fill(z: Phasors, valid: NDArray[np.bool_], k: int, before: int) -> None:
-    good = valid[k]
-    turn = np.sum(z[k, good] * np.conj(z[before, good]), axis=0) if good.any() else np.ones(z.shape[2])
-    size = np.abs(turn)
-    some = size > np.finfo(np.float32).tiny
-    turn = np.where(some, turn, 1.0) / np.where(some, size, 1.0)
-    z[k, ~good] = z[before, ~good] * turn

@@ -65,7 +65,10 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
     if frames.bins is None:
         z = combined(frames.phasors, target.weights, frames.valid) - target.leak
         return _series(_unwrapped(z, target, given), target, phase_per_m)
-    bins, seen = _several_bins(frames, target)
+    bins = np.asarray(frames.bins, dtype=np.float64)
+    if frames.phasors.ndim != 3 or frames.phasors.shape[2] != len(bins) or not frames.bin_m > 0:
+        raise refuse("phasors, bins and bin_m", "(n, channels, bins), (bins,) and > 0 m", frames.phasors.shape)
+    seen = combined_bins(frames.phasors, target.weights, frames.valid)
     places = np.full(len(seen), target.place_bin)
     still = target.background.at(bins) if target.background is not None else np.full(len(bins), target.leak)
     for turn in range(FOLLOWING_PASSES):
@@ -84,14 +87,6 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
             # The target was not found to go through these bins; it has now turned often enough to tell.
             still = static_in_bins(seen, bins, np.where(np.isfinite(found.phase_rad), places, np.nan)).phasors
     return _series(found, target, phase_per_m)
-
-
-def _several_bins(frames: TargetFrames, target: Target) -> tuple[Floats, Phasors]:
-    """Bins (k,) and phasors (n, k), receivers combined."""
-    bins = np.asarray(frames.bins, dtype=np.float64)
-    if frames.phasors.ndim != 3 or frames.phasors.shape[2] != len(bins) or not frames.bin_m > 0:
-        raise refuse("phasors, bins and bin_m", "(n, channels, bins), (bins,) and > 0 m", frames.phasors.shape)
-    return bins, combined_bins(frames.phasors, target.weights, frames.valid)
 
 
 def _unwrapped(z: Phasors, target: Target, given: tuple[Floats, Floats, float]) -> Unwrapped:

@@ -5,7 +5,6 @@ its noise is less than they differ. An only target is compared with the accelero
 target of several moves by what the accelerometer would have shown as a difference from it, and does not.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
@@ -94,7 +93,11 @@ def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
             power, undecided = _of_two(shown, integrals, apart[0, 1])
         else:
             power = _of_several(apart)
-        power = _witnessed(power, [_alone(shown, k, integrals, frequency)[:2] for k in range(targets)])
+        # No target moves by more than the accelerometer leaves of it, where that could tell: the differences of pairs hold
+        # by how much two of them happened to move together in a short record.
+        alone = [_alone(shown, k, integrals, frequency) for k in range(targets)]
+        left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
+        power = np.where(power > limit, np.minimum(power, left), power)
         undecided &= (power > MIN_M**2).all(axis=0)
     power = np.where(power > MIN_M**2, power, 0.0)
     return OwnMotions(power, frequency, _left_out(shown, power), undecided)
@@ -107,12 +110,6 @@ def _of_several(apart: Floats) -> Floats:
     # No target moves by more than it differs from any other.
     most = np.where(np.eye(count, dtype=np.bool_)[..., None], np.inf, apart).min(axis=1)
     return np.asarray(np.clip((each - total) / (count - 2), 0.0, most))
-
-
-def _witnessed(power: Floats, alone: Sequence[tuple[Floats, Floats]]) -> Floats:
-    """Powers (targets, bands), each no more than the accelerometer leaves of it (`_alone`) where that could tell it."""
-    left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
-    return np.where(power > limit, np.minimum(power, left), power)
 
 
 def _left_out(shown: Shown, power: Floats) -> NDArray[np.bool_]:

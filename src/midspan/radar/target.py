@@ -327,7 +327,20 @@ def ranked(targets: tuple[Target, ...]) -> tuple[Target, ...]:
     usable = [target for target in targets if not target.objection]
     if not usable:
         raise UntrustedError(_no_target(targets))
-    return tuple(sorted(usable, key=lambda target: (_shared(target), _expected_m(target))))
+    return tuple(sorted(usable, key=_order))
+
+
+def _order(target: Target) -> tuple[bool, float]:
+    """Whether the bin holds more than the target; noise and the error that clutter makes, m of displacement."""
+    quiet = 3.0 * 10 ** (-target.snr_db / 20) * np.sqrt(len(target.weights))
+    shared = bool(target.clutter > MAX_CLUTTER or target.disagreement_rad > MAX_DISAGREEMENT_RAD + quiet)
+    # What is static has been taken out. Clutter of a share e turns the phase by up to e rad.
+    clutter = 0.0 if np.isnan(target.clutter) or target.leak else target.clutter
+    left = 0.0 if np.isnan(target.modulation_rad) else target.modulation_rad
+    receiver = 0.5 * 10 ** (-target.snr_db / 10)
+    per_rad = target.noise_m / float(np.sqrt(receiver + target.phase_noise_rad2))
+    # Clutter also shows as a motion of its own: the larger counts.
+    return shared, float(np.hypot(target.noise_m, max(max(clutter, left) * per_rad, target.own_m)))
 
 
 def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
@@ -335,23 +348,6 @@ def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
     return target.reach_bins > 0 and any(
         other.reach_bins > 0 and abs(other.place_bin - target.place_bin) < 0.5 for other in others
     )
-
-
-def _shared(target: Target) -> bool:
-    """Whether the bin holds more than the target: much clutter, or receivers that see different phases."""
-    quiet = 3.0 * 10 ** (-target.snr_db / 20) * np.sqrt(len(target.weights))
-    return bool(target.clutter > MAX_CLUTTER or target.disagreement_rad > MAX_DISAGREEMENT_RAD + quiet)
-
-
-def _expected_m(target: Target) -> float:
-    """Noise and the error that clutter makes, m of displacement."""
-    # What is static has been taken out. Clutter of a share e turns the phase by up to e rad.
-    clutter = 0.0 if np.isnan(target.clutter) or target.leak else target.clutter
-    left = 0.0 if np.isnan(target.modulation_rad) else target.modulation_rad
-    receiver = 0.5 * 10 ** (-target.snr_db / 10)
-    per_rad = target.noise_m / float(np.sqrt(receiver + target.phase_noise_rad2))
-    # Clutter also shows as a motion of its own: the larger counts.
-    return float(np.hypot(target.noise_m, max(max(clutter, left) * per_rad, target.own_m)))
 
 
 def _no_target(targets: tuple[Target, ...]) -> str:

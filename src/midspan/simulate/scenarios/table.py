@@ -83,11 +83,6 @@ _fast_modes = modes(
 _long_span = modes((0.03, 0.20, 14e-3, 40), (0.75, 0.85, 5e-3, 30), start_s=2.0, ramp_s=4.0)
 
 
-def _street(rng: np.random.Generator) -> tuple[Disturbance, ...]:
-    """A road with cars along the bottom and leaves in the upper left corner."""
-    return (Car(top_px=196), Foliage(Region(0, 0, 110, 90), std_dn=18.0, rng=rng))
-
-
 # The same footbridge sideways: modes at 0.95 and 2.8 Hz, a slow lean; at rest for 1.5 s.
 sideways = modes((0.90, 1.00, 1.4e-3, 20), (2.70, 2.90, 0.4e-3, 24), (0.06, 0.14, 0.5e-3, 12), start_s=1.5, ramp_s=2.0)
 
@@ -168,7 +163,13 @@ SCENARIOS: dict[str, Scenario] = {
         _FOOTBRIDGE,
         line="footbridge with passing cars, leaves in the wind and the sun going in: the region must be chosen well",
         title="simulated footbridge over a street",
-        camera=CameraSetup(time_offset_s=-0.09, start_s=0.2, light=Light(25.0, gain=0.75), disturbances=_street),
+        camera=CameraSetup(
+            time_offset_s=-0.09,
+            start_s=0.2,
+            light=Light(25.0, gain=0.75),
+            # A road with cars along the bottom and leaves in the upper left corner.
+            disturbances=lambda rng: (Car(top_px=196), Foliage(Region(0, 0, 110, 90), std_dn=18.0, rng=rng)),
+        ),
     ),
     "decoys": replace(
         _FOOTBRIDGE,

@@ -19,7 +19,7 @@ from midspan.simulate.files.folder import (
     write_video,
 )
 from midspan.simulate.scenarios.breaks import broken
-from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
+from midspan.simulate.scenarios.stage import CameraSetup, Scenario, Stage, stage, within
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scene.camera import cramer_rao_std_px
 
@@ -64,7 +64,10 @@ def write(
         if staged.scenario.camera is not None:
             known["camera"] = _write_camera(partial, staged, staged.scenario.camera, progress)
         if staged.scenario.gnss is not None:
-            known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
+            sensor, series = staged.scenario.gnss.sensor, staged.displacement(staged.scenario.gnss)
+            columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
+            write_table(partial / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
+            known["displacement"] = {"noise_std_mm": 1e3 * sensor.noise_std_m, "time_offset_s": sensor.time_offset_s}
         if staged.scenario.radar is not None:
             known["radar"] = staged.scenario.radar.write(
                 partial, staged.sensed, duration_s=duration_s, rng=staged.rng_radar, progress=progress
@@ -103,13 +106,6 @@ def _write_truth(folder: Path, staged: Stage) -> None:
         columns |= dict(zip(names, staged.truth_mm(staged.across).T[1:], strict=True))
         decimals |= {names[0]: 7, names[1]: 6}
     write_table(folder / "truth.csv", columns, decimals=decimals)
-
-
-def _write_gnss(folder: Path, staged: Stage, setup: GnssSetup) -> dict[str, float]:
-    series = staged.displacement(setup)
-    columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
-    write_table(folder / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
-    return {"noise_std_mm": 1e3 * setup.sensor.noise_std_m, "time_offset_s": setup.sensor.time_offset_s}
 
 
 def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
