@@ -7,8 +7,9 @@ import pytest
 
 from lively_recordings import Lively, write
 from midspan.cli.main import run
-from midspan.papers.filming import ACCELEROMETER, CAMERA, FilmSettings, film, write_recording
+from midspan.papers.filming import CAMERA, FilmSettings, film, write_recording
 from midspan.papers.films import Run, Way, by_excitation, half_sample_mm, mean_mm, run_film
+from midspan.papers.motions import ACCELEROMETER
 from midspan.recording.calibrate import calibrate
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording

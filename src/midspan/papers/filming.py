@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import option, positive
-from midspan.papers.motions import Excitation, Later, Sweep, TableSweep, sine
+from midspan.papers.motions import ACCELEROMETER, Excitation, Later, Sweep, TableSweep, sine
 from midspan.records import Floats, Region, TimeSeries
 from midspan.simulate.files.folder import whole_folder, write_table, write_video
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
-from midspan.simulate.motion.sensors import AccelerometerModel, exposed
+from midspan.simulate.motion.sensors import exposed
 from midspan.simulate.scene.camera import Camera, View, cramer_rao_std_px
 from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import textured_scene
@@ -29,8 +29,6 @@ from midspan.simulate.scene.texture import textured_scene
 REGION = Region(68, 68, 64, 64)
 FRAME_RATE = Fraction(30000, 3 * 1001)  # every third frame of 29.97 Hz, as both papers take them
 CAMERA = Camera(exposure_s=0.008, full_well_e=5000.0, read_noise_e=8.0)
-# A force-balance sensor behind a 16-bit converter of some 2 g: one step is 0.6 mm/s².
-ACCELEROMETER = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
 TIME_OFFSET_S = 0.037
 LEAD_S = 1.0
 CALIBRATION = "calibration"  # the name of the span that the scale factor is learnt in

@@ -17,7 +17,8 @@ import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.tracking import CameraTracking
-from midspan.papers.filming import ACCELEROMETER, CALIBRATION, Film, write_recording
+from midspan.papers.filming import CALIBRATION, Film, write_recording
+from midspan.papers.motions import ACCELEROMETER
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate

@@ -7,7 +7,11 @@ import numpy as np
 
 from midspan.records import Floats
 from midspan.simulate.motion.motion import Motion, Sines, product, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
 
+# A force-balance sensor behind a 16-bit converter of some 2 g: one step is 0.6 mm/s².
+ACCELEROMETER = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
+CAMERA_HZ = 30000 / 1001
 Excitation = Callable[[float, np.random.Generator], Motion]  # of its length in s
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
 # Ours is blue in every figure; what the papers compare with has the colours after it.
 OURS, OTHERS = ("smoother", "ours"), (VERMILLION, GREEN, ORANGE, PURPLE, GREY, "#8C564B")
-HEIGHT_IN, PICTURE_IN = 2.6, 6.4
-DOTS_PER_INCH = 110
 
 
 def write_papers(outcomes: Sequence[Outcome], path: Path, command: str) -> Path:
@@ -56,7 +54,7 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
 
 
 def _axes(curve: Curve) -> "Figure":
-    figure = sheet(HEIGHT_IN, PICTURE_IN)
+    figure = sheet(2.6, 6.4)
     axes = figure.subplots()
     others = iter(OTHERS)
     for name, (x, y) in curve.lines.items():
@@ -84,7 +82,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
             for curve in one.curves:
                 name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
                 picture_file = path.parent / "images" / f"{name}.png"
-                write_whole(picture_file, saved(_axes(curve), "png", dpi=DOTS_PER_INCH))
+                write_whole(picture_file, saved(_axes(curve), "png", dpi=110))
                 lines += ["", f"![{curve.figure}: {curve.y} over {curve.x}](images/{name}.png)"]
         lines.append("")
     return "\n".join(lines)

@@ -12,13 +12,12 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.papers.filming import FREE, PAPER_SCENES, film, write_recording
-from midspan.papers.motions import Excitation, Later, Sweep, random, sine
+from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ, Excitation, Later, Sweep, random, sine
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.day.setup import DaySetup, Eye
 from midspan.simulate.day.sky import Sky
 from midspan.simulate.files.folder import Progress, check_free
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
-from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, Reflector, noise_for
 from midspan.simulate.scenarios.stage import CameraSetup, Scenario
@@ -27,8 +26,6 @@ from midspan.simulate.scenarios.write import write
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
 
-FORCE_BALANCE = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
-FULL_RATE_HZ = 30000 / 1001
 Drawn = Callable[[np.random.Generator], Motion]
 
 
@@ -73,8 +70,8 @@ def _pushes(length_s: float, rng: np.random.Generator) -> Motion:
 def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
     """A camera at 29.97 Hz of which every N-th frame is used."""
     return CameraSetup(
-        rate_hz=FULL_RATE_HZ,
-        time_offset_s=every / FULL_RATE_HZ,
+        rate_hz=CAMERA_HZ,
+        time_offset_s=every / CAMERA_HZ,
         scale_mm_per_px=-scale_mm_per_px,
         direction="x",
         size_px=(128, 128),
@@ -97,7 +94,7 @@ def _storey(number: int, tone_hz: float) -> Scenario:
         title=f"storey model of the two-stage paper, excitation {number}",
         duration_s=56.0,
         motion=_tones((8e-3, 2.8e-3), (0.1, tone_hz), 56.0),
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         camera=_eye(6.4346, 10),
         free=_STOREY_FREE,
     )
@@ -109,7 +106,7 @@ def _footbridge(number: int, motion: Drawn) -> Scenario:
         title=f"footbridge of the two-stage paper, excitation {number}",
         duration_s=50.0,
         motion=motion,
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         camera=_eye(1.345, 10),
         free=_BRIDGE_FREE,
     )
@@ -141,7 +138,7 @@ def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
         title=f"radar paper, {line}",
         duration_s=42.0,
         motion=motion,
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         radar=setup,
         window_s=(0.0, 14.0),
         free=_RADAR_FREE,
@@ -189,7 +186,7 @@ def _lab(
         title=f"vision and infrared, {line}",
         duration_s=length_s,
         motion=lambda rng: Window(motion(length_s, rng), 0.5, length_s, ramp_s=1.0),
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         day=setup,
         free=_LAB_FREE,
     )
@@ -207,7 +204,7 @@ _COLD_BRIDGE = Scenario(
     duration_s=60.0,
     # Four people jump.
     motion=lambda rng: Window(random_motion((2.0, 2.3), 2.5e-3, rng=rng, lines=12), 0.5, 60.0, ramp_s=1.0),
-    accelerometer=FORCE_BALANCE,
+    accelerometer=ACCELEROMETER,
     day=DaySetup(
         sky=Sky(),
         camera=None,

@@ -16,12 +16,13 @@ from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ
 from midspan.records import Acceleration, Displacement, Floats, Source
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
-RATE_HZ, CAMERA_HZ = 100.0, 30000 / 1001
+RATE_HZ = ACCELEROMETER.rate_hz
 TONES_HZ = (2.2, 3.3, 5.1, 6.3, 10.3)
 # The beam's two aliases in a displacement at 10 Hz, Hz.
 ALIASES_HZ = (0.3, 2.0)
@@ -229,13 +230,13 @@ def beam_noise(effort: Effort) -> Measured:
 # Section 5.1: the storey model.
 
 STOREY_S = 54.0
-SLOW_M, TONE_M = 8e-3, 2.8e-3
+TONE_M = 2.8e-3
 
 
 def storey_motion(tone_hz: float, seed: int) -> Motion:
     """0.1 Hz and a tone, from rest: the shaker is switched on."""
     phase = np.random.default_rng([3, seed]).uniform(0, 2 * np.pi, 2)
-    motion = Sines(np.array([SLOW_M, TONE_M]), np.array([0.1, tone_hz]), phase_rad=phase)
+    motion = Sines(np.array([8e-3, TONE_M]), np.array([0.1, tone_hz]), phase_rad=phase)
     return Window(motion, 0.0, STOREY_S, ramp_s=2.0)
 
 

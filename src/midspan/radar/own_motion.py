@@ -93,8 +93,8 @@ def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
             power, undecided = _of_two(shown, integrals, apart[0, 1])
         else:
             power = _of_several(apart)
-        # No target moves by more than the accelerometer leaves of it, where that could tell: differences of pairs hold by
-        # how much two of them happened to move together in a short record.
+        # No target moves by more than the accelerometer leaves of it, where that could tell: differences of pairs hold
+        # by how much two of them happened to move together in a short record.
         alone = [_alone(shown, k, integrals, frequency) for k in range(targets)]
         left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
         power = np.where(power > limit, np.minimum(power, left), power)
