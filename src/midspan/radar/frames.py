@@ -1,7 +1,7 @@
 """The frames of a recording's radar as they are read: on an even grid, receivers combined, holes known."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,8 @@ from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 
-
-@dataclass(frozen=True, slots=True)
-class RadarFrames:
-    """Frames in memory: time_ns (n,) on the radar's clock, phasors (n, channels, bins), valid (n, channels)."""
-
-    time_ns: Nanoseconds
-    phasors: NDArray[np.complex64]
-    valid: NDArray[np.bool_]
+# The frames of a recording in memory, stamped on the radar's clock.
+RadarFrames = RangeFrames
 
 
 def collected(blocks: Iterable[RangeFrames], total: int, progress: Progress, what: str) -> RadarFrames:
