@@ -154,10 +154,10 @@ class RadarSetup:
             text = demo_settings(self.profile, frames=frames, order=self.order)
             (folder / CONFIG).write_text(text, encoding="utf-8")
         speed = 1e3 * self.profile.limit_speed_m_s
-        told = [self._known(target) for target in targets]
-        return {"time_offset_s": self.time_offset_s, "limit_speed_mm_s": speed, "targets": told}
+        expected = [self._expected(target) for target in targets]
+        return {"time_offset_s": self.time_offset_s, "limit_speed_mm_s": speed, "targets": expected}
 
-    def _known(self, target: Reflector) -> dict[str, float]:
+    def _expected(self, target: Reflector) -> dict[str, float]:
         ratio_db = float(20.0 * np.log10(target.amplitude / self.noise_std))
         bound_m = phase_bound_m(ratio_db, self.profile, self.profile.receivers) / target.ratio
         return {
