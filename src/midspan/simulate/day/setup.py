@@ -13,6 +13,7 @@ from midspan.simulate.day.infrared import DayCourse, DayInfrared
 from midspan.simulate.day.sky import Drops, Headlights, Sky, Span
 from midspan.simulate.files.folder import Progress, counted, exact_in_video, write_celsius, write_table, write_video
 from midspan.simulate.motion.motion import Motion
+from midspan.simulate.motion.sensors import frame_stamps
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, ThermalView, WarmBody
 
@@ -34,8 +35,7 @@ class Eye:
 
     def stamps_s(self, duration_s: float) -> Floats:
         """Time stamps (n,) of its frames in s on its own clock."""
-        usable = duration_s - 0.1 - self.time_offset_s - self.start_s
-        return self.start_s + np.arange(int(usable * self.rate_hz) + 1) / self.rate_hz
+        return frame_stamps(duration_s, self.rate_hz, self.start_s, self.time_offset_s)
 
     def moved_px(self, motion: Motion, stamps_s: Floats) -> Floats:
         """Translation (n, 2) of the scene along x and y at its own stamps (n,)."""

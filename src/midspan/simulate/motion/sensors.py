@@ -40,6 +40,15 @@ def _instants(
     return grid, grid + jitter_s * rng.standard_normal(count) if jitter_s else grid
 
 
+def frame_stamps(duration_s: float, rate_hz: float, start_s: float, time_offset_s: float) -> Floats:
+    """Stamps (n,) in s on a camera's own clock of the frames of a recording that lasts `duration_s` of true time.
+
+    The last tenth of a second is left to the accelerometer, so that an exposure never ends after it.
+    """
+    usable = duration_s - 0.1 - time_offset_s - start_s
+    return start_s + np.arange(int(usable * rate_hz) + 1) / rate_hz
+
+
 @dataclass(frozen=True, slots=True)
 class AccelerometerModel:
     """An accelerometer whose clock is the true time.

@@ -58,8 +58,7 @@ def _instants(staged: Stage, rate_hz: float) -> Floats:
     return np.arange(count + 1) / rate_hz
 
 
-def tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The structure leans by slope × displacement: gravity reaches the accelerometer; a camera tilts slowly besides."""
+def _tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     # The slope at the top of a cantilever in its first mode is 1.38 times its displacement there over its height.
     slope = 1.38 / rng.uniform(30.0, 100.0)
     before = staged.sensed.acceleration
@@ -72,8 +71,7 @@ def tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(leaning, slow.displacement), facts | {"camera_tilt_std_mdeg": 1e3 * float(np.degrees(tilt_rad))}
 
 
-def axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The accelerometer is turned by 3 to 15 degrees towards an axis that shakes as much as its own."""
+def _axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     angle = np.radians(rng.uniform(3.0, 15.0))
     before, cross = staged.sensed.acceleration, random_motion((0.5, 4.0), 1e-3, rng=rng, lines=240, flat="acceleration")
     time = _instants(staged, 20.0)
@@ -82,15 +80,13 @@ def axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return turned, {"angle_deg": float(np.degrees(angle))}
 
 
-def gain(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The accelerometer's gain is 2 to 10 % off."""
+def _gain(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     factor = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 0.10)
     before = staged.sensed.acceleration
     return _felt(staged, lambda t: factor * before(t)), {"gain": factor}
 
 
-def logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The logger has a Butterworth low-pass of 5 to 12 Hz, 4th to 8th order: delay and droop."""
+def _logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
@@ -106,8 +102,7 @@ def logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _felt(staged, CubicSpline(time, filtered)), {"corner_hz": corner, "order": float(order)}
 
 
-def bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The camera's bracket vibrates by 5 to 15 % of the motion, above the Nyquist frequency of the used frames."""
+def _bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     setup = staged.scenario.camera
     assert setup is not None
     centre = setup.rate_hz / setup.every * rng.uniform(0.6, 0.95)
@@ -116,8 +111,7 @@ def bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, shake.displacement), {"frequency_hz": centre, "std_mm": 1e3 * std}
 
 
-def exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """Camera or displacement sensor averages over 50 to 90 % of its interval, and the settings do not say so."""
+def _exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     share, scenario = rng.uniform(0.5, 0.9), staged.scenario
     if scenario.camera is not None:
         exposure_s = share / scenario.camera.rate_hz
@@ -131,8 +125,7 @@ def exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return replace(staged, scenario=changed), {"exposure_s": exposure_s}
 
 
-def colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The displacement sensor has a Gauss-Markov error of 5 to 60 s, 1 to 3 times its white noise."""
+def _colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     tau, std = rng.uniform(5.0, 60.0), rng.uniform(1.0, 3.0) * _noise_m(staged)
     time = _instants(staged, NOISE_HZ)
     keep = np.exp(-1.0 / (NOISE_HZ * tau))
@@ -142,8 +135,7 @@ def colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, lambda t: np.interp(t, time, path)), {"std_mm": 1e3 * std, "time_s": tau}
 
 
-def step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The displacement sensor's level shifts one to three times by 3 to 20 times its noise."""
+def _step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     count, length = int(rng.integers(1, 4)), staged.scenario.duration_s
     at = np.sort(rng.uniform(0.1 * length, 0.9 * length, count))
     size = rng.choice([-1.0, 1.0], count) * rng.uniform(3.0, 20.0, count) * _noise_m(staged)
@@ -151,8 +143,7 @@ def step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, lambda t: (np.asarray(t)[:, None] >= at) @ size), facts
 
 
-def burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The displacement sensor's noise is ten times as large in spans of 2 to 15 s, 10 to 20 % of the time."""
+def _burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     share, noise = rng.uniform(0.10, 0.20), _noise_m(staged)
     time = _instants(staged, NOISE_HZ)
     loud = np.zeros(len(time), dtype=np.bool_)
@@ -169,8 +160,7 @@ def burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, error), {"share": float(np.mean(loud)), "times": 10.0}
 
 
-def pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The infrared sensor has a fixed pattern of 0.1 K."""
+def _pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     del rng
     day = staged.scenario.day
     assert day is not None
@@ -201,20 +191,28 @@ def _slow_sensor(name: str, scenario: Scenario) -> bool:
 
 # In the order in which they act, from the structure over the mounting to the instrument, however they were asked for.
 BREAKS: dict[str, Break] = {
-    "tilt": Break("gravity reaches the accelerometer of a structure that leans", lambda n, s: n in LEANING, tilt),
-    "axis": Break("the accelerometer is turned by 3 to 15 degrees, with cross motion", _moves_along_one_axis, axis),
-    "gain": Break("the accelerometer's gain is 2 to 10 % off", _moves_along_one_axis, gain),
-    "logger": Break("the accelerometer's logger has a low-pass of 5 to 12 Hz", _moves_along_one_axis, logger),
-    "bracket": Break("the camera's bracket vibrates above the frames' Nyquist frequency", _camera_alone, bracket),
+    "tilt": Break(
+        "gravity reaches the accelerometer of a structure that leans, and a camera tilts slowly",
+        lambda n, s: n in LEANING,
+        _tilt,
+    ),
+    "axis": Break(
+        "the accelerometer is turned by 3 to 15 degrees towards an axis that shakes as much",
+        _moves_along_one_axis,
+        _axis,
+    ),
+    "gain": Break("the accelerometer's gain is 2 to 10 % off", _moves_along_one_axis, _gain),
+    "logger": Break("the accelerometer's logger has a low-pass of 5 to 12 Hz", _moves_along_one_axis, _logger),
+    "bracket": Break("the camera's bracket vibrates above the frames' Nyquist frequency", _camera_alone, _bracket),
     "exposure": Break(
         "an exposure of 50 to 90 % of the interval is not declared",
         lambda n, s: _camera(n, s) or _slow_sensor(n, s),
-        exposure,
+        _exposure,
     ),
-    "colour": Break("a slow Gauss-Markov error, 1 to 3 times the white noise", _slow_sensor, colour),
-    "step": Break("level shifts of 3 to 20 times the noise", _slow_sensor, step),
-    "burst": Break("ten times the noise for 10 to 20 % of the time", _slow_sensor, burst),
-    "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, pattern),
+    "colour": Break("a Gauss-Markov error of 5 to 60 s, 1 to 3 times the white noise", _slow_sensor, _colour),
+    "step": Break("level shifts of 3 to 20 times the noise", _slow_sensor, _step),
+    "burst": Break("ten times the noise for 10 to 20 % of the time", _slow_sensor, _burst),
+    "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, _pattern),
 }
 
 

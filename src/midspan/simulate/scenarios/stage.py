@@ -8,7 +8,7 @@ import numpy as np
 from midspan.records import Floats, Region, TimeSeries
 from midspan.simulate.day.setup import DaySetup
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, frame_stamps, noise_std_for
 from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.scene.camera import Camera, Light, View
 from midspan.simulate.scene.disturbances import Disturbance, Panel
@@ -110,9 +110,7 @@ class Stage:
 
     def frame_stamps_s(self, setup: CameraSetup) -> Floats:
         """Time stamps (n,) in s on the camera's clock of the frames that are stored."""
-        # The last tenth of a second is left to the accelerometer, so that an exposure never ends after it.
-        usable = self.scenario.duration_s - 0.1 - setup.time_offset_s - setup.start_s
-        stamps = setup.start_s + np.arange(int(usable * setup.rate_hz) + 1) / setup.rate_hz
+        stamps = frame_stamps(self.scenario.duration_s, setup.rate_hz, setup.start_s, setup.time_offset_s)
         return stamps[~within(stamps + setup.time_offset_s, setup.dropped)]
 
     def view(self, setup: CameraSetup) -> View:
