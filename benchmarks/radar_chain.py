@@ -14,7 +14,7 @@ from midspan.radar.following import at_place, at_places, bins_within
 from midspan.radar.layout import Layout, pack
 from midspan.radar.literal import grid_factor
 from midspan.radar.measurement import TargetFrames, displacement
-from midspan.radar.range_profile import averaged, noise_gain, range_profile, slow_time
+from midspan.radar.range_profile import averaged, hann, range_profile, slow_time
 from midspan.radar.target import find_targets, ranked
 from midspan.radar.unwrap import unwrap_aided
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
@@ -23,6 +23,7 @@ from midspan.simulate.radar.signal import SHORT_RANGE, RadarModel, Reflector, no
 
 RATE, CHIRP = 100.0, SHORT_RANGE
 UNIT = CHIRP.phase_per_m()
+NOISE_GAIN = float(np.sum(hann(256) ** 2))  # variance of a windowed product per variance of a sample
 GRADES = {"force balance": 5e-5, "MEMS": 3e-3}  # noise a sample, m/s²
 WALL_M, AMPLITUDE = 1.318, 1000.0
 
@@ -95,7 +96,7 @@ def laboratory(motion: Motion, amplitude_m: float, snr_db: float) -> tuple[Float
     places = (WALL_M + motion.displacement(at)) / CHIRP.bin_m
     z = np.stack([at_places(channel, bins, places) for channel in z.swapaxes(0, 1)], axis=1)
     z = combined(z, channel_weights(z))
-    return at, np.angle(z).astype(float), phase_variance(z, noise_for(AMPLITUDE, snr_db) ** 2 * noise_gain(256) / 4)
+    return at, np.angle(z).astype(float), phase_variance(z, noise_for(AMPLITUDE, snr_db) ** 2 * NOISE_GAIN / 4)
 
 
 def phasors(moved: Floats, snr_db: float, seed: int) -> Floats:
@@ -234,7 +235,7 @@ def scene() -> None:
     goal("head-on wall: factor less 1", 100 * abs(wall.conversion_factor - 1), 0.5, unit="%")
     start = 4 * np.pi * CHIRP.start_frequency_hz / SPEED_OF_LIGHT_M_S
     print(f"with the start frequency for a carrier it would be {wall.conversion_factor * start / UNIT:.4f}")
-    true_noise = noise_for(AMPLITUDE, 20.0) ** 2 * noise_gain(256)
+    true_noise = noise_for(AMPLITUDE, 20.0) ** 2 * NOISE_GAIN
     refused = [t for t in targets if t.relative_std > 0.02]
     passed = sum(not t.objection for t in refused)
     goal(f"targets used of {len(refused)} whose factor is known to no better than 2 %", float(passed), 0.0)

@@ -16,15 +16,10 @@ BLOCKS_AT_A_TIME = 512
 
 
 def hann(samples: int) -> Floats:
-    """The Hann window (samples,), symmetric, of sum 1; it has no zero at its ends."""
+    """The Hann window (samples,), symmetric, of sum 1; it has no zero at its ends. White noise keeps 1.5 / samples."""
     n = np.arange(samples)
     window = np.sin(np.pi * (n + 0.5) / samples) ** 2
     return np.asarray(window / window.sum())
-
-
-def noise_gain(samples: int) -> float:
-    """Variance of a windowed product per variance of one sample: 1.5 / samples for the Hann window."""
-    return float(np.sum(hann(samples) ** 2))
 
 
 def range_profile(cube: Cube, profile: ChirpProfile) -> Cube:
