@@ -11,7 +11,7 @@ from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import ORDERS, Layout, pack, unpack
 from midspan.simulate.motion.motion import Sines
-from midspan.simulate.radar.files import Capture, demo_settings, packets, write_capture
+from midspan.simulate.radar.setup import Capture, demo_settings, packets, write_capture
 from midspan.simulate.radar.signal import LONG_RANGE, RadarModel, Reflector
 from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.formats import open_radar

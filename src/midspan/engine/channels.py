@@ -19,8 +19,8 @@ from midspan.engine.stream import FIRST_NS
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import bin_m_of
-from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
 from midspan.signals.stuck import resolution
 

@@ -23,7 +23,7 @@ from midspan.checks import refuse
 from midspan.engine.radar_target import FollowedState, FollowedTarget
 from midspan.radar.blockage import CLEAR_FRAMES, MAX_SHARE, MIN_SHARE, mean_power, power_gain
 from midspan.radar.channels import Phasors
-from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
+from midspan.radar.following import between, fraction_between, looked_at, noise_between
 from midspan.radar.range_gap import MAX_FIRST_FRAMES, MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
 from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
 from midspan.records import NANOSECONDS, Event, Floats, PhaseMeasurement, RangeFrame, Status

@@ -10,8 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from midspan.errors import DataError, UntrustedError
-from midspan.radar.chirp import profile_to_json
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.service.point import LivePoint
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, calibration_from_dict, load_calibration

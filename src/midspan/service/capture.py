@@ -7,8 +7,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.radar.chirp import profile_to_json
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
 from midspan.settings.kinds import ACCELEROMETER, KINDS
 from midspan.settings.recording import RecordingSettings, Sensor

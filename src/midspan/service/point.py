@@ -12,7 +12,7 @@ from enum import Enum
 from pathlib import Path
 
 from midspan.engine.point import PointStatus
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
 from midspan.service.capture import Capture
 from midspan.service.cutting import wider

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from midspan.errors import DataError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
 from midspan.sources.live.camera import Stamped, StampKind

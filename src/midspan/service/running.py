@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan.engine.point import PointStatus
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.service.camera_process import CameraProcess
 from midspan.service.capture import capture_settings

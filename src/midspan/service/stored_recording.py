@@ -15,9 +15,8 @@ from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.checks import nearest
 from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import DataError, UsageError
-from midspan.radar.chirp import ChirpProfile, profile_from_json, profile_to_json
+from midspan.radar.chirp import ChirpProfile, RadarInfo, profile_from_json, profile_to_json
 from midspan.radar.frames import bin_m_of
-from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, seconds
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import NEW_DATUM, rows_stream, target_stream

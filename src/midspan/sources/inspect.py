@@ -9,8 +9,8 @@ import numpy as np
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress, silent
 from midspan.radar.channels import noise_variance
+from midspan.radar.following import peaks
 from midspan.radar.frames import RadarFrames, collected, without_holes
-from midspan.radar.peaks import peaks
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
 from midspan.signals.acceleration import unusable_samples
 from midspan.signals.health import clipped, clock, frozen

@@ -190,7 +190,7 @@ def _gain(left: Floats, far: NDArray[np.bool_]) -> float:
 
 def _noise_alone(left: Floats) -> float:
     """Logarithm of the likelihood of readings (n,) as white noise of the size that they have."""
-    return float(-0.5 * len(left) * np.log(2.0 * np.pi * np.e * max(np.mean(left**2), 1e-300)))
+    return float(-0.5 * len(left) * np.log(2.0 * np.pi * np.e * max(float(np.mean(left**2)), 1e-300)))
 
 
 def wrong_values(measured: Displacement, acceleration: Acceleration) -> Nanoseconds:

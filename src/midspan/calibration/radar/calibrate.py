@@ -21,19 +21,16 @@ from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.notices import Notice
 from midspan.radar.channels import noise_variance
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.following import at_place
 from midspan.radar.frames import (
     RadarFrames,
-    TargetPhasors,
-    bin_m_of,
-    bins_of,
     samples_of,
-    target_series,
+    series_of,
     together,
     without_holes,
 )
-from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
-from midspan.radar.peaks import at_place
 from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, ranked
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
@@ -164,15 +161,6 @@ def _at_one_pace(
     late_ns = np.rint(skew * (frames.time_ns - middle)).astype(np.int64)
     frames = replace(frames, time_ns=frames.time_ns + late_ns)
     return found_targets(frames, samples, given[0], given[1]), frames
-
-
-def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
-    """The displacement at a target in the frames of the window."""
-    bins = bins_of(target, info)
-    single = len(bins) == 1
-    some = at_place(frames.phasors, bins[0])[..., None] if single else frames.phasors[..., bins.astype(np.int64)]
-    phasors = TargetPhasors(frames.time_ns, bins, together(some, target, frames.valid))
-    return target_series(phasors, target, (info.axis.phase_per_m(target.range_m), bin_m_of(info), samples))
 
 
 def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:

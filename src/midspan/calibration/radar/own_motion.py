@@ -34,7 +34,6 @@ def judged(
             np.stack([one.value_m for one in series]),
             np.stack([one.variance_m2 for one in series]),
             steps,
-            np.zeros(len(frame_s), dtype=np.bool_),
             np.array([target.relative_std for target in used]),
             np.array([target.bent_m for target in used]),
         ),

@@ -8,9 +8,9 @@ import numpy as np
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.following import at_place
 from midspan.radar.frames import RadarFrames, samples_of, together, without_holes
-from midspan.radar.info import RadarInfo
-from midspan.radar.peaks import at_place
 from midspan.radar.target import Target, find_targets
 from midspan.records import NANOSECONDS, Floats
 from midspan.signals.acceleration import PreparedAcceleration

@@ -17,7 +17,6 @@ from midspan.calibration.radar.calibrate import (
     nearest_peak,
     one_clock,
     radar_pair,
-    series_of,
 )
 from midspan.calibration.radar.window import OpenedWindow, found_targets
 from midspan.calibration.sensors.fit import bias_of
@@ -36,8 +35,8 @@ from midspan.papers.printed.radar_phase import (
     printed_phase_per_m,
     printed_series,
 )
-from midspan.radar.frames import without_holes
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.frames import series_of, without_holes
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import Target, ranked
 from midspan.records import NANOSECONDS, Floats, TimeOffset

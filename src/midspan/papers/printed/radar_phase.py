@@ -10,8 +10,7 @@ import numpy as np
 
 from midspan.checks import finite, positive, same_length
 from midspan.radar.channels import Phasors
-from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, RadarInfo
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import Target
 from midspan.radar.unwrap import unwrap_aided

@@ -9,8 +9,8 @@ from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.radar_target import FollowedTarget
 from midspan.engine.radar_trace import RadarLog
 from midspan.papers.printed.radar_phase import acceleration_at, printed_phase_per_m, printed_series, ran_away
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import even_places, samples_of
-from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Displacement, Nanoseconds, PhaseMeasurement, Source, Status, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 

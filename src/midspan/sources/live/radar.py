@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from midspan.errors import DataError, UsageError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.interference import probed_bins
 from midspan.radar.layout import Layout
 from midspan.radar.range_profile import averaged, range_profile, whole_channels

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading, require_memory
 from midspan.sources.hdf5_members import dataset, open_hdf5, values

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.iq_order import MIN_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
 from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products, whole_channels

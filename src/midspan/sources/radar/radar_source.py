@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import TIME_S
 from midspan.errors import DataError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.interference import Interference, floor_of, probed_bins
 from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
 from midspan.sources.boundary import reading

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import CARRIER_HZ, RATE_HZ
 from midspan.errors import DataError, UsageError
-from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, profile_from_json
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, RadarInfo, profile_from_json
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading, require_memory
 from midspan.sources.hdf5_members import dataset, open_hdf5, values

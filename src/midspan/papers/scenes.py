@@ -1,26 +1,31 @@
-"""The papers' other tests as recordings: two-stage FIR (003), radar (002), vision and infrared (001).
+"""The papers' tests as recordings that `midspan simulate` writes, besides its own scenarios.
 
-Geometry, scale factors, rates, chirps and kinds of excitation are theirs; `free` of each says what is chosen here. The
-films of the papers on feature matching (004) and on phase (000) are in `papers`.
+Two-stage FIR (003), radar (002), vision and infrared (001): geometry, scale factors, rates, chirps and kinds of
+excitation are theirs; `free` of each says what is chosen here. The films of the papers on feature matching (004) and on
+phase (000) are in `filming`.
 """
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from midspan.errors import UsageError
+from midspan.papers.filming import FREE, PAPER_SCENES, film, write_recording
+from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ, Excitation, Later, Sweep, random, sine
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.day.setup import DaySetup, Eye
 from midspan.simulate.day.sky import Sky
-from midspan.simulate.motion.motion import Later, Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
-from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.files.folder import Progress, check_free
+from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, Reflector, noise_for
 from midspan.simulate.scenarios.stage import CameraSetup, Scenario
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
 
-FORCE_BALANCE = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
-FULL_RATE_HZ = 30000 / 1001
 Drawn = Callable[[np.random.Generator], Motion]
 
 
@@ -34,26 +39,16 @@ def _tones(sizes_m: Sequence[float], hertz: Sequence[float], length_s: float) ->
     return drawn
 
 
-def _in_turn(parts: Sequence[Drawn], each_s: float) -> Drawn:
+def _in_turn(parts: Sequence[Excitation], each_s: float) -> Drawn:
     """One excitation after the other, each `each_s` long and at rest in between."""
 
     def drawn(rng: np.random.Generator) -> Motion:
-        return Sum(
-            tuple(
-                Window(Later(part(rng), 1.0 + k * each_s), 1.0 + k * each_s, 0.5 + (k + 1) * each_s, ramp_s=1.5)
-                for k, part in enumerate(parts)
-            )
-        )
+        begins = [1.0 + k * each_s for k in range(len(parts))]
+        ends = [0.5 + (k + 1) * each_s for k in range(len(parts))]
+        moving = [Later(part(each_s, rng), begin) for part, begin in zip(parts, begins, strict=True)]
+        return Sum(tuple(Window(*one, ramp_s=1.5) for one in zip(moving, begins, ends, strict=True)))
 
     return drawn
-
-
-def _random(low_hz: float, high_hz: float, std_m: float) -> Drawn:
-    return lambda rng: random_motion((low_hz, high_hz), std_m, rng=rng, lines=120)
-
-
-def _sine(amplitude_m: float, frequency_hz: float) -> Drawn:
-    return lambda rng: Sines(np.array([amplitude_m]), np.array([frequency_hz]))
 
 
 def _crossing(band_hz: tuple[float, float]) -> Drawn:
@@ -66,17 +61,17 @@ def _crossing(band_hz: tuple[float, float]) -> Drawn:
     return drawn
 
 
-def _pushes(rng: np.random.Generator) -> Motion:
+def _pushes(length_s: float, rng: np.random.Generator) -> Motion:
     """1 Hz and slow pushes by hand."""
     slow = tuple(Pulse(height, at_s, 8.0) for height, at_s in ((3e-3, 50.0), (-2e-3, 110.0), (3e-3, 170.0)))
-    return Window(Sum((Sines(np.array([2e-3]), np.array([1.0])), *slow)), 1.0, 209.0, ramp_s=2.0)
+    return Window(Sum((Sines(np.array([2e-3]), np.array([1.0])), *slow)), 1.0, length_s - 1.0, ramp_s=2.0)
 
 
 def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
     """A camera at 29.97 Hz of which every N-th frame is used."""
     return CameraSetup(
-        rate_hz=FULL_RATE_HZ,
-        time_offset_s=every / FULL_RATE_HZ,
+        rate_hz=CAMERA_HZ,
+        time_offset_s=every / CAMERA_HZ,
         scale_mm_per_px=-scale_mm_per_px,
         direction="x",
         size_px=(128, 128),
@@ -99,7 +94,7 @@ def _storey(number: int, tone_hz: float) -> Scenario:
         title=f"storey model of the two-stage paper, excitation {number}",
         duration_s=56.0,
         motion=_tones((8e-3, 2.8e-3), (0.1, tone_hz), 56.0),
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         camera=_eye(6.4346, 10),
         free=_STOREY_FREE,
     )
@@ -111,7 +106,7 @@ def _footbridge(number: int, motion: Drawn) -> Scenario:
         title=f"footbridge of the two-stage paper, excitation {number}",
         duration_s=50.0,
         motion=motion,
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         camera=_eye(1.345, 10),
         free=_BRIDGE_FREE,
     )
@@ -133,8 +128,8 @@ def _view(range_m: float, bin_m: float, factor: float, *others: Reflector) -> Ra
 _RADAR_FREE = (
     "amplitudes (31 to 51.6 mm at 0.3 and 0.5 Hz, above 15.5 mm at 1 Hz), clutter, noise of the receiver, clocks"
 )
-_TEST = _in_turn((_sine(0.02, 1.0), _sine(0.04, 0.3), _sine(0.04, 0.5), _random(0.3, 3.0, 0.01)), 10.0)
-_WALK = _in_turn((_random(0.3, 4.0, 0.7e-3), _random(0.3, 3.0, 0.7e-3), _random(0.3, 3.0, 1e-3)), 13.0)
+_TEST = _in_turn((sine(0.02, 1.0), sine(0.04, 0.3), sine(0.04, 0.5), random(0.3, 3.0, 0.01)), 10.0)
+_WALK = _in_turn((random(0.3, 4.0, 0.7e-3), random(0.3, 3.0, 0.7e-3), random(0.3, 3.0, 1e-3)), 13.0)
 
 
 def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
@@ -143,7 +138,7 @@ def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
         title=f"radar paper, {line}",
         duration_s=42.0,
         motion=motion,
-        accelerometer=FORCE_BALANCE,
+        accelerometer=ACCELEROMETER,
         radar=setup,
         window_s=(0.0, 14.0),
         free=_RADAR_FREE,
@@ -167,7 +162,7 @@ _LAB_FREE = (
 
 def _lab(
     line: str,
-    motion: Drawn,
+    motion: Excitation,
     *bodies: WarmBody,
     length_s: float = 30.0,
     sky_s: float = 86400.0,
@@ -190,16 +185,11 @@ def _lab(
         line=f"001, {line}",
         title=f"vision and infrared, {line}",
         duration_s=length_s,
-        motion=lambda rng: Window(motion(rng), 0.5, length_s, ramp_s=1.0),
-        accelerometer=FORCE_BALANCE,
+        motion=lambda rng: Window(motion(length_s, rng), 0.5, length_s, ramp_s=1.0),
+        accelerometer=ACCELEROMETER,
         day=setup,
         free=_LAB_FREE,
     )
-
-
-def _jumps(rng: np.random.Generator) -> Motion:
-    """Four people jump."""
-    return Window(random_motion((2.0, 2.3), 2.5e-3, rng=rng, lines=12), 0.5, 60.0, ramp_s=1.0)
 
 
 # Cold air, a warm and a cold body at the edges, and the exhaust of a bus that passes in a second.
@@ -212,8 +202,9 @@ _COLD_BRIDGE = Scenario(
     line="001, footbridge, infrared alone, 3.827 mm/px, four people jump, a bus's exhaust at 43 s",
     title="footbridge of the paper on vision and infrared",
     duration_s=60.0,
-    motion=_jumps,
-    accelerometer=FORCE_BALANCE,
+    # Four people jump.
+    motion=lambda rng: Window(random_motion((2.0, 2.3), 2.5e-3, rng=rng, lines=12), 0.5, 60.0, ramp_s=1.0),
+    accelerometer=ACCELEROMETER,
     day=DaySetup(
         sky=Sky(),
         camera=None,
@@ -238,15 +229,15 @@ PUBLISHED: dict[str, Scenario] = {
     "002-bridge": _radar(
         "footbridge at 7.4605 m, two stronger targets", _view(7.4605, SHORT_RANGE.bin_m, 1.0, _TREE, _FENCE), _WALK
     ),
-    "001-case-1": _lab("case 1, calibration at 1 Hz", _sine(4e-3, 1.0), *_CUPS),
-    "001-case-2": _lab("case 2, 1 Hz with a finger from 23.5 to 27 s", _sine(4e-3, 1.0), *_CUPS, _FINGER),
-    "001-case-3": _lab("case 3, 2 Hz", _sine(4e-3, 2.0), *_CUPS),
-    "001-case-4": _lab("case 4, sweep to 3 Hz", lambda rng: Sweep(4e-3, 0.0, 3.0, 30.0), *_CUPS),
-    "001-case-5": _lab("case 5, recorded bridge", _random(0.3, 3.0, 1.5e-3), *_CUPS),
+    "001-case-1": _lab("case 1, calibration at 1 Hz", sine(4e-3, 1.0), *_CUPS),
+    "001-case-2": _lab("case 2, 1 Hz with a finger from 23.5 to 27 s", sine(4e-3, 1.0), *_CUPS, _FINGER),
+    "001-case-3": _lab("case 3, 2 Hz", sine(4e-3, 2.0), *_CUPS),
+    "001-case-4": _lab("case 4, sweep to 3 Hz", lambda length_s, rng: Sweep(4e-3, 0.0, 3.0, length_s), *_CUPS),
+    "001-case-5": _lab("case 5, recorded bridge", random(0.3, 3.0, 1.5e-3), *_CUPS),
     "001-case-6": _lab("case 6, light that swings for 210 s", _pushes, length_s=210.0, sky_s=900.0, rate_hz=10.0),
     "001-case-7": _lab(
         "case 7, day, night and day in 120 s",
-        _random(0.3, 2.2, 1.5e-3),
+        random(0.3, 2.2, 1.5e-3),
         length_s=120.0,
         sky_s=140.0,
         air_s=600.0,
@@ -255,3 +246,28 @@ PUBLISHED: dict[str, Scenario] = {
     "001-bridge": _COLD_BRIDGE,
 }
 """Name → scenario; the first three digits are the paper's key."""
+
+# Films by their name in PAPER_SCENES, after the key of their paper.
+FILMS = {f"{scene.paper}-{name}": name for name, scene in PAPER_SCENES.items()}
+PAPER_NAMES: dict[str, str] = {
+    **{name: f"{name[:3]}, {PAPER_SCENES[scene].title}" for name, scene in FILMS.items()},
+    **{name: scenario.line for name, scenario in PUBLISHED.items()},
+}
+
+
+def chosen_here(name: str) -> str:
+    """What a paper does not print of its test `name`; empty for a scenario of our own."""
+    return FREE if name in FILMS else (SCENARIOS | PUBLISHED)[name].free
+
+
+def write_scene(
+    name: str, folder: str | Path, *, seed: int = 0, breaks: Sequence[str] = (), progress: Progress | None = None
+) -> Path:
+    """As `midspan.simulate.scenarios.write.write`, for PAPER_NAMES too; a film of a paper takes no break."""
+    if name not in FILMS:
+        return write(name, folder, seed=seed, breaks=breaks, progress=progress, scenarios=SCENARIOS | PUBLISHED)
+    target = Path(folder).resolve()
+    check_free(target)
+    if breaks:
+        raise UsageError(f"--break {breaks[0]} does not fit {name!r}, a paper's film. Leave it out.")
+    return write_recording(film(FILMS[name], seed=seed), target)

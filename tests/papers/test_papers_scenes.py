@@ -8,10 +8,9 @@ from click.testing import CliRunner
 
 from midspan.cli.console import commands
 from midspan.errors import UsageError
-from midspan.simulate.scenarios.published import PUBLISHED
+from midspan.papers.scenes import FILMS, PAPER_NAMES, PUBLISHED, chosen_here, write_scene
 from midspan.simulate.scenarios.stage import stage
-from midspan.simulate.scenarios.table import FILMS, NAMES, PAPER_NAMES, chosen_here
-from midspan.simulate.scenarios.write import write
+from midspan.simulate.scenarios.table import NAMES
 
 
 def test_every_test_of_a_paper_is_named_after_its_key_and_says_what_is_chosen_here():
@@ -32,7 +31,7 @@ def test_a_test_begins_at_rest_and_moves(name):
 
 
 def test_a_recording_says_what_was_chosen_and_is_the_same_again(tmp_path):
-    first, second = (write("003-storey-2", tmp_path / name, seed=4) for name in "ab")
+    first, second = (write_scene("003-storey-2", tmp_path / name, seed=4) for name in "ab")
     known = json.loads((first / "known.json").read_text(encoding="utf-8"))
     assert known["chosen_here"] == PUBLISHED["003-storey-2"].free
     for file in ("accel.csv", "camera_times.csv", "truth.csv"):
@@ -43,4 +42,4 @@ def test_the_command_lists_the_papers_tests_and_a_film_takes_no_break(tmp_path):
     listed = CliRunner().invoke(commands, ["simulate", "--list"])
     assert all(name in listed.output for name in PAPER_NAMES)
     with pytest.raises(UsageError, match="a paper's film"):
-        write("004-footbridge", tmp_path / "x", breaks=["gain"])
+        write_scene("004-footbridge", tmp_path / "x", breaks=["gain"])

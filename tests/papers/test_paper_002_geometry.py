@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from midspan.errors import UsageError
-from midspan.radar.geometry import factor_by_angles, factor_by_distances
+from midspan.papers.radar_002 import factor_by_angles, factor_by_distances
 
 
 def range_to_wall(place, wall_at, along_wall):

@@ -7,7 +7,6 @@ Distances, scale factors, rates and kinds of excitation are theirs; amplitudes f
 name (45, 60 and 4.5 mm). The texts do not tell texture, noise and exposure: here they are those of a consumer camera.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -18,68 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import option, positive
+from midspan.papers.motions import ACCELEROMETER, Excitation, Later, Sweep, TableSweep, sine
 from midspan.records import Floats, Region, TimeSeries
 from midspan.simulate.files.folder import whole_folder, write_table, write_video
-from midspan.simulate.motion.motion import Later, Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
-from midspan.simulate.motion.sensors import AccelerometerModel, exposed
+from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
+from midspan.simulate.motion.sensors import exposed
 from midspan.simulate.scene.camera import Camera, View, cramer_rao_std_px
 from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import textured_scene
 
-SIDE_PX, REGION = 200, Region(68, 68, 64, 64)
+REGION = Region(68, 68, 64, 64)
 FRAME_RATE = Fraction(30000, 3 * 1001)  # every third frame of 29.97 Hz, as both papers take them
 CAMERA = Camera(exposure_s=0.008, full_well_e=5000.0, read_noise_e=8.0)
-LENS_PX = 0.9
-REACH_PX = 40.0
-# A force-balance sensor behind a 16-bit converter of some 2 g: one step is 0.6 mm/s².
-ACCELEROMETER = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
 TIME_OFFSET_S = 0.037
-LEAD_S, RAMP_S, REST_S = 1.0, 1.5, 0.5
-CRF = 20
+LEAD_S = 1.0
 CALIBRATION = "calibration"  # the name of the span that the scale factor is learnt in
 
 Frames = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class TableSweep:
-    """A sweep as a shaking table follows it: beyond `corner_hz` its speed stays and its amplitude falls.
-
-    The amplitude of `sweep` is multiplied by g = 1 / sqrt(1 + (f / corner_hz)²), f being the frequency of the moment.
-    """
-
-    sweep: Sweep
-    corner_hz: float = 1.0
-
-    def _gain(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
-        """The factor g and its first two derivatives in 1, 1/s and 1/s²."""
-        sweep = self.sweep
-        rate = (sweep.stop_hz - sweep.start_hz) / sweep.duration_s / self.corner_hz
-        place = sweep.start_hz / self.corner_hz + rate * np.asarray(time_s, dtype=np.float64)
-        g = 1 / np.sqrt(1 + place**2)
-        return g, -rate * place * g**3, rate**2 * (3 * place**2 * g**5 - g**3)
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self._gain(time_s)[0] * self.sweep.displacement(time_s)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        g, rate, _ = self._gain(time_s)
-        return rate * self.sweep.displacement(time_s) + g * self.sweep.velocity(time_s)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        g, rate, bend = self._gain(time_s)
-        moved = bend * self.sweep.displacement(time_s) + 2 * rate * self.sweep.velocity(time_s)
-        return moved + g * self.sweep.acceleration(time_s)
-
-
-Excitation = Callable[[float, np.random.Generator], Motion]  # of its length in s
-
-
-def _sine(amplitude_m: float, frequency_hz: float) -> Excitation:
-    return lambda length_s, rng: Sines(np.array([amplitude_m]), np.array([frequency_hz]))
 
 
 def _sweep(amplitude_m: float) -> Excitation:
@@ -138,11 +92,12 @@ def _footbridge(jumping_m: float, crossing_m: float) -> Excitation:
 class PaperScene:
     """One experiment: what was filmed from how far, how it was shaken, and the error that was published.
 
-    calibration: the excitation that the scale factor is estimated from; excitations: those that are measured. bound_px:
-    the Cramér-Rao bound of the region along the motion that the texture's contrast is set to give. published_mm: root
-    mean square error over all excitations after fusion.
+    paper: its key; calibration: the excitation that the scale factor is estimated from; excitations: those that are
+    measured. bound_px: the Cramér-Rao bound of the region along the motion that the texture's contrast is set to give.
+    published_mm: root mean square error over all excitations after fusion.
     """
 
+    paper: str
     title: str
     distance_m: float
     scale_mm_per_px: float
@@ -155,7 +110,7 @@ class PaperScene:
 
 
 def _table(amplitude_m: float) -> MappingProxyType[str, Excitation]:
-    parts = {"sine": _sine(amplitude_m, 1.0), "sweep": _sweep(amplitude_m)}
+    parts = {"sine": sine(amplitude_m, 1.0), "sweep": _sweep(amplitude_m)}
     return MappingProxyType(parts | {"recorded bridge": _recorded_bridge(0.35 * amplitude_m)})
 
 
@@ -165,8 +120,8 @@ _BRIDGE = {
     "crossing": _footbridge(0.0, 1.5e-3),
 }
 _STOREYS = {
-    "0.5 Hz sine": _sine(50e-3, 0.5),
-    "1 Hz sine": _sine(50e-3, 1.0),
+    "0.5 Hz sine": sine(50e-3, 0.5),
+    "1 Hz sine": sine(50e-3, 1.0),
     "multitone": _multitone(60e-3),
     "sweep": _sweep(40e-3),
     "pseudo-static": _by_hand(50e-3),
@@ -182,19 +137,21 @@ FREE = (
 
 PAPER_SCENES: dict[str, PaperScene] = {
     "shaking-table": PaperScene(
-        "shaking table, concrete block at 3 m", 3.0, 2.289, "y", *NEAR, _sine(40e-3, 1.0), _table(40e-3), 0.53
+        "004", "shaking table, concrete block at 3 m", 3.0, 2.289, "y", *NEAR, sine(40e-3, 1.0), _table(40e-3), 0.53
     ),
     "four-storey": PaperScene(
+        "004",
         "four-storey model, window at 52 m",
         52.0,
         40.225,
         "x",
         *FAR,
-        _sine(50e-3, 1.0),
+        sine(50e-3, 1.0),
         MappingProxyType(_STOREYS),
         2.24,
     ),
     "footbridge": PaperScene(
+        "004",
         "steel box-girder footbridge, column at 2 m",
         2.0,
         1.359,
@@ -204,11 +161,14 @@ PAPER_SCENES: dict[str, PaperScene] = {
         MappingProxyType(_BRIDGE | {"one jumping, crossing": _footbridge(0.35e-3, 1.5e-3)}),
         0.11,
     ),
-    "indoor": PaperScene("storey model, wall at 3 m", 3.0, 2.11, "x", *NEAR, _sine(40e-3, 1.0), _table(40e-3), 0.153),
+    "indoor": PaperScene(
+        "000", "storey model, wall at 3 m", 3.0, 2.11, "x", *NEAR, sine(40e-3, 1.0), _table(40e-3), 0.153
+    ),
     "outdoor": PaperScene(
-        "shaking table, window at 63 m", 63.0, 40.0, "y", *FAR, _sine(40e-3, 1.0), _table(40e-3), 1.32
+        "000", "shaking table, window at 63 m", 63.0, 40.0, "y", *FAR, sine(40e-3, 1.0), _table(40e-3), 1.32
     ),
     "footbridge-phase": PaperScene(
+        "000",
         "steel box-girder footbridge, column at 2 m, by phase",
         2.0,
         1.359,
@@ -295,14 +255,14 @@ def _in_turn(
     for name, excitation in {CALIBRATION: scene.calibration, **chosen}.items():
         length = positive("length", settings.calibration_s if name == CALIBRATION else settings.excitation_s, "s")
         spans[name] = (start, start + length)
-        parts.append(Window(Later(excitation(length, rng), start), start, start + length, RAMP_S))
-        start += length + REST_S
+        parts.append(Window(Later(excitation(length, rng), start), start, start + length, ramp_s=1.5))
+        start += length + 0.5
     return Sum(tuple(parts)), spans
 
 
 def _contrasted(scene: PaperScene, rng: np.random.Generator) -> tuple[Scene, float]:
     """The texture with the contrast that gives the region its bound, and the bound in px."""
-    drawn = textured_scene(scene.texture, (SIDE_PX, SIDE_PX), rng=rng, reach_px=REACH_PX, lens_px=LENS_PX)
+    drawn = textured_scene(scene.texture, (200, 200), rng=rng, reach_px=40.0, lens_px=0.9)
     axis = "xy".index(scene.direction)
     factor = cramer_rao_std_px(drawn, CAMERA, region=REGION)[axis] / scene.bound_px
     # The rendered image is linear in the coefficients; the noise hardly changes with the contrast.
@@ -310,7 +270,7 @@ def _contrasted(scene: PaperScene, rng: np.random.Generator) -> tuple[Scene, flo
     return seen, cramer_rao_std_px(seen, CAMERA, region=REGION)[axis]
 
 
-def write_h264(path: Path, frames: Frames, *, crf: int = CRF) -> None:
+def write_h264(path: Path, frames: Frames, *, crf: int = 20) -> None:
     """Write frames (n, rows, columns), of even size, as H.264 of constant rate factor `crf`, medium preset."""
     import av
 
