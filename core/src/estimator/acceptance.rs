@@ -5,8 +5,8 @@ use super::hypothesis::{Hypothesis, LastShift};
 use super::innovation::{Innovation, Scene, Work};
 use super::noise::adapt;
 use super::parameters::{Told, learn, move_to_updated};
-use super::situation::{DECADES, OUTLIER_MEMORY, SHORTEST_S, met_within};
-use super::steps::{APART_BY, Instant, Weighed, begin_instant, carry_all, meet_innovation, moved_probability};
+use super::situation::{DECADES, OUTLIER_MEMORY, SHORTEST_S};
+use super::steps::{APART_BY, Instant, Weighed, begin_instant, carry_all, meet_innovation};
 use super::update::{begin_zero, update};
 
 /// Updates one hypothesis with a measurement; seen: of `look`, with P h and sensitivities in `work`.
@@ -70,14 +70,8 @@ fn ask_for_step(hyp: &mut Hypothesis, scene: &Scene, share: f64) {
     }
     test.taken_over += share;
     if test.taken_over >= APART_BY && test.newest_s() != Some(scene.at_s) {
-        let last_s = mark.accepted_s.max(hyp.memory.began_s);
-        let lapse = (scene.at_s - last_s).max(SHORTEST_S);
-        let instant = Instant {
-            since_s: scene.at_s,
-            p_step: moved_probability(lapse, channel, model.rates.shift).ln(),
-            p_velocity: met_within(model.rates.wrong, lapse).min(0.5).ln(),
-        };
-        begin_instant(hyp, channel, model, instant, scene.at_s - lapse);
+        let lapse_s = (scene.at_s - mark.accepted_s.max(hyp.memory.began_s)).max(SHORTEST_S);
+        begin_instant(hyp, channel, model, Instant { since_s: scene.at_s, lapse_s });
     }
 }
 
@@ -87,6 +81,8 @@ fn ask_for_step(hyp: &mut Hypothesis, scene: &Scene, share: f64) {
 pub fn find_step(hyp: &mut Hypothesis, scene: &Scene, least: f64) -> bool {
     let (model, channel) = (scene.model, scene.channel);
     let weighed = Weighed {
+        channel,
+        rates: &model.rates,
         parameters: &hyp.parameters,
         spread: &hyp.spread,
         misfit: model.misfit[channel.row.axis],

@@ -5,7 +5,6 @@ use super::hypothesis::Hypothesis;
 use super::layout::motion_of;
 use super::model::Model;
 use super::row::Entry;
-use super::rows::zero_variance;
 
 /// How the pass back counts the states, and by which parameters.
 ///
@@ -13,26 +12,32 @@ use super::rows::zero_variance;
 /// which nothing is known become what they differ from it by. Until a known zero begins, x and those zeros are only known
 /// relative to each other; so they are wide in one of the new states alone.
 #[derive(Clone, Debug)]
-pub struct Counting<'a> {
-    pub(super) model: &'a Model,
-    pub(super) last: &'a Hypothesis,
+pub struct Counting {
     /// Of each axis the zero that all count from, and the unknown zeros that are counted from it.
     pub(super) common: Vec<Option<(usize, Vec<usize>)>>,
     /// Each channel's row as the states are counted.
     pub(super) rows: Vec<Vec<Entry>>,
     /// States (n,) that are counted from another one or others from it: uncertain in any case.
     pub(super) counted: Vec<bool>,
-    /// Variance (axes,) of the datum at the end, which no row is more certain than.
-    pub(super) least: Vec<f64>,
 }
 
-impl<'a> Counting<'a> {
-    /// Before: the filter at the beginning of what was decided; last: at the end.
-    pub fn new(model: &'a Model, before: &Hypothesis, parts: &[&Decided], last: &'a Hypothesis) -> Self {
+/// What a pass back goes by.
+#[derive(Clone, Copy, Debug)]
+pub struct Counted<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// How the states are counted.
+    pub counting: &'a Counting,
+    /// The filter at the record's end.
+    pub last: &'a Hypothesis,
+}
+
+impl Counting {
+    /// Before: the filter at the beginning of what was decided.
+    pub fn new(model: &Model, before: &Hypothesis, parts: &[&Decided]) -> Self {
         let common: Vec<_> = (0..model.axes()).map(|a| common_zero(model, a, before, parts)).collect();
         let rows =
             model.channels.iter().map(|channel| counted_row(&channel.row.entries, channel.row.axis, &common)).collect();
-        let least = (0..model.axes()).map(|a| zero_variance(last, a, model)).collect();
         let mut counted = vec![false; model.size()];
         for (zero, others) in common.iter().flatten() {
             counted[*zero] = true;
@@ -40,7 +45,7 @@ impl<'a> Counting<'a> {
                 counted[other] = true;
             }
         }
-        Self { model, last, common, rows, counted, least }
+        Self { common, rows, counted }
     }
 
     /// A vector (n,) of covariances or gains as the states are counted.
@@ -55,6 +60,11 @@ impl<'a> Counting<'a> {
                 }
             }
         }
+    }
+
+    /// Whether it counts as it would after what was decided.
+    pub fn holds(&self, model: &Model, before: &Hypothesis, parts: &[&Decided]) -> bool {
+        self.common.iter().enumerate().all(|(a, common)| *common == common_zero(model, a, before, parts))
     }
 
     /// Whether any state is counted otherwise.

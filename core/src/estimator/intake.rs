@@ -12,7 +12,8 @@ impl Estimator {
         let before = self.memory.waiting.len();
         let done_s = self.memory.filter.as_ref().map_or(f64::NEG_INFINITY, |filter| filter.clock.time_s);
         let mut late: Vec<(usize, f64)> = Vec::new();
-        let mut in_time = Vec::new();
+        let mut in_time = vec![false; self.settings.channels.len()];
+        self.memory.waiting.reserve(time_ns.len());
         for &stamp_ns in time_ns {
             let Some(mut row) = rows.next() else { break };
             if !usable(&row) {
@@ -28,7 +29,7 @@ impl Estimator {
             if at_s <= done_s {
                 late.push((row.channel, at_s));
             } else {
-                in_time.push(row.channel);
+                in_time[row.channel] = true;
                 self.memory.waiting.push_back(Timed { at_s, item: Item::Measured(row) });
             }
         }
@@ -39,7 +40,7 @@ impl Estimator {
     }
 
     /// Reports channels whose measurements came too late, each once until one comes in time again.
-    fn note_late(&mut self, late: &[(usize, f64)], in_time: &[usize]) {
+    fn note_late(&mut self, late: &[(usize, f64)], in_time: &[bool]) {
         let mut channels: Vec<usize> = late.iter().map(|one| one.0).collect();
         channels.sort_unstable();
         channels.dedup();
@@ -50,8 +51,8 @@ impl Estimator {
             }
             self.memory.late[c] = true;
         }
-        for &c in in_time {
-            self.memory.late[c] = false;
+        for (is_late, &in_time) in self.memory.late.iter_mut().zip(in_time) {
+            *is_late = *is_late && !in_time;
         }
     }
 

@@ -3,79 +3,94 @@
 //! It is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J.
 //! Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and what only adds variance
 //! to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say of a combination of
-//! states that was widely uncertain is a small difference of what they say of each.
+//! states that was widely uncertain is a small difference of what they say of each. L and W are carried from measurement to
+//! measurement; at a sample between, its covariances P with all states are moved on to the later one, Φ P.
 
-use super::counting::Counting;
+use super::counting::{Counted, Counting};
 use super::innovation::Mixed;
 use super::layout::{MOTION_STATES, motion_of};
 use super::matrix::{Matrix, quadratic};
 use super::model::Model;
 use super::row::Entry;
+use super::rows::zero_variance;
 use super::way_back::{Recorded, WayBack};
 use std::ops::Range;
 
 /// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
 const MIN_VARIANCE_SHARE: f64 = 1e-12;
 
-/// What later measurements say: L and W as rows, (1 + k + 2 n, n).
+/// What later measurements say: of each state its element of L and W, side by side, (n, 1 + k + 2 n).
 #[derive(Clone, Debug)]
 pub struct Adjoint {
     rows: Matrix,
     columns: usize,
-    /// How many rows are used.
+    /// How many elements of each row are used.
     used: usize,
     /// States that are uncertain as they are counted.
     live: Vec<usize>,
-    /// Where these end: what is certain among the states before is 0 in every product.
-    end: usize,
     unknown: Vec<bool>,
     /// Each channel's row, of live states alone.
     live_rows: Vec<Vec<Entry>>,
     /// To work with.
-    moved: Vec<f64>,
+    moved: Matrix,
     gain: Vec<f64>,
     pc: Vec<f64>,
     pv: Vec<f64>,
+    met: Vec<f64>,
     sensitivity: Vec<f64>,
+    /// Variance (axes,) of the datum at the record's end, which no row is more certain than.
+    least: Vec<f64>,
 }
 
 impl Adjoint {
     /// Nothing comes later.
     pub fn nothing(model: &Model) -> Self {
         let (n, columns) = (model.size(), model.columns());
+        let width = columns + 2 * n + 1;
         Self {
-            rows: Matrix::zeros(columns + 2 * n + 1, n),
+            rows: Matrix::zeros(n, width),
             columns,
             used: columns,
             live: Vec::new(),
-            end: 0,
             unknown: Vec::new(),
             live_rows: Vec::new(),
-            moved: Vec::new(),
+            moved: Matrix::zeros(n, width),
             gain: vec![0.0; n],
             pc: vec![0.0; n],
             pv: vec![0.0; n],
+            met: vec![0.0; width],
             sensitivity: vec![0.0; columns],
+            least: Vec::new(),
         }
     }
 
-    /// Nothing comes later, in the memory that it has.
-    pub fn restart(&mut self) {
+    /// Nothing comes later, in the memory that it has; recounted: the states are counted otherwise now.
+    pub fn restart(&mut self, recounted: bool) {
         self.rows.elements_mut().fill(0.0);
         self.used = self.columns;
-        // The states may be counted otherwise now.
-        self.live_rows.clear();
+        if recounted {
+            self.live_rows.clear();
+        }
     }
 
-    /// L and W as rows.
+    /// L and W, a row for each state.
     #[cfg(test)]
     pub fn rows(&self) -> &Matrix {
         &self.rows
     }
 
-    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the wanted samples.
-    pub fn pass(&mut self, way: &WayBack, counting: &Counting, wanted: Range<usize>, found: &mut Vec<Mixed>) {
-        self.find_live(way, counting);
+    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the
+    /// wanted samples.
+    pub fn pass(
+        &mut self,
+        way: &WayBack,
+        view: &Counted,
+        wanted: Range<usize>,
+        found: &mut Vec<Mixed>,
+    ) {
+        self.find_live(way, view.counting);
+        self.least.clear();
+        self.least.extend((0..way.axes).map(|a| zero_variance(view.last, a, view.model)));
         if self.used >= self.columns + 2 * self.live.len() {
             self.narrow();
         }
@@ -84,14 +99,21 @@ impl Adjoint {
         found.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
         let mut next = way.records.len();
         let mut at_s = way.time_s.last().copied().unwrap_or(way.start_s);
+        let mut span = usize::MAX;
         for k in wanted.clone().rev() {
-            next = self.back_through_all(way, (next, k + 1), &mut at_s, counting);
-            self.back_to(way.time_s[k], &mut at_s, axes);
+            next = self.back_through_all(way, (next, k + 1), &mut at_s, view);
+            let before = span;
+            span = way.span_of(k, span);
+            if span != before {
+                self.pc.fill(0.0);
+                self.pv.fill(0.0);
+            }
             for a in 0..axes {
-                found[(k - wanted.start) * axes + a] = self.smoothed(way, k, a, counting);
+                found[(k - wanted.start) * axes + a] =
+                    self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
             }
         }
-        self.back_through_all(way, (next, 0), &mut at_s, counting);
+        self.back_through_all(way, (next, 0), &mut at_s, view);
         self.back_to(way.start_s, &mut at_s, axes);
     }
 
@@ -102,12 +124,12 @@ impl Adjoint {
         way: &WayBack,
         (mut next, first): (usize, usize),
         at_s: &mut f64,
-        counting: &Counting,
+        view: &Counted,
     ) -> usize {
         while next > 0 && way.records[next - 1].sample >= first {
             next -= 1;
             self.back_to(way.records[next].at_s, at_s, way.axes);
-            self.back_through(way, next, counting);
+            self.back_through(way, next, view);
         }
         next
     }
@@ -126,12 +148,11 @@ impl Adjoint {
         let unknown = &self.unknown;
         self.live.clear();
         self.live.extend((0..unknown.len()).filter(|&j| unknown[j]));
-        self.end = self.live.last().map_or(0, |&last| last + 1);
         let alive = |row: &Vec<Entry>| row.iter().copied().filter(|one| unknown[one.state]).collect();
         self.live_rows = counting.rows.iter().map(alive).collect();
     }
 
-    /// Φ' times each row, from one instant to an earlier one.
+    /// Φ' times L and W, from one instant to an earlier one.
     #[inline]
     fn back_to(&mut self, to_s: f64, at_s: &mut f64, axes: usize) {
         let dt = *at_s - to_s;
@@ -139,45 +160,39 @@ impl Adjoint {
             return;
         }
         *at_s = to_s;
-        let (half, n, used) = (0.5 * dt * dt, self.rows.width(), self.used);
-        for row in self.rows.elements_mut().chunks_exact_mut(n).take(used) {
-            for motion in row[..MOTION_STATES * axes].chunks_exact_mut(MOTION_STATES) {
-                let (x, v) = (motion[0], motion[1]);
-                motion[2] -= half * x + dt * v;
-                motion[1] = v + dt * x;
+        let (half, width, used) = (0.5 * dt * dt, self.rows.width(), self.used);
+        for motion in self.rows.elements_mut().chunks_exact_mut(MOTION_STATES * width).take(axes) {
+            let (places, rest) = motion.split_at_mut(width);
+            let (speeds, biases) = rest.split_at_mut(width);
+            for ((x, v), b) in places[..used].iter().zip(&mut speeds[..used]).zip(&mut biases[..used]) {
+                *b -= half * x + dt * *v;
+                *v += dt * x;
             }
         }
     }
 
     /// Carries the adjoint back through an item.
-    fn back_through(&mut self, way: &WayBack, place: usize, counting: &Counting) {
+    fn back_through(&mut self, way: &WayBack, place: usize, view: &Counted) {
         let (channel, total, shift_scaled, reference_scaled) = match way.records[place].what {
             Recorded::Doubt => return,
-            Recorded::Datum => return self.back_through_datum(counting),
+            Recorded::Datum => return self.back_through_datum(view),
             Recorded::Measured { channel, total, shift_scaled, reference_scaled } => {
                 (channel, total, shift_scaled, reference_scaled)
             }
         };
         if let Some(total) = total {
             let stride = way.columns + way.size;
-            let details = &way.details[place * stride..(place + 1) * stride];
-            let (e, gain) = details.split_at(way.columns);
-            if counting.counts() {
-                let mut own = std::mem::take(&mut self.gain);
-                own.copy_from_slice(gain);
-                counting.count(&mut own);
-                self.back_through_measurement(channel, &own, e, total);
-                self.gain = own;
-            } else {
-                self.back_through_measurement(channel, gain, e, total);
-            }
+            let (e, gain) = way.details[place * stride..(place + 1) * stride].split_at(way.columns);
+            let mut own = std::mem::take(&mut self.gain);
+            own.copy_from_slice(gain);
+            view.counting.count(&mut own);
+            self.back_through_measurement(channel, &own, e, total);
+            self.gain = own;
         }
-        let model = &counting.model.channels[channel];
+        let (model, used) = (&view.model.channels[channel], self.used);
         for (state, factor) in [(model.shift, shift_scaled), (model.reference, reference_scaled)] {
             if factor != 1.0 {
-                for c in 0..self.used {
-                    self.rows[(c, state)] *= factor;
-                }
+                self.rows.row_mut(state)[..used].iter_mut().for_each(|value| *value *= factor);
             }
         }
     }
@@ -186,34 +201,31 @@ impl Adjoint {
     ///
     /// 1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
     fn back_through_measurement(&mut self, channel: usize, gain: &[f64], e: &[f64], total: f64) {
-        let Self { rows, end, live_rows, moved, used, .. } = self;
-        let (entries, n) = (&live_rows[channel], rows.width());
-        let gain = &gain[..*end];
-        moved.resize(entries.len(), 0.0);
-        for v in rows.elements_mut().chunks_exact_mut(n).take(*used) {
-            let whole = product(gain, v);
-            for (out, entry) in moved.iter_mut().zip(entries) {
-                let s = entry.state;
-                // Summed without the state itself where it counts: never as a difference.
-                let rest = if gain[s] * v[s] == 0.0 {
-                    whole
-                } else {
-                    let before = product(&gain[..s], v);
-                    gain[s + 1..].iter().zip(&v[s + 1..]).fold(before, |sum, (a, b)| sum + a * b)
-                };
-                *out = (1.0 - gain[s] * entry.factor) * v[s] - entry.factor * rest;
+        let Self { rows, live, live_rows, moved, used, .. } = self;
+        let (entries, width) = (&live_rows[channel], rows.width());
+        for (entry, out) in entries.iter().zip(moved.elements_mut().chunks_exact_mut(width)) {
+            let (s, factor, out) = (entry.state, entry.factor, &mut out[..*used]);
+            out.fill(0.0);
+            // Summed without the state itself: never as a difference.
+            for &j in live.iter().filter(|&&j| j != s) {
+                add_times(out, rows.row(j), gain[j]);
             }
-            for (&value, entry) in moved.iter().zip(entries) {
-                v[entry.state] = value;
+            let share = 1.0 - gain[s] * factor;
+            for (rest, &value) in out.iter_mut().zip(rows.row(s)) {
+                *rest = share * value - factor * *rest;
             }
         }
-        rows.row_mut(*used).fill(0.0);
+        for (c, entry) in entries.iter().enumerate() {
+            rows.row_mut(entry.state)[..*used].copy_from_slice(&moved.row(c)[..*used]);
+        }
+        let n = gain.len();
+        (0..n).for_each(|j| rows[(j, *used)] = 0.0);
         let root = total.sqrt();
         for entry in entries {
             for (c, &error) in e.iter().enumerate() {
-                rows[(c, entry.state)] -= entry.factor * error / total;
+                rows[(entry.state, c)] -= entry.factor * error / total;
             }
-            rows[(*used, entry.state)] = entry.factor / root;
+            rows[(entry.state, *used)] = entry.factor / root;
         }
         *used += 1;
         if self.used >= self.columns + 2 * self.live.len() {
@@ -222,16 +234,16 @@ impl Adjoint {
     }
 
     /// Before the datum was copied from the displacement.
-    fn back_through_datum(&mut self, counting: &Counting) {
-        let Some(datum) = &counting.model.datum else { return };
+    fn back_through_datum(&mut self, view: &Counted) {
+        let Some(datum) = &view.model.datum else { return };
         for (a, &d) in datum.iter().enumerate() {
             for c in 0..self.used {
-                let own = self.rows[(c, d)];
-                self.rows[(c, motion_of(a))] += own;
-                if let Some((zero, _)) = &counting.common[a] {
-                    self.rows[(c, *zero)] -= own;
+                let own = self.rows[(d, c)];
+                self.rows[(motion_of(a), c)] += own;
+                if let Some((zero, _)) = &view.counting.common[a] {
+                    self.rows[(*zero, c)] -= own;
                 }
-                self.rows[(c, d)] = 0.0;
+                self.rows[(d, c)] = 0.0;
             }
         }
     }
@@ -243,67 +255,99 @@ impl Adjoint {
         let (first, end) = (*columns, *used);
         for begin in first..(first + live.len()).min(end) {
             let j = live[begin - first];
-            let mut square: f64 = (begin..end).map(|c| rows[(c, j)] * rows[(c, j)]).sum();
+            let square = squared(&rows.row(j)[begin..end]);
             if square == 0.0 {
                 continue;
             }
-            let pivot = if rows[(begin, j)] > 0.0 { -square.sqrt() } else { square.sqrt() };
-            rows[(begin, j)] -= pivot;
-            square = (begin..end).map(|c| rows[(c, j)] * rows[(c, j)]).sum();
+            let pivot = if rows[(j, begin)] > 0.0 { -square.sqrt() } else { square.sqrt() };
+            rows[(j, begin)] -= pivot;
+            let square = squared(&rows.row(j)[begin..end]);
             for &i in &live[begin - first + 1..] {
-                let dot: f64 = (begin..end).map(|c| rows[(c, j)] * rows[(c, i)]).sum::<f64>() * 2.0 / square;
+                let dot = 2.0 * product(&rows.row(j)[begin..end], &rows.row(i)[begin..end]) / square;
                 for c in begin..end {
-                    let own = rows[(c, j)];
-                    rows[(c, i)] -= dot * own;
+                    let own = rows[(j, c)];
+                    rows[(i, c)] -= dot * own;
                 }
             }
-            rows[(begin, j)] = pivot;
-            for c in begin + 1..end {
-                rows[(c, j)] = 0.0;
-            }
+            rows.row_mut(j)[begin..end].fill(0.0);
+            rows[(j, begin)] = pivot;
         }
         *used = (first + live.len()).min(end);
     }
 
-    /// Smoothed displacement, its variance and the velocity of one axis at a sample.
-    fn smoothed(&mut self, way: &WayBack, k: usize, a: usize, counting: &Counting) -> Mixed {
-        let (columns, n) = (way.columns, way.size);
-        let stride = 2 * (columns + n);
-        let node = &way.nodes[(k * way.axes + a) * stride..(k * way.axes + a + 1) * stride];
-        let (places, rest) = node.split_at(columns);
-        let (speeds, covariances) = rest.split_at(columns);
-        let (mut pc, mut pv) = covariances.split_at(n);
-        let datum = counting.model.datum.as_ref().map(|datum| datum[a]);
-        let filtered = pc[motion_of(a)] - datum.map_or(0.0, |d| pc[d]);
+    /// Smoothed displacement, its variance and the velocity of one axis at a sample of a span; ahead: how much later (s) than
+    /// the sample the adjoint is.
+    fn smoothed(
+        &mut self,
+        way: &WayBack,
+        (span, k, a): (usize, usize, usize),
+        ahead: f64,
+        view: &Counted,
+    ) -> Mixed {
+        let Counted { model, counting, last } = view;
+        let (columns, used) = (self.columns, self.used);
         if counting.counts() {
-            for (out, own) in [(&mut self.pc, pc), (&mut self.pv, pv)] {
-                out.copy_from_slice(own);
-                counting.count(out);
-            }
-            (pc, pv) = (&self.pc, &self.pv);
+            self.pc.fill(0.0);
+            self.pv.fill(0.0);
         }
-        (pc, pv) = (&pc[..self.end], &pv[..self.end]);
-        let (mut value, mut velocity, mut known) = (0.0, 0.0, 0.0);
+        let node = way.node(span, k, a);
+        for ((&j, &c), &v) in node.live.iter().zip(node.pc).zip(node.pv) {
+            (self.pc[j], self.pv[j]) = (c, v);
+        }
+        let datum = model.datum.as_ref().map(|datum| datum[a]);
+        let filtered = self.pc[motion_of(a)] - datum.map_or(0.0, |d| self.pc[d]);
+        for covariances in [&mut self.pc, &mut self.pv] {
+            move_on(&mut covariances[..MOTION_STATES * way.axes], ahead);
+            counting.count(covariances);
+        }
+        let met = &mut self.met[..used];
+        met.fill(0.0);
+        for &j in &self.live {
+            add_times(met, self.rows.row(j), self.pc[j]);
+        }
+        let (mut value, mut velocity) = (0.0, 0.0);
         for c in 0..columns {
-            let row = self.rows.row(c);
-            let share = if c == 0 { 1.0 } else { counting.last.parameters[c - 1] };
-            let place = places[c] - product(pc, row);
+            let share = if c == 0 { 1.0 } else { last.parameters[c - 1] };
+            let place = node.places[c] - met[c];
             self.sensitivity[c] = place;
             value += place * share;
-            velocity += (speeds[c] - product(pv, row)) * share;
+            let moved: f64 = self.live.iter().map(|&j| self.pv[j] * self.rows[(j, c)]).sum();
+            velocity += (node.speeds[c] - moved) * share;
         }
-        for row in self.rows.elements().chunks_exact(n).take(self.used).skip(columns) {
-            let met = product(pc, row);
-            known += met * met;
-        }
-        let uncertain = quadratic(&self.sensitivity[1..], &counting.last.spread);
-        let variance = counting.model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
-        Mixed { value, variance: variance.max(counting.least[a]) + counting.model.unseen_m2[a], velocity }
+        let known = squared(&met[columns..]);
+        let uncertain = quadratic(&self.sensitivity[1..], &last.spread);
+        let variance = model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
+        Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a], velocity }
     }
 }
 
-/// Σ of the products of elements, as far as the first vector goes.
+/// Φ times covariances with the motion of all axes, `dt` seconds on.
+#[inline]
+fn move_on(covariances: &mut [f64], dt: f64) {
+    let half = 0.5 * dt * dt;
+    for motion in covariances.chunks_exact_mut(MOTION_STATES) {
+        let (v, b) = (motion[1], motion[2]);
+        motion[0] += dt * v - half * b;
+        motion[1] = v - dt * b;
+    }
+}
+
+/// Adds a row times a factor, as far as the sum goes.
 #[inline(always)]
-fn product(v: &[f64], row: &[f64]) -> f64 {
-    v.iter().zip(row).map(|(a, b)| a * b).sum()
+fn add_times(to: &mut [f64], row: &[f64], factor: f64) {
+    for (sum, one) in to.iter_mut().zip(row) {
+        *sum += factor * one;
+    }
+}
+
+/// Σ of the products of elements.
+#[inline(always)]
+fn product(one: &[f64], other: &[f64]) -> f64 {
+    one.iter().zip(other).map(|(a, b)| a * b).sum()
+}
+
+/// Σ of the squares.
+#[inline(always)]
+fn squared(v: &[f64]) -> f64 {
+    v.iter().map(|a| a * a).sum()
 }

@@ -16,6 +16,8 @@ use super::layout::motion_of;
 use super::matrix::Matrix;
 use super::model::{ChannelModel, Model};
 use super::row::Row;
+use super::settings::Rates;
+use super::situation::met_within;
 use serde::{Deserialize, Serialize};
 
 /// Instants at which a step may have begun, of each sensor along each axis.
@@ -28,19 +30,19 @@ pub const APART_BY: f64 = 0.25;
 pub const SURE: f64 = 0.0;
 /// After this share of the gaps a sensor has been moved or set up anew, as its clock may have been.
 const P_MOVED: f64 = 0.1;
+/// No step and no wrong acceleration is more probable beforehand.
+const MAX_PROBABILITY: f64 = 0.5;
 /// Both causes of all instants: the zero's step (1 m), then that of the velocity (1 m/s).
 const LANES: usize = 2 * INSTANTS;
 const LOG_2PI: f64 = 1.837_877_066_409_345_3;
 
-/// When a step may have begun, and the logarithms of the probabilities of a step and of a wrong acceleration then.
+/// When a step may have begun, and the time since the measurement before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Instant {
     /// When, s.
     pub since_s: f64,
-    /// Of a step.
-    pub p_step: f64,
-    /// Of a wrong acceleration.
-    pub p_velocity: f64,
+    /// Time in which it may have happened, s.
+    pub lapse_s: f64,
 }
 
 /// The steps that a group of channels may have made.
@@ -64,6 +66,10 @@ pub struct StepTest {
 /// The parameters of a hypothesis and what is known of its group, by which steps are weighed.
 #[derive(Clone, Copy)]
 pub struct Weighed<'a> {
+    /// The channel whose measurement tells it.
+    pub channel: &'a ChannelModel,
+    /// How often each cause is met.
+    pub rates: &'a Rates,
     /// The parameters as estimated (k,).
     pub parameters: &'a [f64],
     /// Their covariance (k, k).
@@ -72,6 +78,13 @@ pub struct Weighed<'a> {
     pub misfit: f64,
     /// Logarithm of the density of the size's logarithm.
     pub even: f64,
+}
+
+impl Weighed<'_> {
+    /// Chi-square that odds of `least` need at least, of a cause with the logarithm of this probability.
+    fn needed(&self, prior: f64, least: f64) -> f64 {
+        ((2.0 * (least - prior - self.even) - LOG_2PI) * self.misfit).max(1.0)
+    }
 }
 
 impl StepTest {
@@ -147,7 +160,7 @@ impl StepTest {
     }
 
     /// Begins a candidate in the place of the oldest.
-    fn begin(&mut self, instant: Instant, last_s: f64, zeros: impl Iterator<Item = usize>, axis: usize) {
+    fn begin(&mut self, instant: Instant, zeros: impl Iterator<Item = usize>, axis: usize) {
         let place = self.next;
         self.next = (place + 1) % INSTANTS;
         self.taken_over = 0.0;
@@ -164,7 +177,7 @@ impl StepTest {
         // It happened some time since the measurement before.
         self.changed[motion_of(axis)..motion_of(axis) + 2].fill(true);
         let i = self.state(motion_of(axis));
-        self.sums[i][INSTANTS + place] = 0.5 * (instant.since_s - last_s);
+        self.sums[i][INSTANTS + place] = 0.5 * instant.lapse_s;
         self.sums[i + 1][INSTANTS + place] = 1.0;
     }
 
@@ -207,9 +220,8 @@ impl StepTest {
     /// or the size is below its deviation.
     fn odds(&self, lane: usize, prior: f64, weighed: &Weighed, least: f64) -> Option<f64> {
         let (known, matched) = self.matched(lane, weighed.parameters);
-        // Most are refused here, without a division: chi-square is not what the odds would need.
-        let needed = (2.0 * (least - prior - weighed.even) - LOG_2PI) * weighed.misfit;
-        if known <= 0.0 || matched * matched <= known * needed.max(1.0) {
+        // Most are refused here, without a division.
+        if known <= 0.0 || matched * matched <= known * weighed.needed(prior, least) {
             return None;
         }
         let most = |chi: f64| prior + weighed.even + 0.5 * (chi / weighed.misfit + LOG_2PI);
@@ -228,18 +240,31 @@ impl StepTest {
         (chi > 1.0 && most(chi) > least).then(|| most(chi) - 0.5 * chi.ln())
     }
 
+    /// Whether the sums of any instant tell so much that a step may be likely there.
+    fn may_tell(&self, weighed: &Weighed, least: f64) -> bool {
+        let mut matched = self.sums[1];
+        for (q, &value) in weighed.parameters.iter().enumerate() {
+            add_times(&mut matched, &self.sums[2 + q], value);
+        }
+        let (needed, mut any) = (weighed.needed(MAX_PROBABILITY.ln(), least), false);
+        for (one, known) in matched[..INSTANTS].iter().zip(&self.sums[0]) {
+            any |= one * one > known * needed;
+        }
+        any
+    }
+
     /// The place of the likeliest instant of a step; None where the odds (logarithm) of each, against no step or against
     /// a wrong acceleration, whichever is likelier, are below `least`.
     pub fn likeliest(&self, weighed: &Weighed, least: f64) -> Option<usize> {
+        if !self.may_tell(weighed, least) {
+            return None;
+        }
+        let Weighed { channel, rates, .. } = weighed;
         let mut best: Option<(usize, f64)> = None;
         for (place, instant) in self.instants.iter().enumerate() {
             let Some(instant) = instant else { continue };
-            let (known, matched) = self.matched(place, weighed.parameters);
-            // Most are refused here: a size below its deviation is no step.
-            if matched * matched <= known {
-                continue;
-            }
-            if let Some(odds) = self.odds(place, instant.p_step, weighed, least) {
+            let prior = moved_probability(instant.lapse_s, channel, rates.shift).ln();
+            if let Some(odds) = self.odds(place, prior, weighed, least) {
                 if best.is_none_or(|(_, before)| odds > before) {
                     best = Some((place, odds));
                 }
@@ -247,7 +272,8 @@ impl StepTest {
         }
         let (place, odds) = best?;
         let other = self.instants.iter().enumerate().filter_map(|(place, instant)| {
-            self.odds(INSTANTS + place, instant.as_ref()?.p_velocity, weighed, f64::NEG_INFINITY)
+            let prior = met_within(rates.wrong, instant.as_ref()?.lapse_s).min(MAX_PROBABILITY).ln();
+            self.odds(INSTANTS + place, prior, weighed, f64::NEG_INFINITY)
         });
         (odds - other.fold(0.0, f64::max) >= least).then_some(place)
     }
@@ -300,11 +326,11 @@ pub fn scale_changed(tests: &mut [StepTest], j: usize, factor: f64) {
     }
 }
 
-/// Begins a candidate of a channel's group at a measurement; last_s: of the measurement before.
-pub fn begin_instant(hyp: &mut Hypothesis, channel: &ChannelModel, model: &Model, instant: Instant, last_s: f64) {
+/// Begins a candidate of a channel's group at a measurement.
+pub fn begin_instant(hyp: &mut Hypothesis, channel: &ChannelModel, model: &Model, instant: Instant) {
     let group = channel.group;
     let zeros = model.channels.iter().filter(|one| one.group == group).map(|one| one.shift);
-    hyp.tests[group].begin(instant, last_s, zeros, channel.row.axis);
+    hyp.tests[group].begin(instant, zeros, channel.row.axis);
 }
 
 /// Adds an innovation to the sums of all groups along its axis.
@@ -315,7 +341,7 @@ pub fn meet_innovation(tests: &mut [StepTest], row: &Row, axes: usize, gain: &[f
 }
 
 /// Probability that a sensor's zero has shifted since its last measurement, `lapse` (s) ago; rate: a second.
-pub fn moved_probability(lapse: f64, channel: &ChannelModel, rate: f64) -> f64 {
-    let met = (-(-rate * lapse).exp_m1()).min(0.5);
+fn moved_probability(lapse: f64, channel: &ChannelModel, rate: f64) -> f64 {
+    let met = met_within(rate, lapse).min(MAX_PROBABILITY);
     if lapse > channel.coasting_s { met.max(P_MOVED) } else { met }
 }

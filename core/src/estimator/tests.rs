@@ -1,7 +1,7 @@
 //! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
 
 use super::cause::Decision;
-use super::counting::Counting;
+use super::counting::{Counted, Counting};
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
 use super::innovation::Work;
@@ -295,7 +295,7 @@ fn run(model: &Model, settings: &Settings, items: &mut [Timed]) -> (Filter, Filt
     let mut time_s = Vec::new();
     samples.view().seconds(0, &mut time_s);
     let before = Filter::begun(&beginning(0.3, 0.5), settings, model);
-    let (mut filter, mut rows, mut way) = (before.clone(), Rows::with_room(1, 200), WayBack::default());
+    let (mut filter, mut rows, mut way) = (before.clone(), Rows::default(), WayBack::default());
     way.restart(model, before.clock.time_s);
     let decisions = vec![Decision::GOOD; items.len()];
     let mut block = Block { samples: samples.view(), time_s: &time_s, items, first_ns: 0 };
@@ -312,9 +312,10 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
         (0..40).map(|k| measured(0.03 + 0.047 * f64::from(k), 0, 1e-3 * f64::from(k % 5), 1e-6)).collect();
     let (before, last, rows, way) = run(&model, &set, &mut items);
     let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
-    let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
+    let view = Counted { model: &model, counting: &counting, last: last.hyps.best() };
     let (mut adjoint, mut found) = (Adjoint::nothing(&model), Vec::new());
-    adjoint.pass(&way, &counting, 0..200, &mut found);
+    adjoint.pass(&way, &view, 0..200, &mut found);
     let own = &rows.axes[0];
     assert_eq!(found.len(), 200);
     let end = found[199];
@@ -324,7 +325,7 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     }
     // The same without rows: what is carried to the beginning is the same.
     let mut other = Adjoint::nothing(&model);
-    other.pass(&way, &counting, 0..0, &mut found);
+    other.pass(&way, &view, 0..0, &mut found);
     assert!(found.is_empty() && close(adjoint.rows(), other.rows(), 1e-9));
 }
 
@@ -337,12 +338,13 @@ fn certain_states_may_be_left_out_on_the_way_back() {
         .collect();
     let (before, last, _, mut way) = run(&model, &set, &mut items);
     let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
-    let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
+    let view = Counted { model: &model, counting: &counting, last: last.hyps.best() };
     let (mut quick, mut whole) = (Vec::new(), Vec::new());
-    Adjoint::nothing(&model).pass(&way, &counting, 0..way.len(), &mut quick);
+    Adjoint::nothing(&model).pass(&way, &view, 0..way.len(), &mut quick);
     let all: Vec<usize> = (0..model.size()).collect();
     way.note_uncertain(&all);
-    Adjoint::nothing(&model).pass(&way, &counting, 0..way.len(), &mut whole);
+    Adjoint::nothing(&model).pass(&way, &view, 0..way.len(), &mut whole);
     for (one, other) in quick.iter().zip(&whole) {
         // Rounding: W is rotated to another number of columns.
         assert!((one.value - other.value).abs() < 1e-6 * other.variance.sqrt());
