@@ -143,7 +143,8 @@ fn coast_along(
     for (k, ((&end_s, &value), &density)) in segment.time_s.iter().zip(accelerations).zip(densities).enumerate() {
         let dt = end_s - begun_s;
         begun_s = end_s;
-        let now = value + lean * (mean.x + dt * mean.v);
+        // Without lean the input does not wait for the state.
+        let now = if lean == 0.0 { value } else { value + lean * (mean.x + dt * mean.v) };
         let led = motion.begin(now, dt, lead_of(dt));
         let moved = motion.response(dt);
         mean.v += led;

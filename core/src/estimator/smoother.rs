@@ -9,7 +9,9 @@
 use super::counting::{Counted, Counting};
 use super::innovation::Mixed;
 use super::layout::{MOTION_STATES, motion_of};
-use super::matrix::{Matrix, quadratic};
+#[cfg(test)]
+use super::matrix::Matrix;
+use super::matrix::quadratic;
 use super::model::Model;
 use super::row::Entry;
 use super::rows::zero_variance;
@@ -19,10 +21,16 @@ use std::ops::Range;
 /// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
 const MIN_VARIANCE_SHARE: f64 = 1e-12;
 
-/// What later measurements say: of each state its element of L and W, side by side, (n, 1 + k + 2 n).
+/// The processor takes so many elements of a row together.
+const LANES: usize = 8;
+
+/// What later measurements say: of each state its elements of L and W, side by side, (n, 1 + k + 2 n); of live states those
+/// that are not used are 0.
 #[derive(Clone, Debug)]
 pub struct Adjoint {
-    rows: Matrix,
+    rows: Vec<[f64; LANES]>,
+    /// How many lanes a row takes.
+    width: usize,
     columns: usize,
     /// How many elements of each row are used.
     used: usize,
@@ -32,11 +40,11 @@ pub struct Adjoint {
     /// Each channel's row, of live states alone.
     live_rows: Vec<Vec<Entry>>,
     /// To work with.
-    moved: Matrix,
+    moved: Vec<[f64; LANES]>,
     gain: Vec<f64>,
     pc: Vec<f64>,
     pv: Vec<f64>,
-    met: Vec<f64>,
+    met: Vec<[f64; LANES]>,
     sensitivity: Vec<f64>,
     /// Variance (axes,) of the datum at the record's end, which no row is more certain than.
     least: Vec<f64>,
@@ -46,19 +54,20 @@ impl Adjoint {
     /// Nothing comes later.
     pub fn nothing(model: &Model) -> Self {
         let (n, columns) = (model.size(), model.columns());
-        let width = columns + 2 * n + 1;
+        let width = (columns + 2 * n + 1).div_ceil(LANES);
         Self {
-            rows: Matrix::zeros(n, width),
+            rows: vec![[0.0; LANES]; n * width],
+            width,
             columns,
             used: columns,
             live: Vec::new(),
             unknown: Vec::new(),
             live_rows: Vec::new(),
-            moved: Matrix::zeros(n, width),
+            moved: vec![[0.0; LANES]; n * width],
             gain: vec![0.0; n],
             pc: vec![0.0; n],
             pv: vec![0.0; n],
-            met: vec![0.0; width],
+            met: vec![[0.0; LANES]; width],
             sensitivity: vec![0.0; columns],
             least: Vec::new(),
         }
@@ -66,7 +75,7 @@ impl Adjoint {
 
     /// Nothing comes later, in the memory that it has; recounted: the states are counted otherwise now.
     pub fn restart(&mut self, recounted: bool) {
-        self.rows.elements_mut().fill(0.0);
+        self.rows.fill([0.0; LANES]);
         self.used = self.columns;
         if recounted {
             self.live_rows.clear();
@@ -75,8 +84,10 @@ impl Adjoint {
 
     /// L and W, a row for each state.
     #[cfg(test)]
-    pub fn rows(&self) -> &Matrix {
-        &self.rows
+    pub fn rows(&self) -> Matrix {
+        let mut whole = Matrix::zeros(self.gain.len(), self.width * LANES);
+        whole.elements_mut().copy_from_slice(self.rows.as_flattened());
+        whole
     }
 
     /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the
@@ -160,13 +171,15 @@ impl Adjoint {
             return;
         }
         *at_s = to_s;
-        let (half, width, used) = (0.5 * dt * dt, self.rows.width(), self.used);
-        for motion in self.rows.elements_mut().chunks_exact_mut(MOTION_STATES * width).take(axes) {
+        let (half, width, taken) = (0.5 * dt * dt, self.width, self.used.div_ceil(LANES));
+        for motion in self.rows.chunks_exact_mut(MOTION_STATES * width).take(axes) {
             let (places, rest) = motion.split_at_mut(width);
             let (speeds, biases) = rest.split_at_mut(width);
-            for ((x, v), b) in places[..used].iter().zip(&mut speeds[..used]).zip(&mut biases[..used]) {
-                *b -= half * x + dt * *v;
-                *v += dt * x;
+            for ((places, speeds), biases) in places[..taken].iter().zip(speeds).zip(biases) {
+                for ((x, v), b) in places.iter().zip(speeds).zip(biases) {
+                    *b -= half * x + dt * *v;
+                    *v += dt * x;
+                }
             }
         }
     }
@@ -183,16 +196,21 @@ impl Adjoint {
         if let Some(total) = total {
             let stride = way.columns + way.size;
             let (e, gain) = way.details[place * stride..(place + 1) * stride].split_at(way.columns);
-            let mut own = std::mem::take(&mut self.gain);
-            own.copy_from_slice(gain);
-            view.counting.count(&mut own);
-            self.back_through_measurement(channel, &own, e, total);
-            self.gain = own;
+            if view.counting.counts() {
+                let mut counted = std::mem::take(&mut self.gain);
+                counted.copy_from_slice(gain);
+                view.counting.count(&mut counted);
+                self.back_through_measurement(channel, &counted, e, total);
+                self.gain = counted;
+            } else {
+                self.back_through_measurement(channel, gain, e, total);
+            }
         }
-        let (model, used) = (&view.model.channels[channel], self.used);
+        let (model, width) = (&view.model.channels[channel], self.width);
         for (state, factor) in [(model.shift, shift_scaled), (model.reference, reference_scaled)] {
             if factor != 1.0 {
-                self.rows.row_mut(state)[..used].iter_mut().for_each(|value| *value *= factor);
+                let row = self.rows[state * width..(state + 1) * width].as_flattened_mut();
+                row.iter_mut().for_each(|value| *value *= factor);
             }
         }
     }
@@ -201,31 +219,33 @@ impl Adjoint {
     ///
     /// 1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
     fn back_through_measurement(&mut self, channel: usize, gain: &[f64], e: &[f64], total: f64) {
-        let Self { rows, live, live_rows, moved, used, .. } = self;
-        let (entries, width) = (&live_rows[channel], rows.width());
-        for (entry, out) in entries.iter().zip(moved.elements_mut().chunks_exact_mut(width)) {
-            let (s, factor, out) = (entry.state, entry.factor, &mut out[..*used]);
-            out.fill(0.0);
-            // Summed without the state itself: never as a difference.
-            for &j in live.iter().filter(|&&j| j != s) {
-                add_times(out, rows.row(j), gain[j]);
-            }
-            let share = 1.0 - gain[s] * factor;
-            for (rest, &value) in out.iter_mut().zip(rows.row(s)) {
-                *rest = share * value - factor * *rest;
+        let Self { rows, width, live, live_rows, moved, used, .. } = self;
+        let (entries, width, taken) = (&live_rows[channel], *width, used.div_ceil(LANES));
+        for (entry, out) in entries.iter().zip(moved.chunks_exact_mut(width)) {
+            for (lanes, out) in out[..taken].iter_mut().enumerate() {
+                // Summed without the state itself: never as a difference.
+                let mut rest = [0.0; LANES];
+                for &j in live.iter().filter(|&&j| j != entry.state) {
+                    add_times(&mut rest, &rows[j * width + lanes], gain[j]);
+                }
+                *out = rest;
             }
         }
-        for (c, entry) in entries.iter().enumerate() {
-            rows.row_mut(entry.state)[..*used].copy_from_slice(&moved.row(c)[..*used]);
+        for (entry, rest) in entries.iter().zip(moved.as_flattened().chunks_exact(width * LANES)) {
+            let share = 1.0 - gain[entry.state] * entry.factor;
+            let row = rows[entry.state * width..(entry.state + 1) * width].as_flattened_mut();
+            for (value, rest) in row[..taken * LANES].iter_mut().zip(rest) {
+                *value = share * *value - entry.factor * rest;
+            }
         }
-        let n = gain.len();
-        (0..n).for_each(|j| rows[(j, *used)] = 0.0);
-        let root = total.sqrt();
+        let (rows, width, root) = (rows.as_flattened_mut(), width * LANES, total.sqrt());
+        rows.iter_mut().skip(*used).step_by(width).for_each(|value| *value = 0.0);
         for entry in entries {
-            for (c, &error) in e.iter().enumerate() {
-                rows[(entry.state, c)] -= entry.factor * error / total;
+            let row = &mut rows[entry.state * width..(entry.state + 1) * width];
+            for (value, &error) in row.iter_mut().zip(e) {
+                *value -= entry.factor * error / total;
             }
-            rows[(entry.state, *used)] = entry.factor / root;
+            row[*used] = entry.factor / root;
         }
         *used += 1;
         if self.used >= self.columns + 2 * self.live.len() {
@@ -236,14 +256,14 @@ impl Adjoint {
     /// Before the datum was copied from the displacement.
     fn back_through_datum(&mut self, view: &Counted) {
         let Some(datum) = &view.model.datum else { return };
+        let (rows, width) = (self.rows.as_flattened_mut(), self.width * LANES);
         for (a, &d) in datum.iter().enumerate() {
             for c in 0..self.used {
-                let own = self.rows[(d, c)];
-                self.rows[(motion_of(a), c)] += own;
+                let own = std::mem::take(&mut rows[d * width + c]);
+                rows[motion_of(a) * width + c] += own;
                 if let Some((zero, _)) = &view.counting.common[a] {
-                    self.rows[(*zero, c)] -= own;
+                    rows[zero * width + c] -= own;
                 }
-                self.rows[(d, c)] = 0.0;
             }
         }
     }
@@ -251,26 +271,25 @@ impl Adjoint {
     /// Rotates the columns of W to as many as there are live states; W W' stays. By Householder's reflections, to a lower
     /// triangle.
     fn narrow(&mut self) {
-        let Self { rows, live, columns, used, .. } = self;
-        let (first, end) = (*columns, *used);
+        let Self { rows, width, live, columns, used, .. } = self;
+        let (rows, width, first, end) = (rows.as_flattened_mut(), *width * LANES, *columns, *used);
         for begin in first..(first + live.len()).min(end) {
-            let j = live[begin - first];
-            let square = squared(&rows.row(j)[begin..end]);
+            let (j, later) = (live[begin - first] * width, &live[begin - first + 1..]);
+            let square = squared(&rows[j + begin..j + end]);
             if square == 0.0 {
                 continue;
             }
-            let pivot = if rows[(j, begin)] > 0.0 { -square.sqrt() } else { square.sqrt() };
-            rows[(j, begin)] -= pivot;
-            let square = squared(&rows.row(j)[begin..end]);
-            for &i in &live[begin - first + 1..] {
-                let dot = 2.0 * product(&rows.row(j)[begin..end], &rows.row(i)[begin..end]) / square;
+            let pivot = if rows[j + begin] > 0.0 { -square.sqrt() } else { square.sqrt() };
+            rows[j + begin] -= pivot;
+            let square = squared(&rows[j + begin..j + end]);
+            for i in later.iter().map(|i| i * width) {
+                let dot = 2.0 * (begin..end).map(|c| rows[j + c] * rows[i + c]).sum::<f64>() / square;
                 for c in begin..end {
-                    let own = rows[(j, c)];
-                    rows[(i, c)] -= dot * own;
+                    rows[i + c] -= dot * rows[j + c];
                 }
             }
-            rows.row_mut(j)[begin..end].fill(0.0);
-            rows[(j, begin)] = pivot;
+            rows[j + begin..j + end].fill(0.0);
+            rows[j + begin] = pivot;
         }
         *used = (first + live.len()).min(end);
     }
@@ -285,7 +304,7 @@ impl Adjoint {
         view: &Counted,
     ) -> Mixed {
         let Counted { model, counting, last } = view;
-        let (columns, used) = (self.columns, self.used);
+        let (columns, used, width) = (self.columns, self.used, self.width);
         if counting.counts() {
             self.pc.fill(0.0);
             self.pv.fill(0.0);
@@ -300,21 +319,23 @@ impl Adjoint {
             move_on(&mut covariances[..MOTION_STATES * way.axes], ahead);
             counting.count(covariances);
         }
-        let met = &mut self.met[..used];
-        met.fill(0.0);
-        for &j in &self.live {
-            add_times(met, self.rows.row(j), self.pc[j]);
+        for (lanes, met) in self.met[..used.div_ceil(LANES)].iter_mut().enumerate() {
+            *met = [0.0; LANES];
+            for &j in &self.live {
+                add_times(met, &self.rows[j * width + lanes], self.pc[j]);
+            }
         }
+        let (rows, met) = (self.rows.as_flattened(), self.met.as_flattened());
         let (mut value, mut velocity) = (0.0, 0.0);
         for c in 0..columns {
             let share = if c == 0 { 1.0 } else { last.parameters[c - 1] };
             let place = node.places[c] - met[c];
             self.sensitivity[c] = place;
             value += place * share;
-            let moved: f64 = self.live.iter().map(|&j| self.pv[j] * self.rows[(j, c)]).sum();
+            let moved: f64 = self.live.iter().map(|&j| self.pv[j] * rows[j * width * LANES + c]).sum();
             velocity += (node.speeds[c] - moved) * share;
         }
-        let known = squared(&met[columns..]);
+        let known = squared(&met[columns..used]);
         let uncertain = quadratic(&self.sensitivity[1..], &last.spread);
         let variance = model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
         Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a], velocity }
@@ -332,18 +353,12 @@ fn move_on(covariances: &mut [f64], dt: f64) {
     }
 }
 
-/// Adds a row times a factor, as far as the sum goes.
+/// Adds elements times a factor.
 #[inline(always)]
-fn add_times(to: &mut [f64], row: &[f64], factor: f64) {
-    for (sum, one) in to.iter_mut().zip(row) {
+fn add_times(to: &mut [f64; LANES], elements: &[f64; LANES], factor: f64) {
+    for (sum, one) in to.iter_mut().zip(elements) {
         *sum += factor * one;
     }
-}
-
-/// Σ of the products of elements.
-#[inline(always)]
-fn product(one: &[f64], other: &[f64]) -> f64 {
-    one.iter().zip(other).map(|(a, b)| a * b).sum()
 }
 
 /// Σ of the squares.

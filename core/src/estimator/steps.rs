@@ -30,8 +30,9 @@ pub const APART_BY: f64 = 0.25;
 pub const SURE: f64 = 0.0;
 /// After this share of the gaps a sensor has been moved or set up anew, as its clock may have been.
 const P_MOVED: f64 = 0.1;
-/// No step and no wrong acceleration is more probable beforehand.
+/// No step and no wrong acceleration is more probable beforehand, and the logarithm of that.
 const MAX_PROBABILITY: f64 = 0.5;
+const MAX_LOG_PROBABILITY: f64 = -std::f64::consts::LN_2;
 /// Both causes of all instants: the zero's step (1 m), then that of the velocity (1 m/s).
 const LANES: usize = 2 * INSTANTS;
 const LOG_2PI: f64 = 1.837_877_066_409_345_3;
@@ -240,28 +241,25 @@ impl StepTest {
         (chi > 1.0 && most(chi) > least).then(|| most(chi) - 0.5 * chi.ln())
     }
 
-    /// Whether the sums of any instant tell so much that a step may be likely there.
-    fn may_tell(&self, weighed: &Weighed, least: f64) -> bool {
-        let mut matched = self.sums[1];
+    /// Of each lane whether its sums tell so much that its cause may be likely.
+    fn may_tell(&self, weighed: &Weighed, least: f64) -> [bool; LANES] {
+        let (mut matched, mut may) = (self.sums[1], [false; LANES]);
         for (q, &value) in weighed.parameters.iter().enumerate() {
             add_times(&mut matched, &self.sums[2 + q], value);
         }
-        let (needed, mut any) = (weighed.needed(MAX_PROBABILITY.ln(), least), false);
-        for (one, known) in matched[..INSTANTS].iter().zip(&self.sums[0]) {
-            any |= one * one > known * needed;
+        let needed = weighed.needed(MAX_LOG_PROBABILITY, least);
+        for ((may, one), known) in may.iter_mut().zip(&matched).zip(&self.sums[0]) {
+            *may = one * one > known * needed;
         }
-        any
+        may
     }
 
     /// The place of the likeliest instant of a step; None where the odds (logarithm) of each, against no step or against
     /// a wrong acceleration, whichever is likelier, are below `least`.
     pub fn likeliest(&self, weighed: &Weighed, least: f64) -> Option<usize> {
-        if !self.may_tell(weighed, least) {
-            return None;
-        }
-        let Weighed { channel, rates, .. } = weighed;
+        let (Weighed { channel, rates, .. }, may) = (weighed, self.may_tell(weighed, least));
         let mut best: Option<(usize, f64)> = None;
-        for (place, instant) in self.instants.iter().enumerate() {
+        for (place, (instant, _)) in self.instants.iter().zip(&may).enumerate().filter(|(_, (_, may))| **may) {
             let Some(instant) = instant else { continue };
             let prior = moved_probability(instant.lapse_s, channel, rates.shift).ln();
             if let Some(odds) = self.odds(place, prior, weighed, least) {

@@ -326,7 +326,7 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     // The same without rows: what is carried to the beginning is the same.
     let mut other = Adjoint::nothing(&model);
     other.pass(&way, &view, 0..0, &mut found);
-    assert!(found.is_empty() && close(adjoint.rows(), other.rows(), 1e-9));
+    assert!(found.is_empty() && close(&adjoint.rows(), &other.rows(), 1e-9));
 }
 
 #[test]
