@@ -14,6 +14,7 @@ use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_varian
 use super::run::{Block, Filter};
 use super::samples::{BRIDGED, View};
 use super::way_back::WayBack;
+use crate::track::vectors::vectorised;
 
 /// Where rows and nodes go.
 pub struct Leave<'a> {
@@ -21,6 +22,8 @@ pub struct Leave<'a> {
     pub rows: Option<&'a mut Rows>,
     /// The place of the next row.
     pub place: &'a mut usize,
+    /// Whether all samples of the block are rows.
+    pub all_rows: bool,
     /// What the way back needs.
     pub back: Option<&'a mut WayBack>,
 }
@@ -30,8 +33,15 @@ pub struct Leave<'a> {
 struct Segment<'a> {
     samples: View<'a>,
     time_s: &'a [f64],
-    /// The stamp of the first row, ns.
-    first_ns: i64,
+    /// The stamp of the first row, ns; None: all are rows.
+    first_ns: Option<i64>,
+}
+
+impl Segment<'_> {
+    #[inline(always)]
+    fn is_row(&self, k: usize) -> bool {
+        self.first_ns.is_none_or(|first_ns| self.samples.is_row(k, first_ns))
+    }
 }
 
 impl Filter {
@@ -55,11 +65,16 @@ impl Filter {
             return first;
         }
         let samples = block.samples.part(first, end);
-        let segment = Segment { samples, time_s: &block.time_s[first..end], first_ns: block.first_ns };
+        let segment = Segment {
+            samples,
+            time_s: &block.time_s[first..end],
+            first_ns: (!leave.all_rows).then_some(block.first_ns),
+        };
         let hyp = self.hyps.best_mut();
         let begin = *leave.place;
         if let Some(rows) = leave.rows.as_deref_mut() {
-            for k in (0..samples.len()).filter(|&k| samples.is_row(k, block.first_ns)) {
+            rows.make_room(axes, begin, samples.len());
+            for k in (0..samples.len()).filter(|&k| segment.is_row(k)) {
                 rows.time_ns[*leave.place] = samples.time_ns[k];
                 *leave.place += 1;
             }
@@ -123,65 +138,67 @@ impl<'a> OutRows<'a> {
     }
 }
 
-/// Runs along one axis over a segment, from a time (s) on.
-#[inline(always)]
-fn coast_along(
-    hyp: &mut Hypothesis,
-    model: &Model,
-    (a, axis, mut begun_s): (usize, &mut AxisMotion, f64),
-    segment: &Segment,
-    uncertain: &[usize],
-    (mut out, mut back): (Option<OutRows>, Option<(&mut WayBack, usize)>),
-) {
-    let (axes, i, lean, walk) = (model.axes(), motion_of(a), model.lean[a], model.layout.walks()[motion_of(a) + 2]);
-    let burst = hyp.memory.burst.filter(|burst| burst.axis == a).map(|burst| burst.density);
-    let (mut motion, mut mean, mut covariance) = (*axis, MotionMean::of(&hyp.x, i), MotionCovariance::of(&hyp.p, i));
-    let known = Known::of(hyp, model, a);
-    let mut standing = Standing { source: 0, status: Status::Lost, clock_variance: 0.0, until_s: f64::NEG_INFINITY };
-    let accelerations = segment.samples.value.iter().skip(a).step_by(axes);
-    let densities = segment.samples.density.iter().skip(a).step_by(axes);
-    for (k, ((&end_s, &value), &density)) in segment.time_s.iter().zip(accelerations).zip(densities).enumerate() {
-        let dt = end_s - begun_s;
-        begun_s = end_s;
-        // Without lean the input does not wait for the state.
-        let now = if lean == 0.0 { value } else { value + lean * (mean.x + dt * mean.v) };
-        let led = motion.begin(now, dt, lead_of(dt));
-        let moved = motion.response(dt);
-        mean.v += led;
-        mean = mean.moved(dt, moved);
-        if !model.gain_of.is_empty() {
-            shift_sensitivities(&mut hyp.x, a, led, &model.gain_of);
-            predict_sensitivities(&mut hyp.x, a, dt, moved, &model.gain_of);
+vectorised! {
+    /// Runs along one axis over a segment, from a time (s) on.
+    fn coast_along(
+        hyp: &mut Hypothesis,
+        model: &Model,
+        along: (usize, &mut AxisMotion, f64),
+        segment: &Segment,
+        uncertain: &[usize],
+        leave: (Option<OutRows>, Option<(&mut WayBack, usize)>),
+    ) {
+        let ((a, axis, mut begun_s), (mut out, mut back)) = (along, leave);
+        let (axes, i, lean, walk) = (model.axes(), motion_of(a), model.lean[a], model.layout.walks()[motion_of(a) + 2]);
+        let burst = hyp.memory.burst.filter(|burst| burst.axis == a).map(|burst| burst.density);
+        let (mut motion, mut mean, mut covariance) = (*axis, MotionMean::of(&hyp.x, i), MotionCovariance::of(&hyp.p, i));
+        let known = Known::of(hyp, model, a);
+        let mut standing = Standing { source: 0, status: Status::Lost, clock_variance: 0.0, until_s: f64::NEG_INFINITY };
+        let accelerations = segment.samples.value.iter().skip(a).step_by(axes);
+        let densities = segment.samples.density.iter().skip(a).step_by(axes);
+        for (k, ((&end_s, &value), &density)) in segment.time_s.iter().zip(accelerations).zip(densities).enumerate() {
+            let dt = end_s - begun_s;
+            begun_s = end_s;
+            // Without lean the input does not wait for the state.
+            let now = if lean == 0.0 { value } else { value + lean * (mean.x + dt * mean.v) };
+            let led = motion.begin(now, dt, lead_of(dt));
+            let moved = motion.response(dt);
+            mean.v += led;
+            mean = mean.moved(dt, moved);
+            if !model.gain_of.is_empty() {
+                shift_sensitivities(&mut hyp.x, a, led, &model.gain_of);
+                predict_sensitivities(&mut hyp.x, a, dt, moved, &model.gain_of);
+            }
+            covariance = covariance.moved(dt, walk).with_noise(dt, density);
+            if let Some(density) = burst {
+                covariance = covariance.with_noise(dt, density);
+            }
+            if !uncertain.is_empty() {
+                predict_others(&mut hyp.p, i, dt, uncertain);
+            }
+            motion.input = now;
+            if out.is_none() && back.is_none() {
+                continue;
+            }
+            if end_s > standing.until_s {
+                standing = Standing::at(hyp, model, a, end_s);
+            }
+            let bridged = segment.samples.kind[k] == BRIDGED;
+            let status = if bridged { standing.status.max(Status::Coasting) } else { standing.status };
+            let codes = (standing.source, status as u8);
+            if let Some(out) = out.as_mut().filter(|_| segment.is_row(k)) {
+                out.put(known.row(hyp, a, (&mean, &covariance, motion.ahead()), standing.clock_variance), codes);
+            }
+            if let Some((back, first)) = back.as_mut() {
+                back.add_node(a, (&mean, &covariance, motion.ahead()), hyp, known.datum);
+                back.put_status(*first + k, a, codes);
+            }
         }
-        covariance = covariance.moved(dt, walk).with_noise(dt, density);
-        if let Some(density) = burst {
-            covariance = covariance.with_noise(dt, density);
-        }
-        if !uncertain.is_empty() {
-            predict_others(&mut hyp.p, i, dt, uncertain);
-        }
-        motion.input = now;
-        if out.is_none() && back.is_none() {
-            continue;
-        }
-        if end_s > standing.until_s {
-            standing = Standing::at(hyp, model, a, end_s);
-        }
-        let bridged = segment.samples.kind[k] == BRIDGED;
-        let status = if bridged { standing.status.max(Status::Coasting) } else { standing.status };
-        let codes = (standing.source, status as u8);
-        if let Some(out) = out.as_mut().filter(|_| segment.samples.is_row(k, segment.first_ns)) {
-            out.put(known.row(hyp, a, (&mean, &covariance, motion.ahead()), standing.clock_variance), codes);
-        }
-        if let Some((back, first)) = back.as_mut() {
-            back.add_node(a, (&mean, &covariance, motion.ahead()), hyp, known.datum);
-            back.put_status(*first + k, a, codes);
-        }
+        covariance.put(&mut hyp.p, i);
+        mean.put(&mut hyp.x, i);
+        mirror_others(&mut hyp.p, i, uncertain);
+        *axis = motion;
     }
-    covariance.put(&mut hyp.p, i);
-    mean.put(&mut hyp.x, i);
-    mirror_others(&mut hyp.p, i, uncertain);
-    *axis = motion;
 }
 
 /// What is known of an axis' rows until the next measurement.

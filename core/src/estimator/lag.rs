@@ -230,7 +230,8 @@ impl Lag {
 
     /// Takes what the estimator's own run left of the last hop as a piece, where it is whole.
     fn take_own(&mut self) {
-        let (Some(mut piece), Some(filter), Some(log)) = (self.own.take(), self.estimator.filter(), self.estimator.log())
+        let (Some(mut piece), Some(filter), Some(log)) =
+            (self.own.take(), self.estimator.filter(), self.estimator.log())
         else {
             return;
         };

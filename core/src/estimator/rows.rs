@@ -45,9 +45,51 @@ pub struct Rows {
 }
 
 impl Rows {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.time_ns.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.time_ns.is_empty()
+    }
+
+    /// Makes room from a place on for some rows to be filled; for so many at once that they stay in the nearest memory.
+    #[inline]
+    pub fn make_room(&mut self, axes: usize, place: usize, count: usize) {
+        const MANY: usize = 256;
+        if place + count > self.len() || self.axes.len() < axes {
+            let taken = self.time_ns.capacity().saturating_sub(place);
+            self.resize(axes, place + count.max(MANY.min(taken)));
+        }
+    }
+
+    /// Takes memory for more.
+    pub fn reserve(&mut self, more: usize) {
+        self.time_ns.reserve(more);
+        for one in &mut self.axes {
+            for values in [&mut one.displacement, &mut one.variance, &mut one.velocity] {
+                values.reserve(more);
+            }
+            one.source.reserve(more);
+            one.status.reserve(more);
+        }
+    }
+
+    /// Keeps the first ones.
+    pub fn truncate(&mut self, count: usize) {
+        self.resize(self.axes.len(), count);
+    }
+
     /// Adds rows to be filled, as a day of them must not exist twice; returns how many there are then.
     pub fn add_zeros(&mut self, axes: usize, more: usize) -> usize {
-        let count = self.time_ns.len() + more;
+        let count = self.len() + more;
+        self.resize(axes, count);
+        count
+    }
+
+    fn resize(&mut self, axes: usize, count: usize) {
         self.time_ns.resize(count, 0);
         self.axes.resize_with(axes, AxisRows::default);
         for one in &mut self.axes {
@@ -57,7 +99,6 @@ impl Rows {
             one.source.resize(count, 0);
             one.status.resize(count, 0);
         }
-        count
     }
 
     /// Fills the row at a place with the estimate (axes,) of a sample, and source and status of each axis.

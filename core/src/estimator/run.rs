@@ -120,7 +120,8 @@ impl Filter {
     /// Whether it is where another one is that has one hypothesis alone.
     pub fn is_at(&self, other: &Self) -> bool {
         let same = self.hyps.best().is_at(other.hyps.best());
-        same && other.hyps.count() == 1 && (&self.motion, self.clock, self.judged) == (&other.motion, other.clock, other.judged)
+        same && other.hyps.count() == 1
+            && (&self.motion, self.clock, self.judged) == (&other.motion, other.clock, other.judged)
     }
 
     /// Whether it is of the model's shape.
@@ -138,15 +139,13 @@ impl Filter {
         work: &mut Work,
     ) {
         self.note_uncertain(model, judge, work);
-        let (mut next, mut ordered, mut k, mut place) = (0, 0, 0, 0);
-        if let Some(rows) = rows.as_deref_mut() {
-            let count = (0..block.time_s.len()).filter(|&k| block.samples.is_row(k, block.first_ns)).count();
-            place = rows.add_zeros(model.axes(), count) - count;
-        }
+        let (mut next, mut ordered, mut k) = (0, 0, 0);
+        let (mut place, all_rows) =
+            (rows.as_ref().map_or(0, |rows| rows.len()), block.samples.all_rows(block.first_ns));
         while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let leave = &mut Leave { rows: rows.as_deref_mut(), place: &mut place, back: judge.back() };
+                let leave = &mut Leave { rows: rows.as_deref_mut(), place: &mut place, all_rows, back: judge.back() };
                 let reached = self.coast(model, block, k, before_s, &work.uncertain, leave);
                 if reached > k {
                     k = reached;
@@ -155,6 +154,7 @@ impl Filter {
             }
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
             if let Some(rows) = rows.as_deref_mut().filter(|_| block.samples.is_row(k, block.first_ns)) {
+                rows.make_room(model.axes(), place, 1);
                 leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), (rows, place));
                 place += 1;
             }
@@ -162,6 +162,9 @@ impl Filter {
                 back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
             }
             k += 1;
+        }
+        if let Some(rows) = rows {
+            rows.truncate(place);
         }
     }
 
@@ -248,10 +251,7 @@ impl Filter {
                 &work.others
             };
             predict_mean(&mut hyp.x, model.axes(), &way, &model.gain_of);
-            predict_covariance(&mut hyp.p, &model.layout, way.dt, uncertain);
-            for (a, &one) in density.iter().enumerate() {
-                add_noise(&mut hyp.p, a, way.dt, one);
-            }
+            predict_covariance(&mut hyp.p, &model.layout, way.dt, uncertain, density);
             if let Some(burst) = hyp.memory.burst {
                 add_noise(&mut hyp.p, burst.axis, way.dt, burst.density);
             }

@@ -92,13 +92,7 @@ impl Adjoint {
 
     /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the
     /// wanted samples.
-    pub fn pass(
-        &mut self,
-        way: &WayBack,
-        view: &Counted,
-        wanted: Range<usize>,
-        found: &mut Vec<Mixed>,
-    ) {
+    pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, found: &mut Vec<Mixed>) {
         self.find_live(way, view.counting);
         self.least.clear();
         self.least.extend((0..way.axes).map(|a| zero_variance(view.last, a, view.model)));
@@ -120,8 +114,7 @@ impl Adjoint {
                 self.pv.fill(0.0);
             }
             for a in 0..axes {
-                found[(k - wanted.start) * axes + a] =
-                    self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
+                found[(k - wanted.start) * axes + a] = self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
             }
         }
         self.back_through_all(way, (next, 0), &mut at_s, view);
@@ -296,13 +289,7 @@ impl Adjoint {
 
     /// Smoothed displacement, its variance and the velocity of one axis at a sample of a span; ahead: how much later (s) than
     /// the sample the adjoint is.
-    fn smoothed(
-        &mut self,
-        way: &WayBack,
-        (span, k, a): (usize, usize, usize),
-        ahead: f64,
-        view: &Counted,
-    ) -> Mixed {
+    fn smoothed(&mut self, way: &WayBack, (span, k, a): (usize, usize, usize), ahead: f64, view: &Counted) -> Mixed {
         let Counted { model, counting, last } = view;
         let (columns, used, width) = (self.columns, self.used, self.width);
         if counting.counts() {

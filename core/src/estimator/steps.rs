@@ -12,12 +12,13 @@
 //! instant is not in use all is 0 and stays so.
 
 use super::hypothesis::{Contradiction, Hypothesis};
-use super::layout::motion_of;
+use super::layout::{MOTION_STATES, motion_of};
 use super::matrix::Matrix;
 use super::model::{ChannelModel, Model};
 use super::row::Row;
 use super::settings::Rates;
 use super::situation::met_within;
+use crate::track::vectors::vectorised;
 use serde::{Deserialize, Serialize};
 
 /// Instants at which a step may have begun, of each sensor along each axis.
@@ -149,14 +150,9 @@ impl StepTest {
     fn carry(&mut self, at_s: f64, axis: usize) {
         let dt = at_s - self.carried_s;
         self.carried_s = at_s;
-        if dt == 0.0 || !self.any() {
-            return;
-        }
-        let (half, first) = (0.5 * dt * dt, self.state(motion_of(axis)));
-        let [places, speeds, biases] = &mut self.sums[first..first + 3] else { return };
-        for ((place, speed), &bias) in places.iter_mut().zip(speeds).zip(biases.iter()) {
-            *place += dt * *speed - half * bias;
-            *speed -= dt * bias;
+        let first = self.state(motion_of(axis));
+        if dt != 0.0 && self.any() {
+            carry_lanes(&mut self.sums[first..first + MOTION_STATES], dt);
         }
     }
 
@@ -180,32 +176,6 @@ impl StepTest {
         let i = self.state(motion_of(axis));
         self.sums[i][INSTANTS + place] = 0.5 * instant.lapse_s;
         self.sums[i + 1][INSTANTS + place] = 1.0;
-    }
-
-    /// Adds an innovation `e` (1 + k) and its variance to the sums; gain (n,): K of its update.
-    fn meet(&mut self, row: &Row, gain: &[f64], e: &[f64], total: f64) {
-        if !self.any() {
-            return;
-        }
-        let mut signature = [0.0; LANES];
-        for entry in row.entries.iter().filter(|one| self.changed[one.state]) {
-            add_times(&mut signature, &self.sums[1 + self.columns + entry.state], entry.factor);
-        }
-        let (inverse, mut share) = (1.0 / total, [0.0; LANES]);
-        add_times(&mut share, &signature, inverse);
-        let (information, sums) = self.sums.split_at_mut(1);
-        for ((sum, one), other) in information[0].iter_mut().zip(&signature).zip(&share) {
-            *sum += one * other;
-        }
-        for (sum, &error) in sums.iter_mut().zip(e) {
-            add_times(sum, &share, error);
-        }
-        for ((sum, &own), changed) in sums[self.columns..].iter_mut().zip(gain).zip(&mut self.changed) {
-            if own != 0.0 {
-                *changed = true;
-                add_times(sum, &signature, -own);
-            }
-        }
     }
 
     /// The information of a lane, and signature times innovation with the parameters.
@@ -296,6 +266,45 @@ impl StepTest {
     }
 }
 
+vectorised! {
+    /// Moves what all causes have changed of a motion by `dt` seconds.
+    fn carry_lanes(motion: &mut [[f64; LANES]], dt: f64) {
+        let [places, speeds, biases] = motion else { return };
+        let half = 0.5 * dt * dt;
+        for ((place, speed), &bias) in places.iter_mut().zip(speeds).zip(biases.iter()) {
+            *place += dt * *speed - half * bias;
+            *speed -= dt * bias;
+        }
+    }
+}
+
+vectorised! {
+    /// Adds an innovation `e` (1 + k) and its variance to the sums; gain (n,): K of its update.
+    fn meet_lanes(test: &mut StepTest, row: &Row, gain: &[f64], e: &[f64], total: f64) {
+        let mut signature = [0.0; LANES];
+        for entry in &row.entries {
+            if test.changed[entry.state] {
+                add_times(&mut signature, &test.sums[1 + test.columns + entry.state], entry.factor);
+            }
+        }
+        let (inverse, mut share) = (1.0 / total, [0.0; LANES]);
+        add_times(&mut share, &signature, inverse);
+        let (information, sums) = test.sums.split_at_mut(1);
+        for ((sum, one), other) in information[0].iter_mut().zip(&signature).zip(&share) {
+            *sum += one * other;
+        }
+        for (sum, &error) in sums.iter_mut().zip(e) {
+            add_times(sum, &share, error);
+        }
+        for ((sum, &own), changed) in sums[test.columns..].iter_mut().zip(gain).zip(&mut test.changed) {
+            if own != 0.0 {
+                *changed = true;
+                add_times(sum, &signature, -own);
+            }
+        }
+    }
+}
+
 /// Adds a row times a factor.
 #[inline(always)]
 fn add_times(to: &mut [f64; LANES], row: &[f64; LANES], factor: f64) {
@@ -334,7 +343,9 @@ pub fn begin_instant(hyp: &mut Hypothesis, channel: &ChannelModel, model: &Model
 /// Adds an innovation to the sums of all groups along its axis.
 pub fn meet_innovation(tests: &mut [StepTest], row: &Row, axes: usize, gain: &[f64], e: &[f64], total: f64) {
     for test in tests.iter_mut().skip(row.axis).step_by(axes) {
-        test.meet(row, gain, e, total);
+        if test.any() {
+            meet_lanes(test, row, gain, e, total);
+        }
     }
 }
 

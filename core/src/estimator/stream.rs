@@ -181,6 +181,9 @@ impl Estimator {
     pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
         for first in (0..samples.len()).step_by(self.limits.block) {
             let end = samples.len().min(first + self.limits.block);
+            if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
+                rows.reserve(samples.len() - first);
+            }
             self.push_block(samples.part(first, end), back.as_deref_mut(), found);
         }
     }
@@ -279,9 +282,11 @@ impl Estimator {
     pub(super) fn settle(&mut self, samples: View, output: &mut Output) {
         let best = self.memory.filter.as_ref().map(|filter| filter.hyps.best());
         output.zero_variance.clear();
-        output.zero_variance.extend((0..self.settings.axes).map(|a| {
-            best.map_or(0.0, |hyp| zero_variance(hyp, a, &self.model)) + self.settings.unseen_common_m2[a]
-        }));
+        output.zero_variance.extend(
+            (0..self.settings.axes).map(|a| {
+                best.map_or(0.0, |hyp| zero_variance(hyp, a, &self.model)) + self.settings.unseen_common_m2[a]
+            }),
+        );
         let count = self.memory.filter.as_ref().map_or(0, |filter| filter.hyps.count());
         self.memory.undecided.settle(count);
         self.report(output);

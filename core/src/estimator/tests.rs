@@ -9,7 +9,7 @@ use super::layout::State;
 use super::matrix::Matrix;
 use super::model::Model;
 use super::motion::AxisMotion;
-use super::predict::{add_noise, predict_covariance};
+use super::predict::predict_covariance;
 use super::row::{Effect, Entry};
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
@@ -173,7 +173,7 @@ fn the_covariance_is_predicted_as_by_whole_matrices() {
         let mut uncertain = Vec::new();
         model.layout.find_uncertain(&p, &mut uncertain);
         assert!(!uncertain.contains(&moving) && uncertain.contains(&(n - 2)));
-        predict_covariance(&mut p, &model.layout, dt, &uncertain);
+        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[]);
         // Sums of a dozen products of size 10.
         assert!(close(&p, &expected, 1e-13) && p == transposed(&p));
     }
@@ -251,8 +251,7 @@ fn a_tilt_state_and_a_gyroscope_are_a_name_and_a_row_each() {
         let way = super::motion::Way::new(&[motion], 0.0, dt);
         super::predict::predict_mean(&mut x, 1, &way, &[]);
         model.layout.find_uncertain(&p, &mut uncertain);
-        predict_covariance(&mut p, &model.layout, dt, &uncertain);
-        add_noise(&mut p, 0, dt, density);
+        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[density]);
         let mut transition = Matrix::diagonal(&vec![1.0; n]);
         (transition[(0, 1)], transition[(0, 2)], transition[(1, 2)]) = (dt, -0.5 * dt * dt, -dt);
         let mut noise = Matrix::zeros(n, n);
