@@ -1,12 +1,12 @@
 //! A measurement as a hypothesis expects it: zero and clock at that instant, the innovation and its variance.
 
+use super::acceptance::linearise;
 use super::hypotheses::Hypotheses;
 use super::hypothesis::Hypothesis;
 use super::layout::motion_of;
 use super::matrix::{Matrix, quadratic};
 use super::model::{ChannelModel, Model};
 use super::motion::{AxisMotion, Clock};
-use super::parameters::linearise;
 use super::predict::predict_covariance;
 use super::row::Effect;
 use super::steps::scale_changed;

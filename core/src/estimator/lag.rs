@@ -7,14 +7,13 @@
 //! Innovations and events are those of the estimator, as they come.
 
 use super::cause::Decision;
-use super::counting::{Counted, Counting};
 use super::decided::{Decided, Log};
 use super::innovation::{Mixed, Work};
 use super::model::{Model, instant, since};
 use super::rows::{Output, Rows};
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
-use super::smoother::Adjoint;
+use super::smoother::{Adjoint, Counted, Counting};
 use super::start::Beginning;
 use super::stream::{Estimator, Remembered};
 use super::waiting::{Timed, count_until};

@@ -7,14 +7,13 @@
 //! decided.
 
 use super::cause::Decision;
-use super::counting::{Counted, Counting};
 use super::decided::{Decided, Log, Logged};
 use super::innovation::Work;
 use super::model::{Model, instant};
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::settings::Settings;
-use super::smoother::Adjoint;
+use super::smoother::{Adjoint, Counted, Counting};
 use super::unforeseen::{Error, add_errors, first_change, put_steps_in_place, unforeseen};
 use super::waiting::count_until;
 use super::way_back::WayBack;

@@ -1,7 +1,6 @@
 //! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
 
 use super::cause::Decision;
-use super::counting::{Counted, Counting};
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
 use super::innovation::Work;
@@ -15,7 +14,7 @@ use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::samples::Samples;
 use super::settings::{Channel, Rates, Settings};
-use super::smoother::Adjoint;
+use super::smoother::{Adjoint, Counted, Counting};
 use super::start::Beginning;
 use super::update::{project, update};
 use super::waiting::{Item, Measurement, Timed};
