@@ -1,12 +1,10 @@
 //! The first rows of a stream: they wait for the first measurements, which are judged by those after them.
 
 use super::cause::Decision;
-use super::decided::Undecided;
+use super::decided::{Log, Undecided};
 use super::innovation::Work;
-use super::log::Log;
 use super::model::{Model, instant, since};
-use super::output::Output;
-use super::rows::{Met, Rows, innovations_of, mixed};
+use super::rows::{Innovations, Output, Rows, mixed};
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
 use super::start::{Beginning, with_start};
@@ -57,9 +55,9 @@ impl Estimator {
         }
         let whole = held.view();
         let begun = with_start(whole.part(0, last + 1), start_s, origin_ns);
-        Output::add(found, self.start(begun.view(), first_s));
+        self.start(begun.view(), first_s, found.get_or_insert_default());
         if last + 1 < whole.len() {
-            self.run(whole.part(last + 1, whole.len()), found);
+            self.run(whole.part(last + 1, whole.len()), None, found);
         }
     }
 
@@ -85,14 +83,15 @@ impl Estimator {
     }
 
     /// Judges the first measurements, and takes the rows from a second run with what was decided.
-    fn start(&mut self, samples: View, first_s: f64) -> Output {
+    fn start(&mut self, samples: View, first_s: f64, output: &mut Output) {
         let origin_ns = self.origin_ns();
         self.model = Model::new(&self.settings, origin_ns);
         self.work = Work::new(&self.model);
         let mut time_s = Vec::new();
         samples.seconds(origin_ns, &mut time_s);
         let (start_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
-        let mut items = self.due(end_s);
+        self.take_due(end_s);
+        let mut items = std::mem::take(&mut self.items);
         let begin = Beginning::new(samples, &time_s, &items, &self.settings, &self.model);
         if let Some(zero_ns) = self.settings.zero_ns {
             let datum = Timed { at_s: since(zero_ns, origin_ns).max(start_s), item: Item::Datum };
@@ -108,30 +107,36 @@ impl Estimator {
         self.one_past = true;
         let begun = Filter::begun(&begin, &self.settings, &self.model);
         self.log = self.keep_log.then(|| Log::new(begin, first_s, origin_ns, self.settings.axes));
-        let (mut filter, mut undecided, mut met) = (begun.clone(), Undecided::default(), Vec::new());
+        let (mut filter, mut undecided, count) = (begun.clone(), Undecided::default(), self.settings.channels.len());
         let first_ns = instant(first_s, origin_ns);
         let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
-        let mut open = Judge::Open { undecided: &mut undecided, met: &mut met };
+        // The innovations are those of the hypothesis that comes out as the best.
+        let innovations = &mut vec![Innovations::default(); count];
+        let mut open = Judge::Open { undecided: &mut undecided, innovations, origin_ns, back: None };
         filter.run(&self.model, &mut block, &mut open, None, &mut self.work);
+        if self.give_rows {
+            let again = |b: usize| self.again(&begun, &mut block, &undecided.decisions_of(b));
+            let runs: Vec<Rows> = (0..filter.hyps.count()).map(again).collect();
+            let weights: Vec<f64> = filter.hyps.all().iter().map(|one| one.memory.weight.exp()).collect();
+            output.rows = Some(mixed(&runs, &weights));
+        }
+        output.innovations.resize_with(count, Innovations::default);
         let best = undecided.best();
-        let met: Vec<Met> =
-            best.told.iter().zip(&best.decisions).map(|(&told, &decision)| Met { told, decision }).collect();
-        let runs: Vec<Rows> = undecided
-            .paths(filter.hyps.count())
-            .iter()
-            .map(|decisions| self.again(&begun, &mut block, decisions))
-            .collect();
-        let weights: Vec<f64> = filter.hyps.all().iter().map(|one| one.memory.weight.exp()).collect();
-        let rows = mixed(&runs, &weights);
+        for one in [&undecided.settled, &best] {
+            for ((item, told), &decision) in one.items.iter().zip(&one.told).zip(&one.decisions) {
+                let Some(c) = item.channel() else { continue };
+                let units_per_m = self.model.channels[c].row.units_per_m;
+                output.innovations[c].push(instant(item.at_s, origin_ns), units_per_m, told, decision);
+            }
+        }
         self.memory.filter = Some(filter);
         self.memory.undecided = undecided;
-        let innovations = innovations_of(&items, &met, &self.model, origin_ns);
-        self.output(samples, self.give_rows.then_some(rows), innovations)
+        self.settle(samples, output);
     }
 
     /// The rows of the first samples with what one hypothesis decided.
     fn again(&mut self, begun: &Filter, block: &mut Block, decisions: &[Decision]) -> Rows {
-        let mut rows = Rows::with_room(self.settings.axes, block.time_s.len());
+        let mut rows = Rows::default();
         let mut judge = Judge::Decided { decisions, back: None };
         begun.clone().run(&self.model, block, &mut judge, Some(&mut rows), &mut self.work);
         rows
