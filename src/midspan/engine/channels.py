@@ -21,7 +21,6 @@ from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
 from midspan.radar.frames import bin_m_of
 from midspan.radar.info import RadarInfo
-from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
 from midspan.signals.stuck import resolution
 
@@ -84,14 +83,13 @@ class Table:
         Of a given calibration it is estimated, from `GIVEN_SCALE_STD` besides; otherwise the band alone holds it. The
         accelerometer's gain is no part of it: see `gain`.
         """
-        relative_std = without_gain(relative_std, self.gain_std[self.channels[channels[0]].axis])
+        gain_std = self.gain_std[self.channels[channels[0]].axis]
+        kind, std = ParameterKind.SCALE_ERROR, without_gain(relative_std, gain_std)
         if not self.given:
-            self.uncertain(ParameterKind.SCALE_ERROR, channels, relative_std)
+            self.uncertain(kind, channels, std)
             return
-        std = float(np.hypot(relative_std, GIVEN_SCALE_STD))
-        self.parameters.append(
-            Parameter(ParameterKind.SCALE_ERROR, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION)
-        )
+        std = float(np.hypot(std, GIVEN_SCALE_STD))
+        self.parameters.append(Parameter(kind, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION))
 
     def by_first_terms(self) -> None:
         """Let displacement sensors together with others average by the first term, at the motion's frequency."""
@@ -158,36 +156,28 @@ def plain_channel(
 
     series: its values as read; first: whether its zero is the zero of the displacement.
     """
-    step_s = interval_s(series.time_ns)
+    known, step_s = calibration, interval_s(series.time_ns)
     coasting_s, lost_s = ages(step_s)
-    channel = table.add(
-        Channel(
-            sensor=sensor,
-            source=Source.DISPLACEMENT,
-            units_per_m=1.0,
-            zero_std_m=0.0 if first else np.inf,
-            coasting_s=coasting_s,
-            lost_s=lost_s,
-            slow_std_m=calibration.slow_std_m,
-            slow_time_s=calibration.slow_time_s,
-            exposure_s=calibration.exposure_s,
-        )
+    channel = Channel(
+        sensor=sensor,
+        source=Source.DISPLACEMENT,
+        units_per_m=1.0,
+        zero_std_m=0.0 if first else np.inf,
+        coasting_s=coasting_s,
+        lost_s=lost_s,
+        slow_std_m=known.slow_std_m,
+        slow_time_s=known.slow_time_s,
+        exposure_s=known.exposure_s,
     )
-    if calibration.relative_std > 0.0 or calibration.scale != 1.0:
-        table.scaled([channel], calibration.relative_std)
+    number = table.add(channel)
+    if known.relative_std > 0.0 or known.scale != 1.0:
+        table.scaled([number], known.relative_std)
     else:
-        table.in_true_metres.append(channel)
-    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(calibration.offset))
-    step_m = calibration.resolution_m
+        table.in_true_metres.append(number)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, [number], clock_std_s(known.offset))
+    step_m = resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m
     settings = PlainSettings(
-        name=sensor,
-        channel=channel,
-        variance_m2=calibration.noise_std_m**2,
-        step_s=step_s,
-        resolution_m=resolution(calibration.scale * series.value) if step_m is None else step_m,
-        scale=calibration.scale,
-        low_m=calibration.low_m,
-        high_m=calibration.high_m,
+        sensor, number, known.noise_std_m**2, step_s, step_m, known.scale, low_m=known.low_m, high_m=known.high_m
     )
     return PlainSensor(sensor, PlainChain(settings))
 
@@ -209,7 +199,7 @@ def camera_channels(
     sensor = tracking.settings.sensor
     step_s = interval_s(tracking.time_ns)
     coasting_s, lost_s = ages(step_s)
-    rows: list[list[int]] = [[] for _ in tracking.targets]
+    # Numbers of the channels along each axis, target by target.
     along: list[list[int]] = []
     for axis, camera in enumerate(calibrations):
         along.append([])
@@ -231,8 +221,7 @@ def camera_channels(
                 coasting_s=coasting_s,
                 lost_s=lost_s,
             )
-            rows[k].append(table.add(channel))
-            along[axis].append(rows[k][-1])
+            along[axis].append(table.add(channel))
     for numbers, camera in zip(along, calibrations, strict=True):
         # An axis without an accelerometer has the other's scale factor.
         shared = numbers if camera.fused else []
@@ -240,6 +229,7 @@ def camera_channels(
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
     directions = [camera.direction for camera in calibrations]
+    rows = list(zip(*along, strict=True))
     return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px)
 
 
@@ -251,13 +241,13 @@ def radar_chain(
     The frames must hold the stage's `bins`: `source.slow_time(chain.bins)`. moved_m: standard deviation of the
     structure's usual displacement.
     """
-    bin_m = bin_m_of(info)
+    bin_m, period_s = bin_m_of(info), 1.0 / info.frame_rate_hz
     targets = tuple(
         FollowedTarget.of(
             target,
             info.axis.phase_per_m(target.range_m),
             bin_m,
-            period_s=1.0 / info.frame_rate_hz,
+            period_s=period_s,
             bins=info.bins,
             moved_m=moved_m,
         )
@@ -309,15 +299,11 @@ def radar_channels(
 def require_same_radar(info: RadarInfo, calibration: RadarCalibration) -> None:
     """UsageError where the calibration belongs to other settings of the radar."""
     if abs(info.carrier_hz / calibration.carrier_hz - 1.0) > SAME_CARRIER:
-        raise UsageError(
-            f"radar: the calibration was made at a carrier of {calibration.carrier_hz / 1e9:.6g} GHz, this recording "
-            f"has {info.carrier_hz / 1e9:.6g} GHz. Calibrate again."
-        )
+        made, has = f"at a carrier of {calibration.carrier_hz / 1e9:.6g} GHz", f"{info.carrier_hz / 1e9:.6g} GHz"
+        raise UsageError(f"radar: the calibration was made {made}, this recording has {has}. Calibrate again.")
     if info.channels != calibration.channels:
-        raise UsageError(
-            f"radar: the calibration was made with {calibration.channels} channels, this recording has "
-            f"{info.channels}. Calibrate again."
-        )
+        made, has = f"with {calibration.channels} channels", str(info.channels)
+        raise UsageError(f"radar: the calibration was made {made}, this recording has {has}. Calibrate again.")
     bin_m = float(np.median(np.diff(info.range_m))) if info.bins > 1 else np.nan
     for target in calibration.used:
         if target.place_bin > info.bins - 1:
@@ -325,16 +311,15 @@ def require_same_radar(info: RadarInfo, calibration: RadarCalibration) -> None:
                 f"radar: the calibration's target is at bin {target.place_bin:.1f}, this recording has {info.bins} "
                 "bins. Calibrate again."
             )
-        apart = abs(info.axis.range_at(target.place_bin) - target.range_m)
-        if apart > SAME_BINS * bin_m:
+        range_m = info.axis.range_at(target.place_bin)
+        if abs(range_m - target.range_m) > SAME_BINS * bin_m:
             raise UsageError(
-                f"radar: the calibration's target at {target.range_m:.3f} m would be at "
-                f"{info.axis.range_at(target.place_bin):.3f} m with this recording's settings. Calibrate again."
+                f"radar: the calibration's target at {target.range_m:.3f} m would be at {range_m:.3f} m with this "
+                "recording's settings. Calibrate again."
             )
 
 
 def first_zero_std_m(item: FollowedTarget) -> float:
     """Standard deviation of the zero that the best target's first frame gives, m of displacement."""
-    target: Target = item.target
-    bent_m = abs(target.conversion_factor) * target.bent_rad / item.phase_per_m
-    return math.hypot(target.noise_m, bent_m)
+    bent_m = abs(item.target.conversion_factor) * item.target.bent_rad / item.phase_per_m
+    return math.hypot(item.target.noise_m, bent_m)

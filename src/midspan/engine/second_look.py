@@ -9,8 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from midspan.calibration.one_clock import CourseError, OneClock, one_clock
-from midspan.calibration.scale_check import Fitting, Sensed, fitting
+from midspan.calibration.one_clock import OneClock, one_clock
 from midspan.engine.point import Support
 from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.engine.stream import BACKWARDS, KINDS
@@ -22,7 +21,6 @@ from midspan.records import (
     Acceleration,
     Channel,
     Displacement,
-    Estimate,
     Event,
     Measured,
     Nanoseconds,
@@ -63,13 +61,7 @@ def without_stamps(series: SensorSeries, stamps: Nanoseconds | None) -> SensorSe
     """A series without its values at some stamps (k,)."""
     if stamps is None:
         return series
-    wrong = np.isin(series.time_ns, stamps)
-    return replace(series, value_m=np.where(wrong, np.nan, series.value_m))
-
-
-def without_measured(measured: Measured, stamps: Nanoseconds) -> Measured:
-    """A sensor's measurements without those at some stamps (k,)."""
-    return part(measured, ~np.isin(measured.time_ns, stamps))
+    return replace(series, value_m=np.where(np.isin(series.time_ns, stamps), np.nan, series.value_m))
 
 
 def left_out_event(name: str, stamps: Nanoseconds) -> Event:
@@ -82,14 +74,6 @@ def left_out_event(name: str, stamps: Nanoseconds) -> Event:
     return Event(int(stamps[0]), "rejected", text)
 
 
-def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:
-    """The rows with what the displacement may be off by where the motion does not tell which jump a clock made."""
-    variance = rows.variance_m2
-    for level in levels:
-        variance = variance + np.interp(rows.time_ns, level.time_ns, level.std_m) ** 2
-    return replace(rows, variance_m2=variance)
-
-
 def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneClock) -> Measured:
     """A sensor's measurements with the jumps and the drift of its clock taken out, channel by channel."""
     blocks = []
@@ -99,24 +83,6 @@ def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneCloc
         moved = clock.also(Displacement(own.time_ns, own.value, own.variance, source)).measured
         blocks.append(replace(own, time_ns=moved.time_ns, value=moved.value_m, variance=moved.variance_m2))
     return joined(blocks)
-
-
-def scales(
-    series: Mapping[str, SensorSeries],
-    acceleration: Acceleration,
-    known: Mapping[str, float],
-    *,
-    along: str,
-    max_offset_s: float,
-    followed: bool,
-) -> Fitting:
-    """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt.
-
-    known: relative standard deviations of the scales as calibrated; along: a second axis in words; max_offset_s:
-    largest clock offset looked for; followed: the method estimates the scales on its way.
-    """
-    compared = [Sensed(name, one.source, one.displacement, known[name]) for name, one in series.items()]
-    return fitting(acceleration, compared, along, max_offset_s=max_offset_s, followed=followed)
 
 
 def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], float]) -> EstimatorSettings:

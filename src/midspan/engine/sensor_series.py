@@ -78,15 +78,10 @@ def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str,
     What is uncertain of the zero of all of them is no noise of a frame; of one relative to the others it takes its
     weight.
     """
-    numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
-    rows = [part(measured, measured.channel == number) for number in numbers]
-    zeros = np.array(
-        [own.reference_variance / channels[number].units_per_m ** 2 for own, number in zip(rows, numbers, strict=True)]
-    )
-    zeros -= zeros.min(axis=0)
+    rows = [(c, part(measured, measured.channel == k)) for k, c in enumerate(channels) if c.sensor == sensor]
+    zeros = np.array([own.reference_variance / channel.units_per_m**2 for channel, own in rows])
     blocks = []
-    for own, number, zero in zip(rows, numbers, zeros, strict=True):
-        channel = channels[number]
+    for (channel, own), zero in zip(rows, zeros - zeros.min(axis=0), strict=True):
         source = np.full(len(own.time_ns), channel.source, dtype=np.uint8)
         variance = channel.variance_factor * own.variance / channel.units_per_m**2 + zero
         blocks.append(Displacement(own.time_ns, own.value / channel.units_per_m, variance, source))
@@ -99,13 +94,11 @@ def series_at_instants(
     """The series of sensors along an axis, by name, without what their exposures take from fast motion."""
     # The first one of a sensor is its best target's.
     exposures = {one.sensor: one.exposure_s for one in reversed(channels) if one.axis == axis}
-    first = not in_displacement_alone(channels)
-    return {
-        name: series_of(
-            name, one.source, at_instants(one.displacement, exposures[name], acceleration, first_term=first)
-        )
-        for name, one in series.items()
-    }
+    first, found = not in_displacement_alone(channels), {}
+    for name, one in series.items():
+        measured = at_instants(one.displacement, exposures[name], acceleration, first_term=first)
+        found[name] = series_of(name, one.source, measured)
+    return found
 
 
 def taken(series: SensorSeries, measured: Measured) -> SensorSeries:

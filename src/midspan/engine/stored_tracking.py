@@ -75,7 +75,10 @@ class StoredTracking(CameraTracking):
         self.time_ns = source.times_ns()[used]
         info = source.info
         self.reference = Frame(int(self.time_ns[0]), np.zeros((info.height, info.width), dtype=np.uint8))
-        tracks = _chosen(source.tracks, settings.targets)
+        # The tracks of the targets that a calibration uses, all where none are named.
+        names = [target.name for target in settings.targets]
+        named = tuple(track for track in source.tracks if track.name in names)
+        tracks = named if named and len(named) == len(names) else tuple(source.tracks)
         targets = [StoredTarget(self.reference, track, settings.readout_s, settings.first) for track in tracks]
         self.chain: Any = StoredChain(targets)
         self.targets = tuple(TargetTracking(target) for target in targets)  # type: ignore[arg-type]
@@ -92,13 +95,6 @@ class StoredTracking(CameraTracking):
 
     def close(self) -> None:
         """There is no file to let go."""
-
-
-def _chosen(tracks: Sequence[StoredTrack], wanted: Sequence[Target]) -> tuple[StoredTrack, ...]:
-    """The tracks of the targets that a calibration uses, all where none are named."""
-    names = [target.name for target in wanted]
-    found = tuple(track for track in tracks if track.name in names)
-    return found if len(found) == len(names) and found else tuple(tracks)
 
 
 def translation(track: StoredTrack, number: int) -> PixelTranslation:

@@ -143,7 +143,7 @@ class ThermalTarget(Tracker):
             cleaner.use(pattern)
         if not self.tracker.frames_to_learn:
             return None
-        ready = [self._ready(cleaner, frame, self.region) for frame in frames]
+        ready = [self._shown(cleaner.push(frame, self.region), frame) for frame in frames]
         kept = [k for k, frame in enumerate(ready) if frame is not None]
         moved = None if translation_px is None else translation_px[kept]
         shown = [frame for frame in ready if frame is not None]
@@ -206,15 +206,11 @@ class ThermalTarget(Tracker):
         frame = self.reference
         if self._pattern is not None:
             frame = replace(frame, pixels=self._pattern.removed(frame.pixels))
-        ready = self._ready(ThermalCleaner(frame, self.region), frame, self.region)
+        ready = self._shown(ThermalCleaner(frame, self.region).push(frame, self.region), frame)
         return self._opener(self.reference if ready is None else ready)
 
-    def _ready(self, cleaner: ThermalCleaner, frame: Frame, region: Region) -> Frame | None:
-        """The frame as the tracker gets it, None with the shutter closed."""
-        return self._shown(cleaner.push(frame, region), frame)
-
     def _shown(self, cleaned: Cleaned, frame: Frame) -> Frame | None:
-        """A cleaned frame as the tracker gets it."""
+        """A cleaned frame as the tracker gets it, None with the shutter closed."""
         if cleaned.frame is None or self.levels is None:
             return cleaned.frame
         return Frame(frame.time_ns, grey(frame.pixels, self.levels), frame.index)

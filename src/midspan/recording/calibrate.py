@@ -138,10 +138,8 @@ def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], wa
 
 def _uncertain(part: CameraFit, tracking: CameraTracking, gain_std: float) -> list[Notice]:
     """A sentence where the scale factor along an image axis is vague; gain_std: of the accelerometer, relative."""
-    if not part.parts:
-        return []
     total = float(np.hypot(part.calibration.relative_std, gain_std))
-    return uncertain_scale(tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
+    return uncertain_scale(tracking.settings.sensor, total, {**part.parts, "gain": gain_std}) if part.parts else []
 
 
 def usual_in_window(recording: Recording) -> AxisFigures:
@@ -154,11 +152,9 @@ def _white_noise(recording: Recording | None, learnt: float, warnings: list[Noti
     given = None if recording is None else recording.accelerometer.noise_std
     if given is None or learnt <= 2.0 * given:
         return learnt if given is None else given
-    warnings.append(
-        Notice(
-            "accelerometer-noisy",
-            f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were "
-            f"{learnt:.2g} m/s²; the larger one is used. Check the region, the mounting and the axes.",
-        )
+    text = (
+        f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were {learnt:.2g} "
+        "m/s²; the larger one is used. Check the region, the mounting and the axes."
     )
+    warnings.append(Notice("accelerometer-noisy", text))
     return learnt

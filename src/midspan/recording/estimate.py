@@ -9,6 +9,7 @@ import numpy as np
 from midspan.calibration.displacement.left_out import MANY_LEFT_OUT
 from midspan.calibration.displacement.wrong_values import wrong_values
 from midspan.calibration.one_clock import OneClock
+from midspan.calibration.scale_check import Sensed, fitting
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.unfelt import (
     measured_rows,
@@ -29,10 +30,7 @@ from midspan.engine.second_look import (
     on_its_clock,
     once_more,
     ran_apart,
-    scales,
-    with_levels_of,
     with_scales,
-    without_measured,
     without_stamps,
 )
 from midspan.engine.sensor_series import SensorSeries, series_at_instants
@@ -301,9 +299,9 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
         own = first.at_instants(axis)
         series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
         along, reach_s = f" along {side.recording.axis}" if axis else "", asked.recording.max_offset_s
-        followed = not asked.on_series
+        sensed = [Sensed(name, one.source, one.displacement, stated[axis][name]) for name, one in series.items()]
         try:
-            fits = scales(series, side.acceleration, stated[axis], along=along, max_offset_s=reach_s, followed=followed)
+            fits = fitting(side.acceleration, sensed, along, max_offset_s=reach_s, followed=not asked.on_series)
         except UntrustedError as error:
             if axis == 0:
                 raise
@@ -339,18 +337,24 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
         settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, first.sensors, ran))
     if apart or first.wrong or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
-        blocks |= {name: without_measured(blocks[name], stamps) for name, stamps in first.wrong.items()}
+        for name, stamps in first.wrong.items():
+            blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, stamps))
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
         estimator, again = once_more(settings, estimator, tuple(blocks.values()))
         outcome = Outcome(again)
     found = _found(first, outcome, estimator.smoothed(settings))
     refuse_unsettled(first, found)
-    levels = [level for clock in ran.values() for level in clock.levels]
-    rows = tuple(with_levels_of(one, levels) for one in found.rows)
+    # What the displacement may be off by where the motion does not tell which jump a clock made.
+    levels, rows = [level for clock in ran.values() for level in clock.levels], []
+    for one in found.rows:
+        variance = one.variance_m2
+        for level in levels:
+            variance = variance + np.interp(one.time_ns, level.time_ns, level.std_m) ** 2
+        rows.append(replace(one, variance_m2=variance))
     events = [event for clock in ran.values() for event in clock.events]
     events += [left_out_event(name, stamps) for name, stamps in first.wrong.items()]
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
-    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
+    return replace(found, rows=tuple(rows), events=(*found.events, *events), warnings=warnings)
 
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:

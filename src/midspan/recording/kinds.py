@@ -24,7 +24,7 @@ from midspan.errors import DataError, UsageError
 from midspan.fusion.methods import named
 from midspan.notices import Notice
 from midspan.progress import Progress
-from midspan.radar.frames import RadarFrames, collected
+from midspan.radar.frames import collected
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, window_ends, within_window
 from midspan.records import NANOSECONDS, Channel, Estimate, Measured, Source
@@ -46,24 +46,19 @@ Log = tuple[Measured, Sequence[Channel], Estimate]
 
 
 def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
-    """Read the calibration window of the radar, and the acceleration with a margin for the clock offset."""
-    frames, told = _window(recording, progress)
-    return opened(frames, recording.prepared, window_ends(recording), recording.max_offset_s, told)
-
-
-def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list[Notice]]:
-    """The range profiles of the calibration window, no more of them than memory allows."""
+    """The range profiles of a radar's calibration window, no more of them than memory allows, and the acceleration with
+    a margin for the clock offset.
+    """
     source, prepared = recording.radar, recording.prepared
-    times = source.times_ns()
+    times, told = source.times_ns(), list[Notice]()
     if not len(times):
-        raise DataError(f"radar.file = {recording.settings.radar.file!r}: holds no frames.")  # type: ignore[union-attr]
+        raise DataError(f"radar.file = {recording.own.settings.file!r}: holds no frames.")
     require_overlap(prepared.time_ns, times, "radar")
-    first, last = window_ends(recording)
+    ends = window_ends(recording)
     # At the largest clock offset the frames must still lie inside the accelerometer's samples.
     margin = round(recording.max_offset_s * NANOSECONDS)
-    first = max(first, int(prepared.time_ns[0]) + margin)
-    last = min(last, int(prepared.time_ns[-1]) - margin)
-    used = inside(times, first, last)
+    first = max(ends[0], int(prepared.time_ns[0]) + margin)
+    used = inside(times, first, min(ends[1], int(prepared.time_ns[-1]) - margin))
     if used.stop - used.start < MIN_FRAMES:
         raise DataError(
             f"radar: {max(used.stop - used.start, 0)} frames lie in the calibration window (those within "
@@ -71,27 +66,18 @@ def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list
             "Widen calibration.window_s or bring the clocks together with radar.start_s."
         )
     most = MAX_VALUES // max(source.info.channels * source.info.bins, 1)
-    told = []
     if used.stop - used.start > most:
         used = slice(used.start, used.start + max(most, MIN_FRAMES))
         length_s = (int(times[used.stop - 1]) - int(times[used.start])) / NANOSECONDS
-        told.append(
-            Notice(
-                "window-moved",
-                f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory.",
-            )
-        )
+        text = f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory."
+        told.append(Notice("window-moved", text))
     blocks = source.profiles(used.start, used.stop)
     frames = collected(blocks, used.stop - used.start, progress, "reading the radar's calibration window")
     holes = float(np.mean(~frames.valid.all(axis=1)))
     if holes > WARNED_LOST:
-        told.append(
-            Notice(
-                "radar-data",
-                f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets).",
-            )
-        )
-    return frames, told
+        text = f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets)."
+        told.append(Notice("radar-data", text))
+    return opened(frames, prepared, ends, recording.max_offset_s, told)
 
 
 def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
@@ -103,17 +89,16 @@ def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
     window = opened_window(view, progress)
     section, info = view.settings.radar, view.radar.info
     assert section is not None
-    if view.settings.fusion.literal:
-        fit: RadarFit = named(PRINTED_FIT)(window, view.prepared, info, target_range_m=section.target_range_m)
-        return fit
     wanted_m = section.target_range_m
+    if view.settings.fusion.literal:
+        fit: RadarFit = named(PRINTED_FIT)(window, view.prepared, info, target_range_m=wanted_m)
+        return fit
     return fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
 
 
 def _known(view: Recording, calibration: Calibration) -> Any:
     """The part of a calibration for a view's sensor; UsageError where it has none."""
-    found = calibration.of_sensor(view.own, view.beside)
-    if found is None:
+    if (found := calibration.of_sensor(view.own, view.beside)) is None:
         raise UsageError(
             f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
         )
@@ -196,9 +181,7 @@ def displacement_series(view: Recording, known: DisplacementCalibration, log: Lo
 @dataclass(frozen=True, slots=True)
 class Kind:
     """calibrate: what is estimated of the sensor; known: its part of a calibration, or a refusal; stage: its part of
-    the
-
-    engine, and its channels in the table; series: what it measured over the record.
+    the engine, and its channels in the table; series: what it measured over the record.
     """
 
     calibrate: Callable[[Recording, Progress], RadarFit | DisplacementFit]

@@ -40,24 +40,22 @@ WALK_S, DRIFT_S = 10.0, 60.0
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
     """What is usual of an axis's acceleration: as calibrated, where the calibration tells it."""
-    known = side.calibration.usual or usual_in_window(side.recording)
-    name = f"accelerometer ({side.recording.accelerometer.file})"
     own = side.calibration
     return replace(
-        known,
+        own.usual or usual_in_window(side.recording),
         noise_density=own.noise_density(rate_hz),
         motion_noise_s=own.motion_noise_s,
-        name=name,
+        name=f"accelerometer ({side.recording.accelerometer.file})",
         gain=own.accelerometer_scale,
     )
 
 
 def bias_std(side: Side) -> float:
     """How well the bias is known at the start, m/s²."""
-    known = side.calibration.bias_std_m_s2
-    noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
-    known = known if np.isfinite(known) else UNKNOWN_BIAS_STD
-    return float(np.linalg.norm((noise, MIN_BIAS_STD, DRIFT_S * side.calibration.bias_drift_m_s3, known)))
+    own = side.calibration
+    known = own.bias_std_m_s2 if np.isfinite(own.bias_std_m_s2) else UNKNOWN_BIAS_STD
+    noise, drift = BIAS_SAMPLES * own.noise_std_m_s2, DRIFT_S * own.bias_drift_m_s3
+    return float(np.linalg.norm((noise, MIN_BIAS_STD, drift, known)))
 
 
 def bias_walk(side: Side) -> float:
@@ -74,26 +72,12 @@ def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
     return {name: round(NANOSECONDS * offset.value_s) for name, offset in offsets_of(main, eyes).items()}
 
 
-def radar_frames_used(recording: Recording) -> slice:
-    """The frames of a view's radar that are used."""
-    margin_ns = round(recording.max_offset_s * NANOSECONDS)
-    return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
-
-
 def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
     """A radar's frames in the bins of its stage."""
-    used = radar_frames_used(recording)
+    margin_ns = round(recording.max_offset_s * NANOSECONDS)
+    used = frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
     for block in recording.radar.slow_time(radar.chain.bins, used.start, used.stop):
         yield from block
-
-
-def radar_zero_ns(view: Recording, radar: RadarSensor) -> int | None:
-    """The instant (ns on the radar's clock) of the first frame used, from which the phase counts; None: of none."""
-    before = radar.chain.state
-    found = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
-    first = next((one for one in found if one.status == Status.TRACKING), None)
-    radar.chain.restore(before)
-    return None if first is None else (*first.earlier, first)[0].time_ns
 
 
 def zero_instant(
@@ -110,8 +94,13 @@ def zero_instant(
     if not eyes:
         # The first sensor's zero is that of the displacement.
         view, radar = next((view, sensors[view.sensor]) for view, _ in known_sensors(main))
-        found = radar_zero_ns(view, radar) if isinstance(radar, RadarSensor) else None
-        firsts = [] if found is None else [(view.sensor, found)]
+        if isinstance(radar, RadarSensor):
+            # Its phase counts from the first frame used, which is looked for and given up again.
+            before = radar.chain.state
+            seen = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
+            first = next((one for one in seen if one.status == Status.TRACKING), None)
+            radar.chain.restore(before)
+            firsts = [] if first is None else [(view.sensor, (*first.earlier, first)[0].time_ns)]
     stamps = [
         stamp if ran is None else ran[name].first_ns(stamp)
         for name, stamp in ((name, stamp + offsets_ns[name]) for name, stamp in firsts)
@@ -131,19 +120,14 @@ def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
     return max((*seen, *(lost if axis == 0 else ())), default=0.0)
 
 
-def unseen_zero_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
-    """What else is in the bin of a radar's best target makes of its phase at the zero, m: it does not average out while
-    the structure is where it was.
-    """
-    known = [one for _, one in known_sensors(main)][:1]
-    counts = not eyes and axis == 0 and bool(known) and known[0].kind == Source.RADAR.word
-    return known[0].used[0].bent_m if counts else 0.0
-
-
 def estimator_settings(
     table: Table, sides: Sequence[Side], eyes: Sequence[Eye], sensors: Mapping[str, Sensor]
 ) -> EstimatorSettings:
     """What the estimator is given of a recording's axes and sensors."""
+    # What else is in the bin of a radar's best target makes an error of its phase at the zero, m: it does not average
+    # out while the structure is where it was.
+    known = [one for _, one in known_sensors(sides[0])][:1]
+    bent_m = known[0].used[0].bent_m if not eyes and known and known[0].kind == Source.RADAR.word else 0.0
     return EstimatorSettings(
         channels=tuple(table.channels),
         axes=len(sides),
@@ -156,7 +140,7 @@ def estimator_settings(
         misfit=tuple(side.calibration.misfit for side in sides),
         lean=tuple(GRAVITY_M_S2 * side.calibration.slope for side in sides),
         unseen_std_m=tuple(unseen_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
-        unseen_zero_std_m=tuple(unseen_zero_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
+        unseen_zero_std_m=(bent_m, *(0.0 for _ in sides[1:])),
     )
 
 

@@ -219,7 +219,7 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
     if len(given) == 1 and len(known.targets) <= 1:
         # One target's scale factor is taken for the same target that moved a little in the picture.
         return given
-    regions = {target.region: target for target in known.targets}
+    regions = {target.region for target in known.targets}
     missing = [target.name for target in given if target.region not in regions]
     if missing or len(given) < len(known.used):
         raise UsageError(
