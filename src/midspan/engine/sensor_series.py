@@ -67,9 +67,8 @@ def agreed_series(
     variance = np.array([block.variance_m2 for block in blocks])
     residual -= relative_zeros(residual, variance)[:, None]
     expected, spread = at(path, blocks[best].time_ns)
-    found = combine(residual, variance, agreeing(residual, variance, spread))
-    measured = replace(blocks[best], value_m=found.value + expected, variance_m2=found.variance)
-    return series_of(sensor, source, measured)
+    value, own = combine(residual, variance, agreeing(residual, variance, spread))
+    return series_of(sensor, source, replace(blocks[best], value_m=value + expected, variance_m2=own))
 
 
 def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str, path: Estimate) -> SensorSeries:

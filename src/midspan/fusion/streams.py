@@ -69,12 +69,9 @@ class KalmanSettings:
         The channel of the prediction stands for what is known before anything is measured; no row rests on it.
         """
         ages = {Source.PREDICTION: (-1.0, -1.0)}
-        channels = []
-        for code in map(Source, sources):
-            coasting_s, lost_s = ages.get(code, (self.coasting_s, self.lost_s))
-            channels.append(Channel(code.word, code, 1.0, coasting_s=coasting_s, lost_s=lost_s))
+        own = ((code, ages.get(code, (self.coasting_s, self.lost_s))) for code in map(Source, sources))
         settings = EstimatorSettings(
-            channels=tuple(channels),
+            tuple(Channel(code.word, code, 1.0, coasting_s=age[0], lost_s=age[1]) for code, age in own),
             bias_m_s2=(self.bias,),
             bias_std_m_s2=(self.bias_std,),
             bias_walk=self.bias_walk,
@@ -167,11 +164,15 @@ class KalmanFilter:
         if isinstance(record, Displacement):
             self._estimator.push(measured(sound_displacement(record), tuple(Source)))
             return []
-        return outputs(self._estimator.push(samples(sound_acceleration(record))))
+        return self._single(self._estimator.push(samples(sound_acceleration(record))))
 
     def finish(self) -> list[Output]:
         """What is left at the end of the record."""
-        return outputs(self._estimator.finish())
+        return self._single(self._estimator.finish())
+
+    def _single(self, rows: Sequence[Rows]) -> list[Output]:
+        estimate, innovation, events = gathered(rows)
+        return [*(one for one in (estimate, innovation) if one is not None), *events]
 
     def predict(self, time_ns: int) -> tuple[float, float]:
         """Displacement (m) and variance (m²) at a time after the last sample, whose acceleration is held."""
@@ -263,12 +264,6 @@ def gathered(rows: Sequence[Rows]) -> tuple[Estimate | None, Innovation | None, 
         None if met is None else part(met, np.argsort(met.time_ns, kind="stable")),
         [event for one in rows for event in one.events],
     )
-
-
-def outputs(rows: Sequence[Rows]) -> list[Output]:
-    """What a push gave as single records."""
-    estimate, innovation, events = gathered(rows)
-    return [*(one for one in (estimate, innovation) if one is not None), *events]
 
 
 def sources_of(displacement: Displacement) -> tuple[int, ...]:

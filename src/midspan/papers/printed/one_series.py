@@ -24,8 +24,8 @@ from midspan.papers.printed.complementary import OUTLIER_STD
 from midspan.papers.printed.in_turn import in_turn
 from midspan.recording.estimate import Asked, Checked, FirstPass, Found, smoothed
 from midspan.recording.tracked import offsets_of
-from midspan.records import Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, joined, part
-from midspan.signals.acceleration import from_first_measurement
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, joined, part
+from midspan.signals.health import unknown_density
 from midspan.signals.stamps import shown
 
 # Noise estimated by a method as printed, over that of its start, beyond which it is called a run-away.
@@ -108,6 +108,20 @@ def run_on_series(
         f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "
         "Leave fusion.literal out, or choose another fusion.method."
     )
+
+
+def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
+    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
+    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
+    if first >= start or start - first > 2 * NANOSECONDS:
+        return acceleration
+    value = float(np.mean(acceleration.value_m_s2[:100]))
+    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
+    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
+    widened = acceleration.noise_density.copy()
+    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
+    return joined([before, replace(acceleration, noise_density=widened)])
 
 
 def rms(values: Floats) -> float:
