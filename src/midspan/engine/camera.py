@@ -94,6 +94,8 @@ class TargetChain:
             quarter_turns=settings.quarter_turns,
             lens=lens_of(opening.lens),
         )
+        # How long after the reference frame's stamp the row of the target's middle was read out, ns.
+        self.first_late_ns: int = self._core.first_late_ns
 
     @property
     def state(self) -> TargetState:
@@ -153,11 +155,6 @@ class TargetChain:
         share = self.region.width / max(columns, 1) if turned else self.region.height / max(rows, 1)
         return math.hypot(exposure_s or 0.0, self._settings.readout_s * share)
 
-    @property
-    def first_late_ns(self) -> int:
-        """How long after the reference frame's stamp the row of the target's middle was read out, ns."""
-        return self._core.first_late_ns
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraState:
@@ -193,7 +190,7 @@ class CameraChain:
     ) -> tuple[PixelTranslation, ...]:
         """The translation of each target in `frame`; predictions: of each target, in pixels of the ideal camera."""
         expected = predictions or (None,) * len(self.targets)
-        return tuple(map(TargetChain.push, self.targets, (frame,) * len(self.targets), expected))
+        return tuple(target.push(frame, one) for target, one in zip(self.targets, expected, strict=True))
 
     @property
     def frames_to_learn(self) -> int:

@@ -67,7 +67,12 @@ def _unusable_temperatures(
     times = source.times_ns()[used]
     until = int(np.searchsorted(times, times[0] + round(LOOKED_AT_S * NANOSECONDS)))
     places = used.start + np.unique(np.linspace(0, until - 1, LOOKED_AT).astype(int))
-    seen = _read(source, places) or [opening.pixels]
+    seen = []
+    for k in places.tolist():
+        # What is wrong with one is reported where frames are read in their order.
+        with suppress(DataError):
+            seen += [frame.pixels for frame in source.frames(k, k + 1)]
+    seen = seen or [opening.pixels]
     usual_k = float(np.median([_contrast(pixels) for pixels in seen]))
     closed = _closed(source, used, usual_k) if _contrast(opening.pixels) < FLAT_SHARE * usual_k else 0
     begin = slice(used.start + closed, used.stop)
@@ -80,15 +85,6 @@ def _unusable_temperatures(
         told.append(f"{which} {covered} frames show something else over {100.0 * share:.0f} % of a target")
     text = " and ".join(told)
     return closed + covered, f"{text}; they were skipped, and the zero is at the first frame after them" if told else ""
-
-
-def _read(source: FrameSource, places: NDArray[Any]) -> list[NDArray[Any]]:
-    """The pictures at these places (n,); what is wrong with one is reported where frames are read in their order."""
-    seen = []
-    for k in places.tolist():
-        with suppress(DataError):
-            seen += [frame.pixels for frame in source.frames(k, k + 1)]
-    return seen
 
 
 def _closed(source: FrameSource, used: slice, usual_k: float) -> int:

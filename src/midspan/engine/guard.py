@@ -72,23 +72,19 @@ class Guard:
         nothing = Bridged(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
         none = Stamps(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool))
         memories = tuple(AxisMemory.before(axis) for axis in settings.axes)
-        self._state = GuardState(None, False, none, memories, tuple(nothing for _ in settings.axes))
+        # All that has an effect on what comes later.
+        self.state = GuardState(None, False, none, memories, tuple(nothing for _ in settings.axes))
 
     @property
     def unseen(self) -> str:
         """Whether the newest samples are one value over and over, and have been for longer than they are held back."""
-        return "frozen" if any(axis.lost and axis.equal > axis.lost for axis in self._state.axes) else ""
-
-    @property
-    def state(self) -> GuardState:
-        """All that has an effect on what comes later."""
-        return self._state
+        return "frozen" if any(axis.lost and axis.equal > axis.lost for axis in self.state.axes) else ""
 
     def restore(self, state: GuardState) -> None:
         """Go on from where `state` was read."""
         if len(state.axes) != len(self.settings.axes):
             raise refuse("state", f"of {len(self.settings.axes)} axes", len(state.axes))
-        self._state = state
+        self.state = state
 
     def push(self, record: Readings | Event) -> list[Samples | Event]:
         """Take readings, time_ns (n,) and value (n, axes), or what was found wrong with the stream before it came here.
@@ -96,7 +92,7 @@ class Guard:
         Returns Samples, where any are decided, and events. An event of one of `STEPS` counts as the clock's step.
         """
         if isinstance(record, Event):
-            self._state = replace(self._state, broken=self._state.broken or record.kind in STEPS)
+            self.state = replace(self.state, broken=self.state.broken or record.kind in STEPS)
             return [record]
         count = len(self.settings.axes)
         if record.value.shape != (len(record.time_ns), count):
@@ -110,7 +106,7 @@ class Guard:
         """Readings that are plainly good while nothing waits, as they are: the usual case, and the short way to what
         the others go through; None of others.
         """
-        state, time_ns = self._state, record.time_ns
+        state, time_ns = self.state, record.time_ns
         if not len(time_ns) or state.used_ns is None or state.broken or len(state.stamps.time_ns):
             return None
         longest_ns = max(int(time_ns[0]) - state.used_ns, int((time_ns[1:] - time_ns[:-1]).max(initial=0)))
@@ -123,7 +119,7 @@ class Guard:
                 return None
             noise[:, k] = found[1]
             memories.append(found[0])
-        self._state = GuardState(int(time_ns[-1]), False, state.stamps, tuple(memories), state.decided)
+        self.state = GuardState(int(time_ns[-1]), False, state.stamps, tuple(memories), state.decided)
         value, density = record.value / self._gain, (noise + self._noise) / self._gain**2
         return Samples(time_ns, value, density, np.full(len(time_ns), MEASURED, dtype=np.uint8))
 
@@ -134,7 +130,7 @@ class Guard:
 
     def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
         """Which of the rising stamps (n,) are used, and events; those used are put to the ones that wait."""
-        state = self._state
+        state = self.state
         kept, marks = np.ones(len(time_ns), dtype=bool), np.zeros(len(time_ns), dtype=bool)
         if state.broken:
             # After a step of the clock, of an interval much shorter than usual no motion could be told.
@@ -143,18 +139,18 @@ class Guard:
             marks[np.flatnonzero(kept)[:1]] = state.used_ns is not None
         events = self._wait(time_ns[kept], marks[kept])
         if kept.any():
-            self._state = replace(self._state, used_ns=int(time_ns[-1]), broken=False)
+            self.state = replace(self.state, used_ns=int(time_ns[-1]), broken=False)
         return kept, events
 
     def _wait(self, time_ns: Nanoseconds, broken: Mask) -> list[Event]:
         """Put stamps (n,) to those that wait; returns an event for each gap before them."""
-        state, name = self._state, self.settings.axes[0].name
+        state, name = self.state, self.settings.axes[0].name
         if not len(time_ns):
             return []
         first_ns = int(time_ns[0]) if state.used_ns is None else state.used_ns
         before_ns = np.concatenate(([first_ns], time_ns[:-1]))
         step_s = (time_ns - before_ns) / NANOSECONDS
-        self._state = replace(state, stamps=joined([state.stamps, Stamps(time_ns, step_s, broken)]))
+        self.state = replace(state, stamps=joined([state.stamps, Stamps(time_ns, step_s, broken)]))
         return [
             Event(int(before_ns[k]), "gap", f"{name}: no samples for {step_s[k]:.3g} s.")
             for k in np.flatnonzero(step_s > self._gap_s)
@@ -162,7 +158,7 @@ class Guard:
 
     def _join(self, time_ns: Nanoseconds, value: Floats, events: list[Event], *, end: bool) -> list[Samples | Event]:
         """Give out what all axes have decided, after new samples: time_ns (n,), value (n, axes)."""
-        state, memories, decided = self._state, [], []
+        state, memories, decided = self.state, [], []
         for number, figures in enumerate(self.settings.axes):
             new = (time_ns, value[:, number])
             memory, found, told = bridge(state.axes[number], new, figures, self._limits[number], end=end)
@@ -173,7 +169,7 @@ class Guard:
         block = self._samples(decided, count)
         rest = slice(count, None)
         left = tuple(part(axis, rest) for axis in decided)
-        self._state = replace(state, stamps=part(state.stamps, rest), axes=tuple(memories), decided=left)
+        self.state = replace(state, stamps=part(state.stamps, rest), axes=tuple(memories), decided=left)
         if not count:
             return [*events]
         # Without what the accelerometer measures too much.
@@ -182,7 +178,7 @@ class Guard:
 
     def _samples(self, decided: Sequence[Bridged], count: int) -> Samples:
         """The first `count` samples of all axes, with the density that gaps and steps of the clock add."""
-        stamps, axes = self._state.stamps, self.settings.axes
+        stamps, axes = self.state.stamps, self.settings.axes
         value = np.column_stack([axis.value[:count] for axis in decided])
         extra = np.column_stack([axis.density[:count] for axis in decided])
         step_s, broken = stamps.step_s[:count], stamps.broken[:count]

@@ -109,7 +109,19 @@ class Merge:
     @property
     def health(self) -> tuple[Health, ...]:
         """How each stream stands."""
-        return tuple(self._health(stream) for stream in self._streams)
+        found, first = [], self._streams[0]
+        for stream in self._streams:
+            state, reason = StreamState.LIVE, ""
+            if stream.out:
+                state, reason = StreamState.OUT, quiet(stream, self._now_ns or 0)
+            elif stream.newest_ns is None:
+                state, reason = StreamState.WAITING, "nothing came yet"
+            elif self._released_ns is not None and stream.newest_ns < self._released_ns:
+                behind_s = ((first.newest_ns or stream.newest_ns) - stream.newest_ns) / NANOSECONDS
+                state, reason = StreamState.BEHIND, f"its stamps are {behind_s:.3g} s behind those of {first.name}"
+            counts = (stream.used, stream.late, stream.disordered, stream.lost)
+            found.append(Health(stream.name, state, reason, stream.newest_ns, *counts))
+        return tuple(found)
 
     def push(self, record: Arrival | Tick | ClockOffset | Complete) -> list[Arrival]:
         """Take a record; returns what is due, in the order of time, on the common clock."""
@@ -358,19 +370,6 @@ class Merge:
         if not records:
             return []
         return [Arrival(arrival.stream, arrival.sequence, records[0] if len(records) == 1 else joined(records))]
-
-    def _health(self, stream: StreamMemory) -> Health:
-        state, reason = StreamState.LIVE, ""
-        first = self._streams[0]
-        if stream.out:
-            state, reason = StreamState.OUT, quiet(stream, self._now_ns or 0)
-        elif stream.newest_ns is None:
-            state, reason = StreamState.WAITING, "nothing came yet"
-        elif self._released_ns is not None and stream.newest_ns < self._released_ns:
-            behind_s = ((first.newest_ns or stream.newest_ns) - stream.newest_ns) / NANOSECONDS
-            state, reason = StreamState.BEHIND, f"its stamps are {behind_s:.3g} s behind those of {first.name}"
-        counts = (stream.used, stream.late, stream.disordered, stream.lost)
-        return Health(stream.name, state, reason, stream.newest_ns, *counts)
 
 
 def _whole(length_s: float) -> int | None:

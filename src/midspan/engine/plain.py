@@ -139,7 +139,12 @@ class PlainChain:
         """Values (n,) in metres as measurements, without those that are stuck, and events."""
         if not len(value):
             return []
-        held, ends = self._at_limits(time_ns, value)
+        known, state = self.settings, self.state
+        held = at_limits(value, known.low_m, known.high_m)
+        begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
+        self.state = replace(state, clipped=bool(held[-1]))
+        text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."
+        ends = [Event(int(time_ns[k]), "clipped", text.format(1e3 * value[k])) for k in begins]
         time_ns, value = time_ns[~held], value[~held]
         used, found = self._moving(time_ns, value) if len(value) else (held[:0], [])
         count = int(np.count_nonzero(used))
@@ -151,15 +156,6 @@ class PlainChain:
             reference_variance=np.zeros(count),
         )
         return [*([block] if count else []), *ends, *found]
-
-    def _at_limits(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
-        """Which values (n,) are held at an end of the range, and an event where that begins."""
-        known, state = self.settings, self.state
-        held = at_limits(value, known.low_m, known.high_m)
-        begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
-        self.state = replace(state, clipped=bool(held[-1]))
-        text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."
-        return held, [Event(int(time_ns[k]), "clipped", text.format(1e3 * value[k])) for k in begins]
 
     def _moving(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
         """Which finite values (n,) are used, and events where the sensor gets stuck and where it is free again."""

@@ -225,9 +225,10 @@ class Point:
         if self.unmeasured:
             found = with_unmeasured(found, self.unmeasured)
         out: list[Output] = []
-        count = len(found.time_ns)
-        blocks = [part(found, slice(first, first + BLOCK)) for first in range(0, count, BLOCK)]
-        for block in blocks if count > BLOCK else [found]:
+        blocks, count = [found], len(found.time_ns)
+        if count > BLOCK:
+            blocks = [part(found, slice(first, first + BLOCK)) for first in range(0, count, BLOCK)]
+        for block in blocks:
             for reached in self._reached:
                 seen = reached(block)
                 out += [] if seen is None else self._measured(seen)

@@ -26,7 +26,6 @@ from midspan.records import (
     Nanoseconds,
     PixelTrack,
     PixelTranslation,
-    Region,
     Status,
 )
 from midspan.signals.stamps import shown
@@ -39,7 +38,6 @@ from midspan.vision.region import check_region
 from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice
 from midspan.vision.target import UNSEEN
-from midspan.vision.tracker import Tracker
 
 # Frames that were looked at are kept until they are tracked; so much memory at most.
 MOST_AHEAD_BYTES = 200_000_000
@@ -101,27 +99,12 @@ class TargetTracking:
     """One target: its part of the camera's chain, and the rows found so far, one a frame, as they came."""
 
     def __init__(self, chain: TargetChain) -> None:
-        self.chain = chain
+        self.chain, self.name, self.region, self.tracker = chain, chain.name, chain.region, chain.tracker
         # The fields of a track, how strong it was, the reference's variances along x and y, why it was not seen.
         self._columns = Columns("qdddddBdddB")
         self._track: PixelTrack | None = None
         # What happened in frames, by their numbers.
         self._events: dict[int, tuple[Event, ...]] = {}
-
-    @property
-    def name(self) -> str:
-        """What the target is called."""
-        return self.chain.name
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self.chain.region
-
-    @property
-    def tracker(self) -> Tracker:
-        """What it is tracked with."""
-        return self.chain.tracker
 
     def add(self, found: PixelTranslation) -> None:
         """Keep what was found in a frame."""

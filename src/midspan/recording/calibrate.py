@@ -56,9 +56,9 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
     if (span := liveliest_minute(recording)) is None:
         return None
     window = recording.settings.calibration.model_copy(update={"window_s": span})
-    livelier = Recording(recording.file, recording.settings.model_copy(update={"calibration": window}))
+    livelier = recording.settings.model_copy(update={"calibration": window})
     try:
-        found, tracking = _calibrate_and_track(livelier, progress)
+        found, tracking = _calibrate_and_track(Recording(recording.file, livelier), progress)
     except MidspanError:
         return None
     text = (
