@@ -440,33 +440,6 @@ class ClockOffset:
     from_ns: int
 
 
-class StreamState(IntEnum):
-    """How a stream stands: nothing came yet; in time; later than the others wait; silent for too long."""
-
-    WAITING = 0
-    LIVE = 1
-    BEHIND = 2
-    OUT = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """How a stream stands, and why.
-
-    newest_ns: its newest stamp on the common clock. Counts of readings and frames: used; late; disordered (doubled,
-    backwards, outside the times that are possible); lost records, by their sequence numbers.
-    """
-
-    stream: str
-    state: StreamState
-    reason: str
-    newest_ns: int | None
-    used: int
-    late: int
-    disordered: int
-    lost: int
-
-
 Block = TypeVar("Block", bound="Arrays")
 
 

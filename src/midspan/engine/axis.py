@@ -278,7 +278,9 @@ def _still(
     for first, stop in runs(equal.length > 1):
         length, least, stop = int(equal.length[stop - 1]), int(equal.frozen[first]), given + int(stop)
         start = stop - length
-        if _is_rest(value, start, memory, figures):
+        apart = abs(value[max(start, memory.given)] - figures.mean_m_s2)
+        if apart < REST_SHARE * np.sqrt(figures.variance) and _is_gentle(value, start, memory, figures):
+            # The structure is at rest: at the mean, and reached gently.
             continue
         waits = least <= limits.held
         if length >= least:
@@ -295,12 +297,6 @@ def _is_gentle(value: Floats, start: int, memory: AxisMemory, figures: AxisFigur
     steps = np.abs(np.diff(value[max(start - CONTEXT + 1, 0) : start + 1]))
     small = REST_SHARE * np.sqrt(figures.variance)
     return bool(np.fmax.reduce(steps, initial=0.0) < small)
-
-
-def _is_rest(value: Floats, start: int, memory: AxisMemory, figures: AxisFigures) -> bool:
-    """Whether the run of equal values from `start` on is rest: at the mean, and reached gently."""
-    apart = abs(value[max(start, memory.given)] - figures.mean_m_s2)
-    return bool(apart < REST_SHARE * np.sqrt(figures.variance)) and _is_gentle(value, start, memory, figures)
 
 
 def _clipped(
@@ -359,25 +355,19 @@ def _filled(
             drawn[start:stop] = crests[start:stop]
             density[start : stop + 1] = figures.unseen((count + 1) / limits.rate_hz)
         elif count < limits.long:
-            _draw(drawn, missing, (start, stop), figures, rate_hz=limits.rate_hz)
+            # On the line between its ends, drawn to the mean where it is long.
+            near = slice(max(start - 1, 0), stop + 1)
+            line = bridged(drawn[near], missing[near])[start - near.start :][: stop - start]
+            share = missed_share((count + 1) / limits.rate_hz, figures.frequency_hz)
+            drawn[start:stop] = line + share * (figures.mean_m_s2 - line)
             density[start : stop + 1] = figures.unseen((count + 1) / limits.rate_hz)
         else:
             drawn[start:stop], density[start : stop + 1] = figures.mean_m_s2, figures.unknown_density
         if count >= limits.long > before:
-            events.append(
-                Event(since, "missing", f"{figures.name}: samples are missing, frozen or clipped from here on.")
-            )
+            text = f"{figures.name}: samples are missing, frozen or clipped from here on."
+            events.append(Event(since, "missing", text))
         if not is_open:
             events.append(Event(since, "bridged", f"{figures.name}: {count} samples bridged."))
         lost = (count, since) if is_open else (0, 0)
     given = slice(memory.given, release)
     return Bridged(drawn[given], density[given], missing[given]), events, release, lost
-
-
-def _draw(value: Floats, missing: Mask, hole: tuple[int, int], figures: AxisFigures, *, rate_hz: float) -> None:
-    """Put a hole (start, end) of `value` (n,) on the line between its ends, drawn to the mean where it is long."""
-    start, stop = hole
-    near = slice(max(start - 1, 0), stop + 1)
-    line = bridged(value[near], missing[near])[start - near.start :][: stop - start]
-    share = missed_share((stop - start + 1) / rate_hz, figures.frequency_hz)
-    value[start:stop] = line + share * (figures.mean_m_s2 - line)

@@ -35,11 +35,9 @@ from midspan.records import (
     Complete,
     Event,
     Frame,
-    Health,
     Nanoseconds,
     RangeFrame,
     Readings,
-    StreamState,
     Tick,
     Tracked,
     joined,
@@ -105,23 +103,6 @@ class Merge:
         self._streams = [replace(stream) for stream in state.streams]
         self._held = [deque(waiting) for waiting in state.held]
         self._released_ns, self._now_ns = state.released_ns, state.now_ns
-
-    @property
-    def health(self) -> tuple[Health, ...]:
-        """How each stream stands."""
-        found, first = [], self._streams[0]
-        for stream in self._streams:
-            state, reason = StreamState.LIVE, ""
-            if stream.out:
-                state, reason = StreamState.OUT, quiet(stream, self._now_ns or 0)
-            elif stream.newest_ns is None:
-                state, reason = StreamState.WAITING, "nothing came yet"
-            elif self._released_ns is not None and stream.newest_ns < self._released_ns:
-                behind_s = ((first.newest_ns or stream.newest_ns) - stream.newest_ns) / NANOSECONDS
-                state, reason = StreamState.BEHIND, f"its stamps are {behind_s:.3g} s behind those of {first.name}"
-            counts = (stream.used, stream.late, stream.disordered, stream.lost)
-            found.append(Health(stream.name, state, reason, stream.newest_ns, *counts))
-        return tuple(found)
 
     def push(self, record: Arrival | Tick | ClockOffset | Complete) -> list[Arrival]:
         """Take a record; returns what is due, in the order of time, on the common clock."""

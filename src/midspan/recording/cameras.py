@@ -8,13 +8,14 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
+from midspan.engine.thermal_target import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
-from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, range_seen, where_it_sees
+from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
 from midspan.records import Source
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.sensor_words import in_words_of, renamed
@@ -202,11 +203,14 @@ def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> Camera
     """What was estimated along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
     regions = [target.region for target in tracking.targets]
     place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
+    # Temperatures (°C) that the tracker sees; None where it gets pictures.
+    tracker = tracking.targets[place].tracker
+    seen = (tracker.limits.low_c, tracker.limits.high_c) if isinstance(tracker, ThermalTarget) else None
     own = replace(
         part.calibration,
         source=SOURCES[view.kind],
         name=view.own.settings.name,
-        temperature_range_c=range_seen(tracking, place),
+        temperature_range_c=seen,
         diagnostics=part.diagnostics,
     )
     return replace(part, calibration=own)

@@ -149,7 +149,8 @@ class Result:
         return {
             "midspan": __version__,
             "method": self.method,
-            "delay_s": self._finite_delay_s,
+            # Where it is the whole record JSON has no number for it.
+            "delay_s": self.delay_s if np.isfinite(self.delay_s) else None,
             "zero_std_mm": 1e3 * self.zero_std_m,
             "not_in_band": list(self.not_in_band),
             **self._axes(),
@@ -160,11 +161,6 @@ class Result:
             "notices": notice_trees(self.warnings),
             "events": _events(self.events),
         }
-
-    @property
-    def _finite_delay_s(self) -> float | None:
-        """The delay, None where it is the whole record, which JSON has no number for."""
-        return self.delay_s if np.isfinite(self.delay_s) else None
 
     def _sensors(self) -> dict[str, Any]:
         """Which sensor stands behind `source` when; nothing where there is one of each kind."""
@@ -204,7 +200,10 @@ class Result:
         """The figures a person asks for first: span, peaks, typical standard deviation with its part that is the zero's
         and common to all rows, and that of a row's own, shares of each status.
         """
-        d, rows = self.displacement_mm, self.estimate
+        d, rows, second = self.displacement_mm, self.estimate, dict[str, Any]()
+        if self.across is not None:
+            found, names = self.across.figures(), ("largest", "smallest", "rms", "median_std")
+            second = {f"{name}_{self.across.axis}_mm": found[f"{name}_mm"] for name in names}
         return {
             "rows": len(d),
             "start_s": float(self.time_s[0]),
@@ -214,19 +213,12 @@ class Result:
             "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
             "median_std_mm": float(np.median(self.displacement_std_mm)),
             "zero_std_mm": 1e3 * self.zero_std_m,
-            "delay_s": self._finite_delay_s,
+            "delay_s": self.delay_s if np.isfinite(self.delay_s) else None,
             "median_own_std_mm": 1e3 * float(np.sqrt(max(np.median(rows.variance_m2) - self.zero_std_m**2, 0.0))),
             "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
             "source": {s.word: float(np.mean(rows.source == s)) for s in Source if np.any(rows.source == s)},
-            **self._second_figures(),
+            **second,
         }
-
-    def _second_figures(self) -> dict[str, Any]:
-        """Peaks and typical standard deviation along the second axis."""
-        if self.across is None:
-            return {}
-        found, names = self.across.figures(), ("largest", "smallest", "rms", "median_std")
-        return {f"{name}_{self.across.axis}_mm": found[f"{name}_mm"] for name in names}
 
     def to_pandas(self) -> "pd.DataFrame":
         """The rows as a data frame indexed by time_s, with words for source and status."""

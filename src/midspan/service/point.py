@@ -130,7 +130,7 @@ class LivePoint:
     @property
     def disordered(self) -> int:
         """How many readings of the accelerometer were left out since their stamps were wrong."""
-        return 0 if self.opened is None else self.opened.point.merge.health[0].disordered
+        return 0 if self.opened is None else self.opened.point.merge.state.streams[0].disordered
 
     @property
     def held_up(self) -> str:

@@ -9,8 +9,7 @@ from midspan.calibration.camera.felt import felt_motion
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
 from midspan.engine.stored_tracking import StoredTracking
-from midspan.engine.thermal_target import ThermalTarget
-from midspan.engine.tracking import CameraTracking, Felt, TrackingSettings
+from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
@@ -65,12 +64,6 @@ def is_grey(view: Recording) -> bool:
     return not view.frames.info.radiometric
 
 
-def range_seen(tracking: CameraTracking, place: int) -> tuple[float, float] | None:
-    """Temperatures (°C) that the tracker of the target with this number sees; None where it gets pictures."""
-    tracker = tracking.targets[place].tracker
-    return (tracker.limits.low_c, tracker.limits.high_c) if isinstance(tracker, ThermalTarget) else None
-
-
 def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     """The view with a window in which its camera sees, and a sentence where that is another than the recording's.
 
@@ -85,11 +78,10 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     inside = np.flatnonzero((times + recording.late_ns >= first) & (times + recording.late_ns <= last))
     if not len(inside):
         return recording, []
-    brightness = _brightness(recording, _spread(inside, LOOKED_AT))
+    _, brightness = _brightness(recording, inside, LOOKED_AT)
     if np.mean(brightness == 0.0) <= MAX_DARK_SHARE:
         return recording, []
-    looked = _spread(np.arange(len(times)), SEARCHED)
-    brightness = _brightness(recording, looked)
+    looked, brightness = _brightness(recording, np.arange(len(times)), SEARCHED)
     if not brightness.any():
         raise UntrustedError("It is dark in all frames.")
     # Dusk and dawn are left out: a reference frame from there would be a poor one.
@@ -106,20 +98,15 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     return recording.seeing(begun, ended, int(times[looked[seen_from]])), [text]
 
 
-def _spread(indices: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Up to `count` of the indices, evenly."""
-    chosen: NDArray[np.int64] = indices[np.unique(np.linspace(0, len(indices) - 1, count).astype(int))]
-    return chosen
-
-
-def _brightness(recording: Recording, indices: NDArray[np.int64]) -> Floats:
-    """Mean brightness of these frames; 0 for black ones and for those that cannot be read."""
-    found = np.zeros(len(indices))
-    for k, index in enumerate(indices):
-        frame = next(iter(recording.frames.frames(int(index), int(index) + 1)), None)
+def _brightness(recording: Recording, indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], Floats]:
+    """Up to `count` of the frames, evenly, and the mean brightness of each; 0 where it is black or cannot be read."""
+    chosen = indices[np.unique(np.linspace(0, len(indices) - 1, count).astype(int))]
+    found = np.zeros(len(chosen))
+    for k, index in enumerate(chosen.tolist()):
+        frame = next(iter(recording.frames.frames(index, index + 1)), None)
         if frame is not None and not is_dark(frame.pixels):
             found[k] = float(np.mean(np.asarray(frame.pixels, dtype=np.float64)))
-    return found
+    return chosen, found
 
 
 def open_tracking(
@@ -157,13 +144,12 @@ def open_tracking(
         check_same_lens(settings.lens, known.lens)
     if view.frames.tracks:
         return StoredTracking(view.frames, settings, progress)
-    return CameraTracking(view.frames, settings, progress, judge, None if known is None else _felt(view, known))
-
-
-def _felt(view: Recording, known: CameraCalibration) -> Felt:
-    """The translation that the accelerometer shows, by a calibration of the camera."""
+    if known is None:
+        return CameraTracking(view.frames, settings, progress, judge)
+    # The translation that the accelerometer shows, by a calibration of the camera.
     prepared, window, band_hz = view.prepared, calibration_window(view), view.settings.calibration.band_hz
-    return lambda stamps: felt_motion(prepared, window, known, stamps, band_hz)
+    felt = lambda stamps: felt_motion(prepared, window, known, stamps, band_hz)  # noqa: E731
+    return CameraTracking(view.frames, settings, progress, judge, felt)
 
 
 def settings_of(view: Recording, camera: CameraSettings) -> TrackingSettings:
@@ -232,11 +218,9 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
 def lens_of(recording: Recording) -> Lens | None:
     """The lens that [camera.lens] of a recording names, None where it names none."""
     settings = recording.settings.camera.lens if recording.settings.camera else None
-    if settings is None:
-        return None
-    if settings.file is not None:
-        return load_lens(recording.path(settings.file, "camera.lens.file"))
-    return settings.lens()
+    if settings is None or settings.file is None:
+        return None if settings is None else settings.lens()
+    return load_lens(recording.path(settings.file, "camera.lens.file"))
 
 
 def check_same_lens(lens: Lens | None, calibrated: Lens | None) -> None:
