@@ -244,12 +244,7 @@ def radar_chain(
     bin_m, period_s = bin_m_of(info), 1.0 / info.frame_rate_hz
     targets = tuple(
         FollowedTarget.of(
-            target,
-            info.axis.phase_per_m(target.range_m),
-            bin_m,
-            period_s=period_s,
-            bins=info.bins,
-            moved_m=moved_m,
+            target, info.axis.phase_per_m(target.range_m), bin_m, period_s=period_s, bins=info.bins, moved_m=moved_m
         )
         for target in calibration.used
     )

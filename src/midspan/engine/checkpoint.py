@@ -30,9 +30,7 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 MAX_DEPTH = 20
 TUPLE, RECORD, ENUM, ARRAY, SCALAR, NOT_FINITE, COMPLEX = "t", "r", "e", "a", "n", "f", "c"
 # The numbers that arrays may hold, always little-endian.
-DTYPES = frozenset(
-    ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"),
-)
+DTYPES = frozenset(("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"))
 FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 State = TypeVar("State")
 Types = Mapping[str, type]

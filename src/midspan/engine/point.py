@@ -19,18 +19,7 @@ from midspan.engine.stream import STEPS
 from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import BLOCK, Estimator, Lag, State
 from midspan.fusion.model import ParameterKind
-from midspan.records import (
-    NANOSECONDS,
-    Arrival,
-    ClockOffset,
-    Complete,
-    Event,
-    Readings,
-    Samples,
-    Status,
-    Tick,
-    part,
-)
+from midspan.records import NANOSECONDS, Arrival, ClockOffset, Complete, Event, Readings, Samples, Status, Tick, part
 from midspan.signals.stamps import shown
 
 ACCELEROMETER = "accelerometer"

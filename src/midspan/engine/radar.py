@@ -331,10 +331,7 @@ class _Follower:
         return replace(self._measured(time_ns, phase, seen, []), earlier=earlier)
 
     def _used(
-        self,
-        time_ns: int,
-        seen: _Seen,
-        predicted: tuple[PhasePrediction, PhasePrediction, PhasePrediction | None],
+        self, time_ns: int, seen: _Seen, predicted: tuple[PhasePrediction, PhasePrediction, PhasePrediction | None]
     ) -> PhaseMeasurement:
         """A frame that shows the target; predicted: as it is unwrapped, its own prediction, and the given one."""
         state, (base, own, given), events = self.state, predicted, []

@@ -17,24 +17,12 @@ from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import BLOCK, Estimator
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
-from midspan.records import (
-    Acceleration,
-    Channel,
-    Displacement,
-    Event,
-    Measured,
-    Nanoseconds,
-    joined,
-    part,
-)
+from midspan.records import Acceleration, Channel, Displacement, Event, Measured, Nanoseconds, joined, part
 from midspan.signals.stamps import shown
 
 
 def clocks(
-    series: Mapping[str, SensorSeries],
-    acceleration: Acceleration,
-    kalman: KalmanSettings,
-    shared: Collection[str],
+    series: Mapping[str, SensorSeries], acceleration: Acceleration, kalman: KalmanSettings, shared: Collection[str]
 ) -> dict[str, OneClock]:
     """How the clock of each sensor ran, by what it measured along the main axis; shared: names of those whose clock is
     the accelerometer's, so that no drift is looked for.

@@ -26,10 +26,7 @@ OutputArrays = tuple[RowArrays | None, Sequence[InnovationArrays], Sequence[Repo
 # Of each code of a report the event's kind and text.
 TEXTS = (
     ("late", "Measurements of {sensor} came too late and are left out."),
-    (
-        "overflow",
-        "More than {max_waiting} measurements wait for samples of acceleration; the oldest are left out.",
-    ),
+    ("overflow", "More than {max_waiting} measurements wait for samples of acceleration; the oldest are left out."),
     (
         "rejected",
         "{count} measurements in a row ({name}) were rejected over {lasting_s:.2f} s, the first {size_mm:.2f} mm off: "

@@ -15,7 +15,7 @@ from midspan.calibration.fit import Pair
 from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import calibrate_scale
 from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.errors import UsageError
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method

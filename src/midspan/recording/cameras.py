@@ -8,7 +8,7 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice

@@ -20,7 +20,6 @@ from midspan.calibration.unfelt import (
     refuse_wide,
 )
 from midspan.checks import option, path_of
-from midspan.engine.camera_result import CameraResult, camera_result, camera_series
 from midspan.engine.channels import without_gain
 from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
@@ -33,7 +32,7 @@ from midspan.engine.second_look import (
     with_scales,
     without_stamps,
 )
-from midspan.engine.sensor_series import SensorSeries, series_at_instants
+from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_result, camera_series, series_at_instants
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
@@ -49,13 +48,7 @@ from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
-from midspan.recording.tracked import (
-    Eye,
-    Side,
-    known_sensors,
-    open_eyes,
-    side_of,
-)
+from midspan.recording.tracked import Eye, Side, known_sensors, open_eyes, side_of
 from midspan.records import Estimate, Event, Innovation, Nanoseconds, Source, part
 from midspan.settings.sensor_words import renamed
 from midspan.settings.stored.calibration import Calibration

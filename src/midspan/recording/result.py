@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
-from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
-from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.sensor_series import CameraResult, SensorSeries
 from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
 from midspan.recording.streams.recording import Recording

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.calibration.scale import ScaleCalibration
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.records import PixelTrack, Region, Status
 from midspan.report.columns import round_below
 from midspan.report.drawing import (

@@ -1,7 +1,7 @@
 """The sections on cameras: what each one looks at and how it sees it, and both of them over the record."""
 
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.records import Source
 from midspan.report import camera_figures, infrared_figures, page, phase_figures, tables
 from midspan.report.material import Material

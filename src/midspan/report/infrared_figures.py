@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.records import Event, Floats, Source
 from midspan.report.drawing import (
     BLACK,

@@ -8,8 +8,7 @@ import numpy as np
 from midspan.calibration.camera.view import camera_pair, scale_of
 from midspan.calibration.scale import ScaleCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.engine.camera_result import CameraResult
-from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.sensor_series import CameraResult, SensorSeries
 from midspan.errors import DataError, MidspanError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Band, Comparison, compare

@@ -10,7 +10,7 @@ import numpy as np
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.evaluate.metrics import Agreement, Comparison, normalised_innovation
 from midspan.evaluate.spectrum import Mode
 from midspan.fusion.blocks import REJECTED

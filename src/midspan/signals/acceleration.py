@@ -8,16 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.notices import Notice
-from midspan.records import (
-    NANOSECONDS,
-    Acceleration,
-    Event,
-    Floats,
-    Nanoseconds,
-    TimeSeries,
-    part,
-    seconds,
-)
+from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
 from midspan.signals.health import (
     GAP_STEPS,
     LONG_SHARE,

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from midspan.calibration.camera.felt import felt_motion
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
-from midspan.engine.stored_tracking import StoredTracking
-from midspan.engine.tracking import CameraTracking, TrackingSettings
+from midspan.engine.tracking import CameraTracking, StoredTracking, TrackingSettings
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
