@@ -129,7 +129,7 @@ class Guard:
         return self._join(np.empty(0, dtype=np.int64), none, [], end=True)
 
     def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
-        """Which of the rising stamps (n,) are used, and events; those used are put to the ones that wait."""
+        """Which of the rising stamps (n,) are used, and events of gaps; those used are put to the ones that wait."""
         state = self.state
         kept, marks = np.ones(len(time_ns), dtype=bool), np.zeros(len(time_ns), dtype=bool)
         if state.broken:
@@ -137,24 +137,17 @@ class Guard:
             half_ns = round(0.5 * NANOSECONDS / self.settings.rate_hz)
             kept = time_ns >= (FIRST_NS if state.used_ns is None else state.used_ns + half_ns)
             marks[np.flatnonzero(kept)[:1]] = state.used_ns is not None
-        events = self._wait(time_ns[kept], marks[kept])
-        if kept.any():
-            self.state = replace(self.state, used_ns=int(time_ns[-1]), broken=False)
-        return kept, events
-
-    def _wait(self, time_ns: Nanoseconds, broken: Mask) -> list[Event]:
-        """Put stamps (n,) to those that wait; returns an event for each gap before them."""
-        state, name = self.state, self.settings.axes[0].name
+        time_ns, marks = time_ns[kept], marks[kept]
         if not len(time_ns):
-            return []
+            return kept, []
         first_ns = int(time_ns[0]) if state.used_ns is None else state.used_ns
         before_ns = np.concatenate(([first_ns], time_ns[:-1]))
         step_s = (time_ns - before_ns) / NANOSECONDS
-        self.state = replace(state, stamps=joined([state.stamps, Stamps(time_ns, step_s, broken)]))
-        return [
-            Event(int(before_ns[k]), "gap", f"{name}: no samples for {step_s[k]:.3g} s.")
-            for k in np.flatnonzero(step_s > self._gap_s)
-        ]
+        stamps = joined([state.stamps, Stamps(time_ns, step_s, marks)])
+        self.state = replace(state, used_ns=int(time_ns[-1]), broken=False, stamps=stamps)
+        name = self.settings.axes[0].name
+        gaps = np.flatnonzero(step_s > self._gap_s)
+        return kept, [Event(int(before_ns[k]), "gap", f"{name}: no samples for {step_s[k]:.3g} s.") for k in gaps]
 
     def _join(self, time_ns: Nanoseconds, value: Floats, events: list[Event], *, end: bool) -> list[Samples | Event]:
         """Give out what all axes have decided, after new samples: time_ns (n,), value (n, axes)."""

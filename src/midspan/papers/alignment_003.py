@@ -1,6 +1,6 @@
 """The two-stage paper's calibration, section 3: scale factor and clock offset at 30 and 3 frames/s; figures 18, 19, 23.
 
-The steps are those of `calibration.printed`. "proposed" samples the displacement as the camera does before it is
+The steps are those of `papers.printed.camera`. "proposed" samples the displacement as the camera does before it is
 filtered, "existing" after; with or without a spline of the cross-correlation.
 """
 
@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.papers.claims import Effort, Measured
+from midspan.papers.printed.camera import calibrate_printed
 from midspan.papers.two_stage_003 import (
     CAMERA_HZ,
     FIRS,

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import calibrate_scale
 from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
 from midspan.engine.target_opening import ThermalTarget
@@ -22,6 +22,7 @@ from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanFilter, KalmanSettings, MethodSettings
 from midspan.papers.claims import Curve, Effort, Measured
 from midspan.papers.printed.adaptive import PrintedFilter
+from midspan.papers.printed.camera import calibrate_printed
 from midspan.papers.printed.switching import Switch
 from midspan.records import (
     NANOSECONDS,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializationInfo, model_serializer, model_validator
 
-from midspan.calibration.printed import PrintedSteps
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.checks import RATE_HZ
 from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings

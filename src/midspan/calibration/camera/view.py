@@ -7,9 +7,9 @@ import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import ScaleCalibration, calibrate_scale
 from midspan.errors import NoAgreementError, UntrustedError, UsageError
+from midspan.fusion.methods import named
 from midspan.records import NANOSECONDS, Floats, PixelTrack, Region, ScaleFactor, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.band_pass import band_passed
@@ -19,8 +19,26 @@ from midspan.vision.picture_report import PictureReport
 from midspan.vision.region_choice import Agreement
 from midspan.vision.tracker import Tracker
 
+# What stands in `papers`, above this room: a scale factor and a clock offset as the papers print them.
+PRINTED = "midspan.papers.printed.camera:calibrate_printed"
 # A printed scale factor that is off by more than this share is no calibration; the papers differ by up to a tenth.
 MAX_APART = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedSteps:
+    """How the steps are done, which the papers leave to the reader.
+
+    band_hz: lower and upper end; None: the papers'. spline: the cross-correlation is interpolated (two-stage paper,
+    step 3); without, the offset is a whole number of frame intervals. sampled_first: the displacement is brought to the
+    camera's rate before it is filtered (two-stage paper, step 2), so that both series are aliased alike; otherwise
+    after (AMKF paper). sign: of the scale factor, 1 or -1, which the papers know; 0: it is not known.
+    """
+
+    band_hz: tuple[float, float] | None = None
+    spline: bool = True
+    sampled_first: bool = True
+    sign: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +142,7 @@ def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> t
     known = view.scale or likely
     if known is not None:
         steps = replace(steps, sign=int(np.sign(known.value_m_per_px)))
-    scale, offset = calibrate_printed(pair, view.max_offset_s, steps)
+    scale, offset = named(PRINTED)(pair, view.max_offset_s, steps)
     if view.scale is None and likely is not None:
         share = scale.value_m_per_px / likely.value_m_per_px
         if not abs(share - 1.0) <= MAX_APART:

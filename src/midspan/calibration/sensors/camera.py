@@ -37,7 +37,7 @@ class CameraCalibration:
     temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
     0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
     where nothing tells which is wrong. name: where there are several sensors of a kind. literal: scale and offset are
-    as printed (`calibration/printed.py`). diagnostics: what the best target's values rest on, for the report; not
+    as printed (`papers/printed/camera.py`). diagnostics: what the best target's values rest on, for the report; not
     stored in the file.
     """
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
 from midspan.errors import UntrustedError
 from midspan.records import Floats, ScaleFactor, TimeOffset
@@ -34,22 +35,6 @@ MIN_ROWS, MIN_LAGS = 20, 4
 # Lags on either side that it is laid through at least, beyond `max_offset_s` where that is less: with three to each
 # side what is assumed at its ends has fallen to a tenth in the middle.
 SPLINE_LAGS = 4
-
-
-@dataclass(frozen=True, slots=True)
-class PrintedSteps:
-    """How the steps are done, which the papers leave to the reader.
-
-    band_hz: lower and upper end; None: `printed_band`. spline: the cross-correlation is interpolated (two-stage paper,
-    step 3); without, the offset is a whole number of frame intervals. sampled_first: the displacement is brought to the
-    camera's rate before it is filtered (two-stage paper, step 2), so that both series are aliased alike; otherwise
-    after (AMKF paper). sign: of the scale factor, 1 or -1, which the papers know; 0: it is not known.
-    """
-
-    band_hz: tuple[float, float] | None = None
-    spline: bool = True
-    sampled_first: bool = True
-    sign: int = 0
 
 
 def printed_band(rate_hz: float) -> tuple[float, float]:
