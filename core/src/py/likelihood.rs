@@ -26,6 +26,11 @@ fn whiten<'py>(
     let (pieces, rows) = (pairs("pieces", &pieces)?, pairs("rows", &rows)?);
     let (values, longer) = (values.as_array(), longer.as_ref().map(PyReadonlyArray2::as_array));
     same_length("rows, values", rows.len(), values.nrows())?;
+    // Times of records are 64-bit nanoseconds; what lies farther apart would be stepped through for ever.
+    let longest_s = i64::MAX as f64 * 1e-9;
+    if rows.iter().chain(&pieces).any(|[time, _]| !(time.abs() <= longest_s)) {
+        return Err(PyValueError::new_err("pieces, rows: a time that is not finite or beyond 64-bit nanoseconds"));
+    }
     if longer.is_some_and(|longer| longer.dim() != values.dim()) {
         return Err(PyValueError::new_err("longer: not of the shape of values"));
     }
