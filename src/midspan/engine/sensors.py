@@ -29,7 +29,6 @@ from midspan.records import (
     Samples,
     Status,
     Tracked,
-    joined,
 )
 from midspan.signals.health import GAP_STEPS
 from midspan.signals.stamps import shown
@@ -307,6 +306,5 @@ class PlainSensor:
         return self._seen(self.chain.push(samples))
 
     def _seen(self, found: Sequence[Measured | Event]) -> Seen | None:
-        measured = [one for one in found if isinstance(one, Measured)]
-        events = tuple(one for one in found if isinstance(one, Event))
-        return Seen(self.name, joined(measured) if measured else None, (), events) if found else None
+        measured = next((one for one in found if isinstance(one, Measured)), None)
+        return Seen(self.name, measured, (), tuple(one for one in found if isinstance(one, Event))) if found else None

@@ -202,10 +202,10 @@ class Found:
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
-    looks = asked.on_series or asked.row.rows is Pass.SMOOTHED
-    main, ran = first.sides[0], dict[str, OneClock]()
+    looks, ran = asked.on_series or asked.row.rows is Pass.SMOOTHED, dict[str, OneClock]()
     if looks or asked.given:
-        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
+        main, shared = first.sides[0], clocks_shared(first.sides[0])
+        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, shared)
     if looks:
         first = replace(first, wrong=_wrong(first, ran))
     checked = check(asked, first, ran)
@@ -446,16 +446,14 @@ def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool
     """Whether there is a second image axis that can be trusted, and its warnings."""
     if len(first.sides) < 2 or checked.left_out:
         return False, []
-    view, rows, innovation = first.sides[1].recording, found.rows[1], found.innovations[1]
+    view = first.sides[1].recording
     try:
-        refuse_rejections(view, innovation)
+        refuse_rejections(view, found.innovations[1])
     except UntrustedError as error:
         return False, [left_out(first.sides[1], error)]
     told = event_warnings(tuple(event for event in found.events if event.axis == 1))
-    return True, [
-        *(line.worded(f"Along {view.axis}: {line}") for line in told),
-        *shares(innovation, rows, f" along {view.axis}"),
-    ]
+    told = [line.worded(f"Along {view.axis}: {line}") for line in told]
+    return True, told + shares(found.innovations[1], found.rows[1], f" along {view.axis}")
 
 
 def clocks_shared(main: Side) -> set[str]:

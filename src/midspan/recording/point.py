@@ -112,9 +112,10 @@ def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
     """What the tilt of the cameras, their contradiction of the accelerometer and its logger's low-pass make of the
     displacement along an axis, m: of several the most.
     """
-    settings = [(eye.view.settings.camera, eye.calibrations[axis]) for eye in eyes]
-    tilts = (0.0 if camera is None else tilt_std_m(camera, known) for camera, known in settings)
-    seen = [hypot(tilt, known.apart_std_m) for tilt, (_, known) in zip(tilts, settings, strict=True)]
+    seen = []
+    for eye in eyes:
+        camera, known = eye.view.settings.camera, eye.calibrations[axis]
+        seen.append(hypot(0.0 if camera is None else tilt_std_m(camera, known), known.apart_std_m))
     # A displacement sensor's own zero has no part of it, and each row holds it once, not twice.
     lost = [known.apart_std_m / sqrt(2.0) for _, known in known_sensors(main) if known.kind == Source.DISPLACEMENT.word]
     return max((*seen, *(lost if axis == 0 else ())), default=0.0)

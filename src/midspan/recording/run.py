@@ -166,25 +166,16 @@ def records_of(
             series = view.displacement
             readings[view.sensor] = Readings(known.even(series.time_ns), series.value[:, None])
     offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], eyes)}
-    blocks = blocks_of(readings, offsets_ns, block_s)
-    ahead = next(blocks, None)
-    for name, record in in_time(feeds, offsets_ns):
-        if isinstance(record, Arrival):
-            assert not isinstance(record.record, Readings)
-            stamp = record.record.time_ns + offsets_ns[name]
-            while ahead is not None and ahead[0] <= stamp:
-                yield ahead[1].stream, ahead[1]
-                ahead = next(blocks, None)
+    blocks, frames = blocks_of(readings, offsets_ns, block_s), in_time(feeds, offsets_ns)
+    # At equal stamps the blocks come first.
+    for _, name, record in heapq.merge(blocks, frames, key=lambda due: due[0]):
         yield name, record
-    while ahead is not None:
-        yield ahead[1].stream, ahead[1]
-        ahead = next(blocks, None)
 
 
 def blocks_of(
     readings: Mapping[str, Readings], offsets_ns: Mapping[str, int], block_s: float
-) -> Iterator[tuple[int, Arrival]]:
-    """Readings of several streams in blocks, by the begin (ns) of each block's span on the common clock."""
+) -> Iterator[tuple[int, str, Arrival | Complete]]:
+    """Readings of several streams in blocks: begin (ns) of each one's span on the common clock, stream and block."""
     first_ns = min((int(one.time_ns[0]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
     last_ns = max((int(one.time_ns[-1]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
     step_ns = min(NANOSECONDS * block_s, last_ns - first_ns + 1)
@@ -196,7 +187,7 @@ def blocks_of(
             end = places[name] + (int(np.argmax(later)) if later.any() else len(later))
             if end > places[name]:
                 part = Readings(one.time_ns[places[name] : end], one.value[places[name] : end])
-                yield first_ns + round(number * step_ns), Arrival(name, counts[name], part)
+                yield first_ns + round(number * step_ns), name, Arrival(name, counts[name], part)
                 places[name], counts[name] = end, counts[name] + 1
 
 
@@ -212,9 +203,9 @@ def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
 
 def in_time(
     feeds: Mapping[str, Iterator[Tracked | Frame | RangeFrame]], offsets_ns: Mapping[str, int]
-) -> Iterator[tuple[str, Arrival | Complete]]:
+) -> Iterator[tuple[int, str, Arrival | Complete]]:
     """The frames of all streams in the order of the common clock, one of each stream read ahead at most; behind the
-    last one of an instant, that all streams have brought theirs. With each the name of the stream that it is from.
+    last one of an instant, that all streams have brought theirs. With each its stamp and stream.
 
     offsets_ns: what is added to the stamps of each to get that clock.
     """
@@ -230,11 +221,11 @@ def in_time(
         read(name)
     while waiting:
         stamp, _, name, record = heapq.heappop(waiting)
-        yield name, Arrival(name, counts[name], record)
+        yield stamp, name, Arrival(name, counts[name], record)
         counts[name] += 1
         read(name)
         if not waiting or waiting[0][0] > stamp:
-            yield name, Complete(stamp)
+            yield stamp, name, Complete(stamp)
 
 
 def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, int]) -> None:
