@@ -12,21 +12,19 @@ from midspan.engine.stream import (
     AHEAD,
     BACKWARDS,
     CLOCK_SET,
+    DOUBLED,
     FIRST_NS,
     GOOD,
+    IMPOSSIBLE,
     KINDS,
     LAST_NS,
     LATE,
     SETTLED_S,
     StreamMemory,
     gone_on,
-    is_new,
-    moved,
     order,
-    quiet,
     spans,
     take_offset,
-    words,
 )
 from midspan.records import (
     NANOSECONDS,
@@ -144,8 +142,9 @@ class Merge:
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
             silent, stream.heard_ns, stream.out = out and not stream.out, heard_ns, out
             if silent:
-                text = f"{stream.name}: {quiet(stream, self._now_ns)}; the others no longer wait."
-                self._tell(number, "silent", text)
+                came = "nothing came" if stream.fault in (GOOD, LATE) else "no record with a usable stamp came"
+                text = f"{came} for {silent_ns / NANOSECONDS:.3g} s; the others no longer wait."
+                self._tell(number, "silent", f"{stream.name}: {text}")
 
     def _arrive(self, number: int, arrival: Arrival) -> None:
         """Let a record wait for its time where it is plainly good, which is the usual case."""
@@ -193,7 +192,10 @@ class Merge:
         own_ns = np.atleast_1d(np.clip(record.time_ns, *LIMITS_NS)).astype(np.int64)
         while done < len(own_ns):
             stop = done + take_offset(own_ns[done:], stream)
-            common_ns = moved(own_ns[done:stop], stream.offset_ns)
+            part_ns = own_ns[done:stop]
+            # Stamps that are no times stay what they are, so that nothing runs over.
+            no_times = np.abs(part_ns.astype(np.float64)) > LAST_NS
+            common_ns = np.where(no_times, part_ns, part_ns + np.int64(stream.offset_ns))
             codes, newest_ns = order(common_ns, stream.newest_ns, self._bound(number))
             if self._released_ns is not None:
                 codes[(codes == GOOD) & (common_ns <= self._released_ns)] = LATE
@@ -225,7 +227,9 @@ class Merge:
         first_ns, late_ns, pause_ns = int(common_ns[0]), stream.late_ns, self._silent_ns
         # A stream that is late now and then is reported once, until it was in time for a while.
         often = late_ns is not None and pause_ns is not None and first_ns - late_ns <= pause_ns and code == LATE
-        if is_new(code, stream.fault) and not often:
+        # Of a clock that ran back, the stamp that reaches the newest one again is no fault of its own.
+        again = code == stream.fault or (stream.fault, code) == (BACKWARDS, DOUBLED)
+        if not again and not often:
             text = self._words(number, code, first_ns, newest_ns)
             self._tell(number, KINDS[code], f"{stream.name}: {text}")
         stream.fault = code
@@ -273,7 +277,12 @@ class Merge:
         if code == LATE:
             late_s = ((self._released_ns or 0) - time_ns) / NANOSECONDS
             return f"a record came {late_s:.3g} s after its time was given out; it is left out."
-        return words(code, time_ns, newest_ns)
+        if code == DOUBLED:
+            return "a stamp came twice; the second record is left out."
+        if code == IMPOSSIBLE:
+            return f"a stamp of {time_ns} ns is no time; the record is left out."
+        until = "until it is newer than all before or shows that the clock was set"
+        return f"time runs backwards by {(newest_ns - time_ns) / NANOSECONDS:.3g} s; each record is left out {until}."
 
     def _tell(self, number: int, kind: str, text: str) -> None:
         """Put an event behind what waits in its stream."""

@@ -45,13 +45,6 @@ def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
     return series_of(series.sensor, series.source, clock.also(series.displacement).measured)
 
 
-def without_stamps(series: SensorSeries, stamps: Nanoseconds | None) -> SensorSeries:
-    """A series without its values at some stamps (k,)."""
-    if stamps is None:
-        return series
-    return replace(series, value_m=np.where(np.isin(series.time_ns, stamps), np.nan, series.value_m))
-
-
 def left_out_event(name: str, stamps: Nanoseconds) -> Event:
     """The event of a sensor's values at some stamps (k,) that are left out."""
     text = (

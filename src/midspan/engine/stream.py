@@ -110,20 +110,6 @@ def take_offset(own_ns: Sequence[int] | Nanoseconds, stream: StreamMemory) -> in
     return int(begins[0]) if len(begins) else len(own_ns)
 
 
-def quiet(stream: StreamMemory, now_ns: int) -> str:
-    """For how long a stream has been silent, for a message."""
-    quiet_s = (now_ns - (stream.heard_ns or 0)) / NANOSECONDS
-    came = "nothing came" if stream.fault in (GOOD, LATE) else "no record with a usable stamp came"
-    return f"{came} for {quiet_s:.3g} s"
-
-
-def moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
-    """Stamps (n,) plus an offset; those that are no times stay what they are, so that nothing runs over."""
-    if offset_ns == 0:
-        return time_ns
-    return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
-
-
 def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) -> tuple[Codes, Nanoseconds]:
     """What is wrong with each stamp (n,), and the newest good one before it (n,).
 
@@ -131,13 +117,6 @@ def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) 
     """
     codes = np.zeros(len(time_ns), dtype=np.uint8)
     before = FIRST_NS - 1 if newest_ns is None else newest_ns
-    if (
-        len(time_ns)
-        and before < time_ns[0]
-        and time_ns[-1] <= min(bound_ns, LAST_NS)
-        and (time_ns[1:] > time_ns[:-1]).all()
-    ):
-        return codes, np.concatenate(([before], time_ns[:-1]))
     codes[time_ns > bound_ns] = AHEAD
     codes[(time_ns < FIRST_NS) | (time_ns > LAST_NS)] = IMPOSSIBLE
     reached = np.where(codes == GOOD, time_ns, before)
@@ -149,30 +128,5 @@ def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) 
 
 def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
     """Start, end (exclusive) and code of each run of equal codes (n,)."""
-    if not len(codes):
-        return
-    if not codes.any():
-        yield 0, len(codes), GOOD
-        return
-    edges = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
-    for start, end in pairwise(edges):
+    for start, end in pairwise([0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]):
         yield int(start), int(end), int(codes[start])
-
-
-def is_new(code: int, fault: int) -> bool:
-    """Whether a stamp's `code` is a fault other than that of the stamp before it (`fault`).
-
-    Of a clock that ran back, the stamp that reaches the newest one again is no fault of its own.
-    """
-    return code not in (GOOD, fault) and (fault, code) != (BACKWARDS, DOUBLED)
-
-
-def words(code: int, time_ns: int, newest_ns: int) -> str:
-    """What is wrong with the stamp of a record after the newest good one, for a message."""
-    if code == DOUBLED:
-        return "a stamp came twice; the second record is left out."
-    if code == IMPOSSIBLE:
-        return f"a stamp of {time_ns} ns is no time; the record is left out."
-    back_s = (newest_ns - time_ns) / NANOSECONDS
-    until = "until it is newer than all before or shows that the clock was set"
-    return f"time runs backwards by {back_s:.3g} s; each record is left out {until}."

@@ -30,7 +30,6 @@ from midspan.engine.second_look import (
     once_more,
     ran_apart,
     with_scales,
-    without_stamps,
 )
 from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_result, camera_series, series_at_instants
 from midspan.engine.sensors import Sensor
@@ -170,7 +169,10 @@ class FirstPass:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
         are wrong.
         """
-        series = {name: without_stamps(one, self.wrong.get(name)) for name, one in self.series[axis].items()}
+        series = dict(self.series[axis])
+        for name, stamps in self.wrong.items():
+            one = series[name]
+            series[name] = replace(one, value_m=np.where(np.isin(one.time_ns, stamps), np.nan, one.value_m))
         return series_at_instants(series, self.estimator.settings.channels, axis, self.sides[axis].acceleration)
 
 
