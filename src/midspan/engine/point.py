@@ -212,7 +212,10 @@ class Point:
         if isinstance(found, Event):
             return [found]
         if self.unmeasured:
-            found = with_unmeasured(found, self.unmeasured)
+            nothing = np.zeros((len(found.time_ns), len(self.unmeasured)))
+            value = np.column_stack((found.value_m_s2, nothing))
+            density = np.column_stack((found.noise_density, nothing + self.unmeasured))
+            found = Samples(found.time_ns, value, density, found.kind)
         out: list[Output] = []
         blocks, count = [found], len(found.time_ns)
         if count > BLOCK:
@@ -243,13 +246,3 @@ class Point:
         if seen.measured is not None:
             self.estimator.push(seen.measured)
         return [seen]
-
-
-def with_unmeasured(samples: Samples, densities: Sequence[float]) -> Samples:
-    """The samples with further axes along which no acceleration is measured; densities: of the motion's own there."""
-    count = len(samples.time_ns)
-    return replace(
-        samples,
-        value_m_s2=np.column_stack((samples.value_m_s2, np.zeros((count, len(densities))))),
-        noise_density=np.column_stack((samples.noise_density, np.tile(densities, (count, 1)))),
-    )

@@ -109,11 +109,6 @@ def series_at_instants(
     return found
 
 
-def taken(series: SensorSeries, measured: Measured) -> SensorSeries:
-    """The series with nothing where the estimator was given no measurement of the sensor: another one measured."""
-    return replace(series, value_m=np.where(np.isin(series.time_ns, measured.time_ns), series.value_m, np.nan))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetResult:
     """One target of a camera, frame by frame.

@@ -22,15 +22,7 @@ from midspan.calibration.unfelt import (
 from midspan.checks import option, path_of
 from midspan.engine.channels import without_gain
 from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
-from midspan.engine.second_look import (
-    clocks,
-    left_out_event,
-    on_clock,
-    on_its_clock,
-    once_more,
-    ran_apart,
-    with_scales,
-)
+from midspan.engine.second_look import clocks, left_out_event, on_clock, on_its_clock, once_more, ran_apart, with_scales
 from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_result, camera_series, series_at_instants
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
@@ -170,7 +162,7 @@ class FirstPass:
         are wrong.
         """
         series = dict(self.series[axis])
-        for name, stamps in self.wrong.items():
+        for name, stamps in self.wrong.items() if axis == 0 else ():
             one = series[name]
             series[name] = replace(one, value_m=np.where(np.isin(one.time_ns, stamps), np.nan, one.value_m))
         return series_at_instants(series, self.estimator.settings.channels, axis, self.sides[axis].acceleration)
@@ -437,7 +429,9 @@ def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
     steps_ns = [event.time_ns for event in found.events if event.kind == "clock"]
     for view, known in known_sensors(main):
         if view.kind == Source.RADAR.word:
-            unseen_ns = first.outcome.unseen_ns(view.sensor)
+            # Stamps (k,) of frames in which none of its targets was measured.
+            measured = first.outcome.measured_by(view.sensor)
+            unseen_ns = np.setdiff1d(measured.time_ns, measured.time_ns[np.isfinite(measured.value)])
             refuse_contradicted(first.outcome.events_of.get(view.sensor, ()), len(known.used), view.sensor)
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)

@@ -70,11 +70,6 @@ class Outcome:
         return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
 
     @property
-    def restarts_ns(self) -> dict[str, Nanoseconds]:
-        """Instants (k,) from which on the zero of a target of each radar is a new one."""
-        return {name: log.restarts_ns for name, log in self.radars.items()}
-
-    @property
     def fusion_events(self) -> tuple[Event, ...]:
         """What the estimator decided that is worth an event."""
         return tuple(event for rows in self.rows for event in rows.events)
@@ -88,11 +83,6 @@ class Outcome:
         number, time_ns = found.channel[order], found.time_ns[order]
         last = np.append((np.diff(number) != 0) | (np.diff(time_ns) != 0), True)
         return part(found, order[last])
-
-    def unseen_ns(self, sensor: str) -> Nanoseconds:
-        """Stamps (k,) of a sensor's frames in which none of its targets was measured."""
-        found = self.measured_by(sensor)
-        return np.setdiff1d(found.time_ns, found.time_ns[np.isfinite(found.value)])
 
     @property
     def measured_ns(self) -> Nanoseconds:

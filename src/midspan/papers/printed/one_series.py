@@ -12,7 +12,7 @@ import numpy as np
 from midspan.calibration.one_clock import OneClock
 from midspan.engine.channels import clock_std_s
 from midspan.engine.second_look import on_clock
-from midspan.engine.sensor_series import SensorSeries, taken
+from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UntrustedError
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.path import at
@@ -24,7 +24,18 @@ from midspan.papers.printed.complementary import OUTLIER_STD
 from midspan.papers.printed.in_turn import in_turn
 from midspan.recording.estimate import Asked, Checked, FirstPass, Found, smoothed
 from midspan.recording.tracked import offsets_of
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, joined, part
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Estimate,
+    Event,
+    Floats,
+    Measured,
+    Nanoseconds,
+    joined,
+    part,
+)
 from midspan.signals.health import unknown_density
 from midspan.signals.stamps import shown
 
@@ -124,6 +135,11 @@ def from_first_measurement(acceleration: Acceleration, measured: Displacement, r
     return joined([before, replace(acceleration, noise_density=widened)])
 
 
+def taken(series: SensorSeries, measured: Measured) -> SensorSeries:
+    """The series with nothing where the estimator was given no measurement of the sensor: another one measured."""
+    return replace(series, value_m=np.where(np.isin(series.time_ns, measured.time_ns), series.value_m, np.nan))
+
+
 def rms(values: Floats) -> float:
     """Root mean square of values (n,) that are finite."""
     return float(np.sqrt(np.nanmean(values**2)))
@@ -173,6 +189,7 @@ def literal_warnings(measured: Displacement, done: Smoothed) -> list[Notice]:
 def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
     """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
     known = first.estimator.settings
+    restarts_ns = {name: log.restarts_ns for name, log in first.outcome.radars.items()}
     # What nothing measured shows is no reason to take a farther measurement for right: it enters at the end.
     found, method = smoothed(first, ran, checked, alone=True), asked.by_settings
     gain = asked.calibration.gain_std(asked.recording.accelerometer.scale_std, given=asked.given)
@@ -190,7 +207,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         named = {name: on_clock(one, ran[name]) for name, one in series.items()}
         # The filter as printed takes every measurement; what it wins by a gate would not be its own.
         printed = method.literal and asked.row.rows is not None
-        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns, gated=not printed)
+        measured = one_series(named, found.rows[axis], restarts_ns, gated=not printed)
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
@@ -198,7 +215,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
         level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
         own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)
-        own_rows = with_levels_since(own_rows, found.rows[axis], measured, first.outcome.restarts_ns)
+        own_rows = with_levels_since(own_rows, found.rows[axis], measured, restarts_ns)
         rows[axis] = part(own_rows, np.isin(own_rows.time_ns, found.rows[axis].time_ns))
         innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
         events += done.events
