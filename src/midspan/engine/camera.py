@@ -217,7 +217,3 @@ class CameraChain:
             self.push(frame)
         for target, tracker in zip(self.targets, begun, strict=True):
             target.restart(tracker)
-
-    def leave_out(self, places: Sequence[int]) -> None:
-        """Track the targets of these numbers (from 0) no further."""
-        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)

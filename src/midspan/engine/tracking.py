@@ -225,7 +225,7 @@ class CameraTracking:
         frames = list(islice(self._ahead, wanted))
         stamps = np.array([frame.time_ns for frame in frames], dtype=np.int64)
         self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
-        self.done, self.ended = 0, False
+        self.done = 0
         # The trackings of further cameras of the same recording; how a thermal camera's range was found.
         self.beside: tuple[CameraTracking, ...] = ()
         self.range_surface: RangeSurface | None = None
@@ -237,8 +237,8 @@ class CameraTracking:
 
     def leave_out(self, places: Sequence[int]) -> None:
         """Track the targets of these numbers (from 0) no further."""
-        self.chain.leave_out(places)
         self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
+        self.chain.targets = tuple(target.chain for target in self.targets)
 
     def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
         """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not told."""
@@ -259,8 +259,7 @@ class CameraTracking:
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
         while self.done < len(self.time_ns) and self.time_ns[self.done] <= time_ns:
-            frame = self.take()
-            if frame is None:
+            if (frame := self.take()) is None:
                 break
             self.push(frame)
         return self.tracks
@@ -397,10 +396,6 @@ class StoredChain:
         """There is nothing to track with."""
         raise DataError("A track holds what was found in frames; new frames cannot be tracked with it.")
 
-    def leave_out(self, places: Sequence[int]) -> None:
-        """Use the targets of these numbers (from 0) no further."""
-        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
-
 
 class StoredTracking(CameraTracking):
     """The tracking of a track: all its rows are there from the beginning."""
@@ -419,7 +414,7 @@ class StoredTracking(CameraTracking):
         self.chain: Any = StoredChain(targets)
         self.targets = tuple(TargetTracking(target) for target in targets)  # type: ignore[arg-type]
         self.chosen = tuple(Target(track.region, track.name) for track in tracks)
-        self.skipped, self.ended, self.done = 0, True, len(self.time_ns)
+        self.skipped, self.done = 0, len(self.time_ns)
         self.choice = self.range_surface = None
         self.beside = ()
         for number in range(settings.first, settings.first + self.done):

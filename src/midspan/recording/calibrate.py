@@ -87,7 +87,10 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         # Its own accelerometer is as good as its tolerance; without one its scale is the main axis's.
         own_gain = (1.0, tolerance) if part.calibration.fused else (gain, gain_std)
         across = _of_axis(view, [part], own_gain, warnings)
-    warnings += [line for one in seen for part in one.parts for line in _uncertain(part, one.tracking, gain_std)]
+    for one in seen:
+        for part in (part for part in one.parts if part.parts):
+            total = float(np.hypot(part.calibration.relative_std, gain_std))
+            warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
     calibration = replace(
         main,
         accelerometer_scale=gain,
@@ -134,12 +137,6 @@ def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], wa
         usual=usual_in_window(view) if biases else None,
         diagnostics=next((fit.diagnostics for fit in fits if fit.diagnostics is not None), None),
     )
-
-
-def _uncertain(part: CameraFit, tracking: CameraTracking, gain_std: float) -> list[Notice]:
-    """A sentence where the scale factor along an image axis is vague; gain_std: of the accelerometer, relative."""
-    total = float(np.hypot(part.calibration.relative_std, gain_std))
-    return uncertain_scale(tracking.settings.sensor, total, {**part.parts, "gain": gain_std}) if part.parts else []
 
 
 def usual_in_window(recording: Recording) -> AxisFigures:

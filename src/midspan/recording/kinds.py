@@ -122,11 +122,6 @@ def radar_stage(table: Table, view: Recording, known: RadarCalibration, *, moved
     )
 
 
-def radar_series(view: Recording, known: RadarCalibration, log: Log) -> SensorSeries:
-    """What a radar's targets measured together."""
-    return channel_series(log[0], log[1], view.sensor, log[2])
-
-
 def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementFit:
     """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal."""
     section, series, own = view.settings.displacement, view.displacement, view.accelerometer
@@ -163,13 +158,6 @@ def displacement_part(view: Recording, calibration: Calibration) -> Displacement
     return known
 
 
-def displacement_stage(
-    table: Table, view: Recording, known: DisplacementCalibration, *, moved_m: float, first: bool
-) -> PlainSensor:
-    """A displacement sensor, and its channel in the table."""
-    return plain_channel(table, known, view.displacement, view.sensor, first=first)
-
-
 def displacement_series(view: Recording, known: DisplacementCalibration, log: Log) -> SensorSeries:
     """The whole channel as it was read, in metres on the accelerometer's clock."""
     found = read_with(view.displacement, known)
@@ -191,6 +179,19 @@ class Kind:
 
 
 ROWS = {
-    "radar": Kind(calibrate_radar, radar_part, radar_stage, radar_series),
-    "displacement": Kind(calibrate_displacement, displacement_part, displacement_stage, displacement_series),
+    "radar": Kind(
+        calibrate_radar,
+        radar_part,
+        radar_stage,
+        # What its targets measured together.
+        lambda view, known, log: channel_series(log[0], log[1], view.sensor, log[2]),
+    ),
+    "displacement": Kind(
+        calibrate_displacement,
+        displacement_part,
+        lambda table, view, known, *, moved_m, first: plain_channel(
+            table, known, view.displacement, view.sensor, first=first
+        ),
+        displacement_series,
+    ),
 }
