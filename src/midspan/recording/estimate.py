@@ -41,13 +41,7 @@ from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
-from midspan.recording.tracked import (
-    Eye,
-    Side,
-    known_sensors,
-    open_eyes,
-    side_of,
-)
+from midspan.recording.tracked import Eye, Side, known_sensors, open_eyes, side_of
 from midspan.records import Estimate, Event, Innovation, Nanoseconds, Source, part
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
