@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
 from midspan.thermal.shutter import FLAT_SHARE
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.light import is_dark
 
 # At most this many dark frames are skipped at the start.
 MAX_SKIPPED = 1000
@@ -55,7 +55,7 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
         return Begun(skipped, reason, _chained(None, source.frames(first + skipped, last)))
     rest = _chained(opening, frames)
     for skipped, frame in enumerate(islice(rest, MAX_SKIPPED)):
-        if not is_dark(np.asarray(frame.pixels)):
+        if not _core.is_dark(np.asarray(frame.pixels), 1):
             told = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
             return Begun(skipped, told if skipped else "", _chained(frame, rest))
     return Begun(0, "", _chained(None, source.frames(first, last)))

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import UntrustedError
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import DEFAULT_WINDOW_S, window_ends
@@ -10,7 +11,6 @@ from midspan.records import NANOSECONDS, Floats
 from midspan.settings.kinds import CAMERAS
 from midspan.signals.health import runs
 from midspan.signals.stamps import shown
-from midspan.vision.light import is_dark
 
 # So many frames are looked at in the window, and in the whole recording where that is dark.
 LOOKED_AT, SEARCHED = 16, 240
@@ -67,6 +67,6 @@ def _brightness(recording: Recording, indices: NDArray[np.int64]) -> Floats:
     found = np.zeros(len(indices))
     for k, index in enumerate(indices):
         frame = next(iter(recording.frames.frames(int(index), int(index) + 1)), None)
-        if frame is not None and not is_dark(frame.pixels):
+        if frame is not None and not _core.is_dark(frame.pixels, 1):
             found[k] = float(np.mean(np.asarray(frame.pixels, dtype=np.float64)))
     return found

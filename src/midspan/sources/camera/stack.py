@@ -93,9 +93,15 @@ class StackFrames(FrameSource):
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """The frames' luma; grey ones of 8 or 16 bits are read from the mapped file where they are looked at."""
-        times, stack = self.times_ns(), np.asarray(self._array)
-        for index in range(*slice(start, stop).indices(times.size)):
-            image = stack[index * self._request.every]
+        times, stack, every = self.times_ns(), np.asarray(self._array), self._request.every
+        indices = range(*slice(start, stop).indices(times.size))
+        if stack.ndim == 3 and stack.dtype in (np.uint8, np.uint16) and stack.flags.c_contiguous:
+            # As they are.
+            for index, time_ns in zip(indices, times[indices.start : indices.stop].tolist(), strict=True):
+                yield Frame(time_ns, stack[index * every], index)
+            return
+        for index in indices:
+            image = stack[index * every]
             if not self._request.with_missing and _is_missing(image):
                 self._passed.add(index)
                 continue
