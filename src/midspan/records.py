@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from midspan.notices import Notice
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 Nanoseconds = NDArray[np.int64]
 
 NANOSECONDS = 1_000_000_000

@@ -18,8 +18,7 @@ from midspan.errors import DataError
 from midspan.records import Event, Frame, PixelTranslation, Prediction, Region
 from midspan.thermal.temperature_range import Expected
 from midspan.vision.lens import lens_of, shown_prediction
-from midspan.vision.light import LightReport
-from midspan.vision.picture_report import PictureReport, picture_report
+from midspan.vision.picture_report import LightReport, PictureReport, picture_report
 from midspan.vision.region import check_size
 from midspan.vision.target import translation_of
 

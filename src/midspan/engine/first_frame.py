@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
 from midspan.thermal.shutter import FLAT_SHARE
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.light import is_dark
 
 # At most this many dark frames are skipped at the start.
 MAX_SKIPPED = 1000
@@ -54,7 +54,7 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
         skipped, reason = _unusable_temperatures(source, slice(first, last), regions, opening)
         return Begun(skipped, reason, _closing(source.frames(first + skipped, last)))
     for skipped, frame in enumerate(islice(chain((opening,), frames), MAX_SKIPPED)):
-        if not is_dark(np.asarray(frame.pixels)):
+        if not _core.is_dark(np.asarray(frame.pixels), 1):
             told = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
             return Begun(skipped, told if skipped else "", _closing(chain((frame,), frames)))
     return Begun(0, "", _closing(source.frames(first, last)))

@@ -25,8 +25,7 @@ from midspan.thermal.temperature_range import Expected, RangeSurface
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.frame_source import FrameSource, StoredTrack
 from midspan.vision.lens import lens_warnings
-from midspan.vision.light import LightReport
-from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.picture_report import LightReport, picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice

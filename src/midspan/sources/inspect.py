@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan import _core
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress, silent
 from midspan.radar.channels import noise_variance
@@ -26,7 +27,6 @@ from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.temperatures import ThermalRequest
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.light import is_dark
 
 # Numbers alone, in an order that only the settings of the sensor tell.
 RAW = (".bin",)
@@ -194,7 +194,7 @@ def frames_tree(
         progress(seen, count, "looking at frames")
         picture = np.asarray(frame.pixels, dtype=frame.pixels.dtype.type)
         same += before is not None and np.array_equal(before, picture)
-        dark += is_dark(picture)
+        dark += _core.is_dark(picture, 1)
         bright += float(np.mean(picture >= top)) > 0.2
         if picture.dtype.kind == "f":
             low_c, high_c = min(low_c, float(np.nanmin(picture))), max(high_c, float(np.nanmax(picture)))

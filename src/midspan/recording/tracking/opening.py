@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.calibration.camera.best_range import felt_motion
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
@@ -21,7 +22,6 @@ from midspan.signals.stamps import frames_used, shown
 from midspan.sources.camera.lens import load_lens
 from midspan.thermal.limits import Limits
 from midspan.vision.lens import Lens
-from midspan.vision.light import is_dark
 from midspan.vision.region_choice import Judge
 from midspan.vision.tracker import tracker_settings
 
@@ -103,7 +103,7 @@ def _brightness(recording: Recording, indices: NDArray[np.int64], count: int) ->
     found = np.zeros(len(chosen))
     for k, index in enumerate(chosen.tolist()):
         frame = next(iter(recording.frames.frames(index, index + 1)), None)
-        if frame is not None and not is_dark(frame.pixels):
+        if frame is not None and not _core.is_dark(np.asarray(frame.pixels), 1):
             found[k] = float(np.mean(np.asarray(frame.pixels, dtype=np.float64)))
     return chosen, found
 

@@ -2,6 +2,7 @@
 
 import struct
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import Nanoseconds
+from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.boundary import NpyHeader, read_npy_header, require_memory
 from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, StoredFrames, luma, passed_over
@@ -84,6 +85,16 @@ class StackFrames(StoredFrames):
             self._passed.add(number // self._request.every)
             return None
         return luma(image, reversed_colours=False)
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        """Grey frames of 8 or 16 bits as they lie in the mapped file; others as `StoredFrames` makes them."""
+        times, stack, every = self.times_ns(), np.asarray(self._array), self._request.every
+        if stack.ndim != 3 or stack.dtype not in (np.uint8, np.uint16) or not stack.flags.c_contiguous:
+            yield from super().frames(start, stop)
+            return
+        indices = range(*slice(start, stop).indices(times.size))
+        for index, time_ns in zip(indices, times[indices.start : indices.stop].tolist(), strict=True):
+            yield Frame(time_ns, stack[index * every], index)
 
 
 def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, tuple[str, ...]]:
