@@ -9,7 +9,7 @@ import numpy as np
 
 import midspan
 from benchmarks.table import goal, show
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.errors import UsageError
 from midspan.recording.result import Result
 from midspan.records import Floats, Frame, PixelTrack, Region, Status

@@ -19,8 +19,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.records import Floats, Frame, Nanoseconds, Source, Status, TimeSeries, nanoseconds
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.day.setup import DaySetup, Eye, hours
-from midspan.simulate.day.sky import Sky
-from midspan.simulate.day.weather import Headlights
+from midspan.simulate.day.sky import Headlights, Sky
 from midspan.simulate.motion.motion import Motion, Sum, Window, random_motion
 from midspan.simulate.scene.scene import Image
 from midspan.simulate.scene.thermal import ThermalCamera

@@ -7,8 +7,8 @@ import numpy as np
 
 import midspan
 from benchmarks.table import goal, show
+from midspan.evaluate.bound import least_error_mm
 from midspan.evaluate.metrics import Band, compare
-from midspan.evaluate.simulated import least_error_mm
 from midspan.records import TimeSeries
 from midspan.simulate.scenarios.write import write
 

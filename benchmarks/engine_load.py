@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.table import goal
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain
-from midspan.engine.camera_target import ChainSettings, Target
+from midspan.engine.camera import CameraChain, ChainSettings, Target
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point

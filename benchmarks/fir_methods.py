@@ -11,11 +11,12 @@ from benchmarks.cases import RATE_HZ, SLOW_HZ, SNR_DB, blocks, rms
 from benchmarks.filter_speed import record
 from benchmarks.table import goal, show
 from midspan.fusion.blocks import REJECTED
-from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, smooth
-from midspan.fusion.two_stage import TwoStageSettings, two_stage_fir
-from midspan.papers.two_stage_003 import CAMERA_HZ, STOREY, STOREY_S, recorded, storey_motion
+from midspan.papers.motions import CAMERA_HZ
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.two_stage import TwoStageSettings, two_stage_fir
+from midspan.papers.two_stage_003 import STOREY, STOREY_S, recorded, storey_motion
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.simulate.motion.beam import Beam, respond
 from midspan.simulate.motion.motion import FineSteps, Pulse, Sines, Sum, Window

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 import midspan
-from benchmarks.engine_load import FRAME_HZ, M_PER_PX, PERIOD, SAMPLE_HZ, SPEED_HZ, film, moved_px, point
+from benchmarks.engine_load import BLOCK_S, FRAME_HZ, M_PER_PX, PERIOD, SAMPLE_HZ, SPEED_HZ, film, moved_px, point
 from benchmarks.table import goal
 from midspan.engine.point import ACCELEROMETER
 from midspan.records import NANOSECONDS, Arrival, Frame, Readings
 from midspan.simulate.scenarios.write import write
 
-# Long enough for the template to be learnt; counted is the last one.
+# Long enough for the template to be learnt; counted is the last one, in blocks like those that a sensor sends.
 SECONDS = 20
 ROOM = f"{Path(midspan.__file__).parent}/"
 
@@ -60,17 +60,18 @@ def through_a_point() -> Entered:
     pictures = film()
     one = point(Frame(0, pictures[0]))
     step_ns, entered = NANOSECONDS // SAMPLE_HZ, Entered()
-    for second in range(SECONDS):
-        number = SAMPLE_HZ * second + np.arange(SAMPLE_HZ)
+    samples, frames = round(SAMPLE_HZ * BLOCK_S), round(FRAME_HZ * BLOCK_S)
+    for block in range(round(SECONDS / BLOCK_S)):
+        number = samples * block + np.arange(samples)
         value = -M_PER_PX * (2 * np.pi * SPEED_HZ) ** 2 * moved_px(number / SAMPLE_HZ)
-        frames = range(FRAME_HZ * second, FRAME_HZ * (second + 1))
-        seen = [Frame(round(j * NANOSECONDS / FRAME_HZ), pictures[j % PERIOD], j) for j in frames]
+        numbers = range(frames * block, frames * (block + 1))
+        seen = [Frame(round(j * NANOSECONDS / FRAME_HZ), pictures[j % PERIOD], j) for j in numbers]
         arrivals = [
-            Arrival(ACCELEROMETER, second, Readings(number * step_ns, value[:, None])),
+            Arrival(ACCELEROMETER, block, Readings(number * step_ns, value[:, None])),
             *(Arrival("camera", frame.index, frame) for frame in seen),
         ]
         # The frames of a block pass when the acceleration after them has come.
-        watched = entered.during if second == SECONDS - 1 else lambda work: work()
+        watched = entered.during if block * BLOCK_S >= SECONDS - 1 else lambda work: work()
         for arrival in arrivals:
             watched(lambda arrival=arrival: one.push(arrival))
     return entered

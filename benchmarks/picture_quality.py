@@ -14,8 +14,7 @@ from midspan.records import Floats, Frame, PixelTrack, PixelTranslation, Predict
 from midspan.simulate.scene.camera import Camera, Pixels
 from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import TEXTURES, textured_scene
-from midspan.vision.picture_report import picture_report
-from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.picture_report import picture_report, picture_warnings
 from midspan.vision.target import translation_of
 from midspan.vision.tracker import open_tracker
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from benchmarks.table import show
 from midspan.errors import UntrustedError
+from midspan.papers.filming import Film, FilmSettings, film, write_recording
 from midspan.papers.films import by_excitation
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording
 from midspan.settings.stored.calibration import Calibration
-from midspan.simulate.scenarios.papers import Film, FilmSettings, film, write_recording
 
 SCENES, CALIBRATION_S = ("indoor", "outdoor", "footbridge-phase"), 50.0
 PRINTED: dict[str, Any] = {"literal": True}

@@ -4,24 +4,26 @@ import numpy as np
 
 from benchmarks.cases import fused, rms
 from benchmarks.table import goal, show
-from midspan.fusion.fir import FirSettings, fir
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.radar_phase import grid_factor
+from midspan.papers.radar_002 import unwrap_plain
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
 from midspan.radar.channels import channel_weights, combined, noise_variance, phase_variance
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
+from midspan.radar.following import at_place, at_places, bins_within
 from midspan.radar.layout import Layout, pack
-from midspan.radar.literal import grid_factor
 from midspan.radar.measurement import TargetFrames, displacement
-from midspan.radar.peaks import at_place
-from midspan.radar.range_profile import averaged, followed, noise_gain, range_profile
+from midspan.radar.range_profile import averaged, hann, range_profile, slow_time
 from midspan.radar.target import find_targets, ranked
-from midspan.radar.unwrap import unwrap_aided, unwrap_plain
+from midspan.radar.unwrap import unwrap_aided
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Motion, Sines, Window, random_motion
 from midspan.simulate.radar.signal import SHORT_RANGE, RadarModel, Reflector, noise_for, phase_bound_m
 
 RATE, CHIRP = 100.0, SHORT_RANGE
 UNIT = CHIRP.phase_per_m()
+NOISE_GAIN = float(np.sum(hann(256) ** 2))  # variance of a windowed product per variance of a sample
 GRADES = {"force balance": 5e-5, "MEMS": 3e-3}  # noise a sample, m/s²
 WALL_M, AMPLITUDE = 1.318, 1000.0
 
@@ -89,9 +91,12 @@ def laboratory(motion: Motion, amplitude_m: float, snr_db: float) -> tuple[Float
     scene = (Reflector(WALL_M, AMPLITUDE), Reflector(4.2, 1.5 * AMPLITUDE, 0.0), Reflector(0.06, 2 * AMPLITUDE, 0.0))
     model = RadarModel(scene, CHIRP, noise_for(AMPLITUDE, snr_db))
     words, at = pack(chirps(model, motion, 2000, 1), Layout(CHIRP)), model.frame_s(2000)
-    z = followed(words, Layout(CHIRP), WALL_M / CHIRP.bin_m, motion.displacement(at))
+    bins = bins_within(WALL_M / CHIRP.bin_m, amplitude_m / CHIRP.bin_m)
+    z = slow_time(words, Layout(CHIRP), bins)
+    places = (WALL_M + motion.displacement(at)) / CHIRP.bin_m
+    z = np.stack([at_places(channel, bins, places) for channel in z.swapaxes(0, 1)], axis=1)
     z = combined(z, channel_weights(z))
-    return at, np.angle(z).astype(float), phase_variance(z, noise_for(AMPLITUDE, snr_db) ** 2 * noise_gain(256) / 4)
+    return at, np.angle(z).astype(float), phase_variance(z, noise_for(AMPLITUDE, snr_db) ** 2 * NOISE_GAIN / 4)
 
 
 def phasors(moved: Floats, snr_db: float, seed: int) -> Floats:
@@ -230,7 +235,7 @@ def scene() -> None:
     goal("head-on wall: factor less 1", 100 * abs(wall.conversion_factor - 1), 0.5, unit="%")
     start = 4 * np.pi * CHIRP.start_frequency_hz / SPEED_OF_LIGHT_M_S
     print(f"with the start frequency for a carrier it would be {wall.conversion_factor * start / UNIT:.4f}")
-    true_noise = noise_for(AMPLITUDE, 20.0) ** 2 * noise_gain(256)
+    true_noise = noise_for(AMPLITUDE, 20.0) ** 2 * NOISE_GAIN
     refused = [t for t in targets if t.relative_std > 0.02]
     passed = sum(not t.objection for t in refused)
     goal(f"targets used of {len(refused)} whose factor is known to no better than 2 %", float(passed), 0.0)

@@ -7,8 +7,8 @@ import numpy as np
 from benchmarks.radar_chain import AMPLITUDE, CHIRP, WALL_M, accelerometer, chirps, rms
 from benchmarks.table import goal, show
 from midspan.radar.chirp import RangeAxis
+from midspan.radar.following import at_place
 from midspan.radar.measurement import TargetFrames, displacement
-from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import averaged, range_profile
 from midspan.radar.target import find_targets
 from midspan.simulate.motion.motion import random_motion

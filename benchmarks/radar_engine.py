@@ -12,7 +12,7 @@ from benchmarks.radar_loop import run
 from benchmarks.table import show
 from midspan.engine.radar_target import FollowedTarget
 from midspan.radar.chirp import ChirpProfile, RangeAxis
-from midspan.radar.range_profile import bin_kernel, coarse_range, half_kernel
+from midspan.radar.range_profile import bin_kernel, hann
 from midspan.radar.target import Target, find_targets
 from midspan.records import Floats
 from midspan.simulate.motion.motion import Motion, Sines, random_motion
@@ -53,6 +53,22 @@ class Drawn:
     case: Case
 
 
+def half_kernel(place_bin: float, profile: ChirpProfile) -> NDArray[np.complex128]:
+    """Weights (2, samples) of the first and the second half of the chirp at one bin, each with its own window."""
+    half = profile.samples // 2
+    place = np.arange(profile.samples) - (profile.samples - 1) / 2.0
+    turn = np.exp(-2j * np.pi * place_bin * place / profile.samples)
+    out = np.zeros((2, profile.samples), dtype=np.complex128)
+    out[0, :half], out[1, -half:] = hann(half) * turn[:half], hann(half) * turn[-half:]
+    return out
+
+
+def coarse_range(turn: Floats, place_bin: float, profile: ChirpProfile) -> Floats:
+    """Range in m (n,) by the phase (n,) between both halves of the chirp; unambiguous within a bin of `place_bin`."""
+    step = profile.samples - profile.samples // 2  # from the centre of one half to that of the other
+    return np.asarray((place_bin + turn * profile.samples / (2.0 * np.pi * step)) * profile.bin_m)
+
+
 def profiles_of(model: RadarModel, motion: Motion, frames: int, seed: int) -> tuple[NDArray[np.complex64], Floats]:
     """Profiles (frames, receivers, bins) of the nearest bins, and the range (frames,) of the wall by its beat."""
     chirp = model.profile
@@ -61,7 +77,7 @@ def profiles_of(model: RadarModel, motion: Motion, frames: int, seed: int) -> tu
     rng = np.random.default_rng(seed)
     z = np.concatenate([cube[:, 0] @ kernel.T for cube in model.blocks(motion, frames, rng=rng)])
     turn = np.sum(z[:, :, 91] * z[:, :, 90].conj(), axis=1)
-    return z[:, :, :90], coarse_range(np.stack((np.ones_like(turn), turn), axis=-1), place, chirp)
+    return z[:, :, :90], coarse_range(np.angle(turn), place, chirp)
 
 
 def drawn(case: Case, seed: int) -> Drawn:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.engine.channels import OTHER_ZERO_STD_M, first_zero_std_m
 from midspan.engine.radar import RadarChain
-from midspan.engine.radar_channels import OTHER_ZERO_STD_M, first_zero_std_m
 from midspan.engine.radar_target import FollowedTarget
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind

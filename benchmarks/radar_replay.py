@@ -14,7 +14,7 @@ from benchmarks.table import goal, show
 from midspan.radar.following import bins_within
 from midspan.radar.layout import Cube, Layout, Words, pack, unpack
 from midspan.radar.range_profile import hann, slow_time
-from midspan.simulate.radar.files import demo_settings
+from midspan.simulate.radar.setup import demo_settings
 from midspan.simulate.radar.signal import SHORT_RANGE, beat
 from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.radar_source import RadarRequest

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from midspan import Acceleration, Displacement, smooth
-from midspan.fusion.fir import FirSettings, fir
-from midspan.fusion.two_stage import TwoStageSettings, two_stage_fir
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.two_stage import TwoStageSettings, two_stage_fir
 from midspan.records import Source
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair

@@ -8,7 +8,7 @@ import numpy as np
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import Layout
 from midspan.simulate.motion.motion import Motion, Window, random_motion
-from midspan.simulate.radar.files import Capture, demo_settings, write_capture
+from midspan.simulate.radar.setup import Capture, demo_settings, write_capture
 from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for
 
 # 0.69 GHz in 64 samples: bins of 0.22 m.

@@ -10,8 +10,7 @@ import pytest
 import midspan
 from lively_recordings import Lively, write
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain, CameraState
-from midspan.engine.camera_target import ChainSettings, Target
+from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
@@ -152,6 +151,7 @@ class Potentiometer:
     """A sensor that measures the displacement in V: 40 V a metre."""
 
     state = None
+    reached = None
 
     def restore(self, state):
         pass
@@ -162,9 +162,6 @@ class Potentiometer:
             record.time_ns, np.zeros(n, dtype=np.int64), record.value[:, 0], np.full(n, 4e-3**2), np.zeros(n)
         )
         return Seen("potentiometer", measured)
-
-    def reached(self, samples):
-        return None
 
 
 def test_a_sensor_is_a_class_and_a_channel():

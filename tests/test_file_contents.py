@@ -9,7 +9,7 @@ import pytest
 
 from midspan.cli.main import run
 from midspan.errors import DataError
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration import load_calibration
 
 RATE_HZ, EVERY = 50.0, 10
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import pytest
 
-from midspan.cli.group import commands
+from midspan.cli.console import commands
 from midspan.cli.main import run
 
 ROOT = Path(__file__).parents[1]

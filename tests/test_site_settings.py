@@ -3,9 +3,7 @@
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.addresses import without_secrets
-from midspan.settings.site import is_site, load_site
-from midspan.settings.site_folders import require_folders
+from midspan.settings.site import is_site, load_site, require_folders, without_secrets
 
 SITE = """
 name = "river-bridge"

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.live.servers import command
 from benchmarks.table import goal
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.simulate.scene.texture import textured_scene
 from midspan.store.store import open_store
 

@@ -18,7 +18,7 @@ from benchmarks.live.servers import Mosquitto, RtspCamera
 from benchmarks.live.site import RunningSite, whole_site
 from benchmarks.table import goal
 from midspan.records import NANOSECONDS
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.sources.live.blocks import RESULT, parse
 from midspan.store.store import open_store
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.live.sensors import PERIOD_S, Transmitter
 from benchmarks.live.servers import Mosquitto, RtspCamera, command, free_port
 from midspan.records import NANOSECONDS, Event
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.simulate.motion.motion import Sines
 from midspan.store.store import open_store
 

@@ -41,7 +41,7 @@ _PLACES = {
     "choose_region": "vision.roi",
     "compare": "evaluate.result_file",
     "estimate": "recording.estimate",
-    "load_calibration": "settings.stored.calibration_file",
+    "load_calibration": "settings.stored.calibration",
     "open_recording": "recording.streams.recording",
     "open_tracker": "vision.tracker",
     "smooth": "fusion.streams",

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from midspan.notices import Notice
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 Nanoseconds = NDArray[np.int64]
 
 NANOSECONDS = 1_000_000_000
@@ -31,8 +32,14 @@ def nanoseconds(time_s: Floats, origin_ns: int = 0) -> Nanoseconds:
     return np.int64(origin_ns) + np.rint(np.asarray(time_s, dtype=np.float64) * NANOSECONDS).astype(np.int64)
 
 
+class Arrays(Protocol):
+    """A block: a dataclass whose fields are all arrays."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
 def joined(blocks: "Sequence[Block]") -> "Block":
-    """One block out of blocks of the same kind whose fields are all arrays, in their order; also from a single one."""
+    """One block out of blocks of the same kind, in their order; also from a single one."""
     if len(blocks) == 1:
         return blocks[0]
     names = blocks[0].__dataclass_fields__
@@ -40,21 +47,18 @@ def joined(blocks: "Sequence[Block]") -> "Block":
 
 
 def part(block: "Block", which: slice | NDArray[np.generic]) -> "Block":
-    """The rows `which` (a slice, mask or index array) of a block whose fields are all arrays."""
+    """The rows `which` (a slice, mask or index array) of a block."""
     return type(block)(*[getattr(block, name)[which] for name in block.__dataclass_fields__])
 
 
-def cut(block: "Block", size: int) -> "Iterator[Block]":
-    """A block with a field `time_ns` in pieces of this many rows."""
-    count = len(block.time_ns)
-    if count <= size:
-        yield from (block,) if count else ()
-        return
-    for first in range(0, count, size):
-        yield part(block, slice(first, first + size))
+class _Code(IntEnum):
+    @property
+    def word(self) -> str:
+        """The lower-case word of the result files."""
+        return self.name.lower()
 
 
-class Source(IntEnum):
+class Source(_Code):
     """Which sensor fixes a row of the result; `prediction` is the accelerometer alone."""
 
     PREDICTION = 0
@@ -63,23 +67,13 @@ class Source(IntEnum):
     RADAR = 3
     DISPLACEMENT = 4
 
-    @property
-    def word(self) -> str:
-        """The lower-case word of the result files."""
-        return self.name.lower()
 
-
-class Status(IntEnum):
+class Status(_Code):
     """What a row of the result rests on."""
 
     TRACKING = 0
     COASTING = 1
     LOST = 2
-
-    @property
-    def word(self) -> str:
-        """The lower-case word of the result files."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +87,8 @@ class Region:
 
     def inside(self, columns: int, rows: int) -> bool:
         """Whether the region lies wholly in an image of `columns` by `rows` pixels."""
-        return (
-            self.width > 0
-            and self.height > 0
-            and self.x >= 0
-            and self.y >= 0
-            and self.x + self.width <= columns
-            and self.y + self.height <= rows
-        )
+        inside_x = self.x >= 0 and self.width > 0 and self.x + self.width <= columns
+        return inside_x and self.y >= 0 and self.height > 0 and self.y + self.height <= rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,15 +214,8 @@ class PixelTrack:
     @classmethod
     def stack(cls, rows: list[PixelTranslation]) -> "PixelTrack":
         """The block of single translations in their order."""
-        return cls(
-            time_ns=np.array([r.time_ns for r in rows], dtype=np.int64),
-            x_px=np.array([r.x_px for r in rows], dtype=np.float64),
-            y_px=np.array([r.y_px for r in rows], dtype=np.float64),
-            variance_x_px2=np.array([r.variance_x_px2 for r in rows], dtype=np.float64),
-            variance_y_px2=np.array([r.variance_y_px2 for r in rows], dtype=np.float64),
-            quality=np.array([r.quality for r in rows], dtype=np.float64),
-            status=np.array([r.status for r in rows], dtype=np.uint8),
-        )
+        kinds = dict.fromkeys(cls.__slots__, np.float64) | {"time_ns": np.int64, "status": np.uint8}
+        return cls(**{name: np.array([getattr(r, name) for r in rows], dtype=kind) for name, kind in kinds.items()})
 
     def along(self, direction: str) -> tuple[Floats, Floats]:
         """Translation and its variance (n,) along the image axis "x" or "y"."""
@@ -420,6 +401,11 @@ class Arrival:
     sequence: int
     record: Readings | Frame | Tracked | RangeFrame | Event
 
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp of the record."""
+        return int(self.record.time_ns[-1] if isinstance(self.record, Readings) else self.record.time_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class Tick:
@@ -444,34 +430,7 @@ class ClockOffset:
     from_ns: int
 
 
-class StreamState(IntEnum):
-    """How a stream stands: nothing came yet; in time; later than the others wait; silent for too long."""
-
-    WAITING = 0
-    LIVE = 1
-    BEHIND = 2
-    OUT = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """How a stream stands, and why.
-
-    newest_ns: its newest stamp on the common clock. Counts of readings and frames: used; late; disordered (doubled,
-    backwards, outside the times that are possible); lost records, by their sequence numbers.
-    """
-
-    stream: str
-    state: StreamState
-    reason: str
-    newest_ns: int | None
-    used: int
-    late: int
-    disordered: int
-    lost: int
-
-
-Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, Measured, PixelTrack, Readings, Samples)
+Block = TypeVar("Block", bound="Arrays")
 
 
 @dataclass(frozen=True, slots=True)

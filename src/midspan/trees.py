@@ -54,22 +54,17 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise TreeError(f"is not valid TOML: {error}. {_toml_remedy(text, str(error))}") from None
+        place, remedy = re.search(r"at line (\d+)", str(error)), "Text values need quotes"
+        if place and "\\" in text.splitlines()[int(place[1]) - 1]:
+            remedy = "Between double quotes a backslash begins a code: write / in Windows paths, or put them in single "
+            remedy += "quotes"
+        raise TreeError(f"is not valid TOML: {error}. {remedy}") from None
     except RecursionError:
         raise _too_deep() from None
     except ValueError:
         raise TreeError("holds a number of thousands of digits. Correct it") from None
     _check(tree)
     return tree
-
-
-def _toml_remedy(text: str, said: str) -> str:
-    """What to do where TOML is not valid: a backslash in the line that is named is that of a Windows path."""
-    place = re.search(r"at line (\d+)", said)
-    line = text.splitlines()[int(place[1]) - 1] if place else ""
-    if "\\" in line:
-        return "Between double quotes a backslash begins a code: write / in Windows paths, or put them in single quotes"
-    return "Text values need quotes"
 
 
 def read_json(path: Path) -> Any:

@@ -43,7 +43,8 @@ def replacing(*paths: Path) -> Iterator[tuple["NewFile", ...]]:
         files = tuple(stack.enter_context(_new_file(path)) for path in paths)
         yield files
         for file in files:
-            file.sync()
+            with cannot_be_written(file.path):
+                os.fsync(file.descriptor)
         for file in files:
             file.publish()
         for folder in {path.parent for path in paths}:
@@ -54,33 +55,28 @@ class NewFile:
     """A file that is being written under a temporary name."""
 
     def __init__(self, path: Path, temporary: Path, descriptor: int) -> None:
-        self.path, self._temporary, self._descriptor = path, temporary, descriptor
+        self.path, self._temporary, self.descriptor = path, temporary, descriptor
 
     def write(self, content: bytes) -> None:
         """Append bytes. Raises UsageError where the disk does not take them."""
         with cannot_be_written(self.path):
             rest = memoryview(content)
             while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
-
-    def sync(self) -> None:
-        """Bring the content to the disk."""
-        with cannot_be_written(self.path):
-            os.fsync(self._descriptor)
+                rest = rest[os.write(self.descriptor, rest) :]
 
     def publish(self) -> None:
         """Give the file its final name."""
         with cannot_be_written(self.path):
             if sys.platform == "win32":
                 # An open file cannot be renamed there.
-                os.close(self._descriptor)
-                self._descriptor = -1
+                os.close(self.descriptor)
+                self.descriptor = -1
             os.replace(self._temporary, self.path)
 
     def discard(self) -> None:
         """Close, and remove what has not got its final name."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
         # Without an error here: the one that matters is on its way already.
         with suppress(OSError):
             self._temporary.unlink(missing_ok=True)
@@ -124,8 +120,10 @@ def _reserve(folder: Path, *, directory: bool) -> tuple[Path, int]:
         else:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
         # Another process that removes remains may have come between the creation and the lock.
-        if _lock(descriptor) is not False and _is_at(path, descriptor):
-            return path, descriptor
+        if _lock(descriptor) is not False:
+            with suppress(OSError):
+                if os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False)):
+                    return path, descriptor
         os.close(descriptor)
 
 
@@ -165,21 +163,20 @@ def _lock(descriptor: int) -> bool | None:
     return True
 
 
-def _is_at(path: Path, descriptor: int) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False))
-    except OSError:
-        return False
+def _sync(paths: Iterable[Path], flags: int) -> None:
+    """Bring files, or the names in a folder, to the disk."""
+    for path in paths:
+        descriptor = os.open(path, flags)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _sync_folder(folder: Path) -> None:
     """Bring the names in a folder to the disk, where the system can; the content is there already."""
     with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        _sync((folder,), os.O_RDONLY)
 
 
 @contextmanager
@@ -194,10 +191,17 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
         try:
             yield partial
             for place, _, names in os.walk(partial):
-                _sync_files(Path(place) / name for name in names)
+                _sync((Path(place) / name for name in names), os.O_RDWR)
                 _sync_folder(Path(place))
             with _alone_in(folder.parent):
-                _exchange(partial, folder)
+                _settle(folder)
+                if folder.exists():
+                    os.rename(folder, _aside(folder))
+                try:
+                    os.rename(partial, folder)
+                finally:
+                    _sync_folder(folder.parent)
+                    _settle(folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
             if descriptor >= 0:
@@ -216,17 +220,6 @@ def settle_folder(folder: Path) -> None:
             _settle(folder)
 
 
-def _exchange(partial: Path, folder: Path) -> None:
-    _settle(folder)
-    if folder.exists():
-        os.rename(folder, _aside(folder))
-    try:
-        os.rename(partial, folder)
-    finally:
-        _sync_folder(folder.parent)
-        _settle(folder)
-
-
 def _settle(folder: Path) -> None:
     aside = _aside(folder)
     if not aside.exists():
@@ -242,15 +235,6 @@ def _settle(folder: Path) -> None:
 
 def _aside(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}.midspan-older")
-
-
-def _sync_files(paths: Iterable[Path]) -> None:
-    for path in paths:
-        descriptor = os.open(path, os.O_RDWR)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 @contextmanager

@@ -5,8 +5,10 @@ import pytest
 
 from midspan.calibration.agreement import misfit
 from midspan.calibration.fit import Pair, best_corner, with_corner_doubt
-from midspan.calibration.frequency_response import GRAVITY_M_S2, Kind
-from midspan.calibration.scale import calibrate_scale, contradiction
+from midspan.calibration.frequency_response import Kind
+from midspan.calibration.own_noise import contradiction
+from midspan.calibration.scale import calibrate_scale
+from midspan.signals.acceleration import GRAVITY_M_S2
 
 SCALE, OFFSET_S, NOISE_PX, NOISE_M_S2 = -2e-3, 0.03, 0.005, 2e-3
 BROAD = (0.6, 1.4, 2.6, 3.7)

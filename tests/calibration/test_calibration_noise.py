@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
-from midspan.calibration.bias import bias_of
 from midspan.calibration.fit import Pair, aligned
 from midspan.calibration.noise import calibrate_noise, learn_motion
+from midspan.calibration.sensors.fit import bias_of
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
 from midspan.records import Acceleration, Displacement, nanoseconds
 

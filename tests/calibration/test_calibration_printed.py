@@ -9,9 +9,10 @@ from scipy.integrate import cumulative_trapezoid
 
 import midspan
 from lively_recordings import Lively, write
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
-from midspan.calibration.printed import PrintedSteps, calibrate_printed, printed_band, printed_offset, printed_scale
 from midspan.cli.main import run
+from midspan.papers.printed.camera import calibrate_printed, printed_band, printed_offset, printed_scale
 
 # 8 mm at 0.1 Hz and a tone of 3 mm, the first and third excitation of the two-stage paper; m per px.
 SCALE = -1.5e-3

@@ -2,7 +2,7 @@
 
 import pytest
 
-from midspan.calibration.camera.tilt import tilt_text
+from midspan.calibration.camera.disagreement import tilt_text
 
 
 @pytest.mark.parametrize("kept", ["near", "far"])

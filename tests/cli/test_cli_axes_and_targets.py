@@ -8,7 +8,7 @@ import pytest
 from midspan.cli.main import run
 from midspan.records import Region
 from midspan.simulate.scenarios.table import sideways
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Panel
 from midspan.simulate.scene.texture import textured_scene
 from recording_edits import set_keys
 

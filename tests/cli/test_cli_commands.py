@@ -319,7 +319,7 @@ def test_a_signal_to_stop_leaves_nothing_half_written(footbridge, tmp_path, monk
     def interrupted(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "by_method", interrupted)
+    monkeypatch.setattr(module, "check", interrupted)
     assert run(["estimate", str(footbridge), "-o", str(tmp_path / "result.csv")]) == 130
     assert os.listdir(tmp_path) == []
     assert "interrupted" in capsys.readouterr().err

@@ -136,8 +136,7 @@ USE = """
 import os
 import midspan
 from matplotlib.figure import Figure
-from midspan.report.drawing import saved
-saved(Figure(), "png")
+Figure().savefig(os.devnull, format="png")
 print(os.environ.get("MPLCONFIGDIR"))
 """
 READ_ONLY = """

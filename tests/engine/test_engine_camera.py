@@ -10,8 +10,7 @@ import pytest
 
 from lens_cases import ideal_translation
 from midspan._core import LIGHT_PX, TEMPLATE_NOISE
-from midspan.engine.camera import WARM_UP_FRAMES, CameraChain
-from midspan.engine.camera_target import ChainSettings, Target
+from midspan.engine.camera import WARM_UP_FRAMES, CameraChain, ChainSettings, Target
 from midspan.engine.target_opening import Opening
 from midspan.errors import DataError
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
@@ -165,7 +164,7 @@ def test_a_tracker_that_learns_by_acceleration_is_taught_with_it_or_not_at_all()
     frames = film()
     felt = Expected(PATH[: len(frames)], "y", (0.3, 2.0))
     settings = PhaseSettings(literal=True, matcher="template")
-    chains = [untaught(frames, TARGETS[:1], tracker="hybrid", settings=settings) for _ in range(2)]
+    chains = [untaught(frames, TARGETS[:1], tracker="hybrid", tracker_settings=settings) for _ in range(2)]
     chains[0].learn(frames)
     chains[1].learn(frames, felt)
     without, taught = (chain.targets[0].tracker.model for chain in chains)

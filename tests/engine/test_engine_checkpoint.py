@@ -16,8 +16,7 @@ from hypothesis.extra import numpy as arrays
 
 from midspan.engine import checkpoint
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain, CameraState
-from midspan.engine.camera_target import ChainSettings, Target
+from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target
 from midspan.engine.checkpoint import DTYPES, from_bytes, to_bytes, types_in
 from midspan.engine.guard import Guard, GuardSettings, GuardState
 from midspan.engine.merge import Merge, MergeState

@@ -11,9 +11,8 @@ from midspan.engine.axis import usual_figures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.plain import PlainChain, PlainSettings
-from midspan.engine.point import ACCELEROMETER, Point
+from midspan.engine.point import ACCELEROMETER, Point, PointStatus
 from midspan.engine.sensors import PlainSensor, Seen
-from midspan.engine.support import PointStatus
 from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
@@ -86,7 +85,7 @@ def a_point(lateness_s=0.5):
 
 
 def run(streams):
-    """Estimate of the measured rows, all events and the health of the streams."""
+    """Estimate of the measured rows, all events and the memory of the streams."""
     point, outputs = a_point(), []
     for item in journal(streams):
         outputs += point.push(item)
@@ -94,7 +93,7 @@ def run(streams):
     events = [item for item in outputs if isinstance(item, Event)]
     events += [event for item in outputs if isinstance(item, Rows | Seen) for event in item.events]
     rows = joined([item.estimates[0] for item in outputs if isinstance(item, Rows) and item.estimates])
-    return rows, events, point.merge.health
+    return rows, events, point.merge.state.streams
 
 
 def late_by(delay_s):
@@ -198,8 +197,8 @@ def test_a_clock_that_is_set_for_good_costs_seconds_and_the_point_goes_on(names,
         assert np.max(error) < (2.0 if len(names) > 1 else 1.0) * MAX_ERROR_M
         # 2 s, a tick and a block of each stream that was set; nothing of the other.
         for one in health:
-            rate_hz = {ACCELEROMETER: RATE_HZ, "level": LEVEL_HZ}[one.stream]
-            assert one.disordered <= (one.stream in names) * 2.5 * rate_hz
+            rate_hz = {ACCELEROMETER: RATE_HZ, "level": LEVEL_HZ}[one.name]
+            assert one.disordered <= (one.name in names) * 2.5 * rate_hz
         # It measures again: the last seconds are as good as the first ones.
         first, last = (rows.time_ns > 5e9) & (rows.time_ns < 28e9), rows.time_ns > 38e9
         assert np.sqrt(np.mean(error[last] ** 2)) < 3.0 * np.sqrt(np.mean(error[first] ** 2))

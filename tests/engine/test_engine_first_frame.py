@@ -7,7 +7,7 @@ from midspan.engine.first_frame import begun
 from midspan.records import Region
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.formats import open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 
 FRAMES, TARGET = 60, Region(20, 16, 30, 28)
 

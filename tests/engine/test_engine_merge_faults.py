@@ -84,9 +84,9 @@ def test_every_record_is_given_out_once_in_order_or_is_told(seed):
                 assert waiting < span_s * RATES_HZ[name] + COUNT[name] + 20
     out += merge.finish()
     in_order(out)
-    for health in merge.health:
-        own, lost = streams[health.stream]
-        given = [one.record for one in out if one.stream == health.stream]
+    for health in merge.state.streams:
+        own, lost = streams[health.name]
+        given = [one.record for one in out if one.stream == health.name]
         told = {record.kind for record in given if isinstance(record, Event)}
         used = sum(len(stamps_of(record)) for record in given if not isinstance(record, Event))
         assert used == health.used

@@ -43,7 +43,7 @@ def run(chain, samples, time_s, value, cuts=(), seed=0):
             out += chain.push(Readings(time_ns[done:until], value[done:until, None]))
             done = until
         chain, other = PlainChain(chain.settings), chain
-        chain.restore(other.state)
+        chain.state = other.state
         out += chain.push(part(samples, slice(start, stop)))
     return out
 

@@ -6,11 +6,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from midspan.engine.camera_target import ChainSettings, Target, TargetChain
+from midspan.engine.camera import ChainSettings, Target, TargetChain
 from midspan.engine.target_opening import Opening
 from midspan.engine.tracking import TargetTracking, light_warnings
 from midspan.records import Frame, PixelTrack, PixelTranslation, Region, Status
-from midspan.vision.light import LightReport
+from midspan.vision.picture_report import LightReport
 from midspan.vision.target import lost
 
 

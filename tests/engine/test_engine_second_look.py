@@ -6,7 +6,6 @@ import pytest
 from midspan.engine.second_look import once_more
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.second_pass import smooth
 from midspan.records import Channel, Event, Measured, Samples, Source, part, seconds
 from midspan.simulate.motion.motion import random_motion
 
@@ -39,11 +38,11 @@ def test_what_the_first_pass_doubted_is_doubted_again(step_s):
     first.push(Event(round(BACK_S * 1e9) + 1, "backwards", "Stamps went back."))
     rows += first.push(part(samples, samples.time_ns > BACK_S * 1e9))
     rows += first.finish()
-    log, again = once_more(settings, first.log, [measured])
+    log, again = once_more(settings, first, [measured])
     assert len(log.went_back_ns) == 1
     assert [e.text for one in again for e in one.events] == [e.text for one in rows for e in one.events]
     # The same records in other blocks: the same bits, of the smoothed rows too.
-    found, expected = smooth(log, settings)[0], smooth(first.log, settings)[0]
+    found, expected = log.smoothed(settings)[0], first.smoothed(settings)[0]
     for name in ("time_ns", "displacement_m", "variance_m2", "source", "status"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     if step_s:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from midspan.engine.support import Support
+from midspan.engine.point import Support
 from midspan.fusion.blocks import Rows
 from midspan.records import Estimate, Status, part
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.engine.switching import AVERAGE_S, Switch
+from midspan.papers.printed.switching import AVERAGE_S, Switch
 
 BOTH = ("camera", "infrared")
 

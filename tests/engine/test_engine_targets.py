@@ -16,16 +16,16 @@ def used(residual, variance=1.0, path_variance=1.0):
 
 
 def test_the_mean_weighs_by_inverse_variance_and_knows_its_own():
-    found = combine(np.array([[1.0], [3.0]]), np.array([[1.0], [4.0]]), np.array([[True], [True]]))
+    value, own_variance = combine(np.array([[1.0], [3.0]]), np.array([[1.0], [4.0]]), np.array([[True], [True]]))
     # (1/1 + 3/4) / (1/1 + 1/4) = 1.4 with variance 1 / 1.25.
-    assert found.value[0] == pytest.approx(1.4)
-    assert found.variance[0] == pytest.approx(0.8)
+    assert value[0] == pytest.approx(1.4)
+    assert own_variance[0] == pytest.approx(0.8)
 
 
 def test_a_frame_without_any_target_has_no_value():
-    found = combine(np.full((2, 1), NAN), np.full((2, 1), NAN), np.zeros((2, 1), dtype=bool))
-    assert np.isnan(found.value[0])
-    assert np.isinf(found.variance[0])
+    value, own_variance = combine(np.full((2, 1), NAN), np.full((2, 1), NAN), np.zeros((2, 1), dtype=bool))
+    assert np.isnan(value[0])
+    assert np.isinf(own_variance[0])
 
 
 def test_of_three_targets_the_one_that_leaves_the_median_is_dropped_whatever_was_expected():
@@ -57,10 +57,10 @@ def test_what_differs_by_noise_alone_is_hardly_ever_dropped_and_the_mean_has_its
     mask = agreeing(residual, variance, np.zeros(400))
     # Beyond four standard deviations of the difference lie 6e-5 of all: of 2400 at most a few.
     assert np.mean(~mask) < 0.005
-    found = combine(residual, variance, mask)
-    assert found.variance[mask.all(axis=0)] == pytest.approx(1.0 / np.sum(1.0 / std**2))
+    value, own_variance = combine(residual, variance, mask)
+    assert own_variance[mask.all(axis=0)] == pytest.approx(1.0 / np.sum(1.0 / std**2))
     # 400 draws: the ratio of rms and standard deviation is 1 ± 0.035, so 0.8 and 1.2 are six of those away.
-    assert 0.8 < np.sqrt(np.mean(found.value**2 / found.variance)) < 1.2
+    assert 0.8 < np.sqrt(np.mean(value**2 / own_variance)) < 1.2
 
 
 @given(st.integers(0, 2**31 - 1))

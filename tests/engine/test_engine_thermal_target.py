@@ -5,7 +5,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.records import Frame, Region, Status
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, ThermalView, WarmBody

@@ -4,8 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from midspan.engine.switching import Switch
-from midspan.engine.twilight import Place, light_of_day, sun_elevation_deg
+from midspan.papers.printed.switching import Place, Switch, light_of_day, sun_elevation_deg
 
 MINUTE_NS = 60 * 10**9
 POLE, GREENWICH = Place(90.0, 0.0), Place(51.4769, 0.0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from midspan.engine.unseen import Unseen
+from midspan.engine.sensors import Unseen
 from midspan.records import PixelTranslation, Status
 from midspan.vision.target import lost
 

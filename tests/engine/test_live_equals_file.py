@@ -16,12 +16,11 @@ import midspan
 from lively_recordings import Lively, write, write_several
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, PointState
-from midspan.fusion.estimator import Estimator
-from midspan.fusion.second_pass import Lag
+from midspan.fusion.estimator import Estimator, Lag
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.point import measuring_point
-from midspan.recording.run import Outcome, radar_frames, run
+from midspan.recording.point import measuring_point, radar_frames
+from midspan.recording.run import Outcome, run
 from midspan.recording.tracked import open_eyes, side_of
 from midspan.records import Arrival, Estimate, Readings, Tracked, part
 from midspan.simulate.scenarios.stage import CameraSetup

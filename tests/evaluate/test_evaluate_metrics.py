@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.evaluate.interpolation import piecewise
-from midspan.evaluate.metrics import Band, compare, coverage, normalised_innovation
+from midspan.evaluate.metrics import Band, compare, coverage, normalised_innovation, piecewise
 from midspan.records import Innovation, TimeSeries, nanoseconds
 
 

@@ -7,10 +7,10 @@ import pytest
 from fusion_oracles import acceleration_block, displacement_block, filtered
 
 from midspan.errors import UsageError
-from midspan.fusion.adaptive import PrintedFilter, printed
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings
+from midspan.papers.printed.adaptive import PrintedFilter, printed
 from midspan.records import Status, part
 from plain_filters import adaptive_kalman, hold, transition
 

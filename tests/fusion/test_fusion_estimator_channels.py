@@ -6,7 +6,6 @@ from estimator_cases import LIVELY, camera, estimated, oscillating, samples_of, 
 from test_fusion_estimator_faults import between
 
 from midspan.fusion.model import Parameter, ParameterKind
-from midspan.fusion.second_pass import smooth
 from midspan.records import Source, seconds
 
 SEEDS = range(801, 807)
@@ -89,7 +88,7 @@ def test_rows_and_their_band_hold(name):
         found = estimated(samples, sensors, log=True, **settings)
         datum_s = FIRST_S if "zero_ns" in settings else None
         causal = scores(found, truth, datum_s)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         late = scores(found, truth, datum_s)
         assert causal[0] < limit_mm
         assert late[0] < late_mm
@@ -126,7 +125,7 @@ def test_a_reference_that_goes_to_and_fro_does_not_make_its_own_error_known():
         sensor.reference[away] = told[away]
         found = estimated(samples, [sensor], log=True, **COUNTED)
         inside.append(scores(found, truth, FIRST_S)[2])
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         inside.append(scores(found, truth, FIRST_S)[2])
     # Were the error scaled with its standard deviation as a whole, 0.86 would be inside.
     assert np.mean(inside) > 0.9

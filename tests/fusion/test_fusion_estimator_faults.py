@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from estimator_cases import LIVELY, NOISE_D, camera, estimated, oscillating, samples_of, scores, sensor_of
 
-from midspan.fusion.second_pass import smooth
 from midspan.records import seconds
 
 SEEDS = range(801, 807)
@@ -141,7 +140,7 @@ def test_an_accelerometer_that_is_knocked_over_is_found_again(step_m_s2):
         samples = samples_of(truth, rng, length_s=60.0, std=0.3)
         samples.value_m_s2[:, 0] += step_m_s2 * np.clip(seconds(samples.time_ns, 0) - 30.0, 0.0, 1.0)
         found = estimated(samples, [sensor], log=True)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         # Measurements of 1 mm; the acceleration's noise lets predictions spread to 5 mm between them, and what is
         # smoothed from both sides to half of it where the bias is not known.
         assert scores(found, truth, inner=(28.0, 59.0))[0] < 2.5

@@ -5,9 +5,11 @@ import pytest
 from fusion_oracles import acceleration_block, displacement_block
 
 from midspan.errors import UsageError
-from midspan.fusion.branches import NoiseGain, Rates
-from midspan.fusion.complementary import smoothed_record
-from midspan.fusion.fir import (
+from midspan.fusion.streams import KalmanSettings, smooth
+from midspan.papers.printed.branches import NoiseGain, Rates
+from midspan.papers.printed.complementary import smoothed_record
+from midspan.papers.printed.filters import response
+from midspan.papers.printed.fir import (
     FirSettings,
     cut_off_weight,
     design,
@@ -15,9 +17,7 @@ from midspan.fusion.fir import (
     noise_weight,
     window_filters,
 )
-from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.records import Status, joined, part
-from midspan.signals.fir import response
 
 STEP_S = 0.01
 RATES = Rates(STEP_S, 0.1, 4e-8, 1e-8)

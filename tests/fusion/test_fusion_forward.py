@@ -6,7 +6,6 @@ from fusion_oracles import input_over, van_loan
 
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import START_S, EstimatorSettings, Parameter, ParameterKind
-from midspan.fusion.second_pass import smooth
 from midspan.fusion.streams import AS_DECLARED, NO_ERRORS
 from midspan.records import Channel, Measured, Samples, Source, joined, nanoseconds
 
@@ -146,7 +145,7 @@ def test_rows_and_band_are_those_of_a_filter_that_has_them_as_states(both):
 
 def test_the_pass_back_is_the_smoother_of_plain_matrices(both):
     (time, *_), estimator, _, (_, smoothed) = both
-    rows = smooth(estimator.log, estimator.settings)[0]
+    rows = estimator.smoothed()[0]
     # Its first row is that of the second sample.
     for k in np.flatnonzero(time > 0.5)[::20]:
         mean, spread = smoothed[k]

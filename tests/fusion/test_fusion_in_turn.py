@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from midspan.fusion.in_turn import in_turn
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings
+from midspan.papers.printed.in_turn import in_turn
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
 
 PARTS = ((1.5e-3, 0.43), (0.75e-3, 1.13), (0.3e-3, 2.31))

@@ -7,9 +7,8 @@ from fusion_oracles import van_loan
 from scipy.linalg import solve_triangular
 from test_fusion_second_pass import rows_of
 
-from midspan.fusion.estimator import Estimator
+from midspan.fusion.estimator import Estimator, Lag
 from midspan.fusion.model import START_S, EstimatorSettings
-from midspan.fusion.second_pass import Lag, smooth
 from midspan.fusion.streams import AS_DECLARED, NO_ERRORS
 from midspan.records import Measured, Samples, nanoseconds
 
@@ -98,7 +97,7 @@ def passed(samples, measured, settings, lag):
     """The rows of `lag`, of more samples than there are, or of `smoother`."""
     stream = Lag(settings, 2 * COUNT) if lag else Estimator(settings, log=True)
     outputs = [*stream.push(measured), *stream.push(samples), *stream.finish()]
-    return rows_of(outputs) if lag else smooth(stream.log, settings)[0]
+    return rows_of(outputs) if lag else stream.smoothed(settings)[0]
 
 
 @pytest.mark.parametrize("lag", [False, True])
@@ -136,7 +135,7 @@ def test_the_band_holds_before_the_sensor_with_the_zero_begins(late_s):
         other = camera(sensor="other", zero_std_m=np.inf)
         second = sensor_of(truth, rng, other, rate_hz=7.0, length_s=60.0, std=2e-4, zero=5e-3)
         found = estimated(samples_of(truth, rng, length_s=60.0), [first, second], log=True)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         _, error = found.error_of(truth)
         inside.append(np.mean(error**2 < 1.96**2 * found.rows.variance_m2))
         squares.append(np.mean(error**2 / found.rows.variance_m2))

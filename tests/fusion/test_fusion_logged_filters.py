@@ -7,10 +7,8 @@ from test_fusion_estimator import settings_of, spoilt
 from test_fusion_estimator_faults import CASES, shifted
 
 from midspan.fusion import estimator as estimator_module
-from midspan.fusion import second_pass
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.second_pass import smooth
 
 NAMES = ("displacement_m", "variance_m2", "velocity_m_s", "source", "status")
 # Of the logged filters some then lie before what is decided otherwise later, and some behind it.
@@ -21,7 +19,6 @@ FAULTS = {**{name: spoil for name, (spoil, _) in CASES.items()}, "0.7 mm step": 
 @pytest.fixture
 def short_blocks(monkeypatch):
     monkeypatch.setattr(estimator_module, "BLOCK", SHORT)
-    monkeypatch.setattr(second_pass, "BLOCK", SHORT)
 
 
 def logged(samples, sensors, settings):
@@ -29,7 +26,7 @@ def logged(samples, sensors, settings):
     for record in (measured_of(sensors), samples):
         whole.push(record)
     whole.finish()
-    return whole.log
+    return whole
 
 
 def with_fault(name):
@@ -47,7 +44,7 @@ def assert_same_bits(one, other):
 
 def assert_as_a_second_run(log, settings):
     assert log.core.logged_filters()
-    assert_same_bits(smooth(log, settings)[0], log.smoothed(settings, logged=False)[0])
+    assert_same_bits(log.smoothed(settings)[0], log.smoothed(settings, logged=False)[0])
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -66,4 +63,4 @@ def test_logged_filters_of_two_sensors_give_the_bits_of_a_second_run_over_all(sh
 def test_filters_of_other_settings_are_not_used(short_blocks):
     samples, sensors, settings = with_fault("clean")
     log, other = logged(samples, sensors, settings), EstimatorSettings((camera(),), bias_walk=1e-6)
-    assert_same_bits(smooth(log, other)[0], log.smoothed(other, logged=False)[0])
+    assert_same_bits(log.smoothed(other)[0], log.smoothed(other, logged=False)[0])

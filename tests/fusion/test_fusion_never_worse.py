@@ -8,7 +8,6 @@ from estimator_cases import BRIDGE, LIVELY, estimated, oscillating, samples_of, 
 from scipy.interpolate import CubicSpline
 from test_fusion_estimator_faults import CASES, during
 
-from midspan.fusion.second_pass import smooth
 from midspan.records import seconds
 
 WINDOW_S = 10.0
@@ -45,7 +44,7 @@ def test_never_worse_than_the_slow_sensor_alone(name, modes, rate_hz):
     FAULTS[name](rng, samples, sensor)
     walk = WALK if name == "zero walks" else 1e-8
     found = estimated(samples, [sensor], log=True, bias_walk=walk)
-    found = replace(found, rows=smooth(found.estimator.log, found.estimator.settings)[0])
+    found = replace(found, rows=found.estimator.smoothed()[0])
     time, error = found.error_of(truth)
     assert np.array_equal(time, seconds(found.rows.time_ns, 0))
     exact = truth.at(time)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from midspan.fusion.path import at, rows_at
+from midspan.fusion.path import at
+from midspan.papers.printed.complementary import rows_at
 from midspan.records import Estimate, part
 
 RATE_HZ, EPOCH_NS = 100.0, 1_700_000_000_000_000_000

@@ -8,9 +8,8 @@ from estimator_cases import estimated, measured_of, oscillating, samples_of, sco
 from test_fusion_estimator import settings_of, spoilt
 from test_fusion_estimator_faults import CASES
 
-from midspan.fusion.estimator import BLOCK, Estimator
+from midspan.fusion.estimator import BLOCK, Estimator, Lag
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.second_pass import Lag, smooth
 from midspan.records import joined, part
 
 LENGTH_S = 120.0
@@ -35,7 +34,7 @@ def test_the_smoother_is_better_than_the_filter_and_its_band_holds(name):
         truth, samples, sensor = with_fault(name, seed)
         found = estimated(samples, [sensor], log=True)
         causal = scores(found, truth)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         late = scores(found, truth)
         assert late[0] < 0.9 * causal[0]
         inside.append(late[2])
@@ -45,7 +44,7 @@ def test_the_smoother_is_better_than_the_filter_and_its_band_holds(name):
 def test_the_lag_lies_between_filter_and_smoother():
     truth, samples, sensor = with_fault("10 % outliers", 803)
     found = estimated(samples, [sensor], log=True)
-    smoother = smooth(found.estimator.log, found.estimator.settings)[0]
+    smoother = found.estimator.smoothed()[0]
     stream = Lag(EstimatorSettings((sensor.channel,)), 50)
     outputs = [*stream.push(measured_of([sensor])), *stream.push(samples), *stream.finish()]
     lag = rows_of(outputs)
@@ -70,7 +69,7 @@ def test_a_lag_longer_than_the_record_is_the_smoother():
     for record in (sensor_rows, samples):
         whole.push(record)
     whole.finish()
-    smoother = smooth(whole.log, settings)[0]
+    smoother = whole.smoothed(settings)[0]
     # Picometres: sums in another order.
     assert np.allclose(lag.displacement_m, smoother.displacement_m, atol=1e-12)
     assert np.allclose(lag.variance_m2, smoother.variance_m2, rtol=1e-6)
@@ -103,8 +102,8 @@ def test_the_smoother_does_not_depend_on_its_blocks():
     truth = oscillating(rng, length_s)
     samples, sensor = samples_of(truth, rng, length_s=length_s), sensor_of(truth, rng, length_s=length_s)
     found = estimated(samples, [sensor], log=True)
-    log, settings = found.estimator.log, found.estimator.settings
-    whole = smooth(log, settings)[0]
+    log, settings = found.estimator, found.estimator.settings
+    whole = log.smoothed(settings)[0]
     stream = Lag(settings, 10 * BLOCK)
     lag = rows_of([*stream.push(measured_of([sensor])), *stream.push(samples), *stream.finish()])
     assert np.allclose(whole.displacement_m, lag.displacement_m, atol=1e-12)
@@ -121,7 +120,7 @@ def test_an_error_of_the_acceleration_is_in_the_band_from_its_beginning():
         wrong = (time_s > 60.05) & (time_s < 60.5)
         samples.value_m_s2[wrong, 0] += 0.5
         found = estimated(samples, [sensor], log=True)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         time, off = found.error_of(truth)
         near = np.abs(time - 60.3) < 1.5
         inside.append(np.mean(np.abs(off[near]) < 1.96 * np.sqrt(found.rows.variance_m2[near])))

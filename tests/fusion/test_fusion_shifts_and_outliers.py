@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from estimator_cases import BRIDGE, NOISE_D, estimated, oscillating, samples_of, sensor_of
 
-from midspan.fusion.second_pass import smooth
-
 LENGTH_S = 40.0
 # Standard deviation (m) and middle angular frequency (1/s) of the motion, as a calibration tells them.
 MOTION = ((float(np.hypot(1e-3, 1.5e-3)), 15.0), (0.0, 0.0))
@@ -42,8 +40,8 @@ def test_a_record_that_begins_with_outliers():
         burst = 1 + seed % 5
         sensor.value[:burst] += rng.choice([-1.0, 1.0], burst) * rng.uniform(20.0, 60.0, burst) * NOISE_D
         found = estimated(samples, [sensor], log=True, motion=MOTION)
-        settings, log = found.estimator.settings, found.estimator.log
-        for rows in (found.rows, smooth(log, settings)[0]):
+        settings, log = found.estimator.settings, found.estimator
+        for rows in (found.rows, log.smoothed(settings)[0]):
             found.rows = rows
             _, error = found.error_of(truth)
             share = np.abs(error) / np.sqrt(rows.variance_m2)
@@ -61,7 +59,7 @@ def test_a_second_shift_that_nearly_undoes_the_first():
         # 1.6 deviations of the noise are left of 12: it looks as if the first shift had gone back.
         sensor.value += 12 * NOISE_D * (sensor.time > 8.0) - 10.4 * NOISE_D * (sensor.time > 32.0)
         found = estimated(samples, [sensor], log=True, motion=MOTION)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         time, error = found.error_of(truth)
         share = np.abs(error) / np.sqrt(found.rows.variance_m2)
         assert share[time > 32.0].max() < 5.0

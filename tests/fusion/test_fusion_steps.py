@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from estimator_cases import NOISE_D, estimated, measured_of, oscillating, samples_of, scores, sensor_of
 
+from midspan.fusion.estimator import Lag
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.second_pass import Lag, smooth
 from midspan.records import joined
 
 STEP_S = 60.0
@@ -54,7 +54,7 @@ def test_a_smoothed_record_keeps_its_level_from_the_step_on():
         sensor.value += 0.7e-3 * (sensor.time > STEP_S)
         found = estimated(samples, [sensor], log=True)
         ((_, _, std_mm),) = steps_found(found)
-        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        found.rows = found.estimator.smoothed()[0]
         # Before the step as without one (0.03 mm), after it by what its size is off by; followed it would be 0.7 mm.
         assert scores(found, truth, inner=(5.0, STEP_S - 1.0))[0] < 0.05
         assert scores(found, truth, inner=(STEP_S, 115.0))[0] < 3.0 * std_mm

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from estimator_cases import camera, estimated
 
-from midspan.fusion.second_pass import smooth
 from midspan.records import Samples, Source, nanoseconds, seconds
 
 LENGTH_S, NOISE_M, NIGHT_S, FIRST_S = 240.0, 1.5e-5, (90.0, 150.0), 0.1
@@ -41,7 +40,7 @@ def one_result(of_camera, of_infrared, seed=0, blind=NIGHT_S):
         Eye(infrared, 0.2, lambda t: 0.05 + of_infrared(t), seed + 2),
     ]
     found = estimated(samples, eyes, log=True, zero_ns=round(FIRST_S * 1e9))
-    rows = smooth(found.estimator.log, found.estimator.settings)[0]
+    rows = found.estimator.smoothed()[0]
     time_s = seconds(rows.time_ns, 0)
     error = 1e3 * (rows.displacement_m - (motion(time_s) - motion(FIRST_S)))
     return found.events, time_s, error, 1e3 * np.sqrt(rows.variance_m2)

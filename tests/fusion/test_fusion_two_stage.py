@@ -10,14 +10,14 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import remez
 
 from midspan.errors import UsageError
-from midspan.fusion.branches import Rates
-from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, smooth
-from midspan.fusion.two_stage import TwoStageSettings, design, least_rate_hz, two_stage_fir
+from midspan.papers.printed.branches import Rates
+from midspan.papers.printed.filters import Transition, complement, equiripple_low_pass, response
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.integrate import RULES
+from midspan.papers.printed.two_stage import TwoStageSettings, design, least_rate_hz, two_stage_fir
 from midspan.records import Status, part
-from midspan.signals.fir import Transition, complement, equiripple_low_pass, response
-from midspan.signals.integrate import RULES
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 

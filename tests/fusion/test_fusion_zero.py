@@ -5,9 +5,8 @@ import pytest
 from estimator_cases import LIVELY, camera, measured_of, oscillating, samples_of, sensor_of
 from test_fusion_second_pass import rows_of
 
-from midspan.fusion.estimator import Estimator
+from midspan.fusion.estimator import Estimator, Lag
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.second_pass import Lag, smooth
 from midspan.records import seconds
 
 LENGTH_S, SETTLED_S, SEEDS = 24.0, 6.0, range(20)
@@ -27,7 +26,7 @@ def rows_by_method(samples, measured, settings):
     return {
         "kalman": (rows_of(causal), zero_of(causal)),
         "lag": (rows_of(lagged), zero_of(lagged)),
-        "smoother": (smooth(estimator.log, settings)[0], zero_of(causal)),
+        "smoother": (estimator.smoothed(settings)[0], zero_of(causal)),
     }
 
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.camera.felt import printed_band
+from midspan.calibration.camera.best_range import printed_band
+from midspan.papers.filming import CALIBRATION, FilmSettings, film, write_recording
 from midspan.papers.films import Way, calibration_frames, frames_of, mean_mm, run_film
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording
 from midspan.recording.tracking.opening import open_tracking
-from midspan.simulate.scenarios.papers import CALIBRATION, FilmSettings, film, write_recording
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
 from midspan.vision.tracker import open_tracker, tracker_settings

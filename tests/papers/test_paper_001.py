@@ -9,7 +9,7 @@ import pytest
 from lively_recordings import COLDEST_C, KELVIN_PER_LEVEL, Lively, write
 from midspan.cli.main import run
 from midspan.records import Frame, Prediction, Region, Status
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from midspan.vision.tracker import open_tracker, tracker_settings
 from plain_filters import adaptive_kalman, printed_calibration
 from recording_edits import set_keys

@@ -10,7 +10,7 @@ from scipy.signal import butter, filtfilt
 from midspan.cli.main import run
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.radar.signal import Reflector
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest
 from plain_filters import double_integral, regularised_filters

@@ -10,7 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from lively_recordings import Lively, write
 from midspan.cli.main import run
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from plain_filters import printed_calibration, two_stage
 
 # Excitations 1 and 3 at 3 frames a second: 2.2 Hz shows as 0.8 Hz, 5.1 Hz as 0.9 Hz. The clocks are one: by aliased

@@ -7,13 +7,14 @@ import pytest
 
 from lively_recordings import Lively, write
 from midspan.cli.main import run
+from midspan.papers.filming import CAMERA, FilmSettings, film, write_recording
 from midspan.papers.films import Run, Way, by_excitation, half_sample_mm, mean_mm, run_film
+from midspan.papers.motions import ACCELEROMETER
 from midspan.recording.calibrate import calibrate
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording
 from midspan.records import Frame, Prediction
-from midspan.simulate.scenarios.papers import ACCELEROMETER, CAMERA, FilmSettings, film, write_recording
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from midspan.vision.tracker import open_tracker, tracker_settings
 from plain_filters import adaptive_kalman, printed_calibration
 from recording_edits import set_keys

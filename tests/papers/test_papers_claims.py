@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from midspan.cli.group import commands
+from midspan.cli.console import commands
 from midspan.papers import entries_000, entries_001, entries_002, entries_003, entries_004, two_stage_003
 from midspan.papers.claims import Claim, Effort, Entry, Experiment, Measured, Verdict, judged
 from midspan.papers.page import write_papers
@@ -85,17 +85,17 @@ def test_the_command_over_all_papers_and_its_claims(tmp_path):
 
 def test_a_claim_is_an_inequality_that_must_hold_in_every_case():
     values = {"a": np.array([1.0, 2.0]), "b": np.array([3.0, 3.0]), "none": np.array([np.nan, 1.0])}
-    assert Claim("", "a", 1.0, "b").holds(values)
-    assert not Claim("", "a", 0.5, "b").holds(values)
-    assert Claim("", "b", 1.4, "a", above=True).holds(values)
-    assert Claim("", "a", 2.5).holds(values)
+    assert Claim.of("", "a < b").holds(values)
+    assert not Claim.of("", "a < 0.5 · b").holds(values)
+    assert Claim.of("", "b > 1.4 · a").holds(values)
+    assert Claim.of("", "a < 2.5").holds(values)
     # What was not measured proves nothing, in either direction.
-    assert not Claim("", "none", 5.0).holds(values)
-    assert not Claim("", "none", 0.0, above=True).holds(values)
+    assert not Claim.of("", "none < 5").holds(values)
+    assert not Claim.of("", "none > 0").holds(values)
 
 
 def test_rows_are_judged_on_the_mean_of_the_seeds_and_give_the_factor():
-    entry = Entry("T", "w", "p", ("a at 1 Hz",), ("b at 1 Hz",), (Claim("c", "a at 1 Hz", 1.5),), errors=True)
+    entry = Entry("T", "w", "p", ("a at 1 Hz",), ("b at 1 Hz",), {"c": "a at 1 Hz < 1.5"}, errors=True)
     untried = Entry("U", "w", "p", because="no film of it")
     found = [Measured({"a at 1 Hz": value, "b at 1 Hz": 0.5}) for value in (0.5, 1.5, 2.0)]
     held, left = judged(Experiment("003", "x", lambda effort: found[0], (entry, untried)), found)
@@ -106,7 +106,7 @@ def test_rows_are_judged_on_the_mean_of_the_seeds_and_give_the_factor():
 
 
 def test_a_row_says_where_our_default_errs_more_and_gives_numbers_their_own_units():
-    entry = Entry("T", "w", "p", ("a", "a off by (%)"), ("b",), (Claim("c", "a", 9.0),), errors=True)
+    entry = Entry("T", "w", "p", ("a", "a off by (%)"), ("b",), {"c": "a < 9"}, errors=True)
     better, worse = (
         judged(Experiment("003", "x", unheard, (entry,)), [Measured({"a": 1.0, "a off by (%)": 0.1, "b": ours})])[0]
         for ours in (0.5, 2.0)

@@ -6,7 +6,7 @@ from radar_cases import CYCLE, RATE, SHORT, UNIT, accelerometer, phasors, profil
 
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
-from midspan.radar.phase_noise import factor_spread, measured_variance, modulation
+from midspan.radar.evidence import factor_spread, measured_variance, modulation
 from midspan.radar.target import find_targets, ranked
 from midspan.simulate.motion.motion import Sines, random_motion
 from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for

@@ -5,9 +5,8 @@ import pytest
 from radar_cases import SHORT, accelerometer, profiles_of
 
 from midspan.errors import UntrustedError, UsageError
-from midspan.radar.following import at_places, bins_within, places_of, response, standing_in_bins
+from midspan.radar.following import at_place, at_places, bins_within, places_of, response, static_in_bins
 from midspan.radar.measurement import TargetFrames, displacement
-from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import bin_kernel
 from midspan.radar.target import Target, find_targets, ranked
 from midspan.simulate.motion.motion import Sines
@@ -56,7 +55,7 @@ def test_what_stands_still_is_found_in_every_bin_under_a_target_that_turns() -> 
     kernel = bin_kernel(bins, SHORT)
     still = 0.1 * (kernel @ beat(np.array([WALL_M + 0.02]), SHORT)[0])
     z = beat(WALL_M + moved, SHORT) @ kernel.T + still
-    found = standing_in_bins(z, bins, place + moved / SHORT.bin_m)
+    found = static_in_bins(z, bins, place + moved / SHORT.bin_m)
     near = np.abs(bins - place) < 1.5
     np.testing.assert_allclose(found.phasors[near], still[near], atol=0.004)
     assert found.at(np.array([bins[-1] + 5.0]))[0] == 0

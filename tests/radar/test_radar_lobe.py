@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from radar_cases import SHORT
 
-from midspan.radar.following import response
-from midspan.radar.lobe import between, fraction_between, looked_at, noise_between, response_at
+from midspan.radar.following import between, fraction_between, looked_at, noise_between, response, response_at
 from midspan.radar.range_profile import bin_kernel
 from midspan.simulate.radar.signal import beat
 

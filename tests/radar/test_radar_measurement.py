@@ -8,7 +8,7 @@ from midspan.radar.layout import Layout
 from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.target import find_targets, ranked
 from midspan.simulate.motion.motion import Sines
-from midspan.simulate.radar.files import Capture, demo_settings, write_capture
+from midspan.simulate.radar.setup import Capture, demo_settings, write_capture
 from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for, phase_bound_m
 from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.radar_source import RadarRequest

@@ -23,7 +23,7 @@ def shown_of(own, seed=0, factor_error=0.0, hidden=None):
     none = np.zeros(own.shape, dtype=bool)
     few = np.zeros(len(own))
     variance = np.full(own.shape, NOISE_M**2)
-    return Shown(TIME, value, variance, none, none[0], few + 3e-4, few), samples
+    return Shown(TIME, value, variance, none, few + 3e-4, few), samples
 
 
 def sway(amplitude_m, frequency_hz):

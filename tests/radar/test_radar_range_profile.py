@@ -1,4 +1,4 @@
-"""Range profiles: the true carrier, the phase's reference, one bin straight from the words, and the coarse range."""
+"""Range profiles: the true carrier, the phase's reference, and bins straight from the words."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,12 @@ from radar_cases import CARRIER, CYCLE, SHORT, UNIT, C
 
 from midspan.errors import UsageError
 from midspan.radar.chirp import ChirpProfile
+from midspan.radar.following import at_places, bins_within
 from midspan.radar.layout import ORDERS, Layout, pack, unpack
 from midspan.radar.range_profile import (
     averaged,
     bin_kernel,
-    block_products,
-    coarse_range,
-    followed,
-    half_kernel,
-    noise_gain,
+    hann,
     range_profile,
     slow_time,
 )
@@ -69,11 +66,12 @@ def test_real_words_of_twelve_bits_go_straight_too() -> None:
 
 
 def test_noise_after_the_window_is_a_half_more_than_after_a_rectangle() -> None:
-    assert noise_gain(256) == pytest.approx(1.5 / 256, rel=1e-3)
+    gain = np.sum(hann(256) ** 2)
+    assert gain == pytest.approx(1.5 / 256, rel=1e-3)
     rng = np.random.default_rng(2)
     z = rng.normal(size=(4000, 256)) + 1j * rng.normal(size=(4000, 256))
     power = np.mean(np.abs(z @ bin_kernel(np.array([40.2]), SHORT).T) ** 2)
-    assert power == pytest.approx(2 * noise_gain(256), rel=0.06)  # 4000 draws: 1.6 % of one standard deviation
+    assert power == pytest.approx(2 * gain, rel=0.06)  # 4000 draws: 1.6 % of one standard deviation
 
 
 def test_a_target_that_leaves_its_bin_is_followed_without_a_step_of_the_phase() -> None:
@@ -82,8 +80,9 @@ def test_a_target_that_leaves_its_bin_is_followed_without_a_step_of_the_phase() 
     place = 37.3 * SHORT.bin_m
     echo = np.repeat(1000 * beat(place + moved, SHORT)[:, None, None, :], 4, axis=2)
     words = pack(echo, layout)
-    z = followed(words, layout, 37.3, moved)[:, 0]
-    np.testing.assert_allclose(np.abs(z), 1000, rtol=0.012)  # an eighth of a bin off at most
+    bins = bins_within(37.3, 3.0)
+    z = at_places(slow_time(words, layout, bins)[:, 0], bins, (place + moved) / SHORT.bin_m)
+    np.testing.assert_allclose(np.abs(z), 1000, rtol=0.012)
     delay = 2 * (place + moved) / C
     true = 2 * np.pi * CARRIER * delay - np.pi * 64.985e12 * delay**2
     error = np.angle(z * np.exp(-1j * true))
@@ -93,28 +92,12 @@ def test_a_target_that_leaves_its_bin_is_followed_without_a_step_of_the_phase() 
     assert np.abs(fixed).min() < 100  # without following it is gone
 
 
-def test_the_phase_between_the_halves_tells_the_range_with_the_predicted_scatter() -> None:
-    rng = np.random.default_rng(3)
-    place = 24.0
-    true = (place + np.linspace(-0.4, 0.4, 9)) * SHORT.bin_m
-    clean = beat(true, SHORT) @ half_kernel(place, SHORT).T
-    np.testing.assert_allclose(coarse_range(clean, place, SHORT), true, atol=2e-4 * SHORT.bin_m)
-    noise = (rng.normal(size=(4000, 256)) + 1j * rng.normal(size=(4000, 256))) / np.sqrt(2)
-    snr = 10**3.0  # 30 dB after the window
-    std = np.sqrt(1.0 / snr / noise_gain(256))
-    found = coarse_range((beat(true[4:5], SHORT) + std * noise) @ half_kernel(place, SHORT).T, place, SHORT)
-    # Each half has twice the noise; the difference of two phases has variance 1 / snr_half; 128 samples lie between.
-    expected = np.sqrt(2.0 / snr) * 256 / (2.0 * np.pi * 128) * SHORT.bin_m
-    assert np.std(found) == pytest.approx(expected, rel=0.08)
-    assert expected == pytest.approx(0.77e-3, rel=0.15)
-
-
 def test_products_do_not_depend_on_how_many_frames_come_at_a_time() -> None:
     layout = Layout(SHORT)
     words = np.random.default_rng(4).integers(-2000, 2000, layout.frame_words * 600).astype(np.int16)
-    kernel = bin_kernel(np.array([20.3]), SHORT)
-    whole = block_products(words, layout, kernel)
-    parts = [block_products(words[k * 2048 : (k + 7) * 2048], layout, kernel) for k in range(0, 600, 7)]
+    place = np.array([20.3])
+    whole = slow_time(words, layout, place)
+    parts = [slow_time(words[k * 2048 : (k + 7) * 2048], layout, place) for k in range(0, 600, 7)]
     # The order of additions in single precision differs with the shape.
     np.testing.assert_allclose(np.concatenate(parts), whole, atol=2e-3)
 

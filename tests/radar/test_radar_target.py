@@ -7,12 +7,11 @@ import pytest
 from radar_cases import CARRIER, RATE, SHORT, UNIT, accelerometer, phasors, profiles_of, sine
 
 from midspan.errors import UntrustedError
+from midspan.papers.printed.radar_phase import best_on_grid, grid_factor
 from midspan.radar.alignment import align
 from midspan.radar.channels import channel_weights, combined, noise_variance, phase_variance
 from midspan.radar.chirp import RangeAxis
-from midspan.radar.circle import standing_still
-from midspan.radar.evidence import clutter_share
-from midspan.radar.literal import best_on_grid, grid_factor
+from midspan.radar.evidence import clutter_share, static_centre
 from midspan.radar.target import find_targets, ranked
 from midspan.simulate.motion.motion import Sines, random_motion
 from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for, phase_bound_m
@@ -109,18 +108,18 @@ def test_what_is_attached_to_the_radar_is_taken_out_where_the_arc_is_long_enough
     moved = 2e-3 * np.sin(np.linspace(0, 40, 4000))
     leak = share * np.exp(0.7j)
     z = phasors(moved, 40.0) + leak
-    bent, straight = np.unwrap(np.angle(z)), np.unwrap(np.angle(z - standing_still(z)))
+    bent, straight = np.unwrap(np.angle(z)), np.unwrap(np.angle(z - static_centre(z)))
     # Uncorrected, a share e bends the phase by up to e rad: 0.02 mm rms at 0.1.
     assert np.std(bent / UNIT - moved) > 0.15e-3 * share
     assert np.std(straight / UNIT - moved) < 3e-6
     short = phasors(0.05e-3 * np.sin(np.linspace(0, 40, 4000)), 40.0) + leak
-    assert standing_still(short) == 0
+    assert static_centre(short) == 0
 
 
 def test_phasors_that_lie_on_no_circle_are_left_alone() -> None:
     rng = np.random.default_rng(8)
-    assert standing_still(rng.normal(size=500) + 1j * rng.normal(size=500)) == 0
-    assert standing_still(np.full(10, 1 + 1j)) == 0
+    assert static_centre(rng.normal(size=500) + 1j * rng.normal(size=500)) == 0
+    assert static_centre(np.full(10, 1 + 1j)) == 0
 
 
 def test_receivers_add_up_in_phase_and_a_hole_in_one_leaves_the_others() -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from radar_cases import CYCLE, RATE, UNIT, accelerometer, phasors, sine
 
+from midspan.papers.radar_002 import unwrap_plain
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
-from midspan.radar.phase_filter import PhaseFilter, PhaseFilterSettings, unwrap_filtered
-from midspan.radar.unwrap import inertial_steps, unwrap_aided, unwrap_plain, wrapped
+from midspan.radar.unwrap import inertial_steps, unwrap_aided, wrapped
 from midspan.simulate.motion.motion import Sines
 
 TIME = np.arange(0, 20, 1 / RATE)
@@ -147,20 +147,6 @@ def test_alignment_says_nothing_where_there_is_no_motion_or_another_one() -> Non
         align(TIME, np.angle(phasors(sine(0.1, 1.0).displacement(TIME), 20.0)), samples=samples, phase_per_m=UNIT)
         is None
     )
-
-
-def test_cutting_the_record_anywhere_changes_nothing() -> None:
-    motion = sine(0.2, 1.0)
-    phase = np.angle(phasors(motion.displacement(TIME), 15.0))
-    variance = np.full(len(TIME), 0.5 * 10**-1.5)
-    variance[500:530] = np.inf
-    steps = inertial_steps(TIME, accelerometer(motion, 20.0))
-    whole = unwrap_filtered(TIME, phase, variance_rad2=variance, steps=steps, phase_per_m=UNIT)
-    stream, parts = PhaseFilter(UNIT, PhaseFilterSettings()), []
-    for start, end in ((0, 1), (1, 2), (2, 517), (517, 518), (518, 1999), (1999, 2000)):
-        parts.append(stream.push(TIME[start:end], phase[start:end], variance[start:end], steps[start:end]))
-    for name in ("phase_rad", "filtered_m", "filtered_variance_m2"):
-        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
 
 
 def test_an_outage_coasts_with_a_growing_deviation_and_a_return_that_cannot_be_sure_is_told() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.settings.stored.calibration_file import calibration_from_dict
+from midspan.settings.stored.calibration import calibration_from_dict
 from midspan.simulate.motion.motion import Rest, Sines
 from midspan.simulate.scene.camera import Camera
 from recording_edits import acceleration, frames, read_columns, set_keys, write_acceleration, write_stack

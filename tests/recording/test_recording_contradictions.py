@@ -5,6 +5,7 @@ Recordings are written from physics: a sum of tones, its acceleration exact.
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 import midspan
 from midspan.cli.main import run
@@ -97,6 +98,88 @@ def test_a_crowd_of_outliers_to_one_side_is_named_and_left_out(share, tmp_path):
     result = midspan.estimate(site.displacement(tmp_path, STAMPS, value))
     assert any(line.code == "outliers" and "contradict" in line for line in result.warnings)
     held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+def noisy_for_a_while(site, seed):
+    """A displacement sensor whose noise is five times as large from 20 to 35 s."""
+    rng = np.random.default_rng(seed)
+    return site.noisy_mm(STAMPS) + np.where((STAMPS > 20.0) & (STAMPS < 35.0), rng.normal(0.0, 0.5, len(STAMPS)), 0.0)
+
+
+def off_for_a_while(site, seed):
+    """A displacement sensor that is 8 mm off from 30 to 34 s."""
+    return site.noisy_mm(STAMPS) + np.where((STAMPS > 30.0) & (STAMPS < 34.0), 8.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("fault", [noisy_for_a_while, off_for_a_while])
+def test_a_sensor_that_is_noisy_or_off_its_place_for_a_while_is_no_crowd_of_outliers(fault, seed, tmp_path):
+    site = Structure(seed)
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, fault(site, seed)), method="smoother")
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+    assert not [event for event in result.events if "left out" in event.text]
+
+
+@pytest.mark.parametrize("seed", [24, 25])
+def test_good_values_are_kept_where_the_accelerometer_is_noisy_for_a_while(seed, tmp_path):
+    site = Structure(seed)
+    folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
+    time_s, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
+    value += np.where((time_s > 25.0) & (time_s < 33.0), np.random.default_rng(seed).normal(0.0, 0.25, len(value)), 0.0)
+    table(folder / "accel.csv", "time_s,accel", time_s, value)
+    result = midspan.estimate(folder, method="smoother")
+    assert not [event for event in result.events if "left out" in event.text]
+    # Of what the sensor alone leaves of the motion there: a mean of its values over the accelerometer's noisy time.
+    assert np.max(np.abs(result.displacement_mm - site.moved_mm(result.time_s))) < 1.5
+
+
+@pytest.mark.parametrize("method", ["smoother", "kalman"])
+@pytest.mark.parametrize("step_s", [0.3, 1.0, 10.0])
+def test_an_accelerometers_clock_that_steps_forward_is_named_by_its_gap(step_s, method, tmp_path, capsys):
+    site = Structure(26)
+    folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
+    time_s, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
+    table(folder / "accel.csv", "time_s,accel", time_s + np.where(time_s > 30.0, step_s, 0.0), value)
+    assert run(["estimate", str(folder), "--method", method, "-o", str(tmp_path / "r.csv")]) == 4
+    said = capsys.readouterr().err
+    assert f"accelerometer: its stamps leave out {step_s:.4g} s" in said
+    assert "its clock stepped forward there" in said
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 2.0])
+def test_samples_that_are_missing_are_no_step_of_a_clock(gap_s, tmp_path):
+    site = Structure(27)
+    folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
+    time_s, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
+    kept = (time_s < 30.0) | (time_s > 30.0 + gap_s)
+    table(folder / "accel.csv", "time_s,accel", time_s[kept], value[kept])
+    result = midspan.estimate(folder)
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+@pytest.mark.parametrize("seed", [28, 29])
+def test_a_causal_method_that_followed_most_of_very_many_outliers_is_refused(seed, tmp_path, capsys):
+    site = Structure(seed)
+    wrong = site.rng.uniform(size=len(STAMPS)) < 0.45
+    value = site.noisy_mm(STAMPS) + np.where(wrong, site.rng.uniform(6.0, 12.0, len(STAMPS)), 0.0)
+    folder = site.displacement(tmp_path, STAMPS, value)
+    refused = run(["estimate", str(folder), "--method", "kalman", "-o", str(tmp_path / "r.csv")]) == 4
+    assert not refused or "of its values contradict the acceleration" in capsys.readouterr().err
+    if not refused:
+        result = midspan.estimate(folder, method="kalman")
+        held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+def test_a_sensor_that_follows_late_is_no_low_pass_in_the_accelerometers_logger(tmp_path):
+    """A low-pass of second order at 2 Hz in the displacement sensor: it delays, which a logger's cannot make of it."""
+    site = Structure(30)
+    fine_s = np.arange(-5.0, 60.0, 1e-3)
+    late = lfilter(*butter(2, 2.0, fs=1000.0), site.moved_mm(fine_s))
+    folder = site.displacement(tmp_path, STAMPS, np.interp(STAMPS, fine_s, late) + site.rng.normal(0, 0.1, len(STAMPS)))
+    with pytest.raises(midspan.UntrustedError) as refused:
+        midspan.estimate(folder)
+    assert "logger" not in str(refused.value)
+    assert "a displacement sensor that follows late" in str(refused.value)
 
 
 def test_a_sensor_that_is_frozen_from_the_start_begins_where_it_is_free(tmp_path):

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from midspan.recording.estimate import unmeasured_ends
+from midspan.engine.row_messages import unmeasured_ends
 from midspan.recording.point import zero_instant
 from midspan.recording.tracked import Eye
-from midspan.recording.tracking.daylight import where_it_sees
+from midspan.recording.tracking.opening import where_it_sees
 from midspan.records import NANOSECONDS, Measured, nanoseconds
 
 
@@ -42,7 +42,7 @@ def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypa
         kind="camera", beside=(SimpleNamespace(kind="infrared"),), frames=Frames(lit), late_ns=0
     )
     recording.seeing = lambda *stamps: stamps
-    monkeypatch.setattr("midspan.recording.tracking.daylight.window_ends", lambda _: (0, 60 * NANOSECONDS))
+    monkeypatch.setattr("midspan.recording.tracking.opening.window_ends", lambda _: (0, 60 * NANOSECONDS))
     (begun, ended, used_from), (text,) = where_it_sees(recording)
     assert (begun / NANOSECONDS, ended / NANOSECONDS) == (36.0, 59.75)
     assert used_from / NANOSECONDS == used_from_s

@@ -5,7 +5,7 @@ import pytest
 from numpy.polynomial import Polynomial
 
 import midspan
-from midspan.calibration.floor import noise_floor
+from midspan.calibration.own_noise import noise_floor
 from midspan.errors import UntrustedError
 from recording_edits import set_keys, write_displacement
 

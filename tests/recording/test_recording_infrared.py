@@ -14,7 +14,7 @@ from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.track import track
 from midspan.records import Region, Source, Status
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration import load_calibration
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody

@@ -7,7 +7,7 @@ import pytest
 
 import midspan
 from lively_recordings import Lively, write
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration import load_calibration
 
 EVERY_METHOD = ("smoother", "kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir")
 

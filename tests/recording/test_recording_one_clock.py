@@ -89,7 +89,7 @@ def test_a_jump_beside_a_drift_is_taken_out_and_the_drift_too():
     late = 40e-6 * true_s + np.where(true_s >= 100.0, 0.03, 0.0)
     measured, acceleration = record(true_s - late, true_s)
     found = one_clock(measured, acceleration, KalmanSettings(), "camera")
-    std_s = np.hypot(found.jumps[0].std_s, found.running.course.std_at(measured.time_ns).max())
+    std_s = np.hypot(found.jumps[0].std_s, found.course.std_at(measured.time_ns).max())
     assert np.abs(found.measured.time_ns / 1e9 - true_s)[np.abs(true_s - 100.0) > 1.0].max() < 5.0 * std_s + 1e-4
     assert len(found.events) == 1
 

@@ -8,9 +8,9 @@ import pytest
 import midspan
 from lively_recordings import Lively, write
 from midspan.engine.camera import CameraChain
-from midspan.fusion.adaptive import PrintedFilter
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.printed_prediction import PredictedAsPrinted
+from midspan.papers.printed.adaptive import PrintedFilter
+from midspan.papers.printed.prediction import PredictedAsPrinted
 from midspan.records import Acceleration, Displacement, Source
 
 CASE = Lively(seed=4, first_s=1.0037, rate_hz=9.99, duration_s=30.0, tones=((6e-3, 0.7), (2e-3, 2.2)), mm_per_px=-1.6)

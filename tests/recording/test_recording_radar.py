@@ -12,7 +12,7 @@ from midspan.fusion.methods import METHODS
 from midspan.radar.frames import RadarFrames, even_places, without_holes
 from midspan.recording.inspect import inspect_recording
 from midspan.records import Source, Status
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration import load_calibration
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 from midspan.simulate.radar.signal import Reflector
 from plain_data import assert_plain

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.engine.channels import OTHER_ZERO_STD_M, radar_chain
 from midspan.engine.radar import RadarChain
-from midspan.engine.radar_channels import OTHER_ZERO_STD_M, radar_chain
 from midspan.records import NANOSECONDS, Source, Status
 from midspan.simulate.radar.signal import Reflector
 from radar_recordings import PLATE, Case, true_mm, write

@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.errors import UntrustedError
-from midspan.simulate.scenarios.write import write as write_scenario
+from midspan.papers.scenes import write_scene
 
 CARRIER_HZ, LIGHT_M_S, RATE_HZ, BIN_M = 77e9, 299_792_458.0, 100.0, 0.2
 # Of the target relative to its amplitude of 1: a frame's phase errs by 0.022 rad, 7 µm.
@@ -129,7 +129,7 @@ def test_the_zero_is_what_all_frames_say_of_the_first_one(three, method):
 @pytest.mark.parametrize("seed", [0, 6])
 def test_a_fixed_target_is_not_taken_for_one_that_moves(tmp_path, seed):
     # With three targets found (0) and with two (6); the wall stands at 7.46 m, tree and fence move.
-    write_scenario("002-bridge", tmp_path / "bridge", seed=seed)
+    write_scene("002-bridge", tmp_path / "bridge", seed=seed)
     found = midspan.calibrate(tmp_path / "bridge")
     moving = [str(one) for one in found.warnings if "by itself" in str(one)]
     assert moving

@@ -9,8 +9,8 @@ import pytest
 
 import midspan
 from midspan.cli.main import run
-from midspan.radar.literal import grid_factor, printed_change, ran_away
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.papers.printed.radar_phase import grid_factor, printed_change, ran_away
+from midspan.settings.stored.calibration import load_calibration
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.radar.signal import Reflector
 from midspan.sources.radar.formats import open_radar

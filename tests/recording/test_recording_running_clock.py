@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.running_clock import on_one_clock
+from midspan.calibration.one_clock import on_one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.beam import paper_beam_motion
 

@@ -8,7 +8,7 @@ import pytest
 import midspan
 from lively_recordings import SENSORS, Lively, write
 from midspan.cli.main import run
-from midspan.settings.band import SENSITIVITY
+from midspan.settings.plausible import SENSITIVITY
 from recording_edits import append, read_columns, set_keys
 
 STD = 0.02

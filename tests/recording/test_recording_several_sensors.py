@@ -10,7 +10,7 @@ from midspan.cli.main import run
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.track import track
 from midspan.records import Region
-from midspan.settings.stored.calibration_file import calibration_from_dict
+from midspan.settings.stored.calibration import calibration_from_dict
 
 SETTINGS = """
 [accelerometer]

@@ -14,7 +14,7 @@ from midspan.recording.tracking.track import track
 from midspan.records import Region
 from midspan.simulate.motion.motion import random_motion
 from midspan.simulate.scene.camera import Camera
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Panel
 from midspan.simulate.scene.texture import textured_scene
 from plain_data import assert_plain
 from recording_edits import error_mm, frames, set_keys, write_stack

@@ -12,7 +12,7 @@ from midspan.records import Region, ScaleFactor, TimeOffset
 from midspan.report.material import gather
 from midspan.simulate.motion.motion import random_motion
 from midspan.simulate.scenarios.table import sideways
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Panel
 from midspan.simulate.scene.texture import textured_scene
 from recording_edits import read_columns
 

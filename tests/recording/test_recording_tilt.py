@@ -9,7 +9,7 @@ import pytest
 import midspan
 from lively_recordings import SCALE_MM_PER_PX, Lively, write
 from midspan.cli.main import run
-from midspan.settings.band import DELAY, SENSITIVITY, TILT
+from midspan.settings.plausible import DELAY, SENSITIVITY, TILT
 from recording_edits import append, set_keys
 
 STD_MDEG, DISTANCE_M = 0.5, 12.0

@@ -8,8 +8,7 @@ import pytest
 
 import midspan
 from midspan.calibration.camera import calibrate as camera
-from midspan.engine.camera import WARM_UP_FRAMES
-from midspan.engine.camera_target import TargetChain
+from midspan.engine.camera import WARM_UP_FRAMES, TargetChain
 from midspan.evaluate.result_file import compare
 from midspan.recording import messages
 from midspan.recording.inspect import inspect_recording

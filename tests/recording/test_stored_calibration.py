@@ -17,8 +17,7 @@ from midspan.engine.axis import AxisFigures
 from midspan.radar.following import Background
 from midspan.radar.target import Target
 from midspan.records import Region, ScaleFactor, Source, TimeOffset
-from midspan.settings.stored.calibration import Calibration
-from midspan.settings.stored.calibration_file import calibration_from_dict
+from midspan.settings.stored.calibration import Calibration, calibration_from_dict
 from midspan.vision.lens import Lens
 
 

@@ -10,10 +10,10 @@ import pytest
 import midspan
 from midspan.records import Event, Source
 from midspan.report import infrared_figures, tables
-from midspan.report.camera_sections import cameras
 from midspan.report.figures import innovations_of
 from midspan.report.material import gather
 from midspan.report.report import report_html
+from midspan.report.sections import cameras
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.write import write

@@ -26,8 +26,7 @@ from midspan.report.material import gather
 from midspan.report.report import report_html, write_report
 from midspan.report.tables import candidates, with_std
 from midspan.settings.load import validate
-from midspan.settings.stored.calibration import Calibration
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration import Calibration, load_calibration
 
 
 @pytest.fixture(name="camera_text", scope="module")

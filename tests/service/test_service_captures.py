@@ -4,9 +4,8 @@ import pytest
 
 from midspan.errors import UsageError
 from midspan.service.capture import capture_settings
-from midspan.service.captures import forget
-from midspan.settings.site import load_site
-from midspan.settings.site_folders import captures_of, require_folders
+from midspan.service.point import forget
+from midspan.settings.site import captures_of, load_site, require_folders
 
 POINT = """
 [[point]]

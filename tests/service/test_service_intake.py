@@ -11,7 +11,7 @@ from midspan.service.intake import Intake
 from midspan.service.running import running
 from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, pack
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.serial_line import Dating, block_of
 
 SITE = """

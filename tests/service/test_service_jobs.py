@@ -6,7 +6,7 @@ import time
 import pytest
 
 from midspan.errors import DataError
-from midspan.service import jobs
+from midspan.service import calibrations as jobs
 
 SLEEPS = "import os, sys, time; open(sys.argv[1], 'w').write(str(os.getpid())); time.sleep(60)"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.recording.streams.recording import open_recording
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.opening import opened
@@ -20,8 +20,9 @@ from midspan.simulate.motion.motion import Sines
 from midspan.simulate.radar.signal import Reflector
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalView
-from midspan.sources.live.fault import SourceFault
-from midspan.sources.live.radar import live_layout, profiles
+from midspan.sources.live.instants import SourceFault
+from midspan.sources.live.radar import profiles
+from midspan.sources.radar.ti_config import read_settings
 from radar_recordings import PLATE, Case, true_mm, write
 
 WALL = Reflector(3.4, 900.0, ratio=1 / 1.27, azimuth_rad=0.2)
@@ -139,7 +140,7 @@ def test_a_capture_card_by_udp_gives_the_profiles_of_its_file(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    layout = live_layout(folder / "radar.cfg", "QQII")
+    layout = read_settings(folder / "radar.cfg").layout(folder / "radar.cfg", "QQII")
     assert (layout.order, layout.lanes) == ("QQII", 2)
     begun = threading.Event()
 
@@ -170,7 +171,7 @@ def test_a_capture_card_by_udp_gives_the_profiles_of_its_file(tmp_path):
 
 def test_what_listens_nowhere_says_so(tmp_path):
     folder = write(tmp_path / "recording", Case((WALL, PLATE), frames=20))
-    layout = live_layout(folder / "radar.cfg", "auto")
+    layout = read_settings(folder / "radar.cfg").layout(folder / "radar.cfg")
     with pytest.raises(SourceFault) as fault:
         next(profiles("203.0.113.1:4098", layout))
     assert fault.value.code == "not_found"

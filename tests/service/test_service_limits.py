@@ -8,12 +8,12 @@ import time
 
 import pytest
 
-from midspan.service import connection
+from midspan.service import web as connection
 from midspan.service.mqtt import Broker
 from midspan.service.web import application, server
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import ACCELERATION, MAX_BYTES, parse
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 
 HALF = b"GET /readyz HTTP/1.1\r\nHost: x\r\n"
 

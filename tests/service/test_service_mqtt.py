@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.engine import order
-from midspan.fusion.decisions import EVENT_KINDS
+from midspan.engine import stream
+from midspan.fusion.blocks import EVENT_KINDS
 from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker, even_parts, result_payload
 from midspan.settings.site import MqttSettings
@@ -117,7 +117,7 @@ def test_the_documented_publisher_publishes(broker):
 
 def test_every_kind_of_event_is_in_the_documentation():
     text = documented("### Events", "\n## ") + documented("| code |", "\n\n")
-    given = {*filter(None, order.KINDS), order.CLOCK_SET, *EVENT_KINDS.values(), "lost frames", "blocked", "hidden"}
+    given = {*filter(None, stream.KINDS), stream.CLOCK_SET, *EVENT_KINDS, "lost frames", "blocked", "hidden"}
     for room in ("service", "engine", "vision", "thermal"):
         for file in (Path(midspan.__file__).parent / room).rglob("*.py"):
             for found in EVENT.findall(file.read_text(encoding="utf-8")):

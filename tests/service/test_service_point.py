@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.capture import capture_settings
 from midspan.service.opening import opened
@@ -102,7 +102,8 @@ def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_pa
     assert "is being calibrated or opened already" in point.calibrate()
     at_s = pushed(point, at_s, at_s + 40)
     assert point.job.kind == "calibrate"
-    assert point.phase is Phase.RUNNING
+    assert point.phase is Phase.CALIBRATING
+    assert point.opened is not None
     point.offered(2)
     assert point.reason == "calibration_offered"
     assert point.number == 1

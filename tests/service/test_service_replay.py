@@ -15,7 +15,7 @@ from midspan.recording.run import records_of
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.opening import checkpoint, head_of, opened, resumed
 from midspan.service.replay import point_name, replay
-from midspan.service.stored_rows import instant, stored_table
+from midspan.service.stored_recording import instant, stored_table
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch, open_store
 

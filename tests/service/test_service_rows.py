@@ -10,13 +10,12 @@ from test_service_point import running as opened_point
 import midspan
 from lively_recordings import Lively, write
 from midspan.cli.main import run
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Estimate, Event, Status
-from midspan.service.journal import Journal
+from midspan.service.journal import Journal, RowHealth
 from midspan.service.opening import opened, resumed
-from midspan.service.row_health import RowHealth
 from midspan.service.running import running
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.settings.site import load_site
 from midspan.store.store import open_store
 from recording_edits import set_keys

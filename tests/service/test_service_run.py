@@ -20,11 +20,11 @@ from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS
 from midspan.service.point import Job
 from midspan.service.run import Service
-from midspan.service.stored_rows import stored_table
+from midspan.service.stored_recording import stored_table
 from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, Block, pack, parse
 from midspan.sources.live.camera import StampKind, frames
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 from midspan.store.store import open_store
 
 # The structure's motion: (mm, Hz, rad).

@@ -9,10 +9,10 @@ import midspan
 from lively_recordings import Lively, _film
 from midspan.records import NANOSECONDS, Arrival, Frame, Readings, Region, Status
 from midspan.service.capture import capture_settings
+from midspan.service.feeding import Waiting
 from midspan.service.opening import opened
 from midspan.service.point import LivePoint
-from midspan.service.stored_rows import stored_table
-from midspan.service.waiting import Waiting
+from midspan.service.stored_recording import stored_table
 from midspan.settings.site import load_site
 from midspan.store.store import open_store
 
@@ -125,7 +125,7 @@ def test_frames_that_wait_keep_what_is_needed_and_the_oldest_make_room(tmp_path,
     rng, waiting = np.random.default_rng(0), Waiting(tmp_path)
     waiting.regions = {"camera": Region(3, 4, 10, 8)}
     films = [rng.integers(0, 256, (30, 40), dtype=np.uint8) for _ in range(9)]
-    monkeypatch.setattr("midspan.service.waiting.MAX_BYTES", 6 * 80)
+    monkeypatch.setattr("midspan.service.feeding.MAX_BYTES", 6 * 80)
     for k, pixels in enumerate(films):
         waiting.append(Arrival("camera", k, Frame(k, pixels, k)))
         waiting.append(Arrival("a", k, Readings(np.array([k]), np.zeros((1, 1)))))

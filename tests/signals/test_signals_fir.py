@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import freqz, oaconvolve
 
 from midspan.errors import UsageError
-from midspan.signals.fir import (
+from midspan.papers.printed.filters import (
     FilterSum,
     Transition,
     complement,
@@ -18,8 +18,8 @@ from midspan.signals.fir import (
     flat_at_zero,
     response,
 )
-from midspan.signals.integrate import RULES, integrating
-from midspan.signals.resample import REACH_STEPS, filtered_at, local_spline, spline_kernel
+from midspan.papers.printed.integrate import RULES, integrating
+from midspan.papers.printed.resample import REACH_STEPS, filtered_at, local_spline, spline_kernel
 
 PAIR = Transition(0.5, 1.0)
 

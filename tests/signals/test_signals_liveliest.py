@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from midspan.recording.streams.window import liveliest
 from midspan.records import NANOSECONDS
-from midspan.signals.liveliest import liveliest
 
 TIME_NS = np.round(np.arange(0.0, 300.0, 0.02) * NANOSECONDS).astype(np.int64)
 

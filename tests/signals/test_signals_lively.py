@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from midspan.signals.lively import MEMORY_S, mean_square
+from midspan.signals.health import MEMORY_S, mean_square
 
 RATE_HZ = 100.0
 

@@ -10,9 +10,8 @@ from scipy.ndimage import shift
 
 from midspan.errors import UsageError
 from midspan.simulate.day.camera import DayCamera, wall_in_relief
-from midspan.simulate.day.infrared import FOG_SHARE, DayCourse, DayInfrared
-from midspan.simulate.day.sky import Sky
-from midspan.simulate.day.weather import DRYING_S, Drops, Headlights
+from midspan.simulate.day.infrared import DayCourse, DayInfrared
+from midspan.simulate.day.sky import DRYING_S, Drops, Headlights, Sky
 from midspan.simulate.motion.motion import Sines, Window
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.write import write
@@ -77,7 +76,7 @@ def test_fog_comes_and_goes_without_a_step_and_takes_the_contrast_it_promises(wa
     assert foggy.std() / clear.std() == pytest.approx(np.exp(-1.2), rel=1e-4)
     assert correlation(clear, foggy) == pytest.approx(1.0, abs=1e-4)
     warm, veiled = infrared().true_image((0.0, 0.0), 30.0), infrared(sky=sky).true_image((0.0, 0.0), 30.0)
-    assert veiled.std() / warm.std() == pytest.approx(np.exp(-1.2 * FOG_SHARE), rel=1e-4)
+    assert veiled.std() / warm.std() == pytest.approx(np.exp(-1.2 * 0.25), rel=1e-4)
 
 
 def test_the_whole_picture_moves_by_what_it_is_told_shadows_included(wall):

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midspan.errors import UsageError
-from midspan.simulate.motion.motion import FineSteps, Pulse, Rest, Sines, Sum, Sweep, Window, random_motion
+from midspan.papers.motions import Sweep
+from midspan.simulate.motion.motion import FineSteps, Pulse, Rest, Sines, Sum, Window, random_motion
 
 MOTIONS = {
     "rest": Rest(0.002),

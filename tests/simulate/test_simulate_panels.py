@@ -8,8 +8,7 @@ from midspan.simulate.motion.motion import Rest, Sines
 from midspan.simulate.scenarios.stage import stage
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scene.camera import Camera, View
-from midspan.simulate.scene.disturbances import Water
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Panel, Water
 from midspan.simulate.scene.texture import textured_scene
 
 REGION = Region(8, 12, 40, 32)
@@ -70,7 +69,7 @@ def test_two_axes_have_columns_of_acceleration_and_truth_for_both():
     np.testing.assert_array_equal(down[:, 0], across[:, 0])
     assert abs(np.corrcoef(down[:, 1], across[:, 1])[0, 1]) < 0.5
     # Both channels have their own noise and the same bias.
-    both = (staged.acceleration().value, staged.acceleration_across().value)
+    both = (staged.acceleration().value, staged.acceleration(across=True).value)
     for value, motion in zip(both, (staged.motion, staged.across), strict=True):
         noise = value - motion.acceleration(down[:, 0]) - 0.05
         assert np.std(noise) == pytest.approx(2.5e-3, rel=0.05)

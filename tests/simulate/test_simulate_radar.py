@@ -6,7 +6,7 @@ import pytest
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
 from midspan.radar.layout import PACKET_BYTES, Layout, unpack
 from midspan.simulate.motion.motion import Rest, Sines
-from midspan.simulate.radar.files import Capture, packets, write_capture
+from midspan.simulate.radar.setup import Capture, packets, write_capture
 from midspan.simulate.radar.signal import SHORT_RANGE, RadarModel, Reflector, beat, noise_for, phase_bound_m
 
 SMALL = ChirpProfile(77e9, 64.985e12, 6e6, 64, 0.01, receivers=4)

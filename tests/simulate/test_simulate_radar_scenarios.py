@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from midspan.radar.layout import Layout, pack
 from midspan.radar.range_profile import slow_time
 from midspan.simulate.motion.motion import Sines
-from midspan.simulate.radar.setup import NEAR, RadarRun, RadarSetup, setup_lost, write_slow_time
+from midspan.simulate.radar.setup import NEAR, RadarSetup, setup_lost, write_slow_time
 from midspan.simulate.radar.signal import RadarModel, Reflector
 from midspan.simulate.scenarios.radar import LORRY, RADAR_SCENARIOS, VAN
 from midspan.simulate.scenarios.stage import stage
@@ -166,8 +166,13 @@ def test_the_same_seed_writes_the_same_samples_and_another_seed_others(short):
 
 def test_progress_counts_frames_up_to_all(tmp_path):
     setup, calls = RadarSetup(lambda rng: (Reflector(3.0, 900.0),)), []
-    run = RadarRun(setup, Sines([1e-3], [2.0]), 12.0, np.random.default_rng(0))
-    run.write(tmp_path, lambda done, total: calls.append((done, total)))
+    setup.write(
+        tmp_path,
+        Sines([1e-3], [2.0]),
+        duration_s=12.0,
+        rng=np.random.default_rng(0),
+        progress=lambda done, total: calls.append((done, total)),
+    )
     frames = setup.frames(12.0)
     assert [done for done, _ in calls] == [500, 1000, frames]
     assert {total for _, total in calls} == {frames}

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.sources.boundary import reading
-from midspan.sources.declared_size import available_bytes, require_memory
+from midspan.sources.boundary import available_bytes, reading, require_memory
 
 FILE = Path("some.file")
 

@@ -12,7 +12,7 @@ from midspan.cli.main import run
 from midspan.errors import DataError, MidspanError
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.formats import is_thermal, open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 
 AT_5 = ThermalRequest(FrameRequest(rate_hz=5.0))
 # Half a count at 20 °C is 0.004 K with the constants of these files.

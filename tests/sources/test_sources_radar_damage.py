@@ -12,7 +12,7 @@ from radar_captures import echoes, settings, words_by_hand
 
 from midspan.cli.main import run
 from midspan.errors import DataError, MidspanError
-from midspan.simulate.radar.files import packets
+from midspan.simulate.radar.setup import packets
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest
 from midspan.sources.radar.ti_config import read_settings

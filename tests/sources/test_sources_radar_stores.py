@@ -131,7 +131,7 @@ def test_the_corner_reflector_lies_where_it_was_put_and_does_not_move(acconeer: 
 def test_the_vibration_of_the_recording_is_about_a_millimetre_and_the_loopback_steadies_it(acconeer: Path) -> None:
     source, phasors = read(acconeer / "recorded_data_vibration_low_frequency.h5")
     assert source.info.frame_rate_hz == pytest.approx(2000.0)
-    assert source.has_loopback
+    assert any("loopback" in note for note in source.info.notes)
     assert phasors.shape == (145 * 20, 1, 1)
     assert source.info.range_m[0] == pytest.approx(80 * 2.50227e-3, abs=1e-5)
     moved = np.unwrap(np.angle(phasors[:, 0, 0])) / source.info.axis.phase_per_m()

@@ -12,7 +12,7 @@ from midspan.errors import DataError, UsageError
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.flir import wrong_stamps
 from midspan.sources.thermal.formats import open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 
 AT_30 = ThermalRequest(FrameRequest(rate_hz=30.0))
 # Half a count at 20 °C is 0.004 K with these constants; float32 and look-up add nothing to speak of.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.records import Frame, Region
 from midspan.thermal.pattern import estimate_pattern
 from midspan.thermal.pattern_share import Pictured, kept_share

@@ -1,25 +1,25 @@
 import numpy as np
 import pytest
 
+from midspan import _core
 from midspan._core import read_fine, refined
 from midspan.records import Region
 from midspan.vision.learning import KeptSamples, Sample, fit, learn_plane
 from midspan.vision.plane import best_smoothing_px, first_plane
-from midspan.vision.spline import coefficients, combine, weights
 
 SIZE = 64
 
 
 def test_the_finer_spline_continues_the_one_on_the_pixels(make_scene):
     image = make_scene(3).image(SIZE, SIZE)
-    coarse, x, y = coefficients(image), 0.31, -0.42
+    coarse, x, y = _core.spline_coefficients(image), 0.31, -0.42
     fine, inner = refined(image), np.s_[8:-8, 8:-8]
     grid = coarse[5:-5, 5:-5].astype(np.float32)
     # Two splines of fifth order through the same samples: what differs is the second one's interpolation, below 1e-3 of
     # the contrast of 30 DN, and single precision.
     for down, across in ((0, 0), (0, 1), (1, 0)):
         got = read_fine(fine, x, y, down, across)
-        expected = combine(grid, weights(-y, down), weights(-x, across))
+        expected = _core.combine(grid, _core.spline_weights(-y, down), _core.spline_weights(-x, across))
         assert np.abs(got[inner] - expected).max() < 0.03
 
 

@@ -8,7 +8,6 @@ from midspan._core import LIGHT_PX
 from midspan.records import Frame, PixelTranslation, Region, Status
 from midspan.signals.health import runs
 from midspan.simulate.scene.texture import textured_scene
-from midspan.vision.light import is_dark
 from midspan.vision.target import translation_of
 
 REGION = Region(16, 14, 60, 54)
@@ -142,13 +141,13 @@ def test_a_watch_goes_on_from_a_state(scenes):
 def test_black_is_dark_in_full_and_in_limited_range_and_a_dim_picture_is_not(black):
     rng = np.random.default_rng(1)
     noise = np.clip(np.rint(black + rng.normal(0.0, 1.0, (120, 160))), 0, 255).astype(np.uint8)
-    assert is_dark(noise)
+    assert _core.is_dark(noise, 1)
     dim = np.clip(black + rng.uniform(0.0, 60.0, (120, 160)), 0, 255).astype(np.uint8)
-    assert not is_dark(dim)
+    assert not _core.is_dark(dim, 1)
     lamp = noise.copy()
     lamp[20:60, 30:80] = 180
-    assert not is_dark(lamp)
+    assert not _core.is_dark(lamp, 1)
 
 
 def test_an_even_grey_of_full_range_is_not_dark():
-    assert not is_dark(np.full((120, 160), 40, dtype=np.uint8))
+    assert not _core.is_dark(np.full((120, 160), 40, dtype=np.uint8), 1)

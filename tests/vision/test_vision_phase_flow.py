@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from midspan.vision.phase_flow import gradient_form, phase_change, phase_curvatures, phase_slopes
+from midspan.vision.phase_model import gradient_form, phase_change, phase_curvatures, phase_slopes
 from midspan.vision.steerable import quadrature, responses
 
 

@@ -11,8 +11,7 @@ from midspan import _core
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import TEXTURES, textured_scene
-from midspan.vision.picture_report import picture_report
-from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.picture_report import picture_report, picture_warnings
 from midspan.vision.target import translation_of
 from midspan.vision.tracker import open_tracker
 

@@ -9,9 +9,9 @@ from scipy.optimize import minimize
 from midspan.errors import UsageError
 from midspan.records import Prediction, Region, Status
 from midspan.vision.printed_template import spline_peak
+from midspan.vision.search import zncc_matrix
 from midspan.vision.template import TemplateSettings
 from midspan.vision.tracker import open_tracker, tracker_settings
-from midspan.vision.zncc import zncc_matrix
 
 SIDE, NOISE = 160, 1.5
 REGION = Region(60, 56, 40, 48)

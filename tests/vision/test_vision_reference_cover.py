@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from reference_scenes import RATE_HZ, REGION, Body, crossed, shaded, swept, track
 
+from midspan import _core
 from midspan.records import Frame
-from midspan.vision.reference.kernels import agreement
 from midspan.vision.reference.tracker import KeyFrameTracker
 
 
@@ -33,7 +33,7 @@ def test_cells_agree_by_their_correlation_and_a_flat_or_a_strange_one_does_not()
     seen[cell == 3] = 7.0
     seen[cell == 5] = rng.normal(0.0, 10.0, 400)
     seen[cell == 8] += 50.0  # the level is free
-    agreed = agreement(seen, seen - expected, cell, 36)
+    agreed = _core.cell_agreement(seen, seen - expected, cell, 36)
     # A fifth of the contrast and four times the noise are forgiven: of a flat cell 1 - 1 / 1.36 is left.
     assert agreed[3] == pytest.approx(1.0 - 1.0 / 1.36, abs=0.03)
     assert agreed[5] < 0.2

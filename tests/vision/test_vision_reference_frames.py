@@ -6,8 +6,8 @@ from reference_scenes import RATE_HZ, REGION, SIZE, Sky, shaded, swept, track
 
 from midspan.errors import UsageError
 from midspan.records import Frame
-from midspan.vision.reference.alignment import aligned
 from midspan.vision.reference.light import mixed, placed, sight, steadiness
+from midspan.vision.reference.pictures import aligned
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.tracker import open_tracker

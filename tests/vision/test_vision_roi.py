@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Region
-from midspan.vision.roi import RoiSettings, check_region, choose_region, clamp, further_places, shift
+from midspan.vision.region import check_region, clamp, shift
+from midspan.vision.roi import RoiSettings, choose_region, further_places
 
 COLUMNS, ROWS = 480, 360
 FIXED = Region(60, 100, 100, 100)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from midspan._core import doubled_image as doubled
-from midspan.vision.surf import SurfSettings, detect_surf
+from midspan.vision.keypoints import SurfSettings, detect_surf
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,11 @@
 //! The priors are rates: how often each is met in the field. The likelihood of what is measured later, by any channel,
 //! decides between them ([`super::hypotheses`]).
 
-use super::acceptance::{accept, find_step};
+use super::acceptance::{ANEW, accept, find_step};
 use super::hypothesis::{Burst, Contradiction, Doubt, Hypothesis, LastShift};
 use super::innovation::{Innovation, Scene, Work, look};
 use super::matrix::Matrix;
 use super::model::Model;
-use super::noise::ANEW;
 use super::predict::add_noise;
 use super::situation::{
     GATE, OUTLIER_MEMORY, P_STEPPED, SHORTEST_S, Situation, led_away, log_normal, met_within, tells_step,

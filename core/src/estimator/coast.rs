@@ -14,15 +14,18 @@ use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_varian
 use super::run::{Block, Filter};
 use super::samples::{BRIDGED, View};
 use super::way_back::WayBack;
+use crate::track::vectors::vectorised;
 
 /// Where rows and nodes go.
 pub struct Leave<'a> {
     /// Rows.
     pub rows: Option<&'a mut Rows>,
-    /// What the way back needs.
-    pub back: Option<&'a mut WayBack>,
+    /// The place of the next row.
+    pub place: &'a mut usize,
     /// Whether all samples of the block are rows.
     pub all_rows: bool,
+    /// What the way back needs.
+    pub back: Option<&'a mut WayBack>,
 }
 
 /// The samples of a segment without measurements.
@@ -30,8 +33,15 @@ pub struct Leave<'a> {
 struct Segment<'a> {
     samples: View<'a>,
     time_s: &'a [f64],
-    /// The stamp of the first row, ns.
-    first_ns: i64,
+    /// The stamp of the first row, ns; None: all are rows.
+    first_ns: Option<i64>,
+}
+
+impl Segment<'_> {
+    #[inline(always)]
+    fn is_row(&self, k: usize) -> bool {
+        self.first_ns.is_none_or(|first_ns| self.samples.is_row(k, first_ns))
+    }
 }
 
 impl Filter {
@@ -55,25 +65,25 @@ impl Filter {
             return first;
         }
         let samples = block.samples.part(first, end);
-        let segment = Segment { samples, time_s: &block.time_s[first..end], first_ns: block.first_ns };
+        let segment = Segment {
+            samples,
+            time_s: &block.time_s[first..end],
+            first_ns: (!leave.all_rows).then_some(block.first_ns),
+        };
         let hyp = self.hyps.best_mut();
+        let begin = *leave.place;
         if let Some(rows) = leave.rows.as_deref_mut() {
-            if leave.all_rows {
-                rows.time_ns.extend_from_slice(samples.time_ns);
-            } else {
-                let given = (0..samples.len()).filter(|&k| samples.is_row(k, block.first_ns));
-                rows.time_ns.extend(given.map(|k| samples.time_ns[k]));
+            rows.make_room(axes, begin, samples.len());
+            for k in (0..samples.len()).filter(|&k| segment.is_row(k)) {
+                rows.time_ns[*leave.place] = samples.time_ns[k];
+                *leave.place += 1;
             }
         }
-        let place = leave.back.as_deref_mut().map(|back| back.add_samples(segment.time_s));
+        let number = leave.back.as_deref_mut().map(|back| back.add_samples(segment.time_s));
         for a in 0..axes {
-            let out = leave.rows.as_deref_mut().and_then(|rows| rows.axes.get_mut(a));
-            let back = leave.back.as_deref_mut().zip(place);
-            let (motion, begun_s) = (self.motion[a], self.clock.time_s);
-            let mean = MotionMean::of(&hyp.x, motion_of(a));
-            let mut along = Along { a, hyp, mean, motion, begun_s, model, uncertain };
-            along.run(&segment, out, back);
-            self.motion[a] = along.motion;
+            let out = leave.rows.as_deref_mut().map(|rows| OutRows::of(&mut rows.axes[a], begin));
+            let back = leave.back.as_deref_mut().zip(number);
+            coast_along(hyp, model, (a, &mut self.motion[a], self.clock.time_s), &segment, uncertain, (out, back));
         }
         if axes > 1 || !uncertain.is_empty() {
             let mut begun_s = self.clock.time_s;
@@ -97,96 +107,97 @@ fn predict_between(hyp: &mut Hypothesis, axes: usize, dt: f64) {
     }
 }
 
-/// One axis of the hypothesis.
-struct Along<'a> {
-    a: usize,
-    hyp: &'a mut Hypothesis,
-    mean: MotionMean,
-    motion: AxisMotion,
-    /// Time of the last sample, s.
-    begun_s: f64,
-    model: &'a Model,
-    uncertain: &'a [usize],
+/// Rows of an axis from a place on.
+struct OutRows<'a> {
+    displacement: &'a mut [f64],
+    variance: &'a mut [f64],
+    velocity: &'a mut [f64],
+    source: &'a mut [u8],
+    status: &'a mut [u8],
+    place: usize,
 }
 
-impl Along<'_> {
-    /// Runs over a segment.
+impl<'a> OutRows<'a> {
+    fn of(rows: &'a mut AxisRows, begin: usize) -> Self {
+        Self {
+            displacement: &mut rows.displacement[begin..],
+            variance: &mut rows.variance[begin..],
+            velocity: &mut rows.velocity[begin..],
+            source: &mut rows.source[begin..],
+            status: &mut rows.status[begin..],
+            place: 0,
+        }
+    }
+
     #[inline(always)]
-    fn run(&mut self, segment: &Segment, mut out: Option<&mut AxisRows>, mut back: Option<(&mut WayBack, usize)>) {
-        let (model, a, axes) = (self.model, self.a, self.model.axes());
-        let (i, lean, walk) = (motion_of(a), model.lean[a], model.layout.walks()[motion_of(a) + 2]);
-        let burst = self.hyp.memory.burst.filter(|burst| burst.axis == a).map(|burst| burst.density);
-        let mut covariance = MotionCovariance::of(&self.hyp.p, i);
-        let known = Known::of(self.hyp, model, a);
-        let mut standing =
-            Standing { source: 0, status: Status::Lost, clock_variance: 0.0, until_s: f64::NEG_INFINITY };
+    fn put(&mut self, (value, variance, velocity): (f64, f64, f64), (source, status): (u8, u8)) {
+        let place = self.place;
+        (self.displacement[place], self.variance[place], self.velocity[place]) = (value, variance, velocity);
+        (self.source[place], self.status[place]) = (source, status);
+        self.place += 1;
+    }
+}
+
+vectorised! {
+    /// Runs along one axis over a segment, from a time (s) on.
+    fn coast_along(
+        hyp: &mut Hypothesis,
+        model: &Model,
+        along: (usize, &mut AxisMotion, f64),
+        segment: &Segment,
+        uncertain: &[usize],
+        leave: (Option<OutRows>, Option<(&mut WayBack, usize)>),
+    ) {
+        let ((a, axis, mut begun_s), (mut out, mut back)) = (along, leave);
+        let (axes, i, lean, walk) = (model.axes(), motion_of(a), model.lean[a], model.layout.walks()[motion_of(a) + 2]);
+        let burst = hyp.memory.burst.filter(|burst| burst.axis == a).map(|burst| burst.density);
+        let (mut motion, mut mean, mut covariance) = (*axis, MotionMean::of(&hyp.x, i), MotionCovariance::of(&hyp.p, i));
+        let known = Known::of(hyp, model, a);
+        let mut standing = Standing { source: 0, status: Status::Lost, clock_variance: 0.0, until_s: f64::NEG_INFINITY };
         let accelerations = segment.samples.value.iter().skip(a).step_by(axes);
         let densities = segment.samples.density.iter().skip(a).step_by(axes);
         for (k, ((&end_s, &value), &density)) in segment.time_s.iter().zip(accelerations).zip(densities).enumerate() {
-            let dt = end_s - self.begun_s;
-            self.begun_s = end_s;
-            let now = value + lean * (self.mean.x + dt * self.mean.v);
-            let led = self.motion.begin(now, dt, lead_of(dt));
-            let moved = self.motion.response(dt);
-            self.mean.v += led;
-            self.mean = self.mean.moved(dt, moved);
+            let dt = end_s - begun_s;
+            begun_s = end_s;
+            // Without lean the input does not wait for the state.
+            let now = if lean == 0.0 { value } else { value + lean * (mean.x + dt * mean.v) };
+            let led = motion.begin(now, dt, lead_of(dt));
+            let moved = motion.response(dt);
+            mean.v += led;
+            mean = mean.moved(dt, moved);
             if !model.gain_of.is_empty() {
-                shift_sensitivities(&mut self.hyp.x, a, led, &model.gain_of);
-                predict_sensitivities(&mut self.hyp.x, a, dt, moved, &model.gain_of);
+                shift_sensitivities(&mut hyp.x, a, led, &model.gain_of);
+                predict_sensitivities(&mut hyp.x, a, dt, moved, &model.gain_of);
             }
             covariance = covariance.moved(dt, walk).with_noise(dt, density);
             if let Some(density) = burst {
                 covariance = covariance.with_noise(dt, density);
             }
-            if !self.uncertain.is_empty() {
-                predict_others(&mut self.hyp.p, i, dt, self.uncertain);
+            if !uncertain.is_empty() {
+                predict_others(&mut hyp.p, i, dt, uncertain);
             }
-            self.motion.input = now;
+            motion.input = now;
             if out.is_none() && back.is_none() {
                 continue;
             }
             if end_s > standing.until_s {
-                standing = Standing::at(self.hyp, model, a, end_s);
+                standing = Standing::at(hyp, model, a, end_s);
             }
-            let status = if segment.samples.kind[k] == BRIDGED {
-                standing.status.max(Status::Coasting)
-            } else {
-                standing.status
-            };
-            if let Some(out) = out.as_deref_mut().filter(|_| segment.samples.is_row(k, segment.first_ns)) {
-                self.leave_row(&known, &covariance, standing.clock_variance, out);
-                out.source.push(standing.source);
-                out.status.push(status as u8);
+            let bridged = segment.samples.kind[k] == BRIDGED;
+            let status = if bridged { standing.status.max(Status::Coasting) } else { standing.status };
+            let codes = (standing.source, status as u8);
+            if let Some(out) = out.as_mut().filter(|_| segment.is_row(k)) {
+                out.put(known.row(hyp, a, (&mean, &covariance, motion.ahead()), standing.clock_variance), codes);
             }
             if let Some((back, first)) = back.as_mut() {
-                back.put_mean(*first + k, a, (&self.mean, self.motion.ahead()), self.hyp, known.datum);
-                back.put_covariance(*first + k, a, &covariance, self.hyp, known.datum);
-                back.put_status(*first + k, a, standing.source, status as u8);
+                back.add_node(a, (&mean, &covariance, motion.ahead()), hyp, known.datum);
+                back.put_status(*first + k, a, codes);
             }
         }
-        covariance.put(&mut self.hyp.p, i);
-        self.mean.put(&mut self.hyp.x, i);
-        mirror_others(&mut self.hyp.p, i, self.uncertain);
-    }
-
-    /// Adds a row.
-    #[inline(always)]
-    fn leave_row(&self, known: &Known, covariance: &MotionCovariance, clock_variance: f64, out: &mut AxisRows) {
-        let (i, hyp) = (motion_of(self.a), &*self.hyp);
-        let (mut value, mut variance, mut velocity) = (self.mean.x, covariance.xx, self.mean.v);
-        if let Some(d) = known.datum {
-            value -= hyp.x[(d, 0)];
-            variance += known.datum_variance - 2.0 * hyp.p[(i, d)];
-        }
-        variance = known.misfit * variance.max(0.0);
-        if !hyp.parameters.is_empty() {
-            hyp.add_parameters(self.a, known.datum, (&mut value, &mut variance, &mut velocity));
-        }
-        velocity -= self.motion.ahead();
-        variance += clock_variance * velocity * velocity;
-        out.displacement.push(value);
-        out.variance.push(variance.max(known.least) + known.unseen);
-        out.velocity.push(velocity);
+        covariance.put(&mut hyp.p, i);
+        mean.put(&mut hyp.x, i);
+        mirror_others(&mut hyp.p, i, uncertain);
+        *axis = motion;
     }
 }
 
@@ -212,6 +223,29 @@ impl Known {
             unseen: model.unseen_m2[a],
             misfit: model.misfit[a],
         }
+    }
+
+    /// Displacement, variance and velocity of a row.
+    #[inline(always)]
+    fn row(
+        &self,
+        hyp: &Hypothesis,
+        a: usize,
+        (mean, covariance, ahead): (&MotionMean, &MotionCovariance, f64),
+        clock_variance: f64,
+    ) -> (f64, f64, f64) {
+        let (mut value, mut variance, mut velocity) = (mean.x, covariance.xx, mean.v);
+        if let Some(d) = self.datum {
+            value -= hyp.x[(d, 0)];
+            variance += self.datum_variance - 2.0 * hyp.p[(motion_of(a), d)];
+        }
+        variance = self.misfit * variance.max(0.0);
+        if !hyp.parameters.is_empty() {
+            hyp.add_parameters(a, self.datum, (&mut value, &mut variance, &mut velocity));
+        }
+        velocity -= ahead;
+        variance += clock_variance * velocity * velocity;
+        (value, variance.max(self.least) + self.unseen, velocity)
     }
 }
 

@@ -1,11 +1,14 @@
 //! What the hypotheses decided: final where all of them have one past.
 
-use super::cause::Cause;
-use super::cause::Decision;
+use super::cause::{Cause, Decision};
 use super::hypotheses::MAX_FIRST;
 use super::hypothesis::{Contradiction, Hypothesis};
-use super::waiting::Timed;
+use super::run::Filter;
+use super::samples::Samples;
+use super::start::Beginning;
+use super::waiting::{Item, Timed};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// The newest measurements, up to this number, may be undecided; what the older ones were the best hypothesis decides.
 pub const MAX_UNDECIDED: usize = 2048;
@@ -61,6 +64,11 @@ impl Decided {
         self.told.extend_from_slice(&other.told);
     }
 
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.drop_first(self.len());
+    }
+
     /// Drops the first ones.
     pub fn drop_first(&mut self, count: usize) {
         self.items.drain(..count);
@@ -89,6 +97,9 @@ pub fn channels_exist<'a>(items: impl Iterator<Item = &'a Timed>, channels: usiz
 /// Items of which the hypotheses do not say the same yet, and what each of as many hypotheses as there were took them for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Undecided {
+    /// What is final, until it is taken over.
+    #[serde(skip)]
+    pub settled: Decided,
     items: Vec<Timed>,
     /// Where the survivors of each item end.
     ends: Vec<usize>,
@@ -96,12 +107,20 @@ pub struct Undecided {
 }
 
 impl Undecided {
-    /// Adds an item and what each hypothesis took it for.
+    /// Adds an item and what each hypothesis took it for; of one alone it is final.
     #[inline]
-    pub fn add(&mut self, item: Timed, survivors: impl Iterator<Item = Survivor>) {
+    pub fn add(&mut self, item: Timed, survivors: impl ExactSizeIterator<Item = Survivor>) {
+        let alone = survivors.len() == 1;
+        if alone && self.items.is_empty() {
+            survivors.for_each(|one| self.settled.push(item, &one));
+            return;
+        }
         self.items.push(item);
         self.survivors.extend(survivors);
         self.ends.push(self.survivors.len());
+        if alone {
+            self.settle(1);
+        }
     }
 
     /// How many items there are.
@@ -141,51 +160,41 @@ impl Undecided {
         &self.survivors[first..self.ends[j]]
     }
 
-    /// What the best one says of all items.
+    /// What the best one says of all items that are not final.
     pub fn best(&self) -> Decided {
-        let mut places = vec![0; self.len()];
-        let mut at = 0;
-        for j in (0..self.len()).rev() {
-            places[j] = at;
-            at = self.of(j)[at].parent;
-        }
         let mut found = Decided::default();
-        for (j, &place) in places.iter().enumerate() {
+        for (j, &place) in self.path(0).iter().enumerate() {
             found.push(self.items[j], &self.of(j)[place]);
         }
         found
     }
 
-    /// What each of so many hypotheses took each item for.
-    pub fn paths(&self, count: usize) -> Vec<Vec<Decision>> {
-        let mut paths = vec![vec![Decision::GOOD; self.len()]; count];
-        for (b, path) in paths.iter_mut().enumerate() {
-            let mut at = b;
-            for j in (0..self.len()).rev() {
-                let one = &self.of(j)[at];
-                path[j] = one.decision;
-                at = one.parent;
-            }
-        }
-        paths
+    /// What a hypothesis took each item for, those that are final too.
+    pub fn decisions_of(&self, b: usize) -> Vec<Decision> {
+        let open = self.path(b).into_iter().enumerate().map(|(j, place)| self.of(j)[place].decision);
+        self.settled.decisions.iter().copied().chain(open).collect()
     }
 
-    /// Takes away what is final, given so many hypotheses.
-    pub fn settle(&mut self, count: usize) -> Decided {
-        let most = self.len().saturating_sub(MAX_UNDECIDED);
-        let settled = self.one_past(count).max(most);
-        if settled == self.len() {
-            let all = self.best();
-            *self = Self::default();
-            return all;
+    /// The places of a hypothesis' past among the survivors of each item.
+    fn path(&self, b: usize) -> Vec<usize> {
+        let (mut places, mut at) = (vec![0; self.len()], b);
+        for j in (0..self.len()).rev() {
+            places[j] = at;
+            at = self.of(j)[at].parent;
         }
+        places
+    }
+
+    /// Lets what is final, given so many hypotheses, be settled.
+    pub fn settle(&mut self, count: usize) {
+        let settled = self.one_past(count).max(self.len().saturating_sub(MAX_UNDECIDED));
         if settled == 0 {
-            return Decided::default();
+            return;
         }
-        let mut found = self.best();
-        found.items.truncate(settled);
-        found.decisions.truncate(settled);
-        found.told.truncate(settled);
+        for (j, &place) in self.path(0)[..settled].iter().enumerate() {
+            let one = self.of(j)[place];
+            self.settled.push(self.items[j], &one);
+        }
         let end = self.ends[settled - 1];
         self.items.drain(..settled);
         self.survivors.drain(..end);
@@ -193,7 +202,6 @@ impl Undecided {
         for one in &mut self.ends {
             *one -= end;
         }
-        found
     }
 
     /// Up to which item all hypotheses have one past.
@@ -212,5 +220,47 @@ impl Undecided {
             }
         }
         0
+    }
+}
+
+/// The filter with its best hypothesis alone, after so many decided measurements, and what that took those for that were
+/// not decided yet.
+#[derive(Clone, Debug)]
+pub struct Logged {
+    /// The filter.
+    pub filter: Filter,
+    /// How many items were decided.
+    pub decided: usize,
+    /// What the best hypothesis took the next ones for.
+    pub open: Vec<Decision>,
+}
+
+/// The log of an estimator.
+#[derive(Clone, Debug)]
+pub struct Log {
+    /// The state before the first sample.
+    pub begin: Beginning,
+    /// Time of the first measurement, from which on rows are given, s.
+    pub first_s: f64,
+    /// What times in s count from, ns.
+    pub origin_ns: i64,
+    /// The samples.
+    pub samples: Samples,
+    /// What was decided.
+    pub decided: Decided,
+    /// The filter after so many samples, multiples of a block.
+    pub filters: BTreeMap<usize, Logged>,
+}
+
+impl Log {
+    /// Nothing yet.
+    pub fn new(begin: Beginning, first_s: f64, origin_ns: i64, axes: usize) -> Self {
+        let (samples, decided) = (Samples::none(axes), Decided::default());
+        Self { begin, first_s, origin_ns, samples, decided, filters: BTreeMap::new() }
+    }
+
+    /// Times (s) from which on clocks were in doubt, as stamps had gone back.
+    pub fn went_back_s(&self) -> Vec<f64> {
+        self.decided.items.iter().filter(|one| one.item == Item::WentBack).map(|one| one.at_s).collect()
     }
 }

@@ -205,6 +205,18 @@ impl Hypothesis {
         }
     }
 
+    /// Whether it is where another one is, and goes on alike.
+    pub fn is_at(&self, other: &Self) -> bool {
+        let going_on = |one: &Self| (one.memory.burst, one.memory.shift, one.memory.last_s, one.memory.began_s);
+        self.x == other.x
+            && self.p == other.p
+            && self.marks == other.marks
+            && self.parameters == other.parameters
+            && self.spread == other.spread
+            && self.tests == other.tests
+            && going_on(self) == going_on(other)
+    }
+
     /// Forgets all steps that may have been.
     pub fn clear_tests(&mut self) {
         for test in &mut self.tests {

@@ -1,12 +1,12 @@
 //! A measurement as a hypothesis expects it: zero and clock at that instant, the innovation and its variance.
 
+use super::acceptance::linearise;
 use super::hypotheses::Hypotheses;
 use super::hypothesis::Hypothesis;
 use super::layout::motion_of;
 use super::matrix::{Matrix, quadratic};
 use super::model::{ChannelModel, Model};
 use super::motion::{AxisMotion, Clock};
-use super::parameters::linearise;
 use super::predict::predict_covariance;
 use super::row::Effect;
 use super::steps::scale_changed;
@@ -194,7 +194,7 @@ pub fn predict_value(
         let (mut x, mut p) = (hyp.x.clone(), hyp.p.clone());
         hold(&mut x, motion, dt);
         model.layout.find_uncertain(&p, &mut work.uncertain);
-        predict_covariance(&mut p, &model.layout, dt, &work.uncertain);
+        predict_covariance(&mut p, &model.layout, dt, &work.uncertain, &[]);
         let input = motion[channel.row.axis].input;
         innovate(&x, channel, &still, input, 0.0, &mut work.e);
         let told: f64 = hyp.parameters.iter().zip(&work.e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();

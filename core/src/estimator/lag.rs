@@ -1,21 +1,19 @@
 //! The estimator's rows given out a number of samples, or up to a quarter more, later, smoothed by what came until then.
 //!
 //! The window moves on in hops of a quarter of the lag, counted in samples from the first one, so that any cutting of the
-//! input gives the same rows. What the filter left of the window is kept, and run again only from where something is decided
-//! otherwise: of a hop only the rows that are given out are smoothed, behind them the adjoint is carried from measurement to
-//! measurement. Innovations and events are those of the estimator, as they come.
+//! input gives the same rows. What the estimator's own filter leaves of a hop is kept where one hypothesis took all its
+//! measurements as good; else the filter is run again over it, and only from where something is decided otherwise. Of a hop
+//! only the rows that are given out are smoothed, behind them the adjoint is carried from measurement to measurement.
+//! Innovations and events are those of the estimator, as they come.
 
 use super::cause::Decision;
-use super::counting::Counting;
-use super::decided::Decided;
+use super::decided::{Decided, Log};
 use super::innovation::{Mixed, Work};
-use super::log::Log;
 use super::model::{Model, instant, since};
-use super::output::Output;
-use super::rows::Rows;
+use super::rows::{Output, Rows};
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
-use super::smoother::Adjoint;
+use super::smoother::{Adjoint, Counted, Counting};
 use super::start::Beginning;
 use super::stream::{Estimator, Remembered};
 use super::waiting::{Timed, count_until};
@@ -31,19 +29,11 @@ const HOPS: usize = 4;
 pub struct LagMemory {
     estimator: Remembered,
     begin: Option<Beginning>,
-    window: Option<Window>,
-    pushed: u64,
-}
-
-/// The samples that are not given out yet, and those after which the filter is run again.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Window {
     samples: Samples,
     decided: Decided,
-    /// The filter before the first sample.
-    before: Filter,
-    /// How many of the samples were given out already.
+    before: Option<Filter>,
     given: usize,
+    pushed: u64,
 }
 
 /// What a run over a piece of the window left.
@@ -51,24 +41,35 @@ struct Window {
 struct Piece {
     way: WayBack,
     after: Filter,
+    /// Whether all its items are decided.
+    settled: bool,
+    /// Whether the estimator's own run left it.
+    own: bool,
     /// The items that it was run with, as it had them before and after it put those of one instant in order, and what they
-    /// were taken for.
+    /// were taken for; none where the estimator's own run left it.
     items: Vec<Timed>,
     decisions: Vec<Decision>,
 }
 
-/// A fixed-lag stream.
+/// A fixed-lag stream; the estimator's log is its window: the samples that are not given out yet, and those after which the
+/// filter may be run again.
 #[derive(Clone, Debug)]
 pub struct Lag {
     /// The estimator whose decisions it takes.
     pub estimator: Estimator,
     lag: usize,
     hop: usize,
-    window: Option<Window>,
+    /// The filter before the window's first sample.
+    before: Option<Filter>,
+    /// How many of the window's samples were given out already.
+    given: usize,
     pushed: u64,
     pieces: VecDeque<Piece>,
     spare: Vec<Piece>,
+    /// What the estimator's own run leaves of a hop, where the last piece ends in its filter.
+    own: Option<Piece>,
     adjoint: Adjoint,
+    counting: Option<Counting>,
     work: Work,
     time_s: Vec<f64>,
     found: Vec<Mixed>,
@@ -82,11 +83,14 @@ impl Lag {
             estimator,
             lag,
             hop: (lag / HOPS).max(1),
-            window: None,
+            before: None,
+            given: 0,
             pushed: 0,
             pieces: VecDeque::new(),
             spare: Vec::new(),
+            own: None,
             adjoint,
+            counting: None,
             work,
             time_s: Vec::new(),
             found: Vec::new(),
@@ -94,19 +98,21 @@ impl Lag {
     }
 
     /// How many samples, decided and undecided measurements are held.
-    pub fn held(&mut self) -> (usize, usize, usize) {
-        self.collect();
-        let own = self.window.as_ref().map_or((0, 0), |one| (one.samples.len(), one.decided.len()));
-        (own.0, own.1, self.estimator.undecided().len())
+    pub fn held(&self) -> (usize, usize, usize) {
+        let (samples, decided) = self.estimator.log().map_or((0, 0), |log| (log.samples.len(), log.decided.len()));
+        (samples, decided, self.estimator.undecided().len())
     }
 
     /// All that is remembered.
-    pub fn memory(&mut self) -> LagMemory {
-        self.collect();
+    pub fn memory(&self) -> LagMemory {
+        let log = self.estimator.log();
         LagMemory {
             estimator: self.estimator.memory().clone(),
-            begin: self.estimator.log().map(|log| log.begin.clone()),
-            window: self.window.clone(),
+            begin: log.map(|log| log.begin.clone()),
+            samples: log.map_or_else(|| Samples::none(self.estimator.model().axes()), |log| log.samples.clone()),
+            decided: log.map_or_else(Decided::default, |log| log.decided.clone()),
+            before: self.before.clone(),
+            given: self.given,
             pushed: self.pushed,
         }
     }
@@ -114,134 +120,162 @@ impl Lag {
     /// Goes on from what a stream with the same settings remembered; false: it does not fit.
     pub fn restore(&mut self, memory: LagMemory) -> bool {
         let model = self.estimator.model();
-        let fits = memory.window.as_ref().is_none_or(|one| one.fits(model))
+        let fits = memory.samples.consistent(model.axes())
+            && memory.decided.fits(model.channels.len())
+            && memory.before.as_ref().is_none_or(|one| one.fits(model))
+            && memory.given <= memory.samples.len()
             && memory.begin.as_ref().is_none_or(|one| one.fits(model.axes()));
         if !fits || !self.estimator.restore(memory.estimator) {
             return false;
         }
         let (first_s, origin_ns) = (self.estimator.first_s(), self.estimator.origin_ns());
-        let axes = self.estimator.model().axes();
-        self.estimator.set_log(memory.begin.map(|begin| Log::new(begin, first_s, origin_ns, axes)));
-        (self.window, self.pushed) = (memory.window, memory.pushed);
+        let (samples, decided) = (memory.samples, memory.decided);
+        let filled = |begin| Log { samples, decided, ..Log::new(begin, first_s, origin_ns, 0) };
+        self.estimator.set_log(memory.begin.map(filled));
+        (self.before, self.given, self.pushed) = (memory.before, memory.given, memory.pushed);
         self.pieces.clear();
+        (self.own, self.counting) = (None, None);
         true
     }
 
-    /// Takes samples; returns what is due.
-    pub fn push(&mut self, samples: View) -> Option<Output> {
-        let (mut whole, mut first) = (None, 0);
+    /// Takes samples, and adds what is due.
+    pub fn push(&mut self, samples: View, whole: &mut Option<Output>) {
+        let mut first = 0;
         while first < samples.len() {
-            let hop = self.hop - (self.pushed % self.hop as u64) as usize;
-            let end = samples.len().min(first + hop);
-            if let Some(output) = self.estimator.push(samples.part(first, end)) {
-                Output::add(&mut whole, output);
+            let done = (self.pushed % self.hop as u64) as usize;
+            if done == 0 {
+                self.begin_hop();
             }
+            let end = samples.len().min(first + self.hop - done);
+            let back = self.own.as_mut().map(|piece| &mut piece.way);
+            self.estimator.push(samples.part(first, end), back, whole);
             self.pushed += (end - first) as u64;
             first = end;
             if self.pushed % self.hop as u64 == 0 {
-                self.move_on(self.lag, &mut whole);
+                self.move_on(self.lag, whole);
             }
         }
-        whole
     }
 
-    /// The rows that are held still, and what the estimator says at the end.
-    pub fn finish(&mut self) -> Option<Output> {
-        let mut whole = self.estimator.finish();
-        self.move_on(0, &mut whole);
-        whole
+    /// Adds the rows that are held still, and what the estimator says at the end.
+    pub fn finish(&mut self, whole: &mut Option<Output>) {
+        self.estimator.finish(whole);
+        self.move_on(0, whole);
     }
 
-    /// Takes over what the estimator has logged.
-    fn collect(&mut self) {
-        if self.window.is_none() {
-            let (Some(log), model) = (self.estimator.log(), self.estimator.model()) else { return };
-            self.window = Some(Window {
-                samples: Samples::none(model.axes()),
-                decided: Decided::default(),
-                before: Filter::begun(&log.begin, self.estimator.settings(), model),
-                given: 0,
-            });
+    /// Lets the estimator's own run over the next hop leave what it finds, where the last piece ends in its filter.
+    fn begin_hop(&mut self) {
+        self.spare.extend(self.own.take());
+        let (Some(last), Some(filter)) = (self.pieces.back(), self.estimator.filter()) else { return };
+        if last.settled && self.estimator.one_past && (last.own || last.after.is_at(filter)) {
+            let mut piece = self.spare.pop().unwrap_or_else(|| Piece::new(filter.best_alone()));
+            piece.way.restart(self.estimator.model(), filter.clock.time_s);
+            self.own = Some(piece);
         }
-        let (Some(log), Some(window)) = (self.estimator.log_mut(), &mut self.window) else { return };
-        window.samples.extend(log.samples.view());
-        window.decided.extend(&log.decided);
-        log.samples.drop_first(log.samples.len());
-        log.decided.drop_first(log.decided.len());
-        log.filters.clear();
     }
 
     /// Gives out the rows that are older than the lag, and drops what is decided and not needed any more.
     fn move_on(&mut self, lag: usize, whole: &mut Option<Output>) {
-        self.collect();
-        let Some(mut window) = self.window.take() else { return };
-        let due = window.samples.len().saturating_sub(lag);
-        if due > window.given {
-            let rows = whole.get_or_insert_default().rows.get_or_insert_default();
-            self.smoothed(&window, due, rows);
-            self.drop_settled(&mut window, due);
+        let model = self.estimator.model();
+        let Some(log) = self.estimator.log() else { return };
+        if self.before.is_none() {
+            self.before = Some(Filter::begun(&log.begin, self.estimator.settings(), model));
         }
-        self.window = Some(window);
+        let due = log.samples.len().saturating_sub(lag);
+        self.take_own();
+        if due > self.given {
+            let rows = whole.get_or_insert_default().rows.get_or_insert_default();
+            self.smoothed(due, rows);
+            self.drop_settled(due);
+        }
     }
 
     /// Adds the rows of the window from those given out on up to before sample `due`.
-    fn smoothed(&mut self, window: &Window, due: usize, rows: &mut Rows) {
+    fn smoothed(&mut self, due: usize, rows: &mut Rows) {
         let open = self.estimator.undecided().best();
-        self.run_forward(window, &open);
-        let (model, origin_ns) = (self.estimator.model(), self.estimator.origin_ns());
-        let last = self.pieces.back().map_or(&window.before, |piece| &piece.after).hyps.best();
-        let counting = Counting::new(model, window.before.hyps.best(), &[&window.decided, &open], last);
-        self.adjoint.restart();
-        let first_ns = instant(self.estimator.first_s(), origin_ns);
-        let (view, mut end) = (window.samples.view(), window.samples.len());
-        let mut place = rows.add_zeros(model.axes(), (window.given..due).filter(|&k| view.is_row(k, first_ns)).count());
-        let mut found = std::mem::take(&mut self.found);
+        self.run_forward(&open);
+        let (Some(log), Some(before)) = (self.estimator.log(), &self.before) else { return };
+        let model = self.estimator.model();
+        let parts = [&log.decided, &open];
+        let recounted = !self.counting.as_ref().is_some_and(|one| one.holds(model, before.hyps.best(), &parts));
+        if recounted {
+            self.counting = Some(Counting::new(model, before.hyps.best(), &parts));
+        }
+        let Some(counting) = &self.counting else { return };
+        let last = self.pieces.back().map_or(before, |piece| &piece.after).hyps.best();
+        let view = Counted { model, counting, last };
+        self.adjoint.restart(recounted);
+        let first_ns = instant(log.first_s, log.origin_ns);
+        let (samples, mut end) = (log.samples.view(), log.samples.len());
+        let count = (self.given..due).filter(|&k| samples.is_row(k, first_ns)).count();
+        let mut place = rows.add_zeros(model.axes(), count);
         for piece in self.pieces.iter().rev() {
             let first = end - piece.way.len();
-            let own = first.max(window.given)..end.min(due).max(first);
+            let own = first.max(self.given)..end.min(due).max(first);
             let wanted = own.start.min(own.end) - first..own.end - first;
-            self.adjoint.pass(&piece.way, &counting, wanted.clone(), &mut found);
-            for (k, one) in wanted.zip(found.chunks(view.axes)).rev() {
-                if view.is_row(first + k, first_ns) {
+            self.adjoint.pass(&piece.way, &view, wanted.clone(), &mut self.found);
+            for (k, one) in wanted.zip(self.found.chunks(samples.axes)).rev() {
+                if samples.is_row(first + k, first_ns) {
                     place -= 1;
-                    rows.put(place, view.time_ns[first + k], one, |a| piece.way.status(k, a));
+                    rows.put(place, samples.time_ns[first + k], one, |a| piece.way.status(k, a));
                 }
             }
-            if first <= window.given {
+            if first <= self.given {
                 break;
             }
             end = first;
         }
-        self.found = found;
+    }
+
+    /// Takes what the estimator's own run left of the last hop as a piece, where it is whole.
+    fn take_own(&mut self) {
+        let (Some(mut piece), Some(filter), Some(log)) =
+            (self.own.take(), self.estimator.filter(), self.estimator.log())
+        else {
+            return;
+        };
+        let before: usize = self.pieces.iter().map(|piece| piece.way.len()).sum();
+        if before + piece.way.len() == log.samples.len() {
+            piece.after.copy_best(filter);
+            (piece.settled, piece.own) = (true, true);
+            self.pieces.push_back(piece);
+        } else {
+            self.spare.push(piece);
+        }
     }
 
     /// Runs the filter over the pieces of the window that are new, or of which something is decided otherwise now.
     ///
-    /// Pieces are hops, counted back from the window's end.
-    fn run_forward(&mut self, window: &Window, open: &Decided) {
-        let model = self.estimator.model();
-        let origin_ns = self.estimator.origin_ns();
-        let (view, count) = (window.samples.view(), window.samples.len());
-        let hop = self.hop;
+    /// Pieces are hops, counted from the first sample that was pushed.
+    fn run_forward(&mut self, open: &Decided) {
+        let (Some(log), Some(before)) = (self.estimator.log(), &self.before) else { return };
+        let (model, samples, count) = (self.estimator.model(), log.samples.view(), log.samples.len());
+        // The window's first sample was, from the beginning of a hop on, the one of this number.
+        let ahead = self.hop - (count + self.hop - (self.pushed % self.hop as u64) as usize) % self.hop;
         let (mut first, mut number, mut done) = (0, 0, 0);
-        let total = window.decided.len() + open.len();
         while first < count {
-            let end = count.min(first + hop - (first + hop - count % hop) % hop);
-            let end_s = since(view.time_ns[end - 1], origin_ns);
-            let until = count_until(&window.decided.items, end_s);
-            let until = if until == window.decided.len() { until + count_until(&open.items, end_s) } else { until };
-            let range = done..until.min(total);
-            done = range.end;
-            if !self.pieces.get(number).is_some_and(|piece| piece.holds(end - first, window, open, range.clone())) {
+            let end = count.min(first + self.hop - (first + ahead) % self.hop);
+            let end_s = since(samples.time_ns[end - 1], log.origin_ns);
+            let until = count_until(&log.decided.items, end_s);
+            let settled = until < log.decided.len() || open.is_empty();
+            let until = if settled { until } else { until + count_until(&open.items, end_s) };
+            let items = (done..until).map(|j| match log.decided.items.get(j) {
+                Some(&item) => (item, log.decided.decisions[j]),
+                None => (open.items[j - log.decided.len()], open.decisions[j - log.decided.len()]),
+            });
+            done = until;
+            if let Some(piece) = self.pieces.get_mut(number).filter(|piece| piece.holds(end - first, items.clone())) {
+                piece.settled = piece.settled || settled;
+            } else {
                 self.spare.extend(self.pieces.drain(number..));
-                let before = match number {
-                    0 => &window.before,
-                    _ => &self.pieces[number - 1].after,
-                };
-                let mut piece = self.spare.pop().unwrap_or_else(|| Piece::new(before.clone()));
-                piece.start(before, window, open, range, model);
-                let samples = view.part(first, end);
-                samples.seconds(origin_ns, &mut self.time_s);
+                let start = number.checked_sub(1).map_or(before, |last| &self.pieces[last].after);
+                let mut piece = self.spare.pop().unwrap_or_else(|| Piece::new(start.clone()));
+                piece.after.copy_best(start);
+                piece.way.restart(model, start.clock.time_s);
+                (piece.items, piece.decisions) = items.unzip();
+                (piece.settled, piece.own) = (settled, false);
+                let samples = samples.part(first, end);
+                samples.seconds(log.origin_ns, &mut self.time_s);
                 piece.run(model, samples, &self.time_s, &mut self.work);
                 self.pieces.push_back(piece);
             }
@@ -250,90 +284,45 @@ impl Lag {
     }
 
     /// Drops the pieces before what is given out and decided.
-    fn drop_settled(&mut self, window: &mut Window, due: usize) {
-        let origin_ns = self.estimator.origin_ns();
-        let settled = match self.estimator.undecided().first_s() {
-            Some(first_s) => window.samples.time_ns.partition_point(|&one| since(one, origin_ns) < first_s),
+    fn drop_settled(&mut self, due: usize) {
+        let first_s = self.estimator.undecided().first_s();
+        let (Some(log), Some(before)) = (self.estimator.log_mut(), &mut self.before) else { return };
+        let settled = match first_s {
+            Some(first_s) => log.samples.time_ns.partition_point(|&one| since(one, log.origin_ns) < first_s),
             None => due,
         };
         let mut dropped = 0;
-        while let Some(piece) = self.pieces.front() {
-            if dropped + piece.way.len() > due.min(settled) {
-                break;
-            }
+        let is_old = |piece: &&Piece, dropped: usize| dropped + piece.way.len() <= due.min(settled);
+        while self.pieces.front().filter(|piece| is_old(piece, dropped)).is_some() {
+            let Some(mut piece) = self.pieces.pop_front() else { break };
             dropped += piece.way.len();
-            if let Some(mut piece) = self.pieces.pop_front() {
-                std::mem::swap(&mut window.before, &mut piece.after);
-                self.spare.push(piece);
-            }
+            std::mem::swap(before, &mut piece.after);
+            self.spare.push(piece);
         }
         if dropped > 0 {
-            let end_s = since(window.samples.time_ns[dropped - 1], origin_ns);
-            let old = count_until(&window.decided.items, end_s);
-            window.decided.drop_first(old);
-            window.samples.drop_first(dropped);
+            let end_s = since(log.samples.time_ns[dropped - 1], log.origin_ns);
+            log.decided.drop_first(count_until(&log.decided.items, end_s));
+            log.samples.drop_first(dropped);
         }
-        window.given = due - dropped;
-    }
-}
-
-impl Window {
-    fn fits(&self, model: &Model) -> bool {
-        self.samples.consistent(model.axes())
-            && self.decided.fits(model.channels.len())
-            && self.before.fits(model)
-            && self.given <= self.samples.len()
-    }
-
-    /// Item `j` of the decided ones and the open ones after them.
-    fn item(&self, open: &Decided, j: usize) -> (Timed, Decision) {
-        match self.decided.items.get(j) {
-            Some(&item) => (item, self.decided.decisions[j]),
-            None => {
-                let place = j - self.decided.len();
-                (open.items[place], open.decisions[place])
-            }
-        }
+        log.filters.clear();
+        self.given = due - dropped;
     }
 }
 
 impl Piece {
     fn new(after: Filter) -> Self {
-        Self { way: WayBack::default(), after, items: Vec::new(), decisions: Vec::new() }
+        Self { way: WayBack::default(), after, settled: false, own: false, items: Vec::new(), decisions: Vec::new() }
     }
 
     /// Whether it was run over so many samples with these items as they are decided now.
-    fn holds(&self, samples: usize, window: &Window, open: &Decided, range: std::ops::Range<usize>) -> bool {
-        self.way.len() == samples
-            && self.items.len() == range.len()
-            && range.zip(self.items.iter().zip(&self.decisions)).all(|(j, (item, decision))| {
-                let now = window.item(open, j);
-                now.0 == *item && now.1 == *decision
-            })
-    }
-
-    /// Takes the items and the filter before its first sample.
-    fn start(
-        &mut self,
-        before: &Filter,
-        window: &Window,
-        open: &Decided,
-        range: std::ops::Range<usize>,
-        model: &Model,
-    ) {
-        self.after.copy_best(before);
-        self.way.restart(model, before.clock.time_s);
-        self.items.clear();
-        self.decisions.clear();
-        for j in range {
-            let (item, decision) = window.item(open, j);
-            self.items.push(item);
-            self.decisions.push(decision);
-        }
+    fn holds(&self, samples: usize, mut items: impl Iterator<Item = (Timed, Decision)>) -> bool {
+        let run_with = || self.items.iter().copied().zip(self.decisions.iter().copied());
+        let mut is_same = || run_with().all(|one| items.next() == Some(one)) && items.next().is_none();
+        self.way.len() == samples && (self.settled || is_same())
     }
 
     fn run(&mut self, model: &Model, samples: View, time_s: &[f64], work: &mut Work) {
-        let Self { way, after, items, decisions } = self;
+        let Self { way, after, items, decisions, .. } = self;
         let mut block = Block { samples, time_s, items, first_ns: 0 };
         after.run(model, &mut block, &mut Judge::Decided { decisions, back: Some(way) }, None, work);
     }

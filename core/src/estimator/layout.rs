@@ -100,9 +100,11 @@ impl Layout {
     /// All others are known for certain: their covariances are 0 and stay so until a measurement changes them.
     pub fn find_uncertain(&self, p: &Matrix, uncertain: &mut Vec<usize>) {
         uncertain.clear();
-        for j in self.moving()..self.size() {
-            if p[(j, j)] != 0.0 || self.walks[j] != 0.0 {
-                uncertain.push(j);
+        let (moving, stride) = (self.moving(), p.width() + 1);
+        let variances = p.elements().iter().skip(moving * stride).step_by(stride);
+        for (j, (variance, walk)) in variances.zip(&self.walks[moving..]).enumerate() {
+            if *variance != 0.0 || *walk != 0.0 {
+                uncertain.push(moving + j);
             }
         }
     }

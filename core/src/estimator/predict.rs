@@ -125,14 +125,18 @@ impl MotionCovariance {
     }
 }
 
-/// Φ P Φ' over `dt` seconds, and the walks of all states; the acceleration's noise is [`add_noise`].
+/// Φ P Φ' over `dt` seconds, the walks of all states, and noise of the acceleration with these densities (axes,) or none.
 ///
 /// uncertain: as of [`Layout::find_uncertain`]; nothing is to be done for the other constants.
 #[inline]
-pub fn predict_covariance(p: &mut Matrix, layout: &Layout, dt: f64, uncertain: &[usize]) {
+pub fn predict_covariance(p: &mut Matrix, layout: &Layout, dt: f64, uncertain: &[usize], density: &[f64]) {
     let (moving, walks) = (layout.moving(), layout.walks());
     for i in (0..moving).step_by(MOTION_STATES) {
-        MotionCovariance::of(p, i).moved(dt, walks[i + 2]).put(p, i);
+        let mut own = MotionCovariance::of(p, i).moved(dt, walks[i + 2]);
+        if let Some(&density) = density.get(i / MOTION_STATES) {
+            own = own.with_noise(dt, density);
+        }
+        own.put(p, i);
         for k in (i + MOTION_STATES..moving).step_by(MOTION_STATES) {
             predict_across(p, i, k, dt);
         }

@@ -4,10 +4,10 @@ use super::cause::{Cause, Decision};
 use super::hypothesis::{Contradiction, Hypothesis, Mark};
 use super::innovation::{Mixed, Mixture};
 use super::layout::motion_of;
-use super::model::{ChannelModel, Model, instant};
+use super::model::{ChannelModel, Model};
 use super::motion::{AxisMotion, Clock};
+use super::reports::Report;
 use super::samples::{BRIDGED, View};
-use super::waiting::Timed;
 
 /// What a row rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -44,40 +44,61 @@ pub struct Rows {
     pub axes: Vec<AxisRows>,
 }
 
-impl AxisRows {
-    /// Adds zeros to displacement, variance and velocity, to be filled.
+impl Rows {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.time_ns.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.time_ns.is_empty()
+    }
+
+    /// Makes room from a place on for some rows to be filled; for so many at once that they stay in the nearest memory.
     #[inline]
-    pub fn add_zeros(&mut self, count: usize) {
-        for one in [&mut self.displacement, &mut self.variance, &mut self.velocity] {
-            one.resize(one.len() + count, 0.0);
+    pub fn make_room(&mut self, axes: usize, place: usize, count: usize) {
+        const MANY: usize = 256;
+        if place + count > self.len() || self.axes.len() < axes {
+            let taken = self.time_ns.capacity().saturating_sub(place);
+            self.resize(axes, place + count.max(MANY.min(taken)));
         }
     }
-}
 
-impl Rows {
-    /// None yet, with room.
-    pub fn with_room(axes: usize, room: usize) -> Self {
-        let one = AxisRows {
-            displacement: Vec::with_capacity(room),
-            variance: Vec::with_capacity(room),
-            velocity: Vec::with_capacity(room),
-            source: Vec::with_capacity(room),
-            status: Vec::with_capacity(room),
-        };
-        Self { time_ns: Vec::with_capacity(room), axes: vec![one; axes] }
+    /// Takes memory for more.
+    pub fn reserve(&mut self, more: usize) {
+        self.time_ns.reserve(more);
+        for one in &mut self.axes {
+            for values in [&mut one.displacement, &mut one.variance, &mut one.velocity] {
+                values.reserve(more);
+            }
+            one.source.reserve(more);
+            one.status.reserve(more);
+        }
+    }
+
+    /// Keeps the first ones.
+    pub fn truncate(&mut self, count: usize) {
+        self.resize(self.axes.len(), count);
     }
 
     /// Adds rows to be filled, as a day of them must not exist twice; returns how many there are then.
     pub fn add_zeros(&mut self, axes: usize, more: usize) -> usize {
-        let count = self.time_ns.len() + more;
+        let count = self.len() + more;
+        self.resize(axes, count);
+        count
+    }
+
+    fn resize(&mut self, axes: usize, count: usize) {
         self.time_ns.resize(count, 0);
         self.axes.resize_with(axes, AxisRows::default);
         for one in &mut self.axes {
-            one.add_zeros(more);
+            for values in [&mut one.displacement, &mut one.variance, &mut one.velocity] {
+                values.resize(count, 0.0);
+            }
             one.source.resize(count, 0);
             one.status.resize(count, 0);
         }
-        count
     }
 
     /// Fills the row at a place with the estimate (axes,) of a sample, and source and status of each axis.
@@ -89,30 +110,6 @@ impl Rows {
             out.variance[place] = one.variance;
             out.velocity[place] = one.velocity;
             (out.source[place], out.status[place]) = status(a);
-        }
-    }
-
-    /// Makes room for more.
-    pub fn reserve(&mut self, more: usize) {
-        self.time_ns.reserve(more);
-        for one in &mut self.axes {
-            one.displacement.reserve(more);
-            one.variance.reserve(more);
-            one.velocity.reserve(more);
-            one.source.reserve(more);
-            one.status.reserve(more);
-        }
-    }
-
-    /// Adds others behind.
-    pub fn extend(&mut self, other: &Self) {
-        self.time_ns.extend_from_slice(&other.time_ns);
-        for (own, one) in self.axes.iter_mut().zip(&other.axes) {
-            own.displacement.extend_from_slice(&one.displacement);
-            own.variance.extend_from_slice(&one.variance);
-            own.velocity.extend_from_slice(&one.velocity);
-            own.source.extend_from_slice(&one.source);
-            own.status.extend_from_slice(&one.status);
         }
     }
 }
@@ -142,34 +139,13 @@ pub struct Innovations {
 }
 
 impl Innovations {
-    /// Adds others behind.
-    pub fn extend(&mut self, other: &Self) {
-        self.time_ns.extend_from_slice(&other.time_ns);
-        self.value.extend_from_slice(&other.value);
-        self.variance.extend_from_slice(&other.variance);
-        self.verdict.extend_from_slice(&other.verdict);
-    }
-}
-
-/// How a measurement was met.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Met {
-    /// Its innovation, and the variance of that.
-    pub told: Contradiction,
-    /// What it was taken for.
-    pub decision: Decision,
-}
-
-/// Innovations of each channel from items and how they were met.
-pub fn innovations_of(items: &[Timed], met: &[Met], model: &Model, origin_ns: i64) -> Vec<Innovations> {
-    let mut found = vec![Innovations::default(); model.channels.len()];
-    for (item, one) in items.iter().zip(met) {
-        let Some(c) = item.channel() else { continue };
-        let (own, g) = (&mut found[c], model.channels[c].row.units_per_m);
-        own.time_ns.push(instant(item.at_s, origin_ns));
-        own.value.push(one.told.size / g);
-        own.variance.push(one.told.variance / (g * g));
-        own.verdict.push(match one.decision.cause {
+    /// Adds what a measurement at an instant was taken for, and what that told.
+    #[inline]
+    pub fn push(&mut self, time_ns: i64, units_per_m: f64, told: &Contradiction, decision: Decision) {
+        self.time_ns.push(time_ns);
+        self.value.push(told.size / units_per_m);
+        self.variance.push(told.variance / (units_per_m * units_per_m));
+        self.verdict.push(match decision.cause {
             Cause::Outlier => Verdict::Rejected,
             Cause::Lost => Verdict::Reacquired,
             Cause::Good | Cause::Shift(_) | Cause::Wrong | Cause::Noise | Cause::Clock | Cause::StepBefore => {
@@ -177,7 +153,19 @@ pub fn innovations_of(items: &[Timed], met: &[Met], model: &Model, origin_ns: i6
             }
         } as i8);
     }
-    found
+}
+
+/// What pushes gave.
+#[derive(Clone, Debug, Default)]
+pub struct Output {
+    /// Rows of all axes, where they are given out.
+    pub rows: Option<Rows>,
+    /// Innovations of each channel as the best hypothesis saw them; none at the end.
+    pub innovations: Vec<Innovations>,
+    /// Events.
+    pub reports: Vec<Report>,
+    /// Variance (axes,) of the datum at the last row, the part that all rows have in common, m².
+    pub zero_variance: Vec<f64>,
 }
 
 /// Source and status of an axis's row: of the channels that are not too old, the most informative one.
@@ -249,7 +237,7 @@ pub fn row_of(hyp: &Hypothesis, axis: usize, model: &Model) -> Mixed {
     Mixed { value, variance, velocity }
 }
 
-/// Adds the rows of all axes at a sample, where the clock is.
+/// Fills the row at a place with that of a sample, where the clock is.
 #[inline]
 pub fn leave_row(
     hyps: &[Hypothesis],
@@ -257,11 +245,10 @@ pub fn leave_row(
     clock: &Clock,
     model: &Model,
     at: (View, usize),
-    rows: &mut Rows,
+    (rows, place): (&mut Rows, usize),
 ) {
-    let (samples, k) = at;
     let best = &hyps[0];
-    rows.time_ns.push(samples.time_ns[k]);
+    rows.time_ns[place] = at.0.time_ns[at.1];
     for (a, out) in rows.axes.iter_mut().enumerate() {
         let mut row = row_of(best, a, model);
         if hyps.len() > 1 {
@@ -274,20 +261,19 @@ pub fn leave_row(
         }
         let velocity = row.velocity - motion[a].ahead();
         let variance = row.variance + clock_variance(best, a, model, clock.time_s) * velocity * velocity;
-        out.displacement.push(row.value);
-        out.variance.push(variance.max(zero_variance(best, a, model)) + model.unseen_m2[a]);
-        out.velocity.push(velocity);
-        leave_status(best, a, clock, model, at, out);
+        out.displacement[place] = row.value;
+        out.variance[place] = variance.max(zero_variance(best, a, model)) + model.unseen_m2[a];
+        out.velocity[place] = velocity;
+        (out.source[place], out.status[place]) = status_at(best, a, clock, model, at);
     }
 }
 
-/// Adds source and status of an axis' row; bridged samples are coasting at best.
+/// Codes of source and status of an axis' row; bridged samples are coasting at best.
 #[inline]
-pub fn leave_status(hyp: &Hypothesis, a: usize, clock: &Clock, model: &Model, at: (View, usize), out: &mut AxisRows) {
+pub fn status_at(hyp: &Hypothesis, a: usize, clock: &Clock, model: &Model, at: (View, usize)) -> (u8, u8) {
     let (source, status) = status_of(hyp, a, model, clock.time_s);
     let bridged = at.0.kind[at.1] == BRIDGED;
-    out.source.push(source);
-    out.status.push(if bridged { status.max(Status::Coasting) } else { status } as u8);
+    (source, if bridged { status.max(Status::Coasting) } else { status } as u8)
 }
 
 /// What several hypotheses found as one: means and variances by their weights.

@@ -11,10 +11,10 @@ use super::hypotheses::Hypotheses;
 use super::hypothesis::{Doubt, Hypothesis};
 use super::innovation::{Innovation, Scene, Work, follow_clock, look, meet_zero};
 use super::layout::motion_of;
-use super::model::Model;
+use super::model::{Model, instant};
 use super::motion::{AxisMotion, Clock, Way, shift_velocity};
 use super::predict::{add_noise, predict_covariance, predict_mean};
-use super::rows::{Met, Rows, leave_row};
+use super::rows::{Innovations, Rows, leave_row};
 use super::samples::View;
 use super::settings::{MAX_AXES, Settings};
 use super::situation::GATE;
@@ -56,8 +56,12 @@ pub enum Judge<'a> {
     Open {
         /// What each hypothesis took each item for.
         undecided: &'a mut Undecided,
-        /// How the best one met it.
-        met: &'a mut Vec<Met>,
+        /// How the best one met them, of each channel.
+        innovations: &'a mut [Innovations],
+        /// What times in s count from, ns.
+        origin_ns: i64,
+        /// What the way back needs, as long as one hypothesis takes all as good.
+        back: Option<&'a mut WayBack>,
     },
     /// All is decided.
     Decided {
@@ -71,10 +75,8 @@ pub enum Judge<'a> {
 impl Judge<'_> {
     /// What the way back needs.
     fn back(&mut self) -> Option<&mut WayBack> {
-        match self {
-            Self::Decided { back, .. } => back.as_deref_mut(),
-            Self::Open { .. } => None,
-        }
+        let (Self::Open { back, .. } | Self::Decided { back, .. }) = self;
+        back.as_deref_mut()
     }
 }
 
@@ -115,6 +117,13 @@ impl Filter {
         (self.clock, self.judged) = (other.clock, other.judged);
     }
 
+    /// Whether it is where another one is that has one hypothesis alone.
+    pub fn is_at(&self, other: &Self) -> bool {
+        let same = self.hyps.best().is_at(other.hyps.best());
+        same && other.hyps.count() == 1
+            && (&self.motion, self.clock, self.judged) == (&other.motion, other.clock, other.judged)
+    }
+
     /// Whether it is of the model's shape.
     pub fn fits(&self, model: &Model) -> bool {
         self.hyps.fit(model) && self.motion.len() == model.axes()
@@ -131,11 +140,12 @@ impl Filter {
     ) {
         self.note_uncertain(model, judge, work);
         let (mut next, mut ordered, mut k) = (0, 0, 0);
-        let all_rows = block.samples.all_rows(block.first_ns);
+        let (mut place, all_rows) =
+            (rows.as_ref().map_or(0, |rows| rows.len()), block.samples.all_rows(block.first_ns));
         while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back(), all_rows };
+                let leave = &mut Leave { rows: rows.as_deref_mut(), place: &mut place, all_rows, back: judge.back() };
                 let reached = self.coast(model, block, k, before_s, &work.uncertain, leave);
                 if reached > k {
                     k = reached;
@@ -144,12 +154,17 @@ impl Filter {
             }
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
             if let Some(rows) = rows.as_deref_mut().filter(|_| block.samples.is_row(k, block.first_ns)) {
-                leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), rows);
+                rows.make_room(model.axes(), place, 1);
+                leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), (rows, place));
+                place += 1;
             }
             if let Some(back) = judge.back() {
                 back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
             }
             k += 1;
+        }
+        if let Some(rows) = rows {
+            rows.truncate(place);
         }
     }
 
@@ -236,10 +251,7 @@ impl Filter {
                 &work.others
             };
             predict_mean(&mut hyp.x, model.axes(), &way, &model.gain_of);
-            predict_covariance(&mut hyp.p, &model.layout, way.dt, uncertain);
-            for (a, &one) in density.iter().enumerate() {
-                add_noise(&mut hyp.p, a, way.dt, one);
-            }
+            predict_covariance(&mut hyp.p, &model.layout, way.dt, uncertain, density);
             if let Some(burst) = hyp.memory.burst {
                 add_noise(&mut hyp.p, burst.axis, way.dt, burst.density);
             }
@@ -264,10 +276,12 @@ impl Filter {
         let Self { hyps, motion, judged, .. } = self;
         let scene = scene_of(model, motion, &row, at_s, place);
         match judge {
-            Judge::Open { undecided, met } => {
-                judge_open(hyps, judged, &scene, work);
+            Judge::Open { undecided, innovations, origin_ns, back } => {
+                let left = judge_open(hyps, judged, &scene, back.as_deref_mut(), work);
+                *back = if left { back.take() } else { None };
                 let best = &hyps.best().memory;
-                met.push(Met { told: best.met, decision: best.decision });
+                let time_ns = instant(at_s, *origin_ns);
+                innovations[row.channel].push(time_ns, scene.channel.row.units_per_m, &best.met, best.decision);
                 undecided.add(items[j], hyps.all().iter().map(Survivor::of));
             }
             Judge::Decided { decisions, back } => {
@@ -292,15 +306,12 @@ impl Filter {
             self.hyps.doubt_all();
         }
         match judge {
-            Judge::Open { undecided, met } => {
-                met.push(Met { told: Default::default(), decision: Decision::GOOD });
+            Judge::Open { undecided, back, .. } => {
                 undecided.add(mark, (0..self.hyps.count()).map(Survivor::unchanged));
+                *back = None;
             }
-            Judge::Decided { back, .. } => {
-                if let Some(back) = back {
-                    back.pass_mark(mark);
-                }
-            }
+            Judge::Decided { back: Some(back), .. } => back.pass_mark(mark),
+            Judge::Decided { back: None, .. } => {}
         }
     }
 
@@ -339,27 +350,33 @@ fn scene_of<'a>(
     Scene { model, row, channel, at_s, motion, acceleration, density: place.density[a] }
 }
 
-/// Lets all hypotheses meet a measurement.
+/// Lets all hypotheses meet a measurement; returns whether one alone has taken it as a good one, and left its record.
 #[inline]
-fn judge_open(hyps: &mut Hypotheses, judged: &mut usize, scene: &Scene, work: &mut Work) {
+fn judge_open(
+    hyps: &mut Hypotheses,
+    judged: &mut usize,
+    scene: &Scene,
+    back: Option<&mut WayBack>,
+    work: &mut Work,
+) -> bool {
     let c = scene.row.channel;
     if scene.at_s - hyps.best().marks[c].met_s > scene.channel.coasting_s {
         hyps.doubt_channel(c, Doubt::Gap);
     }
     let count = hyps.count();
     let best = hyps.best_mut();
-    meet_zero(best, scene);
+    let reference_scaled = meet_zero(best, scene);
     follow_clock(best, scene);
     let mark = &best.marks[c];
     let usual = best.memory.burst.is_none() && mark.outliers == 0.0 && !mark.stepped && mark.doubt == Doubt::None;
     if count == 1 && *judged == 0 && usual {
         let seen = look(best, scene, work);
         if seen.within(GATE) && seen.wider <= VAGUE * seen.own {
-            take_good(best, scene, &seen, work);
-            if scene.model.looks_for_steps() {
-                find_step(best, scene, SURE);
+            let total = take_good(best, scene, &seen, work);
+            if let Some(back) = back {
+                back.leave_record(scene.at_s, c, Some(total), (1.0, reference_scaled), work);
             }
-            return;
+            return !(scene.model.looks_for_steps() && find_step(best, scene, SURE));
         }
     }
     hyps.meet_others(scene);
@@ -368,6 +385,7 @@ fn judge_open(hyps: &mut Hypotheses, judged: &mut usize, scene: &Scene, work: &m
     if first {
         pass_first(hyps, judged);
     }
+    false
 }
 
 /// Counts one of the first measurements: no step is asked for among them, as little is known of the start.

@@ -7,15 +7,13 @@
 //! decided.
 
 use super::cause::Decision;
-use super::counting::Counting;
-use super::decided::Decided;
+use super::decided::{Decided, Log, Logged};
 use super::innovation::Work;
-use super::log::{Log, Logged};
 use super::model::{Model, instant};
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::settings::Settings;
-use super::smoother::Adjoint;
+use super::smoother::{Adjoint, Counted, Counting};
 use super::unforeseen::{Error, add_errors, first_change, put_steps_in_place, unforeseen};
 use super::waiting::count_until;
 use super::way_back::WayBack;
@@ -121,15 +119,15 @@ impl SecondPass<'_> {
         way.restart(&self.model, after.clock.time_s);
         self.forward(&mut after, samples, items, Some(&mut way));
         let model = self.model.clone();
-        let decided = Decided { told: Vec::new(), ..self.decided.clone() };
-        let counting = Counting::new(&model, &before, &[&decided], after.hyps.best());
+        let counting = Counting::new(&model, &before, &[&self.decided]);
+        let counted = Counted { model: &model, counting: &counting, last: after.hyps.best() };
         let mut adjoint = Adjoint::nothing(&model);
         for (i, part) in parts.iter_mut().enumerate().rev() {
             if part.samples.end < view.len() {
                 way.restart(&model, part.before.clock.time_s);
                 self.forward(&mut part.before, part.samples.clone(), part.items.clone(), Some(&mut way));
             }
-            adjoint.pass(&way, &counting, 0..part.samples.len(), &mut found);
+            adjoint.pass(&way, &counted, 0..part.samples.len(), &mut found);
             end -= given[i];
             let own = part.samples.clone().enumerate().filter(|(_, k)| view.is_row(*k, self.first_ns));
             for (place, (k, sample)) in own.enumerate() {

@@ -3,79 +3,100 @@
 //! It is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J.
 //! Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and what only adds variance
 //! to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say of a combination of
-//! states that was widely uncertain is a small difference of what they say of each.
+//! states that was widely uncertain is a small difference of what they say of each. L and W are carried from measurement to
+//! measurement; at a sample between, its covariances P with all states are moved on to the later one, Φ P.
 
-use super::counting::Counting;
+use super::decided::Decided;
+use super::hypothesis::Hypothesis;
 use super::innovation::Mixed;
 use super::layout::{MOTION_STATES, motion_of};
-use super::matrix::{Matrix, quadratic};
+#[cfg(test)]
+use super::matrix::Matrix;
+use super::matrix::quadratic;
 use super::model::Model;
 use super::row::Entry;
+use super::rows::zero_variance;
 use super::way_back::{Recorded, WayBack};
 use std::ops::Range;
 
 /// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
 const MIN_VARIANCE_SHARE: f64 = 1e-12;
 
-/// What later measurements say: L and W as rows, (1 + k + 2 n, n).
+/// The processor takes so many elements of a row together.
+const LANES: usize = 8;
+
+/// What later measurements say: of each state its elements of L and W, side by side, (n, 1 + k + 2 n); of live states those
+/// that are not used are 0.
 #[derive(Clone, Debug)]
 pub struct Adjoint {
-    rows: Matrix,
+    rows: Vec<[f64; LANES]>,
+    /// How many lanes a row takes.
+    width: usize,
     columns: usize,
-    /// How many rows are used.
+    /// How many elements of each row are used.
     used: usize,
     /// States that are uncertain as they are counted.
     live: Vec<usize>,
-    /// Where these end: what is certain among the states before is 0 in every product.
-    end: usize,
     unknown: Vec<bool>,
     /// Each channel's row, of live states alone.
     live_rows: Vec<Vec<Entry>>,
     /// To work with.
-    moved: Vec<f64>,
+    moved: Vec<[f64; LANES]>,
     gain: Vec<f64>,
     pc: Vec<f64>,
     pv: Vec<f64>,
+    met: Vec<[f64; LANES]>,
     sensitivity: Vec<f64>,
+    /// Variance (axes,) of the datum at the record's end, which no row is more certain than.
+    least: Vec<f64>,
 }
 
 impl Adjoint {
     /// Nothing comes later.
     pub fn nothing(model: &Model) -> Self {
         let (n, columns) = (model.size(), model.columns());
+        let width = (columns + 2 * n + 1).div_ceil(LANES);
         Self {
-            rows: Matrix::zeros(columns + 2 * n + 1, n),
+            rows: vec![[0.0; LANES]; n * width],
+            width,
             columns,
             used: columns,
             live: Vec::new(),
-            end: 0,
             unknown: Vec::new(),
             live_rows: Vec::new(),
-            moved: Vec::new(),
+            moved: vec![[0.0; LANES]; n * width],
             gain: vec![0.0; n],
             pc: vec![0.0; n],
             pv: vec![0.0; n],
+            met: vec![[0.0; LANES]; width],
             sensitivity: vec![0.0; columns],
+            least: Vec::new(),
         }
     }
 
-    /// Nothing comes later, in the memory that it has.
-    pub fn restart(&mut self) {
-        self.rows.elements_mut().fill(0.0);
+    /// Nothing comes later, in the memory that it has; recounted: the states are counted otherwise now.
+    pub fn restart(&mut self, recounted: bool) {
+        self.rows.fill([0.0; LANES]);
         self.used = self.columns;
-        // The states may be counted otherwise now.
-        self.live_rows.clear();
+        if recounted {
+            self.live_rows.clear();
+        }
     }
 
-    /// L and W as rows.
+    /// L and W, a row for each state.
     #[cfg(test)]
-    pub fn rows(&self) -> &Matrix {
-        &self.rows
+    pub fn rows(&self) -> Matrix {
+        let mut whole = Matrix::zeros(self.gain.len(), self.width * LANES);
+        whole.elements_mut().copy_from_slice(self.rows.as_flattened());
+        whole
     }
 
-    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the wanted samples.
-    pub fn pass(&mut self, way: &WayBack, counting: &Counting, wanted: Range<usize>, found: &mut Vec<Mixed>) {
-        self.find_live(way, counting);
+    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the
+    /// wanted samples.
+    pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, found: &mut Vec<Mixed>) {
+        self.find_live(way, view.counting);
+        self.least.clear();
+        self.least.extend((0..way.axes).map(|a| zero_variance(view.last, a, view.model)));
         if self.used >= self.columns + 2 * self.live.len() {
             self.narrow();
         }
@@ -84,14 +105,20 @@ impl Adjoint {
         found.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
         let mut next = way.records.len();
         let mut at_s = way.time_s.last().copied().unwrap_or(way.start_s);
+        let mut span = usize::MAX;
         for k in wanted.clone().rev() {
-            next = self.back_through_all(way, (next, k + 1), &mut at_s, counting);
-            self.back_to(way.time_s[k], &mut at_s, axes);
+            next = self.back_through_all(way, (next, k + 1), &mut at_s, view);
+            let before = span;
+            span = way.span_of(k, span);
+            if span != before {
+                self.pc.fill(0.0);
+                self.pv.fill(0.0);
+            }
             for a in 0..axes {
-                found[(k - wanted.start) * axes + a] = self.smoothed(way, k, a, counting);
+                found[(k - wanted.start) * axes + a] = self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
             }
         }
-        self.back_through_all(way, (next, 0), &mut at_s, counting);
+        self.back_through_all(way, (next, 0), &mut at_s, view);
         self.back_to(way.start_s, &mut at_s, axes);
     }
 
@@ -102,12 +129,12 @@ impl Adjoint {
         way: &WayBack,
         (mut next, first): (usize, usize),
         at_s: &mut f64,
-        counting: &Counting,
+        view: &Counted,
     ) -> usize {
         while next > 0 && way.records[next - 1].sample >= first {
             next -= 1;
             self.back_to(way.records[next].at_s, at_s, way.axes);
-            self.back_through(way, next, counting);
+            self.back_through(way, next, view);
         }
         next
     }
@@ -126,12 +153,11 @@ impl Adjoint {
         let unknown = &self.unknown;
         self.live.clear();
         self.live.extend((0..unknown.len()).filter(|&j| unknown[j]));
-        self.end = self.live.last().map_or(0, |&last| last + 1);
         let alive = |row: &Vec<Entry>| row.iter().copied().filter(|one| unknown[one.state]).collect();
         self.live_rows = counting.rows.iter().map(alive).collect();
     }
 
-    /// Φ' times each row, from one instant to an earlier one.
+    /// Φ' times L and W, from one instant to an earlier one.
     #[inline]
     fn back_to(&mut self, to_s: f64, at_s: &mut f64, axes: usize) {
         let dt = *at_s - to_s;
@@ -139,45 +165,46 @@ impl Adjoint {
             return;
         }
         *at_s = to_s;
-        let (half, n, used) = (0.5 * dt * dt, self.rows.width(), self.used);
-        for row in self.rows.elements_mut().chunks_exact_mut(n).take(used) {
-            for motion in row[..MOTION_STATES * axes].chunks_exact_mut(MOTION_STATES) {
-                let (x, v) = (motion[0], motion[1]);
-                motion[2] -= half * x + dt * v;
-                motion[1] = v + dt * x;
+        let (half, width, taken) = (0.5 * dt * dt, self.width, self.used.div_ceil(LANES));
+        for motion in self.rows.chunks_exact_mut(MOTION_STATES * width).take(axes) {
+            let (places, rest) = motion.split_at_mut(width);
+            let (speeds, biases) = rest.split_at_mut(width);
+            for ((places, speeds), biases) in places[..taken].iter().zip(speeds).zip(biases) {
+                for ((x, v), b) in places.iter().zip(speeds).zip(biases) {
+                    *b -= half * x + dt * *v;
+                    *v += dt * x;
+                }
             }
         }
     }
 
     /// Carries the adjoint back through an item.
-    fn back_through(&mut self, way: &WayBack, place: usize, counting: &Counting) {
+    fn back_through(&mut self, way: &WayBack, place: usize, view: &Counted) {
         let (channel, total, shift_scaled, reference_scaled) = match way.records[place].what {
             Recorded::Doubt => return,
-            Recorded::Datum => return self.back_through_datum(counting),
+            Recorded::Datum => return self.back_through_datum(view),
             Recorded::Measured { channel, total, shift_scaled, reference_scaled } => {
                 (channel, total, shift_scaled, reference_scaled)
             }
         };
         if let Some(total) = total {
             let stride = way.columns + way.size;
-            let details = &way.details[place * stride..(place + 1) * stride];
-            let (e, gain) = details.split_at(way.columns);
-            if counting.counts() {
-                let mut own = std::mem::take(&mut self.gain);
-                own.copy_from_slice(gain);
-                counting.count(&mut own);
-                self.back_through_measurement(channel, &own, e, total);
-                self.gain = own;
+            let (e, gain) = way.details[place * stride..(place + 1) * stride].split_at(way.columns);
+            if view.counting.counts() {
+                let mut counted = std::mem::take(&mut self.gain);
+                counted.copy_from_slice(gain);
+                view.counting.count(&mut counted);
+                self.back_through_measurement(channel, &counted, e, total);
+                self.gain = counted;
             } else {
                 self.back_through_measurement(channel, gain, e, total);
             }
         }
-        let model = &counting.model.channels[channel];
+        let (model, width) = (&view.model.channels[channel], self.width);
         for (state, factor) in [(model.shift, shift_scaled), (model.reference, reference_scaled)] {
             if factor != 1.0 {
-                for c in 0..self.used {
-                    self.rows[(c, state)] *= factor;
-                }
+                let row = self.rows[state * width..(state + 1) * width].as_flattened_mut();
+                row.iter_mut().for_each(|value| *value *= factor);
             }
         }
     }
@@ -186,34 +213,33 @@ impl Adjoint {
     ///
     /// 1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
     fn back_through_measurement(&mut self, channel: usize, gain: &[f64], e: &[f64], total: f64) {
-        let Self { rows, end, live_rows, moved, used, .. } = self;
-        let (entries, n) = (&live_rows[channel], rows.width());
-        let gain = &gain[..*end];
-        moved.resize(entries.len(), 0.0);
-        for v in rows.elements_mut().chunks_exact_mut(n).take(*used) {
-            let whole = product(gain, v);
-            for (out, entry) in moved.iter_mut().zip(entries) {
-                let s = entry.state;
-                // Summed without the state itself where it counts: never as a difference.
-                let rest = if gain[s] * v[s] == 0.0 {
-                    whole
-                } else {
-                    let before = product(&gain[..s], v);
-                    gain[s + 1..].iter().zip(&v[s + 1..]).fold(before, |sum, (a, b)| sum + a * b)
-                };
-                *out = (1.0 - gain[s] * entry.factor) * v[s] - entry.factor * rest;
-            }
-            for (&value, entry) in moved.iter().zip(entries) {
-                v[entry.state] = value;
+        let Self { rows, width, live, live_rows, moved, used, .. } = self;
+        let (entries, width, taken) = (&live_rows[channel], *width, used.div_ceil(LANES));
+        for (entry, out) in entries.iter().zip(moved.chunks_exact_mut(width)) {
+            for (lanes, out) in out[..taken].iter_mut().enumerate() {
+                // Summed without the state itself: never as a difference.
+                let mut rest = [0.0; LANES];
+                for &j in live.iter().filter(|&&j| j != entry.state) {
+                    add_times(&mut rest, &rows[j * width + lanes], gain[j]);
+                }
+                *out = rest;
             }
         }
-        rows.row_mut(*used).fill(0.0);
-        let root = total.sqrt();
-        for entry in entries {
-            for (c, &error) in e.iter().enumerate() {
-                rows[(c, entry.state)] -= entry.factor * error / total;
+        for (entry, rest) in entries.iter().zip(moved.as_flattened().chunks_exact(width * LANES)) {
+            let share = 1.0 - gain[entry.state] * entry.factor;
+            let row = rows[entry.state * width..(entry.state + 1) * width].as_flattened_mut();
+            for (value, rest) in row[..taken * LANES].iter_mut().zip(rest) {
+                *value = share * *value - entry.factor * rest;
             }
-            rows[(*used, entry.state)] = entry.factor / root;
+        }
+        let (rows, width, root) = (rows.as_flattened_mut(), width * LANES, total.sqrt());
+        rows.iter_mut().skip(*used).step_by(width).for_each(|value| *value = 0.0);
+        for entry in entries {
+            let row = &mut rows[entry.state * width..(entry.state + 1) * width];
+            for (value, &error) in row.iter_mut().zip(e) {
+                *value -= entry.factor * error / total;
+            }
+            row[*used] = entry.factor / root;
         }
         *used += 1;
         if self.used >= self.columns + 2 * self.live.len() {
@@ -222,16 +248,16 @@ impl Adjoint {
     }
 
     /// Before the datum was copied from the displacement.
-    fn back_through_datum(&mut self, counting: &Counting) {
-        let Some(datum) = &counting.model.datum else { return };
+    fn back_through_datum(&mut self, view: &Counted) {
+        let Some(datum) = &view.model.datum else { return };
+        let (rows, width) = (self.rows.as_flattened_mut(), self.width * LANES);
         for (a, &d) in datum.iter().enumerate() {
             for c in 0..self.used {
-                let own = self.rows[(c, d)];
-                self.rows[(c, motion_of(a))] += own;
-                if let Some((zero, _)) = &counting.common[a] {
-                    self.rows[(c, *zero)] -= own;
+                let own = std::mem::take(&mut rows[d * width + c]);
+                rows[motion_of(a) * width + c] += own;
+                if let Some((zero, _)) = &view.counting.common[a] {
+                    rows[zero * width + c] -= own;
                 }
-                self.rows[(c, d)] = 0.0;
             }
         }
     }
@@ -239,71 +265,197 @@ impl Adjoint {
     /// Rotates the columns of W to as many as there are live states; W W' stays. By Householder's reflections, to a lower
     /// triangle.
     fn narrow(&mut self) {
-        let Self { rows, live, columns, used, .. } = self;
-        let (first, end) = (*columns, *used);
+        let Self { rows, width, live, columns, used, .. } = self;
+        let (rows, width, first, end) = (rows.as_flattened_mut(), *width * LANES, *columns, *used);
         for begin in first..(first + live.len()).min(end) {
-            let j = live[begin - first];
-            let mut square: f64 = (begin..end).map(|c| rows[(c, j)] * rows[(c, j)]).sum();
+            let (j, later) = (live[begin - first] * width, &live[begin - first + 1..]);
+            let square = squared(&rows[j + begin..j + end]);
             if square == 0.0 {
                 continue;
             }
-            let pivot = if rows[(begin, j)] > 0.0 { -square.sqrt() } else { square.sqrt() };
-            rows[(begin, j)] -= pivot;
-            square = (begin..end).map(|c| rows[(c, j)] * rows[(c, j)]).sum();
-            for &i in &live[begin - first + 1..] {
-                let dot: f64 = (begin..end).map(|c| rows[(c, j)] * rows[(c, i)]).sum::<f64>() * 2.0 / square;
+            let pivot = if rows[j + begin] > 0.0 { -square.sqrt() } else { square.sqrt() };
+            rows[j + begin] -= pivot;
+            let square = squared(&rows[j + begin..j + end]);
+            for i in later.iter().map(|i| i * width) {
+                let dot = 2.0 * (begin..end).map(|c| rows[j + c] * rows[i + c]).sum::<f64>() / square;
                 for c in begin..end {
-                    let own = rows[(c, j)];
-                    rows[(c, i)] -= dot * own;
+                    rows[i + c] -= dot * rows[j + c];
                 }
             }
-            rows[(begin, j)] = pivot;
-            for c in begin + 1..end {
-                rows[(c, j)] = 0.0;
-            }
+            rows[j + begin..j + end].fill(0.0);
+            rows[j + begin] = pivot;
         }
         *used = (first + live.len()).min(end);
     }
 
-    /// Smoothed displacement, its variance and the velocity of one axis at a sample.
-    fn smoothed(&mut self, way: &WayBack, k: usize, a: usize, counting: &Counting) -> Mixed {
-        let (columns, n) = (way.columns, way.size);
-        let stride = 2 * (columns + n);
-        let node = &way.nodes[(k * way.axes + a) * stride..(k * way.axes + a + 1) * stride];
-        let (places, rest) = node.split_at(columns);
-        let (speeds, covariances) = rest.split_at(columns);
-        let (mut pc, mut pv) = covariances.split_at(n);
-        let datum = counting.model.datum.as_ref().map(|datum| datum[a]);
-        let filtered = pc[motion_of(a)] - datum.map_or(0.0, |d| pc[d]);
+    /// Smoothed displacement, its variance and the velocity of one axis at a sample of a span; ahead: how much later (s) than
+    /// the sample the adjoint is.
+    fn smoothed(&mut self, way: &WayBack, (span, k, a): (usize, usize, usize), ahead: f64, view: &Counted) -> Mixed {
+        let Counted { model, counting, last } = view;
+        let (columns, used, width) = (self.columns, self.used, self.width);
         if counting.counts() {
-            for (out, own) in [(&mut self.pc, pc), (&mut self.pv, pv)] {
-                out.copy_from_slice(own);
-                counting.count(out);
-            }
-            (pc, pv) = (&self.pc, &self.pv);
+            self.pc.fill(0.0);
+            self.pv.fill(0.0);
         }
-        (pc, pv) = (&pc[..self.end], &pv[..self.end]);
-        let (mut value, mut velocity, mut known) = (0.0, 0.0, 0.0);
+        let node = way.node(span, k, a);
+        for ((&j, &c), &v) in node.live.iter().zip(node.pc).zip(node.pv) {
+            (self.pc[j], self.pv[j]) = (c, v);
+        }
+        let datum = model.datum.as_ref().map(|datum| datum[a]);
+        let filtered = self.pc[motion_of(a)] - datum.map_or(0.0, |d| self.pc[d]);
+        for covariances in [&mut self.pc, &mut self.pv] {
+            move_on(&mut covariances[..MOTION_STATES * way.axes], ahead);
+            counting.count(covariances);
+        }
+        for (lanes, met) in self.met[..used.div_ceil(LANES)].iter_mut().enumerate() {
+            *met = [0.0; LANES];
+            for &j in &self.live {
+                add_times(met, &self.rows[j * width + lanes], self.pc[j]);
+            }
+        }
+        let (rows, met) = (self.rows.as_flattened(), self.met.as_flattened());
+        let (mut value, mut velocity) = (0.0, 0.0);
         for c in 0..columns {
-            let row = self.rows.row(c);
-            let share = if c == 0 { 1.0 } else { counting.last.parameters[c - 1] };
-            let place = places[c] - product(pc, row);
+            let share = if c == 0 { 1.0 } else { last.parameters[c - 1] };
+            let place = node.places[c] - met[c];
             self.sensitivity[c] = place;
             value += place * share;
-            velocity += (speeds[c] - product(pv, row)) * share;
+            let moved: f64 = self.live.iter().map(|&j| self.pv[j] * rows[j * width * LANES + c]).sum();
+            velocity += (node.speeds[c] - moved) * share;
         }
-        for row in self.rows.elements().chunks_exact(n).take(self.used).skip(columns) {
-            let met = product(pc, row);
-            known += met * met;
-        }
-        let uncertain = quadratic(&self.sensitivity[1..], &counting.last.spread);
-        let variance = counting.model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
-        Mixed { value, variance: variance.max(counting.least[a]) + counting.model.unseen_m2[a], velocity }
+        let known = squared(&met[columns..used]);
+        let uncertain = quadratic(&self.sensitivity[1..], &last.spread);
+        let variance = model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
+        Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a], velocity }
     }
 }
 
-/// Σ of the products of elements, as far as the first vector goes.
+/// Φ times covariances with the motion of all axes, `dt` seconds on.
+#[inline]
+fn move_on(covariances: &mut [f64], dt: f64) {
+    let half = 0.5 * dt * dt;
+    for motion in covariances.chunks_exact_mut(MOTION_STATES) {
+        let (v, b) = (motion[1], motion[2]);
+        motion[0] += dt * v - half * b;
+        motion[1] = v - dt * b;
+    }
+}
+
+/// Adds elements times a factor.
 #[inline(always)]
-fn product(v: &[f64], row: &[f64]) -> f64 {
-    v.iter().zip(row).map(|(a, b)| a * b).sum()
+fn add_times(to: &mut [f64; LANES], elements: &[f64; LANES], factor: f64) {
+    for (sum, one) in to.iter_mut().zip(elements) {
+        *sum += factor * one;
+    }
+}
+
+/// Σ of the squares.
+#[inline(always)]
+fn squared(v: &[f64]) -> f64 {
+    v.iter().map(|a| a * a).sum()
+}
+
+/// How the pass back counts the states, and by which parameters.
+///
+/// x becomes x + z of the channel that all of an axis count from, where its zero is unknown, and the zeros of the others of
+/// which nothing is known become what they differ from it by. Until a known zero begins, x and those zeros are only known
+/// relative to each other; so they are wide in one of the new states alone.
+#[derive(Clone, Debug)]
+pub struct Counting {
+    /// Of each axis the zero that all count from, and the unknown zeros that are counted from it.
+    pub(super) common: Vec<Option<(usize, Vec<usize>)>>,
+    /// Each channel's row as the states are counted.
+    pub(super) rows: Vec<Vec<Entry>>,
+    /// States (n,) that are counted from another one or others from it: uncertain in any case.
+    pub(super) counted: Vec<bool>,
+}
+
+/// What a pass back goes by.
+#[derive(Clone, Copy, Debug)]
+pub struct Counted<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// How the states are counted.
+    pub counting: &'a Counting,
+    /// The filter at the record's end.
+    pub last: &'a Hypothesis,
+}
+
+impl Counting {
+    /// Before: the filter at the beginning of what was decided.
+    pub fn new(model: &Model, before: &Hypothesis, parts: &[&Decided]) -> Self {
+        let common: Vec<_> = (0..model.axes()).map(|a| common_zero(model, a, before, parts)).collect();
+        let rows =
+            model.channels.iter().map(|channel| counted_row(&channel.row.entries, channel.row.axis, &common)).collect();
+        let mut counted = vec![false; model.size()];
+        for (zero, others) in common.iter().flatten() {
+            counted[*zero] = true;
+            for &other in others {
+                counted[other] = true;
+            }
+        }
+        Self { common, rows, counted }
+    }
+
+    /// A vector (n,) of covariances or gains as the states are counted.
+    #[inline]
+    pub fn count(&self, v: &mut [f64]) {
+        for (a, common) in self.common.iter().enumerate() {
+            if let Some((zero, others)) = common {
+                let own = v[*zero];
+                v[motion_of(a)] += own;
+                for &other in others {
+                    v[other] -= own;
+                }
+            }
+        }
+    }
+
+    /// Whether it counts as it would after what was decided.
+    pub fn holds(&self, model: &Model, before: &Hypothesis, parts: &[&Decided]) -> bool {
+        self.common.iter().enumerate().all(|(a, common)| *common == common_zero(model, a, before, parts))
+    }
+
+    /// Whether any state is counted otherwise.
+    pub fn counts(&self) -> bool {
+        self.common.iter().any(Option::is_some)
+    }
+}
+
+/// The unknown zero that an axis counts from on the way back, its first channel's, and the other unknown ones.
+fn common_zero(model: &Model, a: usize, before: &Hypothesis, parts: &[&Decided]) -> Option<(usize, Vec<usize>)> {
+    let own = |c: usize| model.channels[c].row.axis == a;
+    let begun = |c: &usize| own(*c) && before.marks[*c].begun;
+    let known = |c: &usize| model.channels[*c].zero_variance.is_some();
+    let all = || 0..model.channels.len();
+    let met = || {
+        let items = parts.iter().flat_map(|part| part.items.iter().zip(&part.decisions));
+        items.filter(|(_, decision)| !decision.is_outlier()).filter_map(|(item, _)| item.channel()).find(|&c| own(c))
+    };
+    let first = all().filter(begun).find(known).or_else(|| all().find(begun)).or_else(met)?;
+    if known(&first) {
+        return None;
+    }
+    let others = all().filter(|&c| c != first && own(c) && !known(&c)).map(|c| model.channels[c].zero).collect();
+    Some((model.channels[first].zero, others))
+}
+
+/// A row as the states are counted: x = x' − z, and the other unknown zeros are z' + z.
+fn counted_row(entries: &[Entry], axis: usize, common: &[Option<(usize, Vec<usize>)>]) -> Vec<Entry> {
+    let mut counted = entries.to_vec();
+    let Some(Some((zero, others))) = common.get(axis) else { return counted };
+    let place = motion_of(axis);
+    let mut factor = 0.0;
+    for entry in entries {
+        if entry.state == *zero || others.contains(&entry.state) {
+            factor += entry.factor;
+        } else if entry.state == place {
+            factor -= entry.factor;
+        }
+    }
+    counted.retain(|one| one.state != *zero);
+    if factor != 0.0 {
+        counted.push(Entry { state: *zero, factor });
+    }
+    counted
 }

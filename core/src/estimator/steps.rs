@@ -12,10 +12,13 @@
 //! instant is not in use all is 0 and stays so.
 
 use super::hypothesis::{Contradiction, Hypothesis};
-use super::layout::motion_of;
+use super::layout::{MOTION_STATES, motion_of};
 use super::matrix::Matrix;
 use super::model::{ChannelModel, Model};
 use super::row::Row;
+use super::settings::Rates;
+use super::situation::met_within;
+use crate::track::vectors::vectorised;
 use serde::{Deserialize, Serialize};
 
 /// Instants at which a step may have begun, of each sensor along each axis.
@@ -28,19 +31,20 @@ pub const APART_BY: f64 = 0.25;
 pub const SURE: f64 = 0.0;
 /// After this share of the gaps a sensor has been moved or set up anew, as its clock may have been.
 const P_MOVED: f64 = 0.1;
+/// No step and no wrong acceleration is more probable beforehand, and the logarithm of that.
+const MAX_PROBABILITY: f64 = 0.5;
+const MAX_LOG_PROBABILITY: f64 = -std::f64::consts::LN_2;
 /// Both causes of all instants: the zero's step (1 m), then that of the velocity (1 m/s).
 const LANES: usize = 2 * INSTANTS;
 const LOG_2PI: f64 = 1.837_877_066_409_345_3;
 
-/// When a step may have begun, and the logarithms of the probabilities of a step and of a wrong acceleration then.
+/// When a step may have begun, and the time since the measurement before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Instant {
     /// When, s.
     pub since_s: f64,
-    /// Of a step.
-    pub p_step: f64,
-    /// Of a wrong acceleration.
-    pub p_velocity: f64,
+    /// Time in which it may have happened, s.
+    pub lapse_s: f64,
 }
 
 /// The steps that a group of channels may have made.
@@ -64,6 +68,10 @@ pub struct StepTest {
 /// The parameters of a hypothesis and what is known of its group, by which steps are weighed.
 #[derive(Clone, Copy)]
 pub struct Weighed<'a> {
+    /// The channel whose measurement tells it.
+    pub channel: &'a ChannelModel,
+    /// How often each cause is met.
+    pub rates: &'a Rates,
     /// The parameters as estimated (k,).
     pub parameters: &'a [f64],
     /// Their covariance (k, k).
@@ -72,6 +80,13 @@ pub struct Weighed<'a> {
     pub misfit: f64,
     /// Logarithm of the density of the size's logarithm.
     pub even: f64,
+}
+
+impl Weighed<'_> {
+    /// Chi-square that odds of `least` need at least, of a cause with the logarithm of this probability.
+    fn needed(&self, prior: f64, least: f64) -> f64 {
+        ((2.0 * (least - prior - self.even) - LOG_2PI) * self.misfit).max(1.0)
+    }
 }
 
 impl StepTest {
@@ -135,19 +150,14 @@ impl StepTest {
     fn carry(&mut self, at_s: f64, axis: usize) {
         let dt = at_s - self.carried_s;
         self.carried_s = at_s;
-        if dt == 0.0 || !self.any() {
-            return;
-        }
-        let (half, first) = (0.5 * dt * dt, self.state(motion_of(axis)));
-        let [places, speeds, biases] = &mut self.sums[first..first + 3] else { return };
-        for ((place, speed), &bias) in places.iter_mut().zip(speeds).zip(biases.iter()) {
-            *place += dt * *speed - half * bias;
-            *speed -= dt * bias;
+        let first = self.state(motion_of(axis));
+        if dt != 0.0 && self.any() {
+            carry_lanes(&mut self.sums[first..first + MOTION_STATES], dt);
         }
     }
 
     /// Begins a candidate in the place of the oldest.
-    fn begin(&mut self, instant: Instant, last_s: f64, zeros: impl Iterator<Item = usize>, axis: usize) {
+    fn begin(&mut self, instant: Instant, zeros: impl Iterator<Item = usize>, axis: usize) {
         let place = self.next;
         self.next = (place + 1) % INSTANTS;
         self.taken_over = 0.0;
@@ -164,34 +174,8 @@ impl StepTest {
         // It happened some time since the measurement before.
         self.changed[motion_of(axis)..motion_of(axis) + 2].fill(true);
         let i = self.state(motion_of(axis));
-        self.sums[i][INSTANTS + place] = 0.5 * (instant.since_s - last_s);
+        self.sums[i][INSTANTS + place] = 0.5 * instant.lapse_s;
         self.sums[i + 1][INSTANTS + place] = 1.0;
-    }
-
-    /// Adds an innovation `e` (1 + k) and its variance to the sums; gain (n,): K of its update.
-    fn meet(&mut self, row: &Row, gain: &[f64], e: &[f64], total: f64) {
-        if !self.any() {
-            return;
-        }
-        let mut signature = [0.0; LANES];
-        for entry in row.entries.iter().filter(|one| self.changed[one.state]) {
-            add_times(&mut signature, &self.sums[1 + self.columns + entry.state], entry.factor);
-        }
-        let (inverse, mut share) = (1.0 / total, [0.0; LANES]);
-        add_times(&mut share, &signature, inverse);
-        let (information, sums) = self.sums.split_at_mut(1);
-        for ((sum, one), other) in information[0].iter_mut().zip(&signature).zip(&share) {
-            *sum += one * other;
-        }
-        for (sum, &error) in sums.iter_mut().zip(e) {
-            add_times(sum, &share, error);
-        }
-        for ((sum, &own), changed) in sums[self.columns..].iter_mut().zip(gain).zip(&mut self.changed) {
-            if own != 0.0 {
-                *changed = true;
-                add_times(sum, &signature, -own);
-            }
-        }
     }
 
     /// The information of a lane, and signature times innovation with the parameters.
@@ -207,9 +191,8 @@ impl StepTest {
     /// or the size is below its deviation.
     fn odds(&self, lane: usize, prior: f64, weighed: &Weighed, least: f64) -> Option<f64> {
         let (known, matched) = self.matched(lane, weighed.parameters);
-        // Most are refused here, without a division: chi-square is not what the odds would need.
-        let needed = (2.0 * (least - prior - weighed.even) - LOG_2PI) * weighed.misfit;
-        if known <= 0.0 || matched * matched <= known * needed.max(1.0) {
+        // Most are refused here, without a division.
+        if known <= 0.0 || matched * matched <= known * weighed.needed(prior, least) {
             return None;
         }
         let most = |chi: f64| prior + weighed.even + 0.5 * (chi / weighed.misfit + LOG_2PI);
@@ -228,18 +211,28 @@ impl StepTest {
         (chi > 1.0 && most(chi) > least).then(|| most(chi) - 0.5 * chi.ln())
     }
 
+    /// Of each lane whether its sums tell so much that its cause may be likely.
+    fn may_tell(&self, weighed: &Weighed, least: f64) -> [bool; LANES] {
+        let (mut matched, mut may) = (self.sums[1], [false; LANES]);
+        for (q, &value) in weighed.parameters.iter().enumerate() {
+            add_times(&mut matched, &self.sums[2 + q], value);
+        }
+        let needed = weighed.needed(MAX_LOG_PROBABILITY, least);
+        for ((may, one), known) in may.iter_mut().zip(&matched).zip(&self.sums[0]) {
+            *may = one * one > known * needed;
+        }
+        may
+    }
+
     /// The place of the likeliest instant of a step; None where the odds (logarithm) of each, against no step or against
     /// a wrong acceleration, whichever is likelier, are below `least`.
     pub fn likeliest(&self, weighed: &Weighed, least: f64) -> Option<usize> {
+        let (Weighed { channel, rates, .. }, may) = (weighed, self.may_tell(weighed, least));
         let mut best: Option<(usize, f64)> = None;
-        for (place, instant) in self.instants.iter().enumerate() {
+        for (place, (instant, _)) in self.instants.iter().zip(&may).enumerate().filter(|(_, (_, may))| **may) {
             let Some(instant) = instant else { continue };
-            let (known, matched) = self.matched(place, weighed.parameters);
-            // Most are refused here: a size below its deviation is no step.
-            if matched * matched <= known {
-                continue;
-            }
-            if let Some(odds) = self.odds(place, instant.p_step, weighed, least) {
+            let prior = moved_probability(instant.lapse_s, channel, rates.shift).ln();
+            if let Some(odds) = self.odds(place, prior, weighed, least) {
                 if best.is_none_or(|(_, before)| odds > before) {
                     best = Some((place, odds));
                 }
@@ -247,7 +240,8 @@ impl StepTest {
         }
         let (place, odds) = best?;
         let other = self.instants.iter().enumerate().filter_map(|(place, instant)| {
-            self.odds(INSTANTS + place, instant.as_ref()?.p_velocity, weighed, f64::NEG_INFINITY)
+            let prior = met_within(rates.wrong, instant.as_ref()?.lapse_s).min(MAX_PROBABILITY).ln();
+            self.odds(INSTANTS + place, prior, weighed, f64::NEG_INFINITY)
         });
         (odds - other.fold(0.0, f64::max) >= least).then_some(place)
     }
@@ -269,6 +263,45 @@ impl StepTest {
             }
         }
         Contradiction { size: matched / known, variance, ago_s: 0.0 }
+    }
+}
+
+vectorised! {
+    /// Moves what all causes have changed of a motion by `dt` seconds.
+    fn carry_lanes(motion: &mut [[f64; LANES]], dt: f64) {
+        let [places, speeds, biases] = motion else { return };
+        let half = 0.5 * dt * dt;
+        for ((place, speed), &bias) in places.iter_mut().zip(speeds).zip(biases.iter()) {
+            *place += dt * *speed - half * bias;
+            *speed -= dt * bias;
+        }
+    }
+}
+
+vectorised! {
+    /// Adds an innovation `e` (1 + k) and its variance to the sums; gain (n,): K of its update.
+    fn meet_lanes(test: &mut StepTest, row: &Row, gain: &[f64], e: &[f64], total: f64) {
+        let mut signature = [0.0; LANES];
+        for entry in &row.entries {
+            if test.changed[entry.state] {
+                add_times(&mut signature, &test.sums[1 + test.columns + entry.state], entry.factor);
+            }
+        }
+        let (inverse, mut share) = (1.0 / total, [0.0; LANES]);
+        add_times(&mut share, &signature, inverse);
+        let (information, sums) = test.sums.split_at_mut(1);
+        for ((sum, one), other) in information[0].iter_mut().zip(&signature).zip(&share) {
+            *sum += one * other;
+        }
+        for (sum, &error) in sums.iter_mut().zip(e) {
+            add_times(sum, &share, error);
+        }
+        for ((sum, &own), changed) in sums[test.columns..].iter_mut().zip(gain).zip(&mut test.changed) {
+            if own != 0.0 {
+                *changed = true;
+                add_times(sum, &signature, -own);
+            }
+        }
     }
 }
 
@@ -300,22 +333,24 @@ pub fn scale_changed(tests: &mut [StepTest], j: usize, factor: f64) {
     }
 }
 
-/// Begins a candidate of a channel's group at a measurement; last_s: of the measurement before.
-pub fn begin_instant(hyp: &mut Hypothesis, channel: &ChannelModel, model: &Model, instant: Instant, last_s: f64) {
+/// Begins a candidate of a channel's group at a measurement.
+pub fn begin_instant(hyp: &mut Hypothesis, channel: &ChannelModel, model: &Model, instant: Instant) {
     let group = channel.group;
     let zeros = model.channels.iter().filter(|one| one.group == group).map(|one| one.shift);
-    hyp.tests[group].begin(instant, last_s, zeros, channel.row.axis);
+    hyp.tests[group].begin(instant, zeros, channel.row.axis);
 }
 
 /// Adds an innovation to the sums of all groups along its axis.
 pub fn meet_innovation(tests: &mut [StepTest], row: &Row, axes: usize, gain: &[f64], e: &[f64], total: f64) {
     for test in tests.iter_mut().skip(row.axis).step_by(axes) {
-        test.meet(row, gain, e, total);
+        if test.any() {
+            meet_lanes(test, row, gain, e, total);
+        }
     }
 }
 
 /// Probability that a sensor's zero has shifted since its last measurement, `lapse` (s) ago; rate: a second.
-pub fn moved_probability(lapse: f64, channel: &ChannelModel, rate: f64) -> f64 {
-    let met = (-(-rate * lapse).exp_m1()).min(0.5);
+fn moved_probability(lapse: f64, channel: &ChannelModel, rate: f64) -> f64 {
+    let met = met_within(rate, lapse).min(MAX_PROBABILITY);
     if lapse > channel.coasting_s { met.max(P_MOVED) } else { met }
 }

@@ -3,19 +3,17 @@
 //! Measurements wait for the samples that cover their time. Rows are held back until the first few measurements have come:
 //! the first of them is then judged by those after it.
 
-use super::decided::{Decided, MAX_UNDECIDED, Undecided, channels_exist};
+use super::decided::{Log, Logged, MAX_UNDECIDED, Undecided, channels_exist};
 use super::innovation::{Work, predict_value};
-use super::log::{Log, Logged};
 use super::model::{Model, instant, since};
 use super::motion::GAP_STEPS;
-use super::output::Output;
 use super::reports::{Report, Reports};
-use super::rows::{Innovations, Rows, innovations_of, zero_variance};
+use super::rows::{Innovations, Output, zero_variance};
 use super::run::{Block, Filter, Judge};
-use super::samples::{Samples, View};
+use super::samples::{Integrated, Samples, View};
 use super::settings::Settings;
-use super::unmeasured::Integrated;
 use super::waiting::{Item, Measurement, Timed};
+use super::way_back::WayBack;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -64,6 +62,8 @@ pub struct Estimator {
     pub(super) one_past: bool,
     pub(super) work: Work,
     pub(super) time_s: Vec<f64>,
+    /// The items of a run.
+    pub(super) items: Vec<Timed>,
 }
 
 impl Estimator {
@@ -96,6 +96,7 @@ impl Estimator {
             one_past: true,
             work,
             time_s: Vec::new(),
+            items: Vec::new(),
         }
     }
 
@@ -174,20 +175,19 @@ impl Estimator {
         true
     }
 
-    /// Takes samples, which are later than all before; returns what is due.
-    pub fn push(&mut self, samples: View) -> Option<Output> {
-        let mut found: Option<Output> = None;
+    /// Takes samples, which are later than all before, and adds what is due; back: takes what a pass back needs, while one
+    /// hypothesis takes all measurements as good.
+    pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
         for first in (0..samples.len()).step_by(self.limits.block) {
             let end = samples.len().min(first + self.limits.block);
-            if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()) {
+            if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
                 rows.reserve(samples.len() - first);
             }
-            self.push_block(samples.part(first, end), &mut found);
+            self.push_block(samples.part(first, end), back.as_deref_mut(), found);
         }
-        found
     }
 
-    fn push_block(&mut self, samples: View, found: &mut Option<Output>) {
+    fn push_block(&mut self, samples: View, back: Option<&mut WayBack>, found: &mut Option<Output>) {
         if self.memory.origin_ns.is_none() {
             self.memory.origin_ns = samples.time_ns.first().copied();
             let origin_ns = self.origin_ns();
@@ -201,7 +201,7 @@ impl Estimator {
             self.memory.alone = Integrated::after(alone, samples, origin_ns, &self.settings.bias_m_s2);
         }
         if self.memory.filter.is_some() {
-            self.run(samples, found);
+            self.run(samples, back, found);
         } else {
             self.hold(samples, found);
         }
@@ -237,34 +237,31 @@ impl Estimator {
     }
 
     /// The rows of samples; where they are logged, run up to where the log keeps the filter, and then on.
-    pub(super) fn run(&mut self, samples: View, found: &mut Option<Output>) {
+    pub(super) fn run(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
         let mut first = 0;
         while first < samples.len() {
             let logged = self.log.as_ref().map_or(0, |log| log.samples.len());
             let end = samples.len().min(first + self.limits.block - logged % self.limits.block);
-            self.run_on(samples.part(first, end), found);
+            self.run_on(samples.part(first, end), back.as_deref_mut(), found);
             first = end;
         }
     }
 
-    fn run_on(&mut self, samples: View, found: &mut Option<Output>) {
+    fn run_on(&mut self, samples: View, back: Option<&mut WayBack>, found: &mut Option<Output>) {
         let origin_ns = self.origin_ns();
-        let mut time_s = std::mem::take(&mut self.time_s);
-        samples.seconds(origin_ns, &mut time_s);
-        let (Some(&end_s), Some(mut filter)) = (time_s.last(), self.memory.filter.take()) else { return };
-        let mut items = self.due(end_s);
-        let before = found.as_mut().and_then(|one| one.rows.take());
-        let none = || self.give_rows.then(|| Rows::with_room(self.settings.axes, samples.len()));
-        let mut rows = before.or_else(none);
-        let mut met = Vec::with_capacity(items.len());
+        samples.seconds(origin_ns, &mut self.time_s);
+        let (Some(&end_s), Some(mut filter)) = (self.time_s.last(), self.memory.filter.take()) else { return };
+        self.take_due(end_s);
+        let output = found.get_or_insert_default();
+        output.innovations.resize_with(self.settings.channels.len(), Innovations::default);
+        let rows = self.give_rows.then(|| output.rows.get_or_insert_default());
         let first_ns = instant(self.memory.first_s, origin_ns);
-        let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
-        let mut open = Judge::Open { undecided: &mut self.memory.undecided, met: &mut met };
-        filter.run(&self.model, &mut block, &mut open, rows.as_mut(), &mut self.work);
+        let mut block = Block { samples, time_s: &self.time_s, items: &mut self.items, first_ns };
+        let (undecided, innovations) = (&mut self.memory.undecided, &mut output.innovations);
+        let mut open = Judge::Open { undecided, innovations, origin_ns, back };
+        filter.run(&self.model, &mut block, &mut open, rows, &mut self.work);
         self.memory.filter = Some(filter);
-        self.time_s = time_s;
-        let innovations = innovations_of(&items, &met, &self.model, origin_ns);
-        Output::add(found, self.output(samples, rows, innovations));
+        self.settle(samples, output);
     }
 
     /// How many of the waiting items are no later than an instant.
@@ -272,28 +269,26 @@ impl Estimator {
         self.memory.waiting.iter().take_while(|one| one.at_s <= until_s).count()
     }
 
-    /// Waiting items up to an instant, which no longer wait.
-    pub(super) fn due(&mut self, until_s: f64) -> Vec<Timed> {
+    /// Takes the waiting items up to an instant as those of the next run.
+    pub(super) fn take_due(&mut self, until_s: f64) {
         let count = self.count_due(until_s);
-        let items = self.memory.waiting.drain(..count).collect();
+        self.items.clear();
+        self.items.extend(self.memory.waiting.drain(..count));
         self.memory.overflown = self.memory.overflown && self.memory.waiting.len() > self.limits.waiting / 2;
-        items
     }
 
-    /// What a run gave; logs its samples, and what is decided now.
-    pub(super) fn output(&mut self, samples: View, rows: Option<Rows>, innovations: Vec<Innovations>) -> Output {
-        let count = self.memory.filter.as_ref().map_or(0, |filter| filter.hyps.count());
-        let decided = self.memory.undecided.settle(count);
-        let reports = self.settle(decided);
-        self.keep_samples(samples);
+    /// After a run over samples: logs them, and what is decided now.
+    pub(super) fn settle(&mut self, samples: View, output: &mut Output) {
         let best = self.memory.filter.as_ref().map(|filter| filter.hyps.best());
-        let zero_variance = (0..self.settings.axes)
-            .map(|a| best.map_or(0.0, |hyp| zero_variance(hyp, a, &self.model)) + self.settings.unseen_common_m2[a])
-            .collect();
-        Output { rows, innovations, reports, zero_variance }
-    }
-
-    fn keep_samples(&mut self, samples: View) {
+        output.zero_variance.clear();
+        output.zero_variance.extend(
+            (0..self.settings.axes).map(|a| {
+                best.map_or(0.0, |hyp| zero_variance(hyp, a, &self.model)) + self.settings.unseen_common_m2[a]
+            }),
+        );
+        let count = self.memory.filter.as_ref().map_or(0, |filter| filter.hyps.count());
+        self.memory.undecided.settle(count);
+        self.report(output);
         let (Some(log), Some(filter)) = (self.log.as_mut(), self.memory.filter.as_ref()) else { return };
         log.samples.extend(samples);
         // What was decided because more would have been undecided need not be the best hypothesis's past.
@@ -305,37 +300,37 @@ impl Estimator {
         }
     }
 
-    /// Logs what is final, and returns its events after those that waited.
-    fn settle(&mut self, decided: Decided) -> Vec<Report> {
-        if let Some(log) = self.log.as_mut() {
-            log.decided.extend(&decided);
-        }
+    /// Logs what is final, and gives its events after those that waited.
+    fn report(&mut self, output: &mut Output) {
         let origin_ns = self.origin_ns();
-        let mut reports = std::mem::take(&mut self.memory.pending);
-        reports.extend(self.memory.reports.after(&decided, &self.model, origin_ns));
-        reports
+        let Remembered { undecided, reports, pending, .. } = &mut self.memory;
+        if let Some(log) = self.log.as_mut() {
+            log.decided.extend(&undecided.settled);
+        }
+        output.reports.append(pending);
+        output.reports.extend(reports.after(&undecided.settled, &self.model, origin_ns));
+        undecided.settled.clear();
     }
 
-    /// The rows that are held back still, and events that the record's end completes.
-    pub fn finish(&mut self) -> Option<Output> {
-        let mut found = None;
+    /// Adds the rows that are held back still, and events that the record's end completes.
+    pub fn finish(&mut self, found: &mut Option<Output>) {
         if self.memory.filter.is_none() {
             if let Some(held) = self.memory.held.take() {
-                self.begin(held, true, &mut found);
+                self.begin(held, true, found);
             }
         }
-        let reports = if self.memory.filter.is_none() {
-            self.memory.pending.clone()
+        let mut output = Output::default();
+        if self.memory.filter.is_none() {
+            output.reports.clone_from(&self.memory.pending);
         } else {
             let decided = std::mem::take(&mut self.memory.undecided).best();
-            let mut reports = self.settle(decided);
-            reports.extend(self.memory.reports.ended(self.origin_ns()));
-            reports
-        };
-        if !reports.is_empty() {
-            Output::add(&mut found, Output { reports, ..Output::default() });
+            self.memory.undecided.settled = decided;
+            self.report(&mut output);
+            output.reports.extend(self.memory.reports.ended(self.origin_ns()));
         }
-        found
+        if !output.reports.is_empty() {
+            found.get_or_insert_default().reports.append(&mut output.reports);
+        }
     }
 
     /// Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.

@@ -1,7 +1,6 @@
 //! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
 
 use super::cause::Decision;
-use super::counting::Counting;
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
 use super::innovation::Work;
@@ -9,13 +8,13 @@ use super::layout::State;
 use super::matrix::Matrix;
 use super::model::Model;
 use super::motion::AxisMotion;
-use super::predict::{add_noise, predict_covariance};
+use super::predict::predict_covariance;
 use super::row::{Effect, Entry};
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::samples::Samples;
 use super::settings::{Channel, Rates, Settings};
-use super::smoother::Adjoint;
+use super::smoother::{Adjoint, Counted, Counting};
 use super::start::Beginning;
 use super::update::{project, update};
 use super::waiting::{Item, Measurement, Timed};
@@ -173,7 +172,7 @@ fn the_covariance_is_predicted_as_by_whole_matrices() {
         let mut uncertain = Vec::new();
         model.layout.find_uncertain(&p, &mut uncertain);
         assert!(!uncertain.contains(&moving) && uncertain.contains(&(n - 2)));
-        predict_covariance(&mut p, &model.layout, dt, &uncertain);
+        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[]);
         // Sums of a dozen products of size 10.
         assert!(close(&p, &expected, 1e-13) && p == transposed(&p));
     }
@@ -251,8 +250,7 @@ fn a_tilt_state_and_a_gyroscope_are_a_name_and_a_row_each() {
         let way = super::motion::Way::new(&[motion], 0.0, dt);
         super::predict::predict_mean(&mut x, 1, &way, &[]);
         model.layout.find_uncertain(&p, &mut uncertain);
-        predict_covariance(&mut p, &model.layout, dt, &uncertain);
-        add_noise(&mut p, 0, dt, density);
+        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[density]);
         let mut transition = Matrix::diagonal(&vec![1.0; n]);
         (transition[(0, 1)], transition[(0, 2)], transition[(1, 2)]) = (dt, -0.5 * dt * dt, -dt);
         let mut noise = Matrix::zeros(n, n);
@@ -295,7 +293,7 @@ fn run(model: &Model, settings: &Settings, items: &mut [Timed]) -> (Filter, Filt
     let mut time_s = Vec::new();
     samples.view().seconds(0, &mut time_s);
     let before = Filter::begun(&beginning(0.3, 0.5), settings, model);
-    let (mut filter, mut rows, mut way) = (before.clone(), Rows::with_room(1, 200), WayBack::default());
+    let (mut filter, mut rows, mut way) = (before.clone(), Rows::default(), WayBack::default());
     way.restart(model, before.clock.time_s);
     let decisions = vec![Decision::GOOD; items.len()];
     let mut block = Block { samples: samples.view(), time_s: &time_s, items, first_ns: 0 };
@@ -312,9 +310,10 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
         (0..40).map(|k| measured(0.03 + 0.047 * f64::from(k), 0, 1e-3 * f64::from(k % 5), 1e-6)).collect();
     let (before, last, rows, way) = run(&model, &set, &mut items);
     let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
-    let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
+    let view = Counted { model: &model, counting: &counting, last: last.hyps.best() };
     let (mut adjoint, mut found) = (Adjoint::nothing(&model), Vec::new());
-    adjoint.pass(&way, &counting, 0..200, &mut found);
+    adjoint.pass(&way, &view, 0..200, &mut found);
     let own = &rows.axes[0];
     assert_eq!(found.len(), 200);
     let end = found[199];
@@ -324,8 +323,8 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     }
     // The same without rows: what is carried to the beginning is the same.
     let mut other = Adjoint::nothing(&model);
-    other.pass(&way, &counting, 0..0, &mut found);
-    assert!(found.is_empty() && close(adjoint.rows(), other.rows(), 1e-9));
+    other.pass(&way, &view, 0..0, &mut found);
+    assert!(found.is_empty() && close(&adjoint.rows(), &other.rows(), 1e-9));
 }
 
 #[test]
@@ -337,12 +336,13 @@ fn certain_states_may_be_left_out_on_the_way_back() {
         .collect();
     let (before, last, _, mut way) = run(&model, &set, &mut items);
     let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
-    let counting = Counting::new(&model, before.hyps.best(), &[&decided], last.hyps.best());
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
+    let view = Counted { model: &model, counting: &counting, last: last.hyps.best() };
     let (mut quick, mut whole) = (Vec::new(), Vec::new());
-    Adjoint::nothing(&model).pass(&way, &counting, 0..way.len(), &mut quick);
+    Adjoint::nothing(&model).pass(&way, &view, 0..way.len(), &mut quick);
     let all: Vec<usize> = (0..model.size()).collect();
     way.note_uncertain(&all);
-    Adjoint::nothing(&model).pass(&way, &counting, 0..way.len(), &mut whole);
+    Adjoint::nothing(&model).pass(&way, &view, 0..way.len(), &mut whole);
     for (one, other) in quick.iter().zip(&whole) {
         // Rounding: W is rotated to another number of columns.
         assert!((one.value - other.value).abs() < 1e-6 * other.variance.sqrt());

@@ -6,8 +6,8 @@ use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
 use super::motion::{AxisMotion, Clock};
 use super::predict::{MotionCovariance, MotionMean};
-use super::rows::{AxisRows, Status, status_of};
-use super::samples::{BRIDGED, View};
+use super::rows::status_at;
+use super::samples::View;
 use super::waiting::{Item, Timed};
 
 /// What an item did to the filter.
@@ -32,6 +32,17 @@ pub(super) enum Recorded {
     Doubt,
 }
 
+/// Samples of which the same states are uncertain.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    /// Number of the first one.
+    sample: usize,
+    /// Where its node begins.
+    node: usize,
+    /// Where its states begin in `live`.
+    live: usize,
+}
+
 /// What a run leaves of a block for the pass back.
 #[derive(Clone, Debug, Default)]
 pub struct WayBack {
@@ -42,18 +53,27 @@ pub struct WayBack {
     pub(super) start_s: f64,
     /// Times of the samples, s.
     pub(super) time_s: Vec<f64>,
-    /// Of each sample and axis displacement relative to the datum (1 + k), true velocity (1 + k), and the covariances (n)
-    /// of both with all states.
-    pub(super) nodes: Vec<f64>,
-    /// Source and status of each axis' rows.
-    pub(super) statuses: Vec<AxisRows>,
+    /// Of each sample and axis displacement relative to the datum (1 + k), true velocity (1 + k), and the covariances of
+    /// both with the live states: those of the motion and those that are uncertain then.
+    nodes: Vec<f64>,
+    spans: Vec<Span>,
+    live: Vec<usize>,
+    /// Source and status of each sample (n · axes).
+    statuses: Vec<(u8, u8)>,
     pub(super) records: Vec<Record>,
     /// Of each record its sensitivities (1 + k) and gain (n).
     pub(super) details: Vec<f64>,
     /// States (n,) that are uncertain in some part of the block.
     pub(super) uncertain: Vec<bool>,
-    /// The motion's states and those that are uncertain now.
-    live: Vec<usize>,
+}
+
+/// The node of a sample along an axis: displacement and velocity (1 + k), and the covariances of both with the live states.
+pub(super) struct Node<'a> {
+    pub(super) places: &'a [f64],
+    pub(super) speeds: &'a [f64],
+    pub(super) live: &'a [usize],
+    pub(super) pc: &'a [f64],
+    pub(super) pv: &'a [f64],
 }
 
 impl WayBack {
@@ -62,11 +82,9 @@ impl WayBack {
         (self.axes, self.columns, self.size, self.start_s) = (model.axes(), model.columns(), model.size(), start_s);
         self.time_s.clear();
         self.nodes.clear();
-        self.statuses.resize_with(self.axes, AxisRows::default);
-        for one in &mut self.statuses {
-            one.source.clear();
-            one.status.clear();
-        }
+        self.spans.clear();
+        self.live.clear();
+        self.statuses.clear();
         self.records.clear();
         self.details.clear();
         self.uncertain.clear();
@@ -86,98 +104,105 @@ impl WayBack {
 
     /// Source and status of a sample's row along an axis.
     pub fn status(&self, k: usize, axis: usize) -> (u8, u8) {
-        let one = &self.statuses[axis];
-        (one.source[k], one.status[k])
+        self.statuses[k * self.axes + axis]
     }
 
     /// Marks states that are uncertain from here on, besides the motion's.
     #[inline]
     pub fn note_uncertain(&mut self, states: &[usize]) {
-        self.live.clear();
-        self.live.extend((0..MOTION_STATES * self.axes).chain(states.iter().copied()));
+        let moving = MOTION_STATES * self.axes;
+        let span = Span { sample: self.len(), node: self.nodes.len(), live: self.live.len() };
+        if let Some(last) = self.spans.last().copied() {
+            if self.live[last.live + moving..] == *states {
+                return;
+            }
+            if last.sample == span.sample {
+                self.spans.pop();
+                self.live.truncate(last.live);
+            }
+        }
+        self.spans.push(Span { live: self.live.len(), ..span });
+        self.live.extend((0..moving).chain(states.iter().copied()));
         for &j in states {
             self.uncertain[j] = true;
         }
+    }
+
+    /// The number of the span that a sample belongs to; near: of one that is not earlier.
+    #[inline]
+    pub(super) fn span_of(&self, k: usize, near: usize) -> usize {
+        let mut place = near.min(self.spans.len() - 1);
+        while self.spans[place].sample > k {
+            place -= 1;
+        }
+        place
+    }
+
+    /// The node of a sample of a span along an axis.
+    #[inline]
+    pub(super) fn node(&self, span: usize, k: usize, a: usize) -> Node<'_> {
+        let end = self.spans.get(span + 1).map_or(self.live.len(), |next| next.live);
+        let span = &self.spans[span];
+        let live = &self.live[span.live..end];
+        let stride = 2 * (self.columns + live.len());
+        let first = span.node + ((k - span.sample) * self.axes + a) * stride;
+        let (places, rest) = self.nodes[first..first + stride].split_at(self.columns);
+        let (speeds, rest) = rest.split_at(self.columns);
+        let (pc, pv) = rest.split_at(live.len());
+        Node { places, speeds, live, pc, pv }
     }
 
     /// Adds samples at these times (s), whose nodes and statuses are to be put; returns the number of the first.
     pub fn add_samples(&mut self, time_s: &[f64]) -> usize {
         let first = self.time_s.len();
         self.time_s.extend_from_slice(time_s);
-        let count = self.time_s.len();
-        self.nodes.resize(count * self.axes * 2 * (self.columns + self.size), 0.0);
-        for one in &mut self.statuses {
-            one.source.resize(count, 0);
-            one.status.resize(count, 0);
-        }
+        self.statuses.resize(self.time_s.len() * self.axes, (0, 0));
         first
     }
 
-    /// The node of a sample along an axis: displacement and velocity (1 + k), and the covariances of both (n).
+    /// Adds the node of the next sample along the next axis, of what the filter found: the motion's mean and covariance, and
+    /// what the velocity state is ahead; datum: the state that its rows count from.
     #[inline(always)]
-    fn node(&mut self, k: usize, a: usize) -> [&mut [f64]; 4] {
-        let stride = 2 * (self.columns + self.size);
-        let first = (k * self.axes + a) * stride;
-        let (places, rest) = self.nodes[first..first + stride].split_at_mut(self.columns);
-        let (speeds, rest) = rest.split_at_mut(self.columns);
-        let (pc, pv) = rest.split_at_mut(self.size);
-        [places, speeds, pc, pv]
-    }
-
-    /// Puts the mean that the filter found of a sample along an axis, and what the velocity state is ahead; datum: the state
-    /// that its rows count from.
-    #[inline(always)]
-    pub fn put_mean(
+    pub fn add_node(
         &mut self,
-        k: usize,
         a: usize,
-        (mean, ahead): (&MotionMean, f64),
+        (mean, own, ahead): (&MotionMean, &MotionCovariance, f64),
         hyp: &Hypothesis,
         datum: Option<usize>,
     ) {
-        let (i, x, [places, speeds, ..]) = (motion_of(a), &hyp.x, self.node(k, a));
+        let (i, x, p, columns) = (motion_of(a), &hyp.x, &hyp.p, self.columns);
+        let live = &self.live[self.spans.last().map_or(0, |span| span.live)..];
+        let first = self.nodes.len();
+        self.nodes.resize(first + 2 * (columns + live.len()), 0.0);
+        let (places, rest) = self.nodes[first..].split_at_mut(columns);
+        let (speeds, rest) = rest.split_at_mut(columns);
+        let (pc, pv) = rest.split_at_mut(live.len());
         (places[0], speeds[0]) = (mean.x, mean.v - ahead);
-        for q in 1..places.len() {
+        for q in 1..columns {
             (places[q], speeds[q]) = (x[(i, q)], x[(i + 1, q)]);
         }
-        if let Some(d) = datum {
-            for (q, place) in places.iter_mut().enumerate() {
-                *place -= x[(d, q)];
+        if live.len() > MOTION_STATES {
+            for ((c, v), &j) in pc.iter_mut().zip(pv.iter_mut()).zip(live) {
+                (*c, *v) = (p[(i, j)], p[(i + 1, j)]);
             }
-        }
-    }
-
-    /// Puts its covariances; those with states that are certain are 0, as which they were added.
-    #[inline(always)]
-    pub fn put_covariance(
-        &mut self,
-        k: usize,
-        a: usize,
-        own: &MotionCovariance,
-        hyp: &Hypothesis,
-        datum: Option<usize>,
-    ) {
-        let (i, p, live) = (motion_of(a), &hyp.p, std::mem::take(&mut self.live));
-        let [_, _, pc, pv] = self.node(k, a);
-        for &j in &live {
-            (pc[j], pv[j]) = (p[(i, j)], p[(i + 1, j)]);
         }
         pc[i..i + MOTION_STATES].copy_from_slice(&[own.xx, own.xv, own.xb]);
         pv[i..i + MOTION_STATES].copy_from_slice(&[own.xv, own.vv, own.vb]);
         if let Some(d) = datum {
+            for (q, place) in places.iter_mut().enumerate() {
+                *place -= x[(d, q)];
+            }
             // The motion's rows hold its covariances with the datum; the datum's may be behind.
-            for &j in &live {
-                pc[j] -= if j / MOTION_STATES == a { p[(j, d)] } else { p[(d, j)] };
+            for (c, &j) in pc.iter_mut().zip(live) {
+                *c -= if j / MOTION_STATES == a { p[(j, d)] } else { p[(d, j)] };
             }
         }
-        self.live = live;
     }
 
     /// Puts source and status of a sample's row along an axis.
     #[inline]
-    pub fn put_status(&mut self, k: usize, a: usize, source: u8, status: u8) {
-        let one = &mut self.statuses[a];
-        (one.source[k], one.status[k]) = (source, status);
+    pub fn put_status(&mut self, k: usize, a: usize, status: (u8, u8)) {
+        self.statuses[k * self.axes + a] = status;
     }
 
     /// Adds a sample with all its nodes.
@@ -193,11 +218,8 @@ impl WayBack {
         for (a, axis) in motion.iter().enumerate() {
             let (mean, own) = (MotionMean::of(&hyp.x, motion_of(a)), MotionCovariance::of(&hyp.p, motion_of(a)));
             let datum = model.datum.as_ref().map(|datum| datum[a]);
-            self.put_mean(k, a, (&mean, axis.ahead()), hyp, datum);
-            self.put_covariance(k, a, &own, hyp, datum);
-            let (source, status) = status_of(hyp, a, model, clock.time_s);
-            let bridged = at.0.kind[at.1] == BRIDGED;
-            self.put_status(k, a, source, if bridged { status.max(Status::Coasting) } else { status } as u8);
+            self.add_node(a, (&mean, &own, axis.ahead()), hyp, datum);
+            self.put_status(k, a, status_at(hyp, a, clock, model, at));
         }
     }
 

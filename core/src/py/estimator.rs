@@ -5,9 +5,8 @@ use super::settings::PySettings;
 use crate::estimator::lag::Lag;
 use crate::estimator::matrix::Matrix;
 use crate::estimator::model::instant;
-use crate::estimator::output::Output;
 use crate::estimator::reports::{Report, What};
-use crate::estimator::rows::{AxisRows, Innovations, Rows};
+use crate::estimator::rows::{AxisRows, Innovations, Output, Rows};
 use crate::estimator::run::Filter;
 use crate::estimator::samples::View;
 use crate::estimator::second_pass::smooth;
@@ -222,8 +221,9 @@ impl Estimator {
     ) -> PyResult<Vec<OutputTuple<'py>>> {
         let samples = PySamples { axes: self.own.settings().axes, time_ns, value, density, kind };
         let (view, own) = (samples.view()?, &mut self.own);
-        let outputs = py.detach(|| own.push(view));
-        Ok(outputs.into_iter().map(|one| output_tuple(py, one)).collect())
+        let mut output = None;
+        py.detach(|| own.push(view, None, &mut output));
+        Ok(output.into_iter().map(|one| output_tuple(py, one)).collect())
     }
 
     fn measure(
@@ -243,8 +243,9 @@ impl Estimator {
 
     fn finish<'py>(&mut self, py: Python<'py>) -> Vec<OutputTuple<'py>> {
         let own = &mut self.own;
-        let outputs = py.detach(|| own.finish());
-        outputs.into_iter().map(|one| output_tuple(py, one)).collect()
+        let mut output = None;
+        py.detach(|| own.finish(&mut output));
+        output.into_iter().map(|one| output_tuple(py, one)).collect()
     }
 
     fn predict(&self, channel: usize, time_ns: i64) -> PyResult<Option<(f64, f64)>> {
@@ -350,8 +351,9 @@ impl PyLag {
     ) -> PyResult<Vec<OutputTuple<'py>>> {
         let samples = PySamples { axes: self.own.estimator.settings().axes, time_ns, value, density, kind };
         let (view, own) = (samples.view()?, &mut self.own);
-        let outputs = py.detach(|| own.push(view));
-        Ok(outputs.into_iter().map(|one| output_tuple(py, one)).collect())
+        let mut output = None;
+        py.detach(|| own.push(view, &mut output));
+        Ok(output.into_iter().map(|one| output_tuple(py, one)).collect())
     }
 
     fn measure(
@@ -371,8 +373,9 @@ impl PyLag {
 
     fn finish<'py>(&mut self, py: Python<'py>) -> Vec<OutputTuple<'py>> {
         let own = &mut self.own;
-        let outputs = py.detach(|| own.finish());
-        outputs.into_iter().map(|one| output_tuple(py, one)).collect()
+        let mut output = None;
+        py.detach(|| own.finish(&mut output));
+        output.into_iter().map(|one| output_tuple(py, one)).collect()
     }
 
     fn predict(&self, channel: usize, time_ns: i64) -> PyResult<Option<(f64, f64)>> {
@@ -384,11 +387,11 @@ impl PyLag {
     }
 
     /// How many samples, decided and undecided measurements are held.
-    fn held(&mut self) -> (usize, usize, usize) {
+    fn held(&self) -> (usize, usize, usize) {
         self.own.held()
     }
 
-    fn state<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &to_bytes(&self.own.memory()).map_err(state_error)?))
     }
 

@@ -28,7 +28,7 @@ fn whiten<'py>(
     same_length("rows, values", rows.len(), values.nrows())?;
     // Times of records are 64-bit nanoseconds; what lies farther apart would be stepped through for ever.
     let longest_s = i64::MAX as f64 * 1e-9;
-    if rows.iter().chain(&pieces).any(|[time, _]| !(time.abs() <= longest_s)) {
+    if rows.iter().chain(&pieces).any(|[time, _]| !(-longest_s..=longest_s).contains(time)) {
         return Err(PyValueError::new_err("pieces, rows: a time that is not finite or beyond 64-bit nanoseconds"));
     }
     if longer.is_some_and(|longer| longer.dim() != values.dim()) {

@@ -43,7 +43,9 @@ MAX_SKEW = 0.01
 
 def clearly_better(fit: Fit, other: Fit) -> bool:
     """Whether a fit is so much more likely than another that no noise can have decided between them."""
-    share = other.noise / fit.noise * np.exp(_entropy(other.whitened.variance) - _entropy(fit.whitened.variance)) - 1.0
+    # Residual powers at two offsets compare with the innovations' variances.
+    apart = np.mean(np.log(other.whitened.variance)) - np.mean(np.log(fit.whitened.variance))
+    share = other.noise / fit.noise * np.exp(apart) - 1.0
     lead = fit.likelihood - other.likelihood
     return bool(lead >= _least_by_chance(len(fit.whitened.variance)) and share >= AMBIGUOUS_SHARE)
 
@@ -58,11 +60,6 @@ def _least_by_chance(count: int) -> float:
     return max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * float(np.sqrt(count)))
 
 
-def _entropy(variance: Floats) -> float:
-    """Mean logarithm of the innovations' variances, so that residual powers at two offsets compare."""
-    return float(np.mean(np.log(variance)))
-
-
 @dataclass(frozen=True, slots=True)
 class Misfit:
     """How far the innovations' spectrum exceeds a white one: factor on the variance, 1 where it may be white; where."""
@@ -74,16 +71,14 @@ class Misfit:
         """A sentence where the model does not hold."""
         if self.factor <= 1.0:
             return []
-        return [
-            Notice(
-                "misfit",
-                f"{sensor}: what it and the accelerometer differ by is no white noise: near {self.frequency_hz:.2g} Hz "
-                f"it is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of "
-                "that. Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was "
-                "not declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor, a "
-                "machine above half the accelerometer's rate, play in a joint, a clock that steps.",
-            )
-        ]
+        text = (
+            f"{sensor}: what it and the accelerometer differ by is no white noise: near {self.frequency_hz:.2g} Hz it "
+            f"is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of that. "
+            "Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was not "
+            "declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor, a machine "
+            "above half the accelerometer's rate, play in a joint, a clock that steps."
+        )
+        return [Notice("misfit", text)]
 
 
 def misfit(pair: Pair, fit: Fit) -> Misfit:
@@ -132,19 +127,6 @@ def offset_variance_factor(fit: Fit) -> float:
     return max(1.0, float(weight @ smooth / max(float(np.sum(weight) * np.mean(power)), 1e-300)))
 
 
-def colour(fit: Fit) -> tuple[float, float]:
-    """Sum of squared autocorrelations of the innovations times their number, and the sum itself."""
-    residual = fit.residual
-    residual = residual - np.median(residual)
-    limit = CLIPPED * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual)))
-    left = np.clip(residual, -limit, limit)
-    power = float(np.sum(left**2))
-    if len(left) <= 2 * FOLLOWING or power == 0.0:
-        return 0.0, 0.0
-    total = sum(float(np.sum(left[k:] * left[:-k]) / power) ** 2 for k in range(1, FOLLOWING + 1))
-    return len(left) * total, total
-
-
 def unexplained(pair: Pair, fit: Fit) -> bool:
     """Whether what the fit leaves is motion, not noise, even where the sensor's clock may run apart evenly.
 
@@ -157,8 +139,16 @@ def unexplained(pair: Pair, fit: Fit) -> bool:
 
 
 def _coloured(fit: Fit) -> bool:
-    statistic, share = colour(fit)
-    return statistic > MAX_FOLLOWING and share > MAX_CORRELATED
+    """Whether squared autocorrelations of the innovations sum up to more than white ones do."""
+    residual = fit.residual
+    residual = residual - np.median(residual)
+    limit = CLIPPED * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual)))
+    left = np.clip(residual, -limit, limit)
+    power = float(np.sum(left**2))
+    if len(left) <= 2 * FOLLOWING or power == 0.0:
+        return False
+    total = sum(float(np.sum(left[k:] * left[:-k]) / power) ** 2 for k in range(1, FOLLOWING + 1))
+    return len(left) * total > MAX_FOLLOWING and total > MAX_CORRELATED
 
 
 def noise_share(pair: Pair, fit: Fit, noise: float) -> float:
@@ -173,14 +163,19 @@ def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
     rows = pair.rows[pair.used(fit.offset_s)]
     if rows[-1, 0] - rows[0, 0] < LONG_S:
         return None
-    samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
-    metres = rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
-    rate = drift(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
+    rate = drift(compared_by(pair, fit, rows), WINDOW_S).skew
     if not abs(rate) < MAX_SKEW:
         return None
     pair = at_rate(pair, fit.offset_s, rate)
     other = refine(pair, best_corner(pair, fit.offset_s), 0.02)
     return (other, rate) if clearly_better(other, fit) else None
+
+
+def compared_by(pair: Pair, fit: Fit, rows: Floats) -> Compared:
+    """Rows (m, 3) of a pair in metres on the accelerometer's clock, and its samples, with the noise levels of a fit."""
+    metres = rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
+    samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
+    return Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0]))
 
 
 def at_rate(pair: Pair, offset_s: float, rate: float) -> Pair:

@@ -36,8 +36,7 @@ MAX_READINGS, BLOCKS = 1500, 16
 MIN_READINGS = 60
 # Motion slower than this share of the acceleration's main frequency is left out: double integrals wander there.
 SLOWEST_SHARE, SLOWEST_HZ = 0.25, 0.05
-# Ordinates of the acceleration's spectrum tell its main frequency where white noise makes one of a record as strong
-# with this probability.
+# Ordinates of the acceleration's spectrum tell its main frequency where white noise is as strong so improbably.
 BY_CHANCE = 1e-3
 # Frequencies (Hz) of low-passes that are tried, widths of a play in rms of the motion, step of a clock's offsets, s.
 LOW_PASSES_HZ, PLAYS = np.geomspace(0.5, 40.0, 30), np.geomspace(0.05, 3.0, 36)
@@ -64,7 +63,7 @@ class Cause(StrEnum):
     TONE = "a vibration that only the accelerometer has, or that it aliases (a machine above half its rate)"
 
 
-def listed(*without: Cause) -> str:
+def _listed(*without: Cause) -> str:
     """All causes but some, as the end of a sentence."""
     left = [cause.value for cause in Cause if cause not in without]
     return ", ".join(left[:-1]) + " or " + left[-1]
@@ -72,19 +71,15 @@ def listed(*without: Cause) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """The cause that explains best, with the share of the difference (power) that it leaves, and its lead over the next
-    one (logarithm of the likelihood). named: whether it is clearly the one. difference_m: what is to be explained, rms.
-    """
+    """The cause that stands out, the share of the difference (power) that it leaves, and that difference, rms."""
 
     cause: Cause
     left: float
-    lead: float
-    named: bool
     difference_m: float
 
 
-def likeliest_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
-    """The cause of what a displacement (in m, as its unit says) differs by; None where too little is compared.
+def named_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
+    """The cause of what a displacement (in m, as its unit says) differs by; None where none stands out.
 
     offset_s: a clock offset that there may be besides any of them.
     """
@@ -93,11 +88,8 @@ def likeliest_cause(pair: Pair, offset_s: float = 0.0) -> Explained | None:
     compared = Comparison.of(pair)
     if len(compared.time_s) < MIN_READINGS:
         return None
-    found = _best(compared)
-    if found.named or offset_s == 0.0:
-        return found
-    besides = _best(compared.later(offset_s))
-    return besides if besides.named else found
+    found = _named(compared)
+    return found if found is not None or offset_s == 0.0 else _named(compared.later(offset_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,19 +183,15 @@ class Comparison:
         return np.asarray(undone * np.minimum(1.0, MAX_RAISED / np.abs(undone)), dtype=np.complex128)
 
     def _clocks(self, y: Floats, plain: Callable[[Floats], Floats]) -> tuple[float, float]:
-        """Residual squares of one offset, and of two with the best instant between them."""
         count = round(MAX_STEP_S / OFFSET_STEP_S)
         offsets = OFFSET_STEP_S * np.arange(-count, count + 1)
-        blocks = np.array([self._in_blocks(y, plain(self.time_s + one)) for one in offsets])
-        before = np.cumsum(blocks, axis=1)
+        paths = plain(np.add.outer(self.time_s, offsets))
+        squares = (y[:, None] - (paths - self._basis @ (self._basis.T @ paths))) ** 2
+        edges = np.linspace(0, len(y), BLOCKS, endpoint=False).astype(int)
+        before = np.cumsum(np.add.reduceat(squares, edges, axis=0).T, axis=1)
         whole = before[:, -1]
         step = min(float(np.min(before[:, k]) + np.min(whole - before[:, k])) for k in range(BLOCKS - 1))
         return _lowest(whole[np.abs(offsets) < MAX_OFFSET_S + 0.5 * OFFSET_STEP_S]), step
-
-    def _in_blocks(self, y: Floats, path: Floats) -> Floats:
-        """Residual squares in blocks of time (BLOCKS,)."""
-        squares = (y - self.free(path)) ** 2
-        return np.add.reduceat(squares, np.linspace(0, len(y), BLOCKS, endpoint=False).astype(int))
 
     def _with_play(self, y: Floats, plain: Callable[[Floats], Floats]) -> float:
         even = np.arange(self.start_s, float(self.time_s[-1]) + 1.0, 1.0 / self.rate_hz)
@@ -251,8 +239,7 @@ def _main_hz(shaken: Floats, rate_hz: float) -> float:
 PARAMETERS = {Cause.STEP: 3, Cause.TONE: 1 + 2 * TONES}  # of a model, 1 of any other
 
 
-def _best(compared: Comparison) -> Explained:
-    """The cause that explains best."""
+def _named(compared: Comparison) -> Explained | None:
     count = len(compared.time_s)
     squares = {cause: max(square, 1e-300) for cause, square in compared.tried().items()}
 
@@ -262,9 +249,9 @@ def _best(compared: Comparison) -> Explained:
 
     first, second = sorted(Cause, key=score, reverse=True)[:2]
     difference = compared.difference()
-    left, lead = squares[first] / difference, score(first) - score(second)
-    named = left < MAX_LEFT and lead > least_lead(count)
-    return Explained(first, left, lead, named, math.sqrt(difference / count))
+    left = squares[first] / difference
+    named = left < MAX_LEFT and score(first) - score(second) > least_lead(count)
+    return Explained(first, left, math.sqrt(difference / count)) if named else None
 
 
 def _lowest(values: Floats) -> float:
@@ -281,3 +268,42 @@ def _without(columns: list[Floats], values: Floats) -> float:
     """Residual squares of values (n,) by least squares on columns (n,)."""
     matrix = np.column_stack(columns)
     return float(np.sum((values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]) ** 2))
+
+
+REMEDIES = {
+    Cause.UNIT: "Check displacement.unit, accelerometer.unit and that both sensors measure the same axis, or have it "
+    "learnt: displacement.estimate_scale = true.",
+    Cause.CLOCK: "Correct its time column or displacement.start_s, or set displacement.estimate_offset = true.",
+    Cause.STEP: "Cut the recording where the clock steps, or correct the time column.",
+    Cause.LOW_PASS: "Use a logger whose low-pass lies far above the motion.",
+    Cause.SLOW_SENSOR: "Use a sensor that follows the motion, or declare what it averages over: exposure_s.",
+    Cause.PLAY: "Tighten the sensor's rod, wire or joint.",
+    Cause.TONE: "Use a logger with an anti-alias filter, or mount the accelerometer away from the machine.",
+}
+
+
+def disagreement(cause: Explained | None, measured: str) -> str:
+    """The sentence on sensors that differ: what was measured, and the cause that explains it or all that may."""
+    if cause is None:
+        return f"{measured}. None of the causes compared stands out: {_listed()}. Check both sensors for these."
+    if cause.cause is Cause.UNIT:
+        return f"{measured}. {REMEDIES[Cause.UNIT]}"
+    return (
+        f"{measured}; but of the causes compared {cause.cause.value} explains the readings best, and leaves "
+        f"{100 * cause.left:.2g} % of the difference. {REMEDIES[cause.cause]}"
+    )
+
+
+def cause_of_lateness(pair: Pair, offset_s: float) -> str:
+    """What may make readings come late or early by an offset, as a sentence; empty where it is the clock."""
+    found = named_cause(pair)
+    if found is None:
+        # Late readings need a negative offset, which a logger's low-pass does not make.
+        excluded = (Cause.SLOW_SENSOR, Cause.PLAY) if offset_s > 0.0 else (Cause.LOW_PASS,)
+        return f"Its readings do not tell a clock from {_listed(Cause.CLOCK, Cause.UNIT, Cause.TONE, *excluded)}. "
+    if found.cause is Cause.CLOCK:
+        return ""
+    return (
+        f"Of the causes compared {found.cause.value} explains the readings best, not a constant offset. "
+        f"{REMEDIES[found.cause]} "
+    )

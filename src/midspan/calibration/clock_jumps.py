@@ -3,15 +3,23 @@
 Around a place where the measurements begin to contradict the acceleration all clock offsets are tried, and the course
 of offsets with the least contradiction, each change at a price, is found by dynamic programming. What is found is then
 refined with the stamps moved from a row on, and must explain the measurements better than a clock that drifts.
+
+One jump leaves one half of a camera's calibration window without any: calibrated there, the rest of it shows the jump.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.agreement import compared_by
 from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_variance, knots
+from midspan.calibration.fit import MIN_FRAMES, Pair
+from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
@@ -69,7 +77,7 @@ def clock_jumps(one: Compared) -> list[ClockJump]:
     while tried < MAX_TRIED and (place := _suspicious(one, late_s, begin)) is not None:
         jump = _jump_near(one, late_s, place, begin)
         if jump is None:
-            begin, tried = place + _window_rows(one), tried + 1
+            begin, tried = place + _rows_in(one, WINDOW_S, WINDOW_ROWS), tried + 1
             continue
         found.append(jump)
         late_s = lateness(found, len(one.rows))
@@ -87,22 +95,18 @@ def lateness(jumps: Sequence[ClockJump], count: int) -> Floats:
     return late_s
 
 
-def _interval(one: Compared) -> float:
-    return float(np.median(np.diff(one.rows[:, 0])))
-
-
-def _window_rows(one: Compared) -> int:
-    return max(WINDOW_ROWS, round(WINDOW_S / _interval(one)))
+def _rows_in(one: Compared, seconds: float, least: int) -> int:
+    return max(least, round(seconds / float(np.median(np.diff(one.rows[:, 0])))))
 
 
 def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
     """First row of the first window from `begin` on that contradicts the acceleration or the offset before."""
     # The filter needs a way to settle.
-    start = max(0, begin - round(REACH_S / _interval(one))) if len(one.rows) > 1 else 0
+    start = max(0, begin - _rows_in(one, REACH_S, 0)) if len(one.rows) > 1 else 0
     if len(one.rows) - max(start, begin) < 2 * LEAST_ROWS:
         return None
     part = one.near(start, len(one.rows), LARGEST_S + 1.0)
-    windows = knots(part, late_s[start:], np.arange(0, len(part.rows), _window_rows(part)))
+    windows = knots(part, late_s[start:], np.arange(0, len(part.rows), _rows_in(part, WINDOW_S, WINDOW_ROWS)))
     reference, known = 0.0, 0.0
     columns = (windows.first, windows.late_s, windows.information, windows.square)
     for first, late, told, square in zip(*columns, strict=True):
@@ -158,7 +162,7 @@ class _Segment:
 
 
 def _jump_near(one: Compared, late_s: Floats, place: int, begin: int) -> ClockJump | None:
-    reach = max(REACH_ROWS, round(REACH_S / _interval(one)))
+    reach = _rows_in(one, REACH_S, REACH_ROWS)
     start, end = max(begin, place - reach), min(len(one.rows), place + reach)
     if end - start < 2 * LEAST_ROWS:
         return None
@@ -194,7 +198,6 @@ def _segment(part: Compared) -> _Segment:
 
 
 def _coarse(segment: _Segment, place: int) -> list[_Guess]:
-    """Candidates: where the cheapest course of offsets changes, and the suspicious place itself."""
     count = round(LARGEST_S / STEP_S)
     grid = STEP_S * np.arange(-count, count + 1)
     course = grid[_cheapest(segment.losses(np.tile(grid, (segment.count, 1)), STEP_S))]
@@ -231,12 +234,20 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
         guess = _nearer(segment, guess, step)
     if min(guess.row, segment.count - guess.row) < LEAST_ROWS:
         return None
-    before_std, after_std = _stds(segment, guess)
+    # Deviations of the lateness before and after, s, from the slopes of the innovations.
+    sides = segment.stamps([replace(guess, before_s=1.0, after_s=0.0), replace(guess, before_s=0.0, after_s=1.0)])
+    slopes = segment.part.slopes(segment.stamps([guess]), sides)
+    information = np.maximum(np.sum(slopes**2, axis=0) / segment.noise, NO_INFORMATION)
+    before_std, after_std = (float(one**-0.5) for one in information)
     if abs(guess.before_s) < max(SIGNIFICANT * before_std, MIN_BEFORE_S):
         # As calibrated: the jump is what the stamps after it say.
         guess, before_std = replace(guess, before_s=0.0), 0.0
     late_s, std_s = guess.after_s - guess.before_s, float(np.hypot(before_std, after_std))
-    if not abs(late_s) > max(SIGNIFICANT * std_s, MIN_S) or not _explains(segment, guess):
+    if not abs(late_s) > max(SIGNIFICANT * std_s, MIN_S):
+        return None
+    # Both sides of the jump must agree with the acceleration then.
+    good = segment.part.innovations(segment.stamps([guess]))[:, 0] ** 2 < CLIPPED**2 * segment.noise
+    if not min(np.mean(good[: guess.row]), np.mean(good[guess.row :])) >= EXPLAINED:
         return None
     none = [replace(guess, after_s=guess.before_s), replace(guess, before_s=guess.after_s), guess]
     *others, least = segment.loss(segment.stamps(none))
@@ -249,7 +260,6 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
 
 
 def _nearer(segment: _Segment, guess: _Guess, step: float) -> _Guess:
-    """Each of its values at its best within some steps (s)."""
     guess = segment.best([replace(guess, before_s=guess.before_s + k * step) for k in range(-4, 5)], step)
     guess = segment.best([replace(guess, after_s=guess.after_s + k * step) for k in range(-4, 5)], step)
     stride = max(1, segment.count // 40)
@@ -262,16 +272,7 @@ def _nearer(segment: _Segment, guess: _Guess, step: float) -> _Guess:
     return guess
 
 
-def _stds(segment: _Segment, guess: _Guess) -> tuple[float, float]:
-    """Standard deviations of the lateness before and after, s, from the slopes of the innovations."""
-    sides = segment.stamps([replace(guess, before_s=1.0, after_s=0.0), replace(guess, before_s=0.0, after_s=1.0)])
-    slopes = segment.part.slopes(segment.stamps([guess]), sides)
-    information = np.maximum(np.sum(slopes**2, axis=0) / segment.noise, NO_INFORMATION)
-    return float(information[0] ** -0.5), float(information[1] ** -0.5)
-
-
 def _drifting(segment: _Segment, guess: _Guess) -> float:
-    """The contradiction of a clock that drifts evenly."""
     time_s, late_s = segment.part.rows[:, 0], guess.after_s - guess.before_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
     # A straight line compared with a step: up to three times as steep as the step's height over the segment.
@@ -279,15 +280,7 @@ def _drifting(segment: _Segment, guess: _Guess) -> float:
     return float(segment.loss(guess.before_s + late_s * (shift + share[:, None] * slope), LINE_STEP_S).min())
 
 
-def _explains(segment: _Segment, guess: _Guess) -> bool:
-    """Whether both sides of the jump agree with the acceleration then."""
-    square = segment.part.innovations(segment.stamps([guess]))[:, 0] ** 2
-    good = square < CLIPPED**2 * segment.noise
-    return bool(min(np.mean(good[: guess.row]), np.mean(good[guess.row :])) >= EXPLAINED)
-
-
 def _possible(segment: _Segment, guess: _Guess) -> tuple[int, int]:
-    """The first and last row at which the jump can have been."""
     stride = -(-segment.count // INSTANTS)
     rows = np.arange(1 + (guess.row - 1) % stride, segment.count, stride)
     losses = segment.loss(segment.stamps([replace(guess, row=int(k)) for k in rows]))
@@ -313,3 +306,49 @@ def _rival(segment: _Segment, guess: _Guess) -> float | None:
     best = int(np.argmin(found))
     alike = found[best] < losses(np.array([guess.after_s]), RIVAL_STEP_S)[0] + RIVAL
     return float(near[best]) - guess.before_s if alike else None
+
+
+def without_jumps(
+    pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]
+) -> tuple[Pair, list[ClockJump]]:
+    """The pair with its stamps on one clock, and the jumps that were taken out; none where nothing shows any.
+
+    refuse: raises UntrustedError where a search is not to be trusted.
+    """
+    found = []
+    for rows in np.array_split(pair.rows, 2):
+        if np.count_nonzero(np.isfinite(rows[:, 2])) >= MIN_FRAMES:
+            search = search_offset(replace(pair, rows=rows), max_offset_s)
+            with suppress(UntrustedError):
+                refuse(search)
+                found.append(search)
+    if not found:
+        return pair, []
+    search = max(found, key=lambda one: one.fit.gain)
+    rows = pair.rows[pair.used(search.fit.offset_s)]
+    jumps = clock_jumps(compared_by(pair, search.fit, rows))
+    return replace(pair, rows=_moved(rows, jumps)) if jumps else pair, jumps
+
+
+def _moved(rows: Floats, jumps: list[ClockJump]) -> Floats:
+    """Rows (m, 3) on one clock, without those that may be on either side of a jump, or not after those before."""
+    rows, kept, late_s = rows.copy(), np.ones(len(rows), dtype=bool), lateness(jumps, len(rows))
+    rows[:, 0] += late_s - late_s[0]
+    for jump in jumps:
+        kept[jump.first : jump.last] = False
+    kept[1:] &= rows[1:, 0] > np.maximum.accumulate(rows[:, 0])[:-1]
+    return rows[kept]
+
+
+def jumps_text(jumps: Sequence[ClockJump]) -> tuple[Notice, ...]:
+    """A sentence for each jump that was taken out."""
+    return tuple(
+        Notice(
+            "clock-corrected",
+            f"The frames' clock jumps in the calibration window: {1e3 * jump.late_s:+.3g} ms must be added to the "
+            f"stamps from frame {jump.row} of the window on, as where frames were lost or the clock was set. The "
+            "calibration counts with it; give each frame a time stamp, or choose a calibration.window_s without the "
+            "jump.",
+        )
+        for jump in jumps
+    )

@@ -79,7 +79,14 @@ def find_clock_rate(pair: Pair, max_offset_s: float, origin_ns: int) -> ClockRat
     if best is None:
         return None
     course = _widened(pair, best)
-    if course is None or not _tells(course, length_s) or not _likelier(pair, course, max_offset_s):
+    if course is None or not _tells(course, length_s):
+        return None
+    # The record must be more likely with the rate than with the best offset alone.
+    _, _, offset_s, corner, step_s = _scanned(pair, max_offset_s)
+    without = refine(pair, evaluate(pair, offset_s, corner), step_s)
+    moved = _turned(pair, course.skew, course.origin_ns / NANOSECONDS)
+    fitted = refine(moved, best_corner(moved, course.offset_s), MIN_LATE_S)
+    if not fitted.likelihood - without.likelihood > MIN_GAIN:
         return None
     rate, std = course.skew, float(np.sqrt(course.covariance[1, 1]))
     return ClockRate(rate, std, origin_ns + round(NANOSECONDS * best.middle_s), length_s)
@@ -87,27 +94,21 @@ def find_clock_rate(pair: Pair, max_offset_s: float, origin_ns: int) -> ClockRat
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """A window whose clock was found: its middle (s, on the sensor's clock), rate (s/s) and fit."""
+    """A window whose clock was found: its middle (s, on the sensor's clock), half its length, rate (s/s) and fit."""
 
-    begin_s: float
-    end_s: float
+    middle_s: float
+    half_s: float
     rate: float
     fit: Fit
 
-    @property
-    def middle_s(self) -> float:
-        return 0.5 * (self.begin_s + self.end_s)
-
 
 def _turned(pair: Pair, rate: float, middle_s: float) -> Pair:
-    """The pair with stamps that are later by a rate (s/s) from an instant (s) on."""
     rows = pair.rows.copy()
     rows[:, 0] += rate * (rows[:, 0] - middle_s)
     return replace(pair, rows=rows)
 
 
 def _window(pair: Pair, begin_s: float, end_s: float, max_offset_s: float) -> _Start | None:
-    """Offset and rate of the clock in a window of the record by a search over both."""
     rows = pair.rows[(pair.rows[:, 0] >= begin_s) & (pair.rows[:, 0] <= end_s)]
     if len(rows) < MIN_ROWS:
         return None
@@ -116,19 +117,21 @@ def _window(pair: Pair, begin_s: float, end_s: float, max_offset_s: float) -> _S
     part = replace(pair, rows=rows, samples=pair.samples[near], outside=None)
     middle, half = 0.5 * (begin_s + end_s), 0.5 * (end_s - begin_s)
     steps = int(np.ceil(MAX_RATE * half / END_S))
-    offsets = np.arange(-max_offset_s, max_offset_s + 0.005, min(0.01, 2.0 * max_offset_s))
-    best: tuple[float, Pair, float, float, float] | None = None
-    for rate in np.arange(-steps, steps + 1) * (END_S / half):
-        own = _turned(part, float(rate), middle)
-        curve, corner = scan(own, offsets)
-        k = int(np.argmax(curve))
-        if np.isfinite(curve[k]) and (best is None or curve[k] > best[0]):
-            best = float(curve[k]), own, float(offsets[k]), float(corner[k]), float(rate)
+    rates = [float(rate) for rate in np.arange(-steps, steps + 1) * (END_S / half)]
+    scanned = [(*_scanned(_turned(part, rate, middle), max_offset_s), rate) for rate in rates]
+    best = max((one for one in scanned if np.isfinite(one[0])), key=lambda one: one[0], default=None)
     if best is None:
         return None
-    _, own, offset, corner_, rate = best
-    fit = refine(own, evaluate(own, offset, corner_), float(offsets[1] - offsets[0]))
-    return _Start(begin_s, end_s, rate, fit)
+    _, pair, offset_s, corner, step_s, rate = best
+    return _Start(middle, half, rate, refine(pair, evaluate(pair, offset_s, corner), step_s))
+
+
+def _scanned(pair: Pair, max_offset_s: float) -> tuple[float, Pair, float, float, float]:
+    """The largest likelihood of a scan over offsets, the pair, that offset and corner frequency, and the step (s)."""
+    offsets = np.arange(-max_offset_s, max_offset_s + 0.005, min(0.01, 2.0 * max_offset_s))
+    curve, corner = scan(pair, offsets)
+    k = int(np.argmax(curve))
+    return float(curve[k]), pair, float(offsets[k]), float(corner[k]), float(offsets[1] - offsets[0])
 
 
 def _widened(pair: Pair, start: _Start) -> ClockCourse | None:
@@ -136,12 +139,13 @@ def _widened(pair: Pair, start: _Start) -> ClockCourse | None:
     fit = start.fit
     samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
     whole = Compared(samples, pair.rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise]))
-    time_s, half = whole.rows[:, 0], 0.5 * (start.end_s - start.begin_s)
+    time_s, half = whole.rows[:, 0], start.half_s
     line = np.array([fit.offset_s, start.rate])
     while True:
         inside = np.searchsorted(time_s, (start.middle_s - half, start.middle_s + half))
         one = whole.near(int(inside[0]), int(inside[1]), AROUND_S + abs(line[0]) + abs(line[1]) * half)
-        course = drift(one, _part_s(one.rows), line=(float(line[0]), float(line[1]), start.middle_s))
+        part_s = float(one.rows[-1, 0] - one.rows[0, 0]) / max(2, min(PARTS, len(one.rows) // MIN_PART_ROWS))
+        course = drift(one, part_s, line=(float(line[0]), float(line[1]), start.middle_s))
         line = np.array([float(course.at(np.array([round(NANOSECONDS * start.middle_s)]))[0]), course.skew])
         if not abs(line[1]) < MAX_RATE:
             return None
@@ -150,14 +154,7 @@ def _widened(pair: Pair, start: _Start) -> ClockCourse | None:
         half *= 2.0
 
 
-def _part_s(rows: Floats) -> float:
-    """Length of the parts of a window that its course is judged by, s."""
-    length_s = float(rows[-1, 0] - rows[0, 0])
-    return length_s / max(2, min(PARTS, len(rows) // MIN_PART_ROWS))
-
-
 def _tells(course: ClockCourse, length_s: float) -> bool:
-    """Whether a straight line is what the clock leaves the accelerometer's by."""
     end_s, std = 0.5 * length_s * abs(course.skew), 0.5 * length_s * float(np.sqrt(course.covariance[1, 1]))
     if not (end_s > SIGNIFICANT * std and end_s > MIN_LATE_S):
         return False
@@ -173,16 +170,4 @@ def _tells(course: ClockCourse, length_s: float) -> bool:
 
 
 def _about_mean(weight: Floats, late: Floats) -> float:
-    """Sum of the weighted squares of lateness (n,) about its mean."""
     return float(weight @ (late - weight @ late / weight.sum()) ** 2)
-
-
-def _likelier(pair: Pair, course: ClockCourse, max_offset_s: float) -> bool:
-    """Whether the record is more likely with the rate than with the best offset alone."""
-    offsets = np.arange(-max_offset_s, max_offset_s + 0.005, min(0.01, 2.0 * max_offset_s))
-    curve, corner = scan(pair, offsets)
-    k = int(np.argmax(curve))
-    without = refine(pair, evaluate(pair, float(offsets[k]), float(corner[k])), float(offsets[1] - offsets[0]))
-    moved = _turned(pair, course.skew, course.origin_ns / NANOSECONDS)
-    fitted = refine(moved, best_corner(moved, course.offset_s), MIN_LATE_S)
-    return fitted.likelihood - without.likelihood > MIN_GAIN

@@ -33,43 +33,36 @@ def one_offset(fits: Sequence[Fitted]) -> list[Fitted]:
     used = [found for fit in fits for found in fit.used]
     if len(used) < 2:
         return list(fits)
-    middle = _middle(used)
-    offset = _mean([found for found in used if not _contradicts(found, middle)])
-    return [
-        Fitted(
-            tuple(None if f is None else f if reason or _contradicts(f, middle) else at_offset(f, offset)
-                  for f, reason in zip(fit.found, fit.reasons, strict=True)),
-            tuple(reason or (_contradiction(f, middle) if f is not None and _contradicts(f, middle) else "")
-                  for f, reason in zip(fit.found, fit.reasons, strict=True)),
-        )
-        for fit in fits
-    ]  # fmt: skip
+    offsets = np.array([found.search.offset.value_s for found in used])
+    middle_s = weighted_median(offsets, [1.0 / max(found.search.offset.variance, 1e-18) for found in used])
+
+    def contradicts(found: ScaleCalibration) -> bool:
+        apart = abs(found.search.offset.value_s - middle_s)
+        return bool(apart > max(OFFSET_STD * np.sqrt(found.search.offset.variance), MIN_OFFSET_S))
+
+    offset = _mean([found for found in used if not contradicts(found)])
+    joint = []
+    for fit in fits:
+        found, reasons = list(fit.found), list(fit.reasons)
+        for k, one in enumerate(fit.found):
+            if one is None or reasons[k]:
+                continue
+            if contradicts(one):
+                reasons[k] = (
+                    f"its clock offset would be {1e3 * one.search.offset.value_s:+.1f} ms, the others' is "
+                    f"{1e3 * middle_s:+.1f} ms: what it shows does not move with the structure."
+                )
+            else:
+                found[k] = _at_offset(one, offset)
+        joint.append(Fitted(tuple(found), tuple(reasons)))
+    return joint
 
 
-def common_offset(fits: Sequence[Fitted]) -> TimeOffset:
-    """The clock offset of fits that share one."""
-    return fits[0].used[0].search.offset
-
-
-def _middle(used: Sequence[ScaleCalibration]) -> float:
-    """The median of the offsets, weighted by what each knows."""
-    offset = np.array([found.search.offset.value_s for found in used])
-    known = np.array([1.0 / max(found.search.offset.variance, 1e-18) for found in used])
-    order = np.argsort(offset)
-    share = np.cumsum(known[order])
-    return float(offset[order][np.searchsorted(share, 0.5 * share[-1])])
-
-
-def _contradicts(found: ScaleCalibration, middle_s: float) -> bool:
-    apart = abs(found.search.offset.value_s - middle_s)
-    return bool(apart > max(OFFSET_STD * np.sqrt(found.search.offset.variance), MIN_OFFSET_S))
-
-
-def _contradiction(found: ScaleCalibration, middle_s: float) -> str:
-    return (
-        f"its clock offset would be {1e3 * found.search.offset.value_s:+.1f} ms, the others' is "
-        f"{1e3 * middle_s:+.1f} ms: what it shows does not move with the structure."
-    )
+def weighted_median(values: Floats, weights: Sequence[float] | Floats) -> float:
+    """The median of values (k,), each as often as its weight (k,) says."""
+    order = np.argsort(values)
+    share = np.cumsum(np.asarray(weights)[order])
+    return float(values[order][np.searchsorted(share, 0.5 * share[-1])])
 
 
 def _mean(used: Sequence[ScaleCalibration]) -> TimeOffset:
@@ -96,8 +89,7 @@ def pooled_variance(weight: Floats, variance: Floats, shared: float) -> float:
     return float(shared * (weight @ np.sqrt(variance)) ** 2 + (1.0 - shared) * (weight**2 @ variance))
 
 
-def at_offset(found: ScaleCalibration, offset: TimeOffset) -> ScaleCalibration:
-    """A target's calibration with its clock offset given; scale factor and noise are fitted anew."""
+def _at_offset(found: ScaleCalibration, offset: TimeOffset) -> ScaleCalibration:
     search = found.search
     fit = best_corner(search.pair, offset.value_s, search.fit.corner)
     _, drag = curvature(search.pair, fit)

@@ -21,7 +21,7 @@ import numpy as np
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.outliers import cleaned
 from midspan.calibration.time_offset import OffsetSearch, search_offset
-from midspan.calibration.whitening import Whitened, integrated
+from midspan.calibration.whitening import integrated, inverse_of
 from midspan.records import Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration, along
 from midspan.signals.medians import white_noise
@@ -95,16 +95,6 @@ class Turned:
         return replace(search, fit=replace(fit, ratio_variance=fit.ratio_variance + more), offset=offset)
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """The components (k,) that a pair implies, and what is open of everything."""
-
-    components: Floats
-    std: Floats
-    relative_std: float
-    offset_variance: float
-
-
 def turned(pair: Pair, max_offset_s: float) -> Turned:
     """The pair with its acceleration along the axis of the slow sensor, as far as the motion shows that.
 
@@ -114,27 +104,22 @@ def turned(pair: Pair, max_offset_s: float) -> Turned:
         return Turned(pair)
     components = np.zeros(pair.cross[0].shape[1])
     for _ in range(STEPS):
-        own = _along(pair, components)
-        step = _step(*_fitted(own, max_offset_s), pair.cross[0], components)
-        change, components = np.abs(step.components - components), step.components
-        if np.all(change < LAST_STEP * step.std):
+        own = replace(_along(pair, components), ratio=None)
+        if max_offset_s > 0.0:
+            search = search_offset(own, max_offset_s)
+            own, fit = search.pair, search.fit
+        else:
+            own = cleaned(*with_input_noise(own, best_corner(own, 0.0)))
+            own, fit = with_input_noise(own, best_corner(own, 0.0))
+        found, std, spread = _step(own, fit, pair.cross[0], components)
+        change, components = np.abs(found - components), found
+        if np.all(change < LAST_STEP * std):
             break
-    direction = Direction(tuple(map(float, components)), tuple(map(float, step.std)))
-    return Turned(_along(pair, components), direction, step.relative_std, step.offset_variance)
-
-
-def _fitted(pair: Pair, max_offset_s: float) -> tuple[Pair, Fit]:
-    """The pair without outliers, and its fit with any ratio."""
-    pair = replace(pair, ratio=None)
-    if max_offset_s > 0.0:
-        search = search_offset(pair, max_offset_s)
-        return search.pair, search.fit
-    pair = cleaned(*with_input_noise(pair, best_corner(pair, 0.0)))
-    return with_input_noise(pair, best_corner(pair, 0.0))
+    direction = Direction(tuple(map(float, components)), tuple(map(float, std)))
+    return Turned(_along(pair, components), direction, float(np.sqrt(spread[0])), float(spread[1]))
 
 
 def _along(pair: Pair, components: Floats) -> Pair:
-    """The pair with the acceleration along an axis of these components (k,)."""
     assert pair.cross is not None
     cross, levels = pair.cross
     samples = pair.samples.copy()
@@ -143,35 +128,12 @@ def _along(pair: Pair, components: Floats) -> Pair:
     return replace(pair, samples=samples, level_m_s2=level, cross=None)
 
 
-def _step(pair: Pair, fit: Fit, cross: Floats, components: Floats) -> _Step:
-    """The components that follow from a pair along `components` (k,) and the cross axes' accelerations (n, k).
+def _step(pair: Pair, fit: Fit, cross: Floats, components: Floats) -> tuple[Floats, Floats, Floats]:
+    """The components (k,) that follow from a pair along `components` and the cross axes' accelerations (n, k), their
+    standard deviations, and the variances of ratio (relative) and offset that these leave.
 
     The translation is r (u + γ c) with the response u to what is along the axis so far, and c that to the cross axes.
     """
-    w, k = _whitened(pair, fit, cross), len(components)
-    length = float(np.sqrt(1.0 + components @ components))
-    columns = w.columns[:, (RESPONSE, VELOCITY, *range(w.columns.shape[1] - k, w.columns.shape[1]))]
-    power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / w.variance)
-    aim = np.einsum("mi,m->i", columns, w.translation / w.variance)
-    shown = 1.0 - _noise_share(pair, fit, w, cross, power)
-    # What is known before of the components themselves: near none.
-    known = fit.noise * (length / (fit.ratio * USUAL_COMPONENT)) ** 2
-    inverse = _inverse(power + np.diag([0.0, 0.0, *np.full(k, known)]))
-    found = inverse @ (aim - np.r_[0.0, 0.0, known * components * fit.ratio / length])
-    std = shown * length * np.sqrt(fit.noise * np.diag(inverse)[2:]) / abs(fit.ratio)
-    # How ratio and offset go with the components, where the ratio is that of a vector of length 1.
-    drag = np.vstack((components / length, np.zeros(k))) - _inverse(power[:2, :2]) @ power[:2, 2:]
-    spread = fit.noise / fit.ratio**2 * np.diag(drag * shown @ inverse[2:, 2:] @ (drag * shown).T)
-    return _Step(
-        components=shown * (components + found[2:] / found[0] * length),
-        std=np.hypot(std, (1.0 - shown**2) * USUAL_COMPONENT),
-        relative_std=float(np.sqrt(spread[0])),
-        offset_variance=float(spread[1]),
-    )
-
-
-def _whitened(pair: Pair, fit: Fit, cross: Floats) -> Whitened:
-    """The pair's columns, and at the end those of the cross axes' accelerations (n, k)."""
 
     def responding(value: Floats) -> Callable[[Floats], Floats]:
         samples = pair.samples.copy()
@@ -179,17 +141,20 @@ def _whitened(pair: Pair, fit: Fit, cross: Floats) -> Whitened:
         response = integrated(samples)
         return lambda time_s: response.at(time_s, pair.exposure_s, pair.logger)
 
-    return aligned(pair, fit.offset_s, *(responding(value) for value in cross.T)).whitened(fit.corner)
-
-
-def _noise_share(pair: Pair, fit: Fit, w: Whitened, cross: Floats, power: Floats) -> Floats:
-    """Share (k,) of the power of what each cross axis tells that its own white noise makes."""
-    own = 1.0 / np.maximum(np.diag(_inverse(power))[2:], 1e-300)
+    w = aligned(pair, fit.offset_s, *(responding(value) for value in cross.T)).whitened(fit.corner)
+    k, length = len(components), float(np.sqrt(1.0 + components @ components))
+    power, aim = w.regression(w.columns[:, (RESPONSE, VELOCITY, *range(w.columns.shape[1] - k, w.columns.shape[1]))])
+    # What white noise of a cross axis makes of its column's own power tells no component.
+    own = 1.0 / np.maximum(np.diag(inverse_of(power))[2:], 1e-300)
     density = np.array([white_noise(value) ** 2 for value in cross.T]) / pair.sample_rate_hz
-    return np.asarray(np.clip(density / (fit.corner**4 / pair.rate_hz) * w.input_share / own, 0.0, 1.0))
-
-
-def _inverse(power: Floats) -> Floats:
-    """The inverse of a matrix (k, k) of products of columns whose units differ."""
-    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
-    return np.asarray(np.linalg.pinv(power / np.outer(size, size), hermitian=True) / np.outer(size, size))
+    shown = 1.0 - np.clip(density / (fit.corner**4 / pair.rate_hz) * w.input_share / own, 0.0, 1.0)
+    # What is known before of the components themselves: near none.
+    known = fit.noise * (length / (fit.ratio * USUAL_COMPONENT)) ** 2
+    inverse = inverse_of(power + np.diag([0.0, 0.0, *np.full(k, known)]))
+    found = inverse @ (aim - np.r_[0.0, 0.0, known * components * fit.ratio / length])
+    std = shown * length * np.sqrt(fit.noise * np.diag(inverse)[2:]) / abs(fit.ratio)
+    # How ratio and offset go with the components, where the ratio is that of a vector of length 1.
+    drag = np.vstack((components / length, np.zeros(k))) - inverse_of(power[:2, :2]) @ power[:2, 2:]
+    spread = fit.noise / fit.ratio**2 * np.diag(drag * shown @ inverse[2:, 2:] @ (drag * shown).T)
+    components = shown * (components + found[2:] / found[0] * length)
+    return components, np.hypot(std, (1.0 - shown**2) * USUAL_COMPONENT), spread

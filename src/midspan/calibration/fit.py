@@ -9,8 +9,8 @@ the motion is long enough to tell the noise, this changes nothing.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ from midspan.calibration.whitening import (
     usable,
     whiten_columns,
 )
-from midspan.records import Floats, InputNoise
-from midspan.signals.lively import mean_square
+from midspan.records import NANOSECONDS, Floats, InputNoise, Nanoseconds
+from midspan.signals.health import mean_square
 
 # Fewer usable measurements than these tell no scale.
 MIN_FRAMES = 20
@@ -49,9 +49,13 @@ NEXT_TO_NO_RATIO = 1e-12
 CORNER_STEP, MAX_CORNER_STD = 0.2, 0.7
 # A known corner is searched within this factor (logarithm).
 NEAR_CORNER = 0.6
+# What was whitened at a place is kept for this many corner frequencies, of this many rows together at most.
+MAX_KEPT, KEPT_ROWS = 16, 300_000
 # Rounds of offset and noise ratio in turn, Gauss-Newton steps in each, and halvings of a step that overshoots, at most;
 # a likelihood that gains (logarithm) less than this is at its maximum.
 ROUNDS, STEPS, HALVINGS, MIN_GAIN = 6, 12, 4, 1e-4
+# Fewer measurements than this are not calibrated on.
+MIN_MEASUREMENTS = 20
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class Pair:
     reference: the size of the ratio that other ratios are compared with, None at first (see `shrinking`).
     level_m_s2: the mean acceleration, which the samples are without.
     motion_share: share of the accelerometer's noise, 0 to 1, that goes with the mean square of the motion (see
-    `signals.lively`), of the mean over the record.
+    `signals.health.mean_square`), of the mean over the record.
     slow: variance of the slow error of the measurements (first-order Gauss-Markov) in units of their noise variance,
     and its rate, 1/s.
     cross: acceleration (n, k) of the accelerometer's other axes at the samples, without its means (k,), and these; None
@@ -92,12 +96,12 @@ class Pair:
     bias_drifts: bool = False
     level: Floats | None = None
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """Mean rate of the translation."""
         return (len(self.rows) - 1) / float(self.rows[-1, 0] - self.rows[0, 0])
 
-    @property
+    @cached_property
     def sample_rate_hz(self) -> float:
         """Mean rate of the acceleration."""
         return (len(self.samples) - 1) / float(self.samples[-1, 0] - self.samples[0, 0])
@@ -106,6 +110,11 @@ class Pair:
     def responses(self) -> tuple[Response, ...]:
         """The acceleration integrated twice, and what is outside a band where one is given."""
         return tuple(integrated(samples) for samples in (self.samples, self.outside) if samples is not None)
+
+    @cached_property
+    def recent(self) -> "list[Aligned]":
+        """The pair at the clock offset that it was compared at last, where most of the work is done."""
+        return []
 
     @cached_property
     def lively(self) -> Floats:
@@ -124,6 +133,12 @@ class Pair:
             density = density + self.motion_share * (own - np.minimum(density, 1.0))
             ends[:: max(round(PIECE_S * self.sample_rate_hz), 1)] = True
         return np.column_stack((time_s, density))[ends]
+
+    def noisier(self, motion_share: float, *, bias_drifts: bool) -> "Pair":
+        """The pair with other errors of the accelerometer; what was made of its samples is kept."""
+        other = replace(self, motion_share=motion_share, bias_drifts=bias_drifts)
+        vars(other).update({name: getattr(self, name) for name in ("responses", "lively")})
+        return other
 
     def input_noise(self, mean_density: float) -> InputNoise:
         """The acceleration's noise whose mean density over the record is `mean_density`, (m/s²)²/Hz."""
@@ -182,6 +197,11 @@ class Fit:
         return float(np.sqrt(self.ratio_variance)) / max(abs(self.ratio), 1e-300)
 
 
+def likelihood_of(fit: Fit) -> float:
+    """What the likelier of fits is known by."""
+    return fit.likelihood
+
+
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """A pair at a clock offset: the rows compared, and the columns that are whitened there.
@@ -197,18 +217,30 @@ class Aligned:
     values: Floats
     cubic: Floats
     index: NDArray[np.int64]
+    fits: dict[float, Fit] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def whitened(self, corner: float) -> Whitened:
         """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
         pair = self.pair
         density = corner**4 / pair.rate_hz
-        w = whiten_columns(self.rows, self.values, pair.pieces, density, slow=pair.slow)
-        return replace(w, index=self.index[w.index], bias=w.bias - self.cubic[0])
+        columns = (self.rows, self.values, pair.pieces, density)
+        return whiten_columns(*columns, slow=pair.slow, index=self.index, open_bias=self.cubic[0])
 
     def fit(self, corner: float) -> Fit:
-        """The fit with a corner frequency (rad/s)."""
-        pair, whole = self.pair, self.whitened(corner)
-        w = whole if pair.outside is None else _without_last(whole)
+        """The fit with a corner frequency (rad/s), made once."""
+        if corner not in self.fits:
+            if len(self.fits) >= kept(self.rows):
+                self.fits.pop(next(iter(self.fits)))
+            self.fits[corner] = self._fit(corner)
+        return self.fits[corner]
+
+    def _fit(self, corner: float) -> Fit:
+        pair, w = self.pair, self.whitened(corner)
+        if pair.outside is not None:
+            # Without the share of what is outside the band.
+            last, outside = w.columns[:, -1], w.columns[:, -1] / w.variance
+            shares = outside @ w.columns / max(float(outside @ last), 1e-300)
+            w = replace(w, columns=w.columns - np.outer(last, shares))
         n = max(len(w.variance), 1)
         power, cross = w.product(w.response, w.response), w.product(w.response, w.translation)
         total = w.product(w.translation, w.translation)
@@ -216,9 +248,12 @@ class Aligned:
         left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
         noise = left / max(n - FITTED, 1)
         ratio_variance = noise / max(power, 1e-300)
-        favour = shrinking(w, ratio, pair.reference) if pair.ratio is None and pair.reference is not None else 0.0
+        favour = 0.0
         if pair.ratio is None:
-            share = min(w.input_share / n, 1.0)
+            input_share = w.input_share
+            if pair.reference is not None:
+                favour = shrinking(input_share, ratio, pair.reference)
+            share = min(input_share / n, 1.0)
             ratio = unattenuated(total, cross, power, share)
             # The cross products are the ratio times the true response's power; products of both noises scatter as well.
             # Without any common motion the deviation is beyond all bounds, and still a number.
@@ -239,8 +274,15 @@ class Aligned:
         )
 
 
+def kept(rows: Floats) -> int:
+    """How much that was whitened of rows (m, …) is kept: no more than KEPT_ROWS rows together, for memory."""
+    return max(1, min(MAX_KEPT, KEPT_ROWS // max(len(rows), 1)))
+
+
 def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> Aligned:
     """A pair at a clock offset, s, with columns that are functions of time in addition to its own."""
+    if not more and pair.recent and pair.recent[0].offset_s == offset_s:
+        return pair.recent[0]
     index = pair.used(offset_s)
     rows = pair.rows[index]
     time_s = rows[:, 0] + offset_s
@@ -249,7 +291,10 @@ def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> A
     columns += [response.at(time_s, pair.exposure_s, pair.logger) for response in outside]
     columns += [column(time_s) for column in more]
     values, cubic = levelled(time_s, np.column_stack(columns), drifts=pair.bias_drifts)
-    return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
+    here = Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
+    if not more:
+        pair.recent[:] = [here]
+    return here
 
 
 def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
@@ -281,20 +326,13 @@ def unattenuated(total: float, cross: float, power: float, share: float) -> floa
     return float(np.copysign(max(size, NEXT_TO_NO_RATIO), cross))
 
 
-def shrinking(w: Whitened, ratio: float, reference: float) -> float:
+def shrinking(input_share: float, ratio: float, reference: float) -> float:
     """What the logarithm of the likelihood gains by a ratio that is smaller than the reference, and must not.
 
     The noise of the accelerometer is seen in the acceleration itself, multiplied by the ratio: where two offsets
     explain the motion alike with different ratios, the smaller ratio leaves less of it, whichever is true.
     """
-    return w.input_share * float(np.log(reference / max(abs(ratio), MIN_RATIO * reference)))
-
-
-def _without_last(w: Whitened) -> Whitened:
-    """The innovations with the share of the last column's taken out of all."""
-    outside = w.columns[:, -1] / w.variance
-    share = outside @ w.columns / max(float(outside @ w.columns[:, -1]), 1e-300)
-    return replace(w, columns=w.columns - np.outer(w.columns[:, -1], share))
+    return input_share * float(np.log(reference / max(abs(ratio), MIN_RATIO * reference)))
 
 
 def corner_range(pair: Pair) -> tuple[float, float]:
@@ -309,7 +347,10 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
 
 def best_corner_here(here: Aligned, corner: float | None) -> Fit:
     """The most likely noise ratio of what is compared, near `corner` (rad/s) where one is given."""
-    return here.fit(likeliest_corner(here.pair, lambda one: here.fit(one).likelihood, corner))
+    best = here.fit(likeliest_corner(here.pair, lambda one: here.fit(one).likelihood, corner))
+    here.fits.clear()
+    here.fits[best.corner] = best
+    return best
 
 
 def likeliest_corner(pair: Pair, likelihood: Callable[[float], float], corner: float | None = None) -> float:
@@ -330,12 +371,13 @@ def corner_std(pair: Pair, fit: Fit) -> float:
     """Standard deviation of the logarithm of a fit's corner frequency by the curvature of the likelihood; no more than
     MAX_CORNER_STD where that is flat.
     """
-    return _corner_std(*(evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)))
-
-
-def _corner_std(below: Fit, here: Fit, above: Fit) -> float:
+    below, here, above = _around_corner(pair, fit)
     curved = (2.0 * here.likelihood - below.likelihood - above.likelihood) / CORNER_STEP**2
     return min(1.0 / float(np.sqrt(max(curved, 1e-300))), MAX_CORNER_STD)
+
+
+def _around_corner(pair: Pair, fit: Fit) -> list[Fit]:
+    return [evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)]
 
 
 def with_corner_doubt(pair: Pair, fit: Fit, *, disputed: bool) -> Fit:
@@ -345,8 +387,8 @@ def with_corner_doubt(pair: Pair, fit: Fit, *, disputed: bool) -> Fit:
     """
     if pair.ratio is not None:
         return fit
-    trio = [evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)]
-    doubt = _corner_std(*trio) * (trio[2].ratio - trio[0].ratio) / (2.0 * CORNER_STEP)
+    below, _, above = _around_corner(pair, fit)
+    doubt = corner_std(pair, fit) * (above.ratio - below.ratio) / (2.0 * CORNER_STEP)
     if disputed:
         w = fit.whitened
         doubt = np.hypot(doubt, fit.ratio - w.product(w.translation, w.response) / w.product(w.response, w.response))
@@ -361,24 +403,23 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     nothing (G. Schwarz, Estimating the dimension of a model, Ann. Statist. 6 (1978) 461-464, doi
     10.1214/aos/1176344136).
     """
-    constant = replace(pair, motion_share=0.0, bias_drifts=False)
+    constant = pair.noisier(0.0, bias_drifts=False)
     without = best_corner(constant, fit.offset_s, fit.corner)
     least = 0.5 * np.log(max(len(without.whitened.variance), 1))
-    drifting = replace(constant, bias_drifts=True)
+    drifting = pair.noisier(0.0, bias_drifts=True)
     found = best_corner(drifting, fit.offset_s)
     if found.likelihood - without.likelihood > least:
         constant, without = drifting, found
     here = aligned(constant, fit.offset_s)
 
-    def with_odds(odds: float) -> Fit:
-        share = float(1.0 / (1.0 + np.exp(-odds)))
-        return best_corner_here(replace(here, pair=replace(constant, motion_share=share)), without.corner)
+    @cache
+    def with_odds(odds: float) -> tuple[Pair, Fit]:
+        noisy = constant.noisier(float(1.0 / (1.0 + np.exp(-odds))), bias_drifts=constant.bias_drifts)
+        return noisy, best_corner_here(replace(here, pair=noisy), without.corner)
 
-    odds = global_minimum(lambda one: -with_odds(one).likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
-    found = with_odds(odds)
-    if found.likelihood - without.likelihood < least:
-        return constant, without
-    return replace(constant, motion_share=float(1.0 / (1.0 + np.exp(-odds)))), found
+    odds = global_minimum(lambda one: -with_odds(one)[1].likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
+    noisy, found = with_odds(odds)
+    return (constant, without) if found.likelihood - without.likelihood < least else (noisy, found)
 
 
 def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:
@@ -390,7 +431,7 @@ def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:
     for _ in range(ROUNDS):
         before = fit.likelihood
         fit = _climb(pair, fit, span)
-        fit = max(fit, best_corner(pair, fit.offset_s, fit.corner), key=_likelihood)
+        fit = max(fit, best_corner(pair, fit.offset_s, fit.corner), key=likelihood_of)
         if fit.likelihood - before < MIN_GAIN:
             break
     return fit
@@ -407,7 +448,7 @@ def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
             # At the end of the overlap nothing may be left to compare.
             if len(pair.used(offset_s)) >= MIN_FRAMES:
                 other = evaluate(pair, offset_s, fit.corner)
-                best = max(best, other, key=_likelihood)
+                best = max(best, other, key=likelihood_of)
                 if best is other:
                     break
             step *= 0.5
@@ -415,10 +456,6 @@ def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
             break
         fit = best
     return fit
-
-
-def _likelihood(fit: Fit) -> float:
-    return fit.likelihood
 
 
 def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:
@@ -438,3 +475,12 @@ def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:
         velocity = velocity - w.product(velocity, response) / power * response
     information = max(s * s * w.product(velocity, velocity) / fit.noise, 1e-300)
     return (s * w.product(left, velocity) / fit.noise + pulled) / information, information
+
+
+def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
+    """Rows (m, 3) for calibration: time (s), value counted from its first, variance (infinite where unusable)."""
+    usable = np.isfinite(value) & np.isfinite(variance)
+    if not usable.any():
+        return np.empty((0, 3))
+    filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
+    return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))

@@ -1,7 +1,7 @@
 """What makes the ratio of translation and acceleration depend on frequency: removed where it shows, else in σ.
 
-A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Three things make it a
-smooth function of frequency:
+A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Five terms make it a smooth
+function of frequency:
 
     exposure T        p = s · mean of D over T         falls with the frequency's square, later as a sinc
     resonance 1/c     p = s (D + c D'')                falls with the frequency's square
@@ -15,19 +15,30 @@ explain equally well why the ratio rises, both are in σ. A bracket or railing b
 far above the motion, at 1/(2π √c) Hz, makes it feel fast motion too strongly: whether that or an exposure is why the
 ratio falls is decided by likelihood, one shape at a time.
 
-Each is one more column of the regression of the whitened translation (see `whitening`): likelihood, step towards the
-most likely value and covariance come from one run of the filter. ∬u is that of the translation over the ratio.
+Each is a row of TERMS, and one more column of the regression of the whitened translation (see `whitening`): likelihood,
+step towards the most likely value and covariance come from one run of the filter. ∬u is that of the translation over
+the ratio.
+
+A sensor of first order is the rival of one that averages: both weaken fast motion, and the first delays it too.
+
+    mean over T       1 − (ω T)²/24 + …
+    first order τ     1/(1 + jω τ) = exp(−jω τ) (1 − (ω τ)²/2 + j (ω τ)³/3 + …)
+
+With τ² = T²/12, and its delay of slow motion taken for a clock offset, it does the same but for the third power. Motion
+that does not distinguish them shows no exposure: an accelerometer that errs in proportion to its motion (its gain, an
+attitude that follows, a lever arm) leaves the same slope.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 
-from midspan.calibration.first_order import lead_over_first_order
-from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, likeliest_corner
-from midspan.calibration.whitening import Whitened, integrated
+from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, kept, likeliest_corner, refine
+from midspan.calibration.minimum import minimum
+from midspan.calibration.whitening import Response, Whitened, integrated, inverse_of
 from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.acceleration import GRAVITY_M_S2
@@ -60,6 +71,10 @@ STEPS, LAST_STEP = 5, 0.1
 MAX_LATE = 0.1
 # Columns of what is whitened: translation, response, velocity; then one for each kind.
 RESPONSE, VELOCITY, FIRST = 1, 2, 3
+# Time constants of a first order that are tried, in that of the same weakening, and how well the best is found (share).
+SHORTEST, LONGEST, TOLERANCE = 0.3, 1.5, 0.03
+# ∫ exp(−u) f(u) du by the points of Gauss and Laguerre: right to 1e-3 up to ω τ = 0.7, where 18 % are left out.
+NODES, WEIGHTS = np.polynomial.laguerre.laggauss(12)
 
 
 class Kind(IntEnum):
@@ -72,36 +87,65 @@ class Kind(IntEnum):
     RESONANCE = 4
 
 
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One kind: its column at times (s), the pair with its number changed, and whether that may be.
+
+    column: by the pair and the response to the displacement of the translation alone; changed: with that displacement
+    (n,) at the samples; possible: exposure, slope, droop and resonance are positive, and no more than they can be.
+    """
+
+    column: Callable[[Pair, Response, Floats], Floats]
+    changed: Callable[[Pair, float, Floats], Pair]
+    possible: Callable[[Pair, float], bool]
+
+
+def _exposed(pair: Pair, change: float, _: Floats) -> Pair:
+    square = max(pair.exposure_s**2 + 24.0 * change, 0.0)
+    return replace(pair, exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
+
+
+def _leaning(pair: Pair, change: float, moved_m: Floats) -> Pair:
+    samples = pair.samples.copy()
+    samples[:, 1] += change * moved_m
+    return replace(pair, samples=samples, lean=pair.lean + change)
+
+
+def _logged(pair: Pair, square: float, cube: float) -> Pair:
+    return replace(pair, logger=(pair.logger[0] + square, pair.logger[1] + cube))
+
+
+TERMS = {
+    Kind.EXPOSURE: Term(
+        lambda pair, _, time_s: pair.responses[0].widened(time_s, pair.exposure_s),
+        _exposed,
+        lambda pair, change: 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2,
+    ),
+    Kind.LEAN: Term(
+        lambda _, moved, time_s: moved.at(time_s),
+        _leaning,
+        lambda pair, change: 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE,
+    ),
+    Kind.LAG: Term(
+        lambda pair, _, time_s: pair.responses[0].derivative(time_s, 3),
+        lambda pair, change, _: _logged(pair, 0.0, change),
+        lambda pair, change: True,
+    ),
+    Kind.DROOP: Term(
+        lambda pair, _, time_s: -pair.responses[0].derivative(time_s, 2),
+        lambda pair, change, _: _logged(pair, -change, 0.0),
+        lambda pair, change: pair.logger[0] - change < 0.0,
+    ),
+    Kind.RESONANCE: Term(
+        lambda pair, _, time_s: pair.responses[0].derivative(time_s, 2),
+        lambda pair, change, _: _logged(pair, change, 0.0),
+        lambda pair, change: 0.0 < pair.logger[0] + change < (2.0 * np.pi * MIN_RESONANCE_HZ) ** -2,
+    ),
+}
 # They make the ratio fall with the frequency's square, as a sensor of first order does.
 FALLING = (Kind.EXPOSURE, Kind.RESONANCE)
 # One of each at most: one number with two signs; two that differ in the fourth power of the frequency only.
 ALIKE = ({Kind.DROOP, Kind.RESONANCE}, {Kind.EXPOSURE, Kind.RESONANCE})
-
-
-@dataclass(frozen=True, slots=True)
-class Regression:
-    """The translation regressed on some of the columns, at its most likely corner frequency (rad/s).
-
-    free: the columns' numbers; coefficients (k,) and covariance (k, k) in their order. scatter: variance of the last
-    coefficient by how far parts of the record differ in it, over that in the covariance; 1 at least.
-    """
-
-    free: tuple[int, ...]
-    corner: float
-    likelihood: float
-    coefficients: Floats
-    covariance: Floats
-    scatter: float = 1.0
-
-    @property
-    def relative_std(self) -> float:
-        """The standard deviation of the ratio, relative."""
-        return float(np.sqrt(self.covariance[0, 0])) / abs(float(self.coefficients[0]))
-
-    def of(self, column: int) -> tuple[float, float]:
-        """The coefficient of a column over the ratio, and its standard deviation."""
-        k, ratio = self.free.index(column), self.coefficients[0]
-        return float(self.coefficients[k] / ratio), float(np.sqrt(self.covariance[k, k])) / abs(float(ratio))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,91 +172,160 @@ class FrequencyResponse:
     relative_std: float = 0.0
     offset_variance: float = 0.0
 
-    def texts(self, motion_hz: float) -> list[Notice]:
-        """A sentence for each kind that was found; motion_hz: middle frequency of the motion."""
-        found = []
-        if Kind.EXPOSURE in self.known:
-            found.append(
-                Notice(
-                    "exposure",
-                    "camera: fast motion comes out smaller than slow motion, as with an exposure of "
-                    f"{1e3 * self.exposure_s:.2g} ms, which was not declared, or with an accelerometer whose mounting "
-                    f"resonates near {RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz. It is taken for an exposure, "
-                    "and the error band holds the other as far as the motion does not exclude it; declare exposure_s.",
-                )
-            )
-        found += self._open_texts()
-        if Kind.LEAN in self.known:
-            found.append(
-                Notice(
-                    "tilt",
-                    f"accelerometer: it seems to tilt by {1e3 * self.slope:.2g} mrad for each metre that it moves, as "
-                    "on a tower that leans, so that gravity reaches it. The scale factor is without it.",
-                )
-            )
+    def texts(self, motion_hz: float) -> Iterator[Notice]:
+        """A sentence for each kind that was found, or is open; motion_hz: middle frequency of the motion."""
         square = (2.0 * np.pi * motion_hz) ** 2
-        if Kind.DROOP in self.known:
-            found.append(
-                Notice(
-                    "logger-low-pass",
-                    f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} "
-                    "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider.",
-                )
+        falls = "camera: fast motion comes out smaller than slow motion, as with an exposure of"
+        open_text = (
+            "the motion does not tell which: the scale factor lies between the two, and the error band holds both"
+        )
+        if Kind.EXPOSURE in self.known:
+            yield Notice(
+                "exposure",
+                f"{falls} {1e3 * self.exposure_s:.2g} ms, which was not declared, or with an accelerometer whose "
+                f"mounting resonates near {RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz. It is taken for an "
+                "exposure, and the error band holds the other as far as the motion does not exclude it; declare "
+                "exposure_s.",
             )
-        if Kind.RESONANCE in self.known:
-            found.append(
-                Notice(
-                    "accelerometer-resonates",
-                    f"accelerometer: it feels motion of {motion_hz:.2g} Hz by {100.0 * self.resonance_s2 * square:.2g} "
-                    "% too strongly and slower motion less so, as on a bracket or railing that resonates near "
-                    f"{1.0 / (2.0 * np.pi * np.sqrt(self.resonance_s2)):.2g} Hz. The scale factor is without it; the "
-                    "error band is wider.",
-                )
-            )
-        if Kind.LAG in self.known:
-            late_s = -self.lag_s3 * square
-            found.append(
-                Notice(
-                    "logger-low-pass",
-                    f"accelerometer: its delay changes with frequency, by {1e3 * late_s:+.2g} ms from 0 to "
-                    f"{motion_hz:.2g} Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the "
-                    "error band is wider.",
-                )
-            )
-        return found
-
-    def _open_texts(self) -> list[Notice]:
-        """A sentence on what explains the ratio no better than other causes do."""
-        found = list[Notice]()
         if self.open_s > 0.0:
-            found.append(
-                Notice(
-                    "exposure",
-                    "camera: fast motion comes out smaller than slow motion, as with an exposure of "
-                    f"{1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs with "
-                    "its motion or its mounting resonates, and the motion does not tell which: the scale factor lies "
-                    "between the two, and the error band holds both; declare exposure_s.",
-                )
+            yield Notice(
+                "exposure",
+                f"{falls} {1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs "
+                f"with its motion or its mounting resonates, and {open_text}; declare exposure_s.",
             )
         if self.open_resonance_hz > 0.0:
-            found.append(
-                Notice(
-                    "accelerometer-resonates",
-                    "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
-                    f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and the motion does not "
-                    "tell which: the scale factor lies between the two, and the error band holds both.",
-                )
+            yield Notice(
+                "accelerometer-resonates",
+                "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
+                f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and {open_text}.",
             )
-        return found
+        if Kind.LEAN in self.known:
+            yield Notice(
+                "tilt",
+                f"accelerometer: it seems to tilt by {1e3 * self.slope:.2g} mrad for each metre that it moves, as "
+                "on a tower that leans, so that gravity reaches it. The scale factor is without it.",
+            )
+        if Kind.DROOP in self.known:
+            yield Notice(
+                "logger-low-pass",
+                f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} "
+                "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider.",
+            )
+        if Kind.RESONANCE in self.known:
+            yield Notice(
+                "accelerometer-resonates",
+                f"accelerometer: it feels motion of {motion_hz:.2g} Hz by {100.0 * self.resonance_s2 * square:.2g} "
+                "% too strongly and slower motion less so, as on a bracket or railing that resonates near "
+                f"{1.0 / (2.0 * np.pi * np.sqrt(self.resonance_s2)):.2g} Hz. The scale factor is without it; the "
+                "error band is wider.",
+            )
+        if Kind.LAG in self.known:
+            yield Notice(
+                "logger-low-pass",
+                f"accelerometer: its delay changes with frequency, by {-1e3 * self.lag_s3 * square:+.2g} ms from 0 to "
+                f"{motion_hz:.2g} Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the "
+                "error band is wider.",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """The translation regressed on some of the columns, at its most likely corner frequency (rad/s).
+
+    free: the columns' numbers; coefficients (k,) and covariance (k, k) in their order. scatter: variance of the last
+    coefficient by how far parts of the record differ in it, over that in the covariance; 1 at least.
+    """
+
+    free: tuple[int, ...]
+    corner: float
+    likelihood: float
+    coefficients: Floats
+    covariance: Floats
+    scatter: float = 1.0
+
+    def of(self, kind_column: int) -> tuple[float, float]:
+        """The coefficient of a column over the ratio, and its standard deviation."""
+        k, ratio = self.free.index(kind_column), self.coefficients[0]
+        return float(self.coefficients[k] / ratio), float(np.sqrt(self.covariance[k, k])) / abs(float(ratio))
+
+
+class _Columns:
+    """A pair at the offset of a fit with one column for each kind; whitened once at each corner frequency."""
+
+    def __init__(self, pair: Pair, fit: Fit) -> None:
+        samples = pair.samples.copy()
+        samples[:, 1] = self.moved_m = _moved_m(pair, fit)
+        moved = integrated(samples)
+
+        def column(kind: Kind) -> Callable[[Floats], Floats]:
+            return lambda time_s: TERMS[kind].column(pair, moved, time_s)
+
+        self._pair = pair
+        here = aligned(pair, fit.offset_s, *(column(kind) for kind in Kind))
+        self.whitened = lru_cache(kept(here.rows))(here.whitened)
+
+    def regressed(self, known: Sequence[Kind]) -> Regression:
+        """The most likely regression on the columns of some kinds."""
+        free = _free(known)
+        corner = likeliest_corner(self._pair, lambda one: _at(self.whitened(one), free, one).likelihood)
+        w = self.whitened(corner)
+        found = _at(w, free, corner)
+        return replace(found, scatter=_scatter(w, found))
+
+
+def _free(known: Sequence[Kind]) -> tuple[int, ...]:
+    return (RESPONSE, VELOCITY, *(FIRST + kind for kind in known))
+
+
+def _moved_m(pair: Pair, fit: Fit) -> Floats:
+    """The displacement (n,) at the samples by the translation alone, about its mean; beyond its ends as there."""
+    from scipy.interpolate import CubicSpline
+
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    time_s = np.clip(pair.samples[:, 0], rows[0, 0] + fit.offset_s, rows[-1, 0] + fit.offset_s)
+    return np.asarray((CubicSpline(rows[:, 0] + fit.offset_s, rows[:, 1])(time_s) - rows[:, 1].mean()) / fit.ratio)
+
+
+def _at(w: Whitened, free: tuple[int, ...], corner: float) -> Regression:
+    coefficients, covariance, left = _solved(w, free)
+    n = len(w.variance)
+    likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
+    return Regression(free, corner, float(likelihood), coefficients, covariance)
+
+
+def _solved(w: Whitened, free: tuple[int, ...], last_std: float | None = None) -> tuple[Floats, Floats, float]:
+    """Coefficients (k,), covariance (k, k), and what is left of the squares; last_std: prior of the last one."""
+    power, cross = w.regression(w.columns[:, list(free)])
+    coefficients = inverse_of(power) @ cross
+    left = max(w.product(w.translation, w.translation) - float(coefficients @ cross), 1e-300)
+    noise = left / max(len(w.variance) - len(free), 1)
+    if last_std is not None:
+        power[-1, -1] += noise / last_std**2
+    return coefficients, noise * inverse_of(power), left
+
+
+def _scatter(w: Whitened, found: Regression) -> float:
+    """Variance of the last coefficient by parts of the record over that of white innovations; 1 at least.
+
+    Sums of its score over parts scatter as the errors do that are correlated and go with the motion as well (K.-Y.
+    Liang, S. L. Zeger, Biometrika 73 (1986) 13-22, doi 10.1093/biomet/73.1.13).
+    """
+    columns = w.columns[:, list(found.free)] / np.sqrt(w.variance)[:, None]
+    left = w.translation / np.sqrt(w.variance) - columns @ found.coefficients
+    last = columns @ inverse_of(columns.T @ columns)[:, -1]
+    sums = np.array([np.sum(part) for part in np.array_split(last * left, PARTS)])
+    white = float(np.mean(left**2)) * float(np.sum(last**2))
+    return max(float(np.sum(sums**2)) / white, 1.0) if white > 0.0 else 1.0
 
 
 def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
     """The kinds that may be there: none where a band decides the ratio."""
     if pair.outside is not None:
         return ()
-    exposure = () if exposure_declared else (Kind.EXPOSURE,)
-    lean = () if abs(pair.level_m_s2) > VERTICAL_M_S2 else (Kind.LEAN,)
-    return (*exposure, *lean, Kind.LAG, Kind.DROOP, Kind.RESONANCE)
+    excluded = {Kind.EXPOSURE} if exposure_declared else set[Kind]()
+    if abs(pair.level_m_s2) > VERTICAL_M_S2:
+        excluded.add(Kind.LEAN)
+    return tuple(kind for kind in Kind if kind not in excluded)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,15 +356,14 @@ def with_response(
     pair, fit = _settled(pair, fit, known)
     explained = Explained(pair, list(known))
     while len(explained.known) < len(kinds):
-        found = explained.known
-        here, before = _aligned(pair, fit), _columns(found)
-        without = _regressed(here, before).likelihood
+        found, columns = explained.known, _Columns(pair, fit)
         left = [
             kind
             for kind in kinds
             if kind not in found and not any(kind in alike and alike & {*found} for alike in ALIKE)
         ]
-        tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in left}
+        without = columns.regressed(found).likelihood
+        tried = {kind: columns.regressed((*found, kind)) for kind in left}
         able = _able(pair, tried, without, most_open)
         if not able:
             break
@@ -259,16 +371,20 @@ def with_response(
         # An exposure and a resonance are one column as long as neither is in the pair; the exposure is the usual one.
         alike = [kind for kind in able if kind is best or {kind, best} in ALIKE]
         settled = [([*found, kind], *_settled(pair, fit, [*found, kind])) for kind in alike]
-        possible = [one for one in settled if all(_possible(one[1], kind) for kind in one[0])]
+        possible = [one for one in settled if all(TERMS[kind].possible(one[1], 0.0) for kind in one[0])]
         if not possible:
             break
         taken, other, refitted = max(
             possible, key=lambda one: one[2].likelihood - (MIN_GAIN if Kind.RESONANCE in one[0] else 0.0)
         )
-        if _falls(pair, other) > 0.0 and not _leads(pair, other, refitted):
+        # By how much (s², as T²/24) there is more of an exposure or a resonance.
+        falls = (other.exposure_s**2 - pair.exposure_s**2) / 24.0 + max(other.logger[0], 0.0) - max(pair.logger[0], 0.0)
+        bare = replace(
+            other, exposure_s=pair.exposure_s, logger=(min(other.logger[0], pair.logger[0]), other.logger[1])
+        )
+        if falls > 0.0 and not lead_over_first_order(other, bare, refitted, falls) > MIN_GAIN:
             kinds = [kind for kind in kinds if kind not in FALLING or kind in found]
-            change = refitted.ratio / fit.ratio - 1.0
-            explained = replace(explained, open_s2=_falls(pair, other), open_change=change)
+            explained = replace(explained, open_s2=falls, open_change=refitted.ratio / fit.ratio - 1.0)
             continue
         pair, fit = other, refitted
         apart = _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)])
@@ -283,8 +399,8 @@ def _able(pair: Pair, tried: Mapping[Kind, Regression], without: float, most_ope
         for kind, one in tried.items()
         # Errors that are no white noise gain by chance in proportion to their own scatter.
         if one.likelihood - without > MIN_GAIN * one.scatter
-        and one.relative_std < most_open
-        and _possible(pair, kind, one.of(FIRST + kind)[0])
+        and one.of(RESPONSE)[1] < most_open
+        and TERMS[kind].possible(pair, one.of(FIRST + kind)[0])
     ]
     most = max((one.likelihood for one in tried.values()), default=-np.inf)
     if Kind.RESONANCE in able and tried[Kind.RESONANCE].likelihood < most - MIN_GAIN:
@@ -293,52 +409,61 @@ def _able(pair: Pair, tried: Mapping[Kind, Regression], without: float, most_ope
     return able
 
 
-def _falls(pair: Pair, other: Pair) -> float:
-    """By how much (s², as T²/24) another pair has more of an exposure or a resonance."""
-    return (other.exposure_s**2 - pair.exposure_s**2) / 24.0 + max(other.logger[0], 0.0) - max(pair.logger[0], 0.0)
-
-
-def _leads(pair: Pair, other: Pair, fit: Fit) -> bool:
-    """Whether the exposure or resonance of another pair is clearly likelier than a first-order response."""
-    square = _falls(pair, other)
-    bare = replace(other, exposure_s=pair.exposure_s, logger=(min(other.logger[0], pair.logger[0]), other.logger[1]))
-    return lead_over_first_order(other, bare, fit, square) > MIN_GAIN
-
-
-def exposure_shows(pair: Pair, fit: Fit) -> bool:
-    """Whether an exposure explains the translation better than any ratio and any delay do, by MIN_GAIN."""
-    free = replace(pair, ratio=None, exposure_s=0.0)
-    here, plain = _aligned(free, fit), _columns(())
-    found = _regressed(here, (*plain, FIRST + Kind.EXPOSURE))
-    return found.likelihood - _regressed(here, plain).likelihood > MIN_GAIN * found.scatter
-
-
 def _doubt(best: Regression, others: Sequence[Regression]) -> float:
-    """How far the ratio lies from that of other explanations (rms), each with its probability relative to the best."""
     odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
     apart = [other.coefficients[0] / best.coefficients[0] - 1.0 for other in others]
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
 
 
-def _possible(pair: Pair, kind: Kind, change: float = 0.0) -> bool:
-    """Whether exposure, slope and droop are positive, and the two first no more than they can be, after a change."""
-    if kind is Kind.EXPOSURE:
-        return 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2
-    if kind is Kind.DROOP:
-        return pair.logger[0] - change < 0.0
-    if kind is Kind.RESONANCE:
-        return 0.0 < pair.logger[0] + change < (2.0 * np.pi * MIN_RESONANCE_HZ) ** -2
-    return kind is Kind.LAG or 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE
+def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
+    most_s = MAX_LATE / pair.rate_hz
+    for _ in range(STEPS if known else 0):
+        columns = _Columns(pair, fit)
+        found = columns.regressed(known)
+        steps = [found.of(FIRST + kind) for kind in known]
+        for kind, (change, _) in zip(known, steps, strict=True):
+            pair = TERMS[kind].changed(pair, change, columns.moved_m)
+        late_s = float(np.clip(found.of(VELOCITY)[0], -most_s, most_s))
+        fit = best_corner(pair, fit.offset_s + late_s, found.corner)
+        if all(abs(change) < LAST_STEP * std for change, std in steps):
+            break
+    return pair, fit
+
+
+def exposure_shows(pair: Pair, fit: Fit) -> bool:
+    """Whether an exposure explains the translation better than any ratio and any delay do, by MIN_GAIN."""
+    columns = _Columns(replace(pair, ratio=None, exposure_s=0.0), fit)
+    found = columns.regressed((Kind.EXPOSURE,))
+    return found.likelihood - columns.regressed(()).likelihood > MIN_GAIN * found.scatter
+
+
+def lead_over_first_order(found: Pair, without: Pair, fit: Fit, square_s2: float, *, offset_cost: float = 0.0) -> float:
+    """By how much a pair with an exposure is more likely (logarithm) than one with a first-order response instead.
+
+    Each at its best ratio and clock offset. found, without: the pair with and without the exposure; fit: of the first;
+    square_s2: T²/24 of the exposure; offset_cost: what a clock offset other than 0 costs, in likelihood.
+    """
+    found, without = (replace(one, ratio=None, reference=None) for one in (found, without))
+    usual_s = float(np.sqrt(2.0 * square_s2))
+
+    def likelihood(pair: Pair, delay_s: float) -> float:
+        free = refine(pair, best_corner(pair, fit.offset_s + delay_s, fit.corner), usual_s).likelihood
+        return max(free - offset_cost, best_corner(pair, 0.0, fit.corner).likelihood) if offset_cost > 0.0 else free
+
+    def cost(share: float) -> float:
+        # The acceleration that a sensor of first order would follow: its delays are exponentially distributed.
+        time_constant_s, (time_s, value) = share * usual_s, without.samples[:, :2].T
+        parts = (
+            w * np.interp(time_s - u * time_constant_s, time_s, value) for u, w in zip(NODES, WEIGHTS, strict=True)
+        )
+        samples = np.column_stack((time_s, sum(parts), without.samples[:, 2:]))
+        return -likelihood(replace(without, samples=samples), time_constant_s)
+
+    return likelihood(found, 0.0) + cost(minimum(cost, SHORTEST, LONGEST, TOLERANCE))
 
 
 def response_of(
-    pair: Pair,
-    fit: Fit,
-    kinds: Sequence[Kind],
-    known: Sequence[Kind],
-    *,
-    declared_s: float = 0.0,
-    open_s2: float = 0.0,
+    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind], *, declared_s: float = 0.0, open_s2: float = 0.0
 ) -> FrequencyResponse:
     """What was found, and what uncertainty it and those of `kinds` that were not found add.
 
@@ -347,22 +472,21 @@ def response_of(
     part of what was found; open_s2: as of `Explained`.
     """
     undeclared_s2 = open_s2 if Kind.EXPOSURE in kinds else 0.0
-    here = _aligned(pair, fit)
-    w = here.whitened(fit.corner)
-    stds = {
+    w = _Columns(pair, fit).whitened(fit.corner)
+    usual = {
         Kind.EXPOSURE: min(USUAL_EXPOSURE_S, 1.0 / pair.rate_hz) ** 2 / 24.0,
         Kind.LEAN: GRAVITY_M_S2 * USUAL_SLOPE,
     }
 
-    def variances(free: tuple[int, ...], std: float | None = None) -> Floats:
-        covariance = _solved(w, free, None if std is None else std * fit.ratio)[1]
+    def variances(free: Sequence[Kind], std: float | None = None) -> Floats:
+        covariance = _solved(w, _free(free), None if std is None else std * fit.ratio)[1]
         return np.array([covariance[0, 0], covariance[1, 1]]) / fit.ratio**2
 
-    own = variances(_columns(known))
-    more = own - variances(_columns(()))
+    own = variances(known)
+    more = own - variances(())
     for kind in kinds:
-        if kind not in known and kind in stds:
-            more = more + variances((*_columns(known), FIRST + kind), stds[kind]) - own
+        if kind not in known and kind in usual:
+            more = more + variances((*known, kind), usual[kind]) - own
     relative, offset = np.maximum(more, 0.0)
     return FrequencyResponse(
         known=tuple(known),
@@ -380,14 +504,11 @@ def response_of(
 
 
 def _other_m(pair: Pair, fit: Fit, known: Sequence[Kind], declared_s: float) -> float:
-    """What the exposure found in addition to a declared one makes of the displacement, by the probability that it is a
-    resonance instead, m rms; both are as likely beforehand.
-    """
+    """What an exposure beyond the declared one makes, m rms, by the probability that it is a resonance instead."""
     if Kind.EXPOSURE not in known or declared_s >= pair.exposure_s:
         return 0.0
     square = (pair.exposure_s**2 - declared_s**2) / 24.0
-    bare = replace(pair, exposure_s=declared_s)
-    resonant = replace(bare, logger=(pair.logger[0] + square, pair.logger[1]))
+    resonant = _logged(replace(pair, exposure_s=declared_s), square, 0.0)
     exposed, other = (best_corner(one, fit.offset_s, fit.corner).likelihood for one in (pair, resonant))
     odds = np.exp(np.clip(other - exposed, -50.0, 50.0))
     return _exposed_m(pair, fit, square) * float(np.sqrt(odds / (1.0 + odds)))
@@ -397,114 +518,3 @@ def _exposed_m(pair: Pair, fit: Fit, square_s2: float) -> float:
     """What an exposure T makes of the displacement by its first term, m rms; square_s2: T²/24."""
     time_s = pair.rows[pair.used(fit.offset_s), 0] + fit.offset_s
     return square_s2 * float(np.std(pair.responses[0].derivative(time_s, 2)))
-
-
-def _columns(known: Sequence[Kind]) -> tuple[int, ...]:
-    return (RESPONSE, VELOCITY, *(FIRST + kind for kind in known))
-
-
-def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
-    """The pair with the most likely values of the kinds that are known to be there, and its fit."""
-    if not known:
-        return pair, fit
-    most_s = MAX_LATE / pair.rate_hz
-    for _ in range(STEPS):
-        moved = _moved_m(pair, fit)
-        found = _regressed(_aligned(pair, fit), _columns(known))
-        steps = [found.of(FIRST + kind) for kind in known]
-        for kind, (change, _) in zip(known, steps, strict=True):
-            pair = _changed(pair, kind, change, moved)
-        late_s = float(np.clip(found.of(VELOCITY)[0], -most_s, most_s))
-        fit = best_corner(pair, fit.offset_s + late_s, found.corner)
-        if all(abs(change) < LAST_STEP * std for change, std in steps):
-            break
-    return pair, fit
-
-
-def _aligned(pair: Pair, fit: Fit) -> Aligned:
-    """The pair with one column for each kind."""
-    inside, samples = pair.responses[0], pair.samples.copy()
-    samples[:, 1] = _moved_m(pair, fit)
-    more: tuple[Callable[[Floats], Floats], ...] = (
-        lambda time_s: inside.widened(time_s, pair.exposure_s),
-        integrated(samples).at,
-        lambda time_s: inside.derivative(time_s, 3),
-        lambda time_s: -inside.derivative(time_s, 2),
-        lambda time_s: inside.derivative(time_s, 2),
-    )
-    return aligned(pair, fit.offset_s, *more)
-
-
-def _moved_m(pair: Pair, fit: Fit) -> Floats:
-    """The displacement (n,) at the samples by the translation alone, about its mean; beyond its ends as there."""
-    from scipy.interpolate import CubicSpline
-
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    time_s = np.clip(pair.samples[:, 0], rows[0, 0] + fit.offset_s, rows[-1, 0] + fit.offset_s)
-    return np.asarray((CubicSpline(rows[:, 0] + fit.offset_s, rows[:, 1])(time_s) - rows[:, 1].mean()) / fit.ratio)
-
-
-def _changed(pair: Pair, kind: Kind, change: float, moved_m: Floats) -> Pair:
-    """The pair with one number changed: exposure²/24, lean, lag or droop."""
-    if kind is Kind.EXPOSURE:
-        square = max(pair.exposure_s**2 + 24.0 * change, 0.0)
-        return replace(pair, exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
-    if kind is Kind.LAG:
-        return replace(pair, logger=(pair.logger[0], pair.logger[1] + change))
-    if kind in (Kind.DROOP, Kind.RESONANCE):
-        more = change if kind is Kind.RESONANCE else -change
-        return replace(pair, logger=(pair.logger[0] + more, pair.logger[1]))
-    samples = pair.samples.copy()
-    samples[:, 1] += change * moved_m
-    return replace(pair, samples=samples, lean=pair.lean + change)
-
-
-def _regressed(here: Aligned, free: tuple[int, ...]) -> Regression:
-    """The most likely regression on some of the columns."""
-    found = _at(here, free, likeliest_corner(here.pair, lambda one: _at(here, free, one).likelihood))
-    return replace(found, scatter=_scatter(here.whitened(found.corner), found))
-
-
-def _at(here: Aligned, free: tuple[int, ...], corner: float) -> Regression:
-    """The regression at a corner frequency."""
-    w = here.whitened(corner)
-    coefficients, covariance, left = _solved(w, free)
-    n = len(w.variance)
-    likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
-    return Regression(free, corner, float(likelihood), coefficients, covariance)
-
-
-def _scatter(w: Whitened, found: Regression) -> float:
-    """Variance of the last coefficient by parts of the record over that of white innovations; 1 at least.
-
-    The score of a coefficient sums up to 0; how its sums over parts scatter holds for errors that are correlated and go
-    with the motion as well (K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13-22, doi 10.1093/biomet/73.1.13).
-    """
-    columns = w.columns[:, list(found.free)] / np.sqrt(w.variance)[:, None]
-    left = w.translation / np.sqrt(w.variance) - columns @ found.coefficients
-    last = columns @ _inverse(columns.T @ columns)[:, -1]
-    sums = np.array([np.sum(part) for part in np.array_split(last * left, PARTS)])
-    white = float(np.mean(left**2)) * float(np.sum(last**2))
-    return max(float(np.sum(sums**2)) / white, 1.0) if white > 0.0 else 1.0
-
-
-def _solved(w: Whitened, free: tuple[int, ...], last_std: float | None = None) -> tuple[Floats, Floats, float]:
-    """Coefficients (k,) of columns, their covariance (k, k), and what is left of the squares.
-
-    last_std: standard deviation of the last coefficient, about 0, as known before.
-    """
-    columns = w.columns[:, list(free)]
-    power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / w.variance)
-    cross = np.einsum("mi,m->i", columns, w.translation / w.variance)
-    coefficients = _inverse(power) @ cross
-    left = max(w.product(w.translation, w.translation) - float(coefficients @ cross), 1e-300)
-    noise = left / max(len(w.variance) - len(free), 1)
-    if last_std is not None:
-        power[-1, -1] += noise / last_std**2
-    return coefficients, noise * _inverse(power), left
-
-
-def _inverse(power: Floats) -> Floats:
-    """The inverse of a matrix (k, k) of products of columns whose units differ; what none determines is left out."""
-    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
-    return np.asarray(np.linalg.pinv(power / np.outer(size, size), hermitian=True) / np.outer(size, size))

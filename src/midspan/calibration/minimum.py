@@ -63,9 +63,7 @@ def _vertex(
     bounds: tuple[float, float],
     last: float,
 ) -> float | None:
-    """The step from the best point to the vertex of the parabola through three; None where it is not to be trusted:
-    outside of the bounds, or no shorter than half the step before the last.
-    """
+    """The step from the best point to the vertex of the parabola through three; None where it is not to be trusted."""
     (x, fx), (w, fw), (v, fv) = best, second, third
     r, q = (x - w) * (fx - fv), (x - v) * (fx - fw)
     p = (x - v) * q - (x - w) * r

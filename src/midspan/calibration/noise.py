@@ -1,12 +1,12 @@
 """Noise levels by the innovations of a displacement sensor and the accelerometer, and their clock offset."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit, noise_share, straightened
 from midspan.calibration.direction import Direction
-from midspan.calibration.exposure import Exposed, find_exposure
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -18,12 +18,11 @@ from midspan.calibration.fit import (
     with_corner_doubt,
     with_input_noise,
 )
-from midspan.calibration.floor import noise_floor
-from midspan.calibration.low_pass import LowPass, find_low_pass
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
-from midspan.calibration.own_noise import exceeds_own_noise
+from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
+from midspan.calibration.sensor_response import Exposed, LowPass, find_exposure, find_low_pass
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
 from midspan.checks import instance
@@ -111,7 +110,7 @@ class NoiseCalibration:
     gain_std: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = np.inf
-    unseen_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unseen_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
     open_exposure_s: float = 0.0
     direction: Direction | None = None
@@ -142,14 +141,12 @@ def calibrate_noise(
     """
     instance("pair", pair, Pair, "a Pair of acceleration and displacement")
     whole = pair.rows
-    sought = _sought(
-        pair, max_offset_s, edge_s(max_offset_s, length_s), one_clock=one_clock, declared=exposure_declared
-    )
-    pair, fit, offset, search = sought.pair, sought.fit, sought.offset, sought.search
-    low_pass = None
+    edge = edge_s(max_offset_s, length_s)
+    used, offset, search, found = _sought(pair, max_offset_s, edge, one_clock=one_clock, declared=exposure_declared)
+    pair, fit, low_pass = used.pair, used.fit, None
     if search is not None and offset.value_s != 0.0:
         # Without any delay there is no low-pass.
-        low_pass = find_low_pass(replace(pair, rows=search.pair.rows), sought.found)
+        low_pass = find_low_pass(replace(pair, rows=search.pair.rows), found)
         if low_pass is not None:
             offset = TimeOffset(low_pass.offset_s, offset.variance)
             fit = fit if one_clock else best_corner(pair, low_pass.offset_s)
@@ -160,62 +157,50 @@ def calibrate_noise(
         pair = replace(pair, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
-    learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
-    if slow.pair.rows is not free.rows or slow.pair.level is not None:
-        learnt = _levelled(learnt, replace(pair, rows=slow.pair.rows, level=slow.pair.level))
+    learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, edge, floored=floored_fit is not fit)
     learnt = replace(
         learnt,
-        scale_std=float(np.hypot(learnt.scale_std, sought.spread)),
+        scale_std=float(np.hypot(learnt.scale_std, used.spread)),
         low_pass=low_pass,
         unseen_m=slow.unseen,
-        open_exposure_s=sought.open_s,
+        open_exposure_s=used.open_s,
     )
-    return _without_gain(learnt, gain_std, sought.spread)
-
-
-def _levelled(learnt: NoiseCalibration, pair: Pair) -> NoiseCalibration:
-    """The calibration with the noise of a pair whose rows have its levels; what is judged stays judged as it was."""
     assert learnt.findings is not None
-    fit = _within_floor(pair, best_corner(pair, learnt.findings.fit.offset_s))
-    return replace(
-        learnt,
-        variance_factor=fit.noise,
-        input_noise=pair.input_noise(fit.input_density),
-        slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
-        findings=replace(learnt.findings, levelled=(pair, fit)),
-    )
+    if slow.pair.rows is not free.rows or slow.pair.level is not None:
+        # What is judged stays judged as it was.
+        levelled = replace(pair, rows=slow.pair.rows, level=slow.pair.level)
+        fit = _within_floor(levelled, best_corner(levelled, floored_fit.offset_s))
+        findings = replace(learnt.findings, levelled=(levelled, fit))
+        learnt = replace(learnt, **levels_of(levelled, fit), findings=findings)
+    return learnt if gain_std == 0.0 else _without_gain(learnt, gain_std, used.spread)
 
 
-@dataclass(frozen=True, slots=True)
-class _Sought:
-    """Clock offset and exposure of a sensor: the pair and its fit with those that are applied; found: the fit at the
-    offset that was found; spread, open_s: as of `Exposed`.
-    """
-
-    pair: Pair
-    fit: Fit
-    offset: TimeOffset
-    search: OffsetSearch | None
-    found: Fit
-    spread: float
-    open_s: float
+def levels_of(pair: Pair, fit: Fit, factor: float = 1.0) -> dict[str, Any]:
+    """Noise levels of a calibration by a fit, of readings that are multiplied by a factor."""
+    return {
+        "variance_factor": fit.noise * factor * factor,
+        "input_noise": pair.input_noise(fit.input_density),
+        "slow_std_m": abs(factor) * float(np.sqrt(pair.slow[0] * fit.noise)),
+    }
 
 
-def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, declared: bool) -> _Sought:
-    """Clock offset and exposure, where that is not declared: a sensor that averages seems to have another clock, and
-    one with another clock to average.
+def _sought(
+    pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, declared: bool
+) -> tuple[Exposed, TimeOffset, OffsetSearch | None, Fit]:
+    """What is applied of clock offset and undeclared exposure, each of which seems to be the other; the offset, its
+    search, and the fit at the offset that was found.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)), steps=one_clock)
     here = Exposed(pair, still) if declared else find_exposure(pair, still, offset_cost=MIN_GAIN)
     if max_offset_s <= 0.0:
-        return _Sought(here.pair, here.fit, TimeOffset(0.0, np.inf), None, here.fit, here.spread, here.open_s)
+        return here, TimeOffset(0.0, np.inf), None, here.fit
     there = here
     for _ in range(EXPOSURES):
         search = search_offset(there.pair, max_offset_s, edge)
         found, variance = nearest(search) if one_clock else (search.fit, search.offset.variance)
         offset = applied(search, found, variance, max_offset_s)
         if offset.value_s == 0.0:
-            return _Sought(here.pair, here.fit, offset, search, found, here.spread, here.open_s)
+            return here, offset, search, found
         if declared:
             there = Exposed(search.pair, found)
             break
@@ -224,18 +209,14 @@ def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, de
         before, there = there, find_exposure(none, own, offset_cost=MIN_GAIN)
         if there.pair.exposure_s == before.pair.exposure_s:
             break
-    used = here if one_clock else there
-    return _Sought(used.pair, used.fit, offset, search, found, used.spread, used.open_s)
+    return here if one_clock else there, offset, search, found
 
 
 def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:
-    """The calibration with the accelerometer's gain taken out of what differs, where the motion tells it better than
-    to `known_std`, relative; spread: what else makes it uncertain, relative.
-    """
+    """The calibration without the accelerometer's gain, where the motion tells it better than `known_std`, relative."""
     assert learnt.findings is not None
-    if known_std == 0.0:
-        return learnt
-    unknown = replace(learnt.findings.noise[0], ratio=None)
+    findings = learnt.findings
+    unknown = replace(findings.noise[0], ratio=None)
     pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
     fit = _within_floor(pair, fit)
     fit = with_corner_doubt(pair, fit, disputed=exceeds_own_noise(pair, fit))
@@ -244,30 +225,18 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
         return learnt
     # What is known before counts as well: the mean of both, by their variances.
     weight = known_std**2 / (known_std**2 + std**2)
-    return replace(
-        learnt,
-        variance_factor=fit.noise,
-        input_noise=pair.input_noise(fit.input_density),
-        slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
-        gain=1.0 / (1.0 + weight * (fit.ratio - 1.0)),
-        gain_std=std * float(np.sqrt(weight)),
-        findings=_with_gain(learnt.findings, pair, fit),
-    )
-
-
-def _with_gain(findings: Findings, pair: Pair, fit: Fit) -> Findings:
-    """The findings with a pair and its fit that tell the gain."""
     if findings.levelled is None:
-        return replace(findings, pair=pair, fit=fit)
-    judged = best_corner(replace(findings.pair, ratio=fit.ratio), findings.fit.offset_s)
-    return replace(findings, fit=judged, levelled=(pair, fit))
+        findings = replace(findings, pair=pair, fit=fit)
+    else:
+        judged = best_corner(replace(findings.pair, ratio=fit.ratio), findings.fit.offset_s)
+        findings = replace(findings, fit=judged, levelled=(pair, fit))
+    gain = 1.0 / (1.0 + weight * (fit.ratio - 1.0))
+    gain_std = std * float(np.sqrt(weight))
+    return replace(learnt, **levels_of(pair, fit), gain=gain, gain_std=gain_std, findings=findings)
 
 
 def _within_floor(pair: Pair, fit: Fit) -> Fit:
-    """The fit with no more noise of the sensor than its readings have, where innovations are not white at any scale.
-
-    What no white noise explains would else count as the sensor's; it is the accelerometer's, which then decides less.
-    """
+    """The fit with no more noise of the sensor than its readings have, where innovations are not white at any scale."""
     most = noise_floor(pair.rows[fit.whitened.index, 1])
     if fit.noise <= most:
         return fit
@@ -286,14 +255,10 @@ def _with_scale(
     offset: TimeOffset,
     search: OffsetSearch | None,
     max_offset_s: float,
-    length_s: float,
+    edge: float,
     *,
     floored: bool,
 ) -> NoiseCalibration:
-    """The calibration, and how it stands to one with any scale.
-
-    floored: whether the accelerometer's noise is no less than in the fit, see `_within_floor`.
-    """
     unknown = replace(pair, ratio=None)
     local = best_corner(unknown, offset.value_s)
     if floored and local.corner < fit.corner:
@@ -302,28 +267,25 @@ def _with_scale(
     others = [local]
     if search is not None:
         # With the wrong sign nothing fits but the lowest noise, or a clock offset of half a period.
-        found = search_offset(unknown, max_offset_s, edge_s(max_offset_s, length_s))
+        found = search_offset(unknown, max_offset_s, edge)
         others += [found.fit, *([] if found.runner_up is None else [found.runner_up])]
     # The same without what a smaller ratio was made to lose: comparable with the ratio as it is.
     others = [evaluate(replace(pair, ratio=one.ratio), one.offset_s, one.corner) for one in others]
     free = max(others, key=lambda one: one.likelihood)
-    turned = [one.likelihood for one in others if one.ratio < 0.0 and one.likelihood - one.without > LEAST_AGREEMENT]
+    turned = [one.likelihood for one in others if one.ratio < 0.0 and one.gain > LEAST_AGREEMENT]
     upright = [one.likelihood for one in (*others, likeliest) if one.ratio > 0.0]
-    reversed_gain = max(turned, default=-np.inf) - max(upright)
     scale, std = local.ratio, float(np.sqrt(local.ratio_variance))
     straight = straightened(unknown, local)
     if straight is not None:
         # A clock that drifts takes from the scale.
         scale, std = straight[0].ratio, float(np.sqrt(straight[0].ratio_variance))
     return NoiseCalibration(
-        variance_factor=fit.noise,
-        input_noise=pair.input_noise(fit.input_density),
+        **levels_of(pair, fit),
         offset=offset,
         scale=scale,
         scale_std=std,
         drifts=local.gain < LEAST_AGREEMENT and _drifts(pair, offset.value_s),
-        reversed_gain=reversed_gain,
-        slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
+        reversed_gain=max(turned, default=-np.inf) - max(upright),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
         exposure_s=pair.exposure_s,
         # What no white noise explains decides the ratio then.
@@ -372,7 +334,7 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
 
 
 def without_outliers(pair: Pair, *, steps: bool = False) -> tuple[Pair, Fit]:
-    """The pair without outliers and its fit at no offset; steps: as of `mark_outliers`."""
+    """The pair without outliers and its fit at no offset; steps: as of `cleaned`."""
     pair, fit = with_input_noise(pair, best_corner(pair, 0.0))
     pair = cleaned(pair, fit, steps=steps)
     return with_input_noise(pair, best_corner(pair, 0.0))

@@ -5,24 +5,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.clock import compared
+from midspan.calibration.clock import ClockCourse, clock_course, compared
 from midspan.calibration.clock_jumps import LARGEST_S, ClockJump, clock_jumps, lateness
-from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
 from midspan.notices import Notice
-from midspan.records import (
-    NANOSECONDS,
-    Acceleration,
-    Displacement,
-    Event,
-    Floats,
-    Nanoseconds,
-    part,
-)
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, part
 from midspan.signals.stamps import inside, shown
 
+# In this time a cheap quartz (20 ppm) drifts by 2.4 ms; a shorter record is not much longer than its calibration.
+MIN_S = 120.0
+DRIFT_WINDOW_S, MAX_DRIFT_WINDOWS = 60.0, 240
+# A course is corrected when it leaves the calibrated offset by this many of its standard deviations …
+SIGNIFICANT = 4.0
+# … and by as much as matters: half the calibration's own promise.
+MIN_LATE_S = 5e-4
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
 AROUND_S = 10.0
 # Of the measurements in a window of this many seconds at most this share may contradict the acceleration in the end:
@@ -44,8 +42,9 @@ class CourseError:
 class OneClock:
     """Measurements on one clock, and what there is to report.
 
-    running: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by as
-    the motion tells a jump so well only, or does not tell which one it was.
+    course: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by as
+    the motion tells a jump so well only, or does not tell which one it was; uneven_s (n,): what the clock is off by
+    beyond that at each measurement, where windows tell it.
     """
 
     measured: Displacement
@@ -53,14 +52,14 @@ class OneClock:
     events: tuple[Event, ...] = ()
     levels: tuple[CourseError, ...] = ()
     jumps: tuple[ClockJump, ...] = ()
-    running: RunningClock | None = None
+    course: ClockCourse | None = None
+    uneven_s: Floats | None = None
 
     def first_ns(self, time_ns: int) -> int:
         """The first measurement's stamp (ns) with the jumps and the drift of its clock taken out."""
         late_s = self.jumps[0].before_s if self.jumps else 0.0
-        course = None if self.running is None else self.running.course
-        if course is not None:
-            late_s += float(course.at(np.array([time_ns]))[0])
+        if self.course is not None:
+            late_s += float(self.course.at(np.array([time_ns]))[0])
         return time_ns + round(NANOSECONDS * late_s)
 
     def also(self, measured: Displacement) -> "OneClock":
@@ -73,18 +72,56 @@ class OneClock:
         for jump in self.jumps:
             value[jump.first : jump.last] = np.nan
         moved = replace(moved, value_m=value)
-        if self.running is not None:
-            moved = self.running.also(moved).measured
+        moved = moved if self.course is None else self.course.corrected(moved)
         return replace(self, measured=moved, warnings=(), events=(), levels=())
 
 
+def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str) -> OneClock:
+    """The measurements of one sensor with the drift of its clock taken out, where the record is long and shows one.
+
+    measured: on the accelerometer's clock as calibrated; sensor: its name in messages.
+    """
+    usable = np.flatnonzero(np.isfinite(measured.value_m))
+    if len(usable) < 2 or not acceleration.value_m_s2.any():
+        return OneClock(measured)
+    length_s = float(measured.time_ns[usable[-1]] - measured.time_ns[usable[0]]) / NANOSECONDS
+    if length_s < MIN_S:
+        return OneClock(measured)
+    course = clock_course(acceleration, measured, window_s=max(DRIFT_WINDOW_S, length_s / MAX_DRIFT_WINDOWS))
+    late, std = course.at(course.time_ns), course.std_at(course.time_ns)
+    told, uneven_s = _uneven(course, sensor, measured.time_ns)
+    if not np.any((np.abs(late) > SIGNIFICANT * std) & (np.abs(late) > MIN_LATE_S)):
+        return OneClock(measured, tuple(told), uneven_s=uneven_s)
+    skew_std = float(np.sqrt(course.covariance[1, 1]))
+    text = (
+        f"{sensor}: its clock leaves the calibrated offset by {1e3 * late[0]:+.2f} ms at the start and "
+        f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * skew_std:.1f} ppm); "
+        "this was corrected."
+    )
+    return OneClock(
+        course.corrected(measured), (Notice("clock-corrected", text), *told), course=course, uneven_s=uneven_s
+    )
+
+
+def _uneven(course: ClockCourse, sensor: str, time_ns: Nanoseconds) -> tuple[list[Notice], Floats | None]:
+    """A warning where single windows leave the line by more than noise; and by how much (n,), s, at stamps (n,)."""
+    left = course.lateness_s - course.at(course.time_ns)
+    far = (np.abs(left) > 2.0 * SIGNIFICANT * course.std_s) & (np.abs(left) > 2.0 * MIN_LATE_S)
+    if not far.any():
+        return [], None
+    worst = int(np.argmax(np.where(far, np.abs(left), 0.0)))
+    known = np.isfinite(left)
+    uneven_s = np.interp(time_ns, course.time_ns[known], left[known])
+    text = (
+        f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
+        f"{1e3 * left[worst]:+.2f} ms relative to a straight line; the error band holds what that makes. Check for "
+        "lost frames, or split the recording there."
+    )
+    return [Notice("clock-differs", text)], uneven_s
+
+
 def one_clock(
-    measured: Displacement,
-    acceleration: Acceleration,
-    kalman: KalmanSettings,
-    sensor: str,
-    *,
-    shared: bool = False,
+    measured: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str, *, shared: bool = False
 ) -> OneClock:
     """The measurements of one sensor without the jumps of its clock and, in a long record, without its drift.
 
@@ -92,34 +129,30 @@ def one_clock(
     shared: its clock is the accelerometer's, so that no drift is looked for and the stamps before the first jump stay.
     """
     jumps = _jumps(measured, acceleration, stays=shared)
-    running = None if shared else on_one_clock(_moved(measured, jumps), acceleration, sensor)
-    if running is not None and running.course is not None and not jumps:
-        # Beside a clock that drifts a small jump shows only now.
-        jumps = _jumps(running.measured, acceleration, stays=True)
-        running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
-    moved = _moved(measured, jumps) if running is None else running.measured
-    told = () if running is None else running.warnings
-    uneven: tuple[CourseError, ...] = ()
-    if running is not None and running.uneven_s is not None:
-        std_m = _apart(moved, slice(0, None), running.uneven_s, acceleration, kalman)
+
+    def even() -> OneClock:
+        moved = _moved(measured, jumps)
+        return OneClock(moved) if shared else on_one_clock(moved, acceleration, sensor)
+
+    clock = even()
+    if clock.course is not None and not jumps:
+        # Relative to a clock that drifts a small jump shows only now.
+        jumps = _jumps(clock.measured, acceleration, stays=True)
+        clock = even() if jumps else clock
+    moved, uneven = clock.measured, tuple[CourseError, ...]()
+    if clock.uneven_s is not None:
+        std_m = _apart(moved, slice(0, None), clock.uneven_s, acceleration, kalman)
         uneven = (CourseError(moved.time_ns, std_m),)
     if not jumps:
-        return OneClock(moved, told, levels=uneven, running=running)
+        return replace(clock, levels=uneven)
     _refuse_contradiction(moved, acceleration, kalman, sensor)
     moved, levels = _either_side(moved, jumps, acceleration, kalman)
     events = tuple(_event(measured, jump, sensor) for jump in jumps)
-    return OneClock(
-        moved,
-        (*(Notice("clock-corrected", event.text) for event in events), *told),
-        events,
-        (*levels, *uneven),
-        jumps,
-        running,
-    )
+    warnings = (*(Notice("clock-corrected", event.text) for event in events), *clock.warnings)
+    return replace(clock, measured=moved, warnings=warnings, events=events, levels=(*levels, *uneven), jumps=jumps)
 
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
-    """UntrustedError where measurements contradict the acceleration for long though jumps were taken out."""
     told = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
     found = filtered(acceleration, moved, told).innovation
     far = found.value_m**2 > CONTRADICTS**2 * found.variance_m2
@@ -193,7 +226,6 @@ def _either_side(
 def _apart(
     moved: Displacement, which: slice, other_s: Floats, acceleration: Acceleration, kalman: KalmanSettings
 ) -> Floats:
-    """By how much (m) the displacement differs at stamps that are so much later."""
     time_ns = moved.time_ns[which]
     around = round((AROUND_S + LARGEST_S) * NANOSECONDS)
     span = (int(time_ns[0]) - around, int(time_ns[-1]) + around)
@@ -213,13 +245,10 @@ def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
     interval = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
     frames = round(jump.late_s / interval)
     # A clock that was set shows a step in the stamps themselves.
-    even = (
-        abs(end - begin - (jump.last - max(jump.first - 1, 0)) * interval * NANOSECONDS)
-        < WHOLE * interval * NANOSECONDS
-    )
-    whole = even and frames != 0 and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
-    were = "was" if abs(frames) == 1 else "were"
-    lost = "lost" if frames > 0 else "doubled"
+    apart = end - begin - (jump.last - max(jump.first - 1, 0)) * interval * NANOSECONDS
+    whole = abs(apart) < WHOLE * interval * NANOSECONDS and frames != 0
+    whole = whole and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
+    were, lost = "was" if abs(frames) == 1 else "were", "lost" if frames > 0 else "doubled"
     what = f", as if {abs(frames)} of its frames {were} {lost}" if whole else ""
     text = (
         f"{sensor}: its clock jumped between {shown(begin)} and {shown(end)}: {1e3 * jump.late_s:+.2f} ± "

@@ -16,8 +16,7 @@ from midspan.signals.stuck import resolution
 OUTLIER_LIMIT = 5.0
 # A measurement is lonely when it leaves its neighbours by this many times their own range.
 LONELY_LIMIT = 2.0
-# A structure is shaken where the mean square of its acceleration is this many times the usual: that of a stationary
-# narrow-band motion is so in 2 % of the time (it is exponential).
+# A structure is shaken where the mean square of its acceleration is so many times the usual: by chance 2 % of the time.
 SHAKEN = 4.0
 # Rounds of marking outliers, at most.
 MARKING_ROUNDS = 12
@@ -26,38 +25,27 @@ MARKING_ROUNDS = 12
 def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) -> Pair:
     """The pair without outliers; each round takes out the largest, which had hidden the smaller ones.
 
-    bound_s: how far the offset may move from the fit's meanwhile; steps: as of `mark_outliers`. The same object
-    where there are none.
-    """
-    for _ in range(MARKING_ROUNDS):
-        marked = mark_outliers(pair, fit, steps=steps)
-        if marked is pair:
-            break
-        pair = marked
-        fit = best_corner(pair, fit.offset_s, fit.corner)
-        fit = refine(pair, fit, bound_s) if bound_s > 0.0 else fit
-    return pair
-
-
-def mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:
-    """The pair with measurements far outside the fit marked unusable; the same object when there are none.
-
     A wrong measurement kicks the filter, and the next innovations with it, and at the start those of all that come
     later: it is far outside in both directions of time, and only the largest of neighbours is marked. steps: where
     there is none left, what is far outside forwards alone is marked, as the first ones after a step of the zero; not
-    where the clocks may differ, for that looks the same where a structure is struck.
+    where the clocks may differ, for that looks the same where a structure is struck. bound_s: how far the offset may
+    move from the fit's meanwhile. The same object where there are none.
     """
-    index, forwards, backwards = both_ways(pair, fit)
-    bad = _far_outside(np.minimum(forwards, backwards))
-    if steps and not bad.any():
-        bad = _far_outside(np.where(np.isfinite(forwards), forwards, 0.0))
-    # Of too few that are left none can be said to be the wrong one.
-    left = np.count_nonzero(np.isfinite(pair.rows[:, 2])) - np.count_nonzero(bad)
-    if not bad.any() or left < MIN_FRAMES:
-        return pair
-    rows = pair.rows.copy()
-    rows[index[bad], 2] = np.inf
-    return replace(pair, rows=rows)
+    for _ in range(MARKING_ROUNDS):
+        index, forwards, backwards = both_ways(pair, fit)
+        bad = _far_outside(np.minimum(forwards, backwards))
+        if steps and not bad.any():
+            bad = _far_outside(np.where(np.isfinite(forwards), forwards, 0.0))
+        # Of too few that are left none can be said to be the wrong one.
+        left = np.count_nonzero(np.isfinite(pair.rows[:, 2])) - np.count_nonzero(bad)
+        if not bad.any() or left < MIN_FRAMES:
+            break
+        rows = pair.rows.copy()
+        rows[index[bad], 2] = np.inf
+        pair = replace(pair, rows=rows)
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+        fit = refine(pair, fit, bound_s) if bound_s > 0.0 else fit
+    return pair
 
 
 def _far_outside(size: Floats) -> NDArray[np.bool_]:
@@ -90,7 +78,14 @@ def without_lonely_outliers(pair: Pair) -> Pair:
     What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier. Nor
     is what a slow sensor sees of a structure that rings: the acceleration tells that there is motion.
     """
-    return replace(pair, rows=without_lonely(pair.rows, shaken_rows(pair)))
+    rows, shaken = pair.rows.copy(), shaken_rows(pair)
+    for _ in range(MARKING_ROUNDS):
+        bad = _lonely(rows)
+        bad = bad[~shaken[bad]]
+        rows[bad, 2] = np.inf
+        if not len(bad):
+            break
+    return replace(pair, rows=rows)
 
 
 def shaken_rows(pair: Pair) -> NDArray[np.bool_]:
@@ -98,21 +93,6 @@ def shaken_rows(pair: Pair) -> NDArray[np.bool_]:
     shaken = np.interp(pair.rows[:, 0], pair.samples[:, 0], pair.lively)
     about = sliding_window_view(np.pad(shaken, 1, mode="edge"), 3).max(axis=1)
     return np.asarray(about > SHAKEN * np.median(shaken))
-
-
-def without_lonely(rows: Floats, shaken: NDArray[np.bool_]) -> Floats:
-    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite.
-
-    shaken (m,): those that may be motion.
-    """
-    rows = rows.copy()
-    for _ in range(MARKING_ROUNDS):
-        bad = _lonely(rows)
-        bad = bad[~shaken[bad]]
-        rows[bad, 2] = np.inf
-        if not len(bad):
-            break
-    return rows
 
 
 def _lonely(rows: Floats) -> NDArray[np.int64]:

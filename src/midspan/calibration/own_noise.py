@@ -4,21 +4,26 @@ Where the camera errs (a mast that nods, a lens that breathes, air that shimmers
 it than the accelerometer's noise, or the camera's. The accelerometer's own readings say how much noise they can have.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.calibration.agreement import MIN_ORDINATES, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, corner_std
-from midspan.calibration.floor import most_noise
 from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.notices import Notice
 from midspan.records import Floats
 
-# Noise as estimated is more than the accelerometer's own where it is so by this many standard deviations: one in a
-# thousand.
+# Bands of the spectrum hold this many ordinates at least: the mean of one is right to a quarter. Of an accelerometer's
+# they are this many at most.
+ORDINATES, MAX_BANDS = 16, 32
+# An accelerometer's noise is read up to this share of its rate: above it most loggers' anti-aliasing filters take it.
+UNFILTERED_SHARE = 0.4
+# Chance that the noise of white readings is said to be more than `_most_noise`.
+CHANCE = 1e-3
+# Noise as estimated is more than the accelerometer's own where it is so by this many deviations: one in a thousand.
 CERTAIN = 3.1
 # A narrow band of the innovations is no chance where its power beyond the usual has this probability in a white record.
 NARROW_BY_CHANCE = 1e-4
@@ -37,14 +42,45 @@ OF_THE_SENSOR = {
 }
 
 
-def own_density(pair: Pair) -> float:
-    """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz."""
-    return most_noise(pair.samples[:, 1]) / pair.sample_rate_hz
+def noise_floor(value: Floats) -> float:
+    """Variance of the white noise in evenly spaced readings (n,) at most; infinite where they are too few.
+
+    White noise has the same power at all frequencies, to which motion only adds: no band has less than the noise.
+    """
+    means = _bands(value)
+    return float(np.min(means)) if len(means) else float("inf")
+
+
+def _own_density(pair: Pair) -> float:
+    """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz: CHANCE is exceeded.
+
+    The lowest of many bands lies below the noise by chance: the mean of a band's ordinates has a gamma distribution, of
+    which the lowest quantile of so many is the most that it lies below. Infinite where they are too few.
+    """
+    from scipy.special import gammaincinv
+
+    value = pair.samples[:, 1]
+    ordinates = max(ORDINATES, len(value) // (4 * MAX_BANDS))
+    means = _bands(value, ordinates)
+    means = means[: int(np.ceil(2.0 * UNFILTERED_SHARE * len(means)))]
+    if not len(means):
+        return float("inf")
+    return float(np.min(means) * ordinates / gammaincinv(ordinates, CHANCE / len(means))) / pair.sample_rate_hz
+
+
+def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
+    """Mean power of each band of the spectrum of readings (n,), as the variance of a white noise of as much."""
+    # A Hann window keeps slow motion from leaking; every other of its ordinates is nearly independent.
+    n = len(value)
+    power = np.abs(np.fft.rfft(np.hanning(n) * (value - np.mean(value))))[2:-1:2] ** 2
+    count = len(power) // ordinates
+    means = power[: count * ordinates].reshape(count, ordinates).mean(axis=1)
+    return np.asarray(means / np.sum(np.hanning(n) ** 2))
 
 
 def exceeds_own_noise(pair: Pair, fit: Fit) -> bool:
     """Whether the accelerometer's noise as estimated is certainly more than its readings have."""
-    estimated, most = pair.input_noise(fit.input_density).density, own_density(pair)
+    estimated, most = pair.input_noise(fit.input_density).density, _own_density(pair)
     if not 0.0 < most < estimated:
         return False
     # The density is as the fourth power of the corner frequency.
@@ -57,7 +93,13 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     One of both sensors is wrong then, and nothing tells which: what shakes between them shows in a camera as slower
     than it is.
     """
-    return max(narrow_motion(pair, fit), slow_motion(pair, fit))
+    narrow = narrow_motion(pair, fit)
+    if not exceeds_own_noise(pair, fit):
+        return narrow
+    # An error over seconds (haze), where it is far likelier than the noise that the accelerometer would need instead.
+    likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
+    moved = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
+    return max(narrow, min(std, moved)) if likelihood - fit.likelihood > MIN_GAIN else narrow
 
 
 def narrow_motion(pair: Pair, fit: Fit) -> float:
@@ -72,7 +114,7 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
     if straight is not None and not len(lines := _lines(pair, straight[0])):
         # A clock that drifts evenly.
         return 0.0
-    columns = [partial(wave, hertz=hertz) for hertz in lines for wave in (_cosine, _sine)]
+    columns = [partial(_wave, shape=shape, hertz=hertz) for hertz in lines for shape in (np.cos, np.sin)]
     here = aligned(pair, fit.offset_s, *columns)
     w, moved = here.whitened(fit.corner), here.values[:, -len(columns) :]
     waves = w.columns[:, -len(columns) :] / np.sqrt(w.variance)[:, None]
@@ -84,17 +126,6 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
     # What is far more than the translation moves there is the drift of an accelerometer, integrated twice.
     shown = moved @ np.linalg.lstsq(moved, here.values[:, 0], rcond=None)[0]
     return float(np.sqrt(max(min(np.mean((moved @ size) ** 2), np.mean(shown**2)) - by_chance, 0.0)))
-
-
-def slow_motion(pair: Pair, fit: Fit) -> float:
-    """Standard deviation of an error of the translation that is correlated over seconds (haze), where it is far more
-    likely than the noise that the accelerometer would need instead; 0 where not.
-    """
-    if not exceeds_own_noise(pair, fit):
-        return 0.0
-    likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
-    moved = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
-    return min(std, moved) if likelihood - fit.likelihood > MIN_GAIN else 0.0
 
 
 def _lines(pair: Pair, fit: Fit) -> Floats:
@@ -114,24 +145,15 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     index = np.unique(starts[means > most][:, None] + np.arange(MIN_ORDINATES))
     # Those that hold next to nothing, or what leaks from a line, would be fitted for their noise.
     enough = max(STRONG * usual, LEAKED * float(np.max(power)))
-    strong = sorted({*index[power[index] > enough], *_slow(power, usual, pair.rate_hz / n)}, key=lambda k: -power[k])
-    strong = strong[:MAX_ORDINATES]
+    # Of slow motion each ordinate counts that is stronger than chance makes any.
+    count = min(int(SLOW_HZ / (pair.rate_hz / n)), len(power))
+    slow = np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
+    strong = sorted({*index[power[index] > enough], *slow}, key=lambda k: -power[k])[:MAX_ORDINATES]
     return np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
 
 
-def _slow(power: Floats, usual: float, step_hz: float) -> NDArray[np.int64]:
-    """Ordinates (k,) of slow motion that are stronger than chance makes any; step_hz: from one to the next."""
-    count = min(int(SLOW_HZ / step_hz), len(power))
-    # The powers of white innovations are exponentially distributed.
-    return np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
-
-
-def _cosine(time_s: Floats, hertz: float) -> Floats:
-    return np.asarray(np.cos(2.0 * np.pi * hertz * time_s))
-
-
-def _sine(time_s: Floats, hertz: float) -> Floats:
-    return np.asarray(np.sin(2.0 * np.pi * hertz * time_s))
+def _wave(time_s: Floats, shape: Callable[[Floats], Floats], hertz: float) -> Floats:
+    return np.asarray(shape(2.0 * np.pi * hertz * time_s))
 
 
 def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:
@@ -140,7 +162,7 @@ def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:
         return []
     implied, own = (
         float(np.sqrt(density * pair.sample_rate_hz))
-        for density in (pair.input_noise(fit.input_density).density, own_density(pair))
+        for density in (pair.input_noise(fit.input_density).density, _own_density(pair))
     )
     text = (
         f"accelerometer: it and the {sensor} differ as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where "

@@ -1,21 +1,18 @@
 """The scale factor and clock offset of a camera from a minute with an accelerometer, or a refusal."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
-from midspan.calibration.clock_jumps import ClockJump
+from midspan.calibration.clock_jumps import ClockJump, jumps_text, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
-from midspan.calibration.jumping_clock import jumps_text, without_jumps
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise
-from midspan.calibration.scale_range import of_no_camera
-from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyond, search_offset
 from midspan.calibration.whitening import SETTLING
-from midspan.calibration.whole_overlap import Rival, likeliest_beyond
 from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
@@ -23,6 +20,9 @@ from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 
+# mm/px is distance × pixel pitch ÷ focal length: 500 is a phone's wide lens (0.7 mm/px a metre at 1920 px) 700 m away,
+# where a tracker's 0.01 px are 5 mm. Beyond it the ratio is that of two things that do not move alike.
+LARGEST_M_PER_PX = 0.5
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.
@@ -66,8 +66,7 @@ PARTS = {
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
 MIN_GAIN = 20.0
-# The difference between image and acceleration that is refused: this many times a frame's noise and this share of the
-# motion.
+# The difference of image and acceleration that is refused: so many times a frame's noise, this share of the motion.
 UNEXPLAINED_NOISE = 5.0
 UNEXPLAINED_SHARE = 0.2
 # Accelerometer noise that the difference would need, refused above this share of the signal when it is also this many
@@ -92,6 +91,17 @@ NOT_SHOWN = (
     "cross motion that an inclined accelerometer picks up, a camera or bracket that vibrates, a low-pass in the "
     "accelerometer's logger, and an accelerometer that errs with its motion (loose, clipped)."
 )
+
+
+def of_no_camera(scale_m_per_px: float) -> str:
+    """A sentence where a scale factor is out of any camera's reach, else empty."""
+    if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
+        return ""
+    return (
+        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has "
+        f"{1e3 * scale_m_per_px:.3g} mm/px (at most {1e3 * LARGEST_M_PER_PX:g}), so that the motion is likely along "
+        "the other image axis. "
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +156,12 @@ def calibrate_scale(
         _refuse_ambiguity(search, max_offset_s)
 
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
-    refusal = _refusal(search, refuse)
-    if refusal is not None or _left_out(search.pair) > MANY_LEFT_OUT:
+    refusal = None
+    try:
+        refuse(search)
+    except UntrustedError as error:
+        refusal = error
+    if refusal is not None or np.mean(np.isinf(search.pair.rows[:, 2])) > MANY_LEFT_OUT:
         moved, jumps = without_jumps(pair, max_offset_s, refuse)
         if jumps:
             pair = moved
@@ -166,28 +180,10 @@ def calibrate_scale(
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
         input_noise=search.pair.input_noise(fit.input_density),
-        warnings=(
-            *jumps_text(jumps),
-            *_warnings(search, usable),
-            *response.texts(fit.motion_hz),
-        ),
+        warnings=(*jumps_text(jumps), *_warnings(search, usable), *response.texts(fit.motion_hz)),
         response=response,
         direction=axis.direction,
     )
-
-
-def _refusal(search: OffsetSearch, refuse: Callable[[OffsetSearch], None]) -> UntrustedError | None:
-    """Why a search is refused; None where it is not."""
-    try:
-        refuse(search)
-    except UntrustedError as error:
-        return error
-    return None
-
-
-def _left_out(pair: Pair) -> float:
-    """Share of the measurements that are left out as outliers."""
-    return float(np.mean(np.isinf(pair.rows[:, 2])))
 
 
 def with_frequency(
@@ -220,16 +216,13 @@ def with_frequency(
     offset = TimeOffset(search.offset.value_s, search.offset.variance + response.offset_variance)
     search = replace(search, offset=offset)
     response = replace(response, exposure_s=own_s, relative_std=float(np.hypot(response.relative_std, doubt)))
-    return search if search.pair.logger == (0.0, 0.0) else _with_logger(search), response
-
-
-def _with_logger(search: OffsetSearch) -> OffsetSearch:
-    """The search with noise levels of an acceleration whose low-pass stays in it: nothing takes it out."""
-    return _at_ratio(replace(search, pair=replace(search.pair, logger=(0.0, 0.0))), search.fit.ratio)
+    if search.pair.logger != (0.0, 0.0):
+        # The low-pass stays in the acceleration, whose noise levels are those with it.
+        search = _at_ratio(replace(search, pair=replace(search.pair, logger=(0.0, 0.0))), search.fit.ratio)
+    return search, response
 
 
 def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
-    """The search with the noise levels that belong to a ratio, as well known as before."""
     pair = replace(search.pair, ratio=ratio)
     pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
@@ -282,7 +275,6 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
 
 
 def _slow_samples(pair: Pair) -> str:
-    """A sentence where the acceleration comes no faster than the frames, which it has to bridge; else empty."""
     if pair.sample_rate_hz > pair.rate_hz:
         return ""
     return (
@@ -292,33 +284,34 @@ def _slow_samples(pair: Pair) -> str:
 
 
 def _rival(pair: Pair, search: OffsetSearch, max_offset_s: float) -> Rival | None:
-    """The likeliest offset beyond those searched, for the pair without outliers and with any ratio, as it was given."""
     return likeliest_beyond(replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0)), search.fit, max_offset_s)
 
 
 def _refuse_rivals(
     pair: Pair, search: OffsetSearch, refuse: Callable[[OffsetSearch], None], clocks: tuple[float, bool], usual: float
 ) -> None:
-    """UntrustedError where another offset is the right one, or may be; clocks: how far, s, and whether more.
-
-    Nothing is better than what leaves no more than noise; it may be alike.
-    """
+    """UntrustedError where another offset is the right one, or may be; clocks: how far, s, and whether more."""
     max_offset_s, clocks_open = clocks
-    if not clocks_open and _leaves_noise(search.pair, search.fit):
+    noise = (search.pair, search.fit)
+    if not clocks_open and not exceeds_own_noise(*noise) and misfit(*noise).factor <= 1.0:
         return
     rival = _rival(pair, search, max_offset_s)
     _refuse_better(pair, rival, max_offset_s, refuse, accepted=True)
-    if clocks_open:
-        _refuse_alike(pair, search.fit, rival, usual)
+    if not clocks_open or rival is None or not rival.alike:
+        return
+    # One that is even the likelier one must be acceptable itself.
+    if rival.lead <= 0.0:
+        try:
+            _refuse_disagreement(pair, rival.fit, usual)
+        except UntrustedError:
+            return
+    raise UntrustedError(_alike_text(search.fit, rival.fit, OPEN_CLOCKS))
 
 
 def _refuse_better(
     pair: Pair, rival: Rival | None, max_offset_s: float, refuse: Callable[[OffsetSearch], None], *, accepted: bool
 ) -> None:
-    """NoAgreementError where image and acceleration agree as they should at an offset beyond the largest, and better.
-
-    accepted: whether the best fit within would be; then UntrustedError where they agree better beyond, but not well.
-    """
+    """A refusal where image and acceleration agree better beyond; accepted: whether the best fit within would be."""
     if rival is None or not rival.better:
         return
     offset_s = rival.fit.offset_s
@@ -337,23 +330,6 @@ def _refuse_better(
         "calibration.max_offset_s, which excludes it.",
         offset_s,
     )
-
-
-def _leaves_noise(pair: Pair, fit: Fit) -> bool:
-    """Whether a fit leaves white innovations, with no more noise of the accelerometer than its readings have."""
-    return not exceeds_own_noise(pair, fit) and misfit(pair, fit).factor <= 1.0
-
-
-def _refuse_alike(pair: Pair, fit: Fit, rival: Rival | None, usual: float) -> None:
-    """UntrustedError where a rival that fits alike would be accepted itself, or is even the likelier one."""
-    if rival is None or not rival.alike:
-        return
-    if rival.lead <= 0.0:
-        try:
-            _refuse_disagreement(pair, rival.fit, usual)
-        except UntrustedError:
-            return
-    raise UntrustedError(_alike_text(fit, rival.fit, OPEN_CLOCKS))
 
 
 def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
@@ -446,16 +422,11 @@ def _alike_text(fit: Fit, other: Fit, where: str) -> str:
     )
 
 
-def _warnings(search: OffsetSearch, usable: int) -> list[Notice]:
-    found = []
+def _warnings(search: OffsetSearch, usable: int) -> Iterator[Notice]:
     std = float(np.sqrt(search.offset.variance))
     if std > 2e-3:
-        found.append(
-            Notice(
-                "clock-uncertain", f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation)."
-            )
-        )
+        text = f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation)."
+        yield Notice("clock-uncertain", text)
     left_out = usable - int(np.count_nonzero(np.isfinite(search.pair.rows[:, 2])))
     if left_out > 0.05 * usable:
-        found.append(Notice("outliers", f"{left_out} of {usable} frames were left out of the calibration as outliers."))
-    return found
+        yield Notice("outliers", f"{left_out} of {usable} frames were left out of the calibration as outliers.")

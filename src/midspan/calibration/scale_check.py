@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import noise_share
-from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
+from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import search_offset
@@ -27,8 +26,7 @@ REFUSED_BESIDE = 0.08
 EXPECTED = 2.0
 # The accelerometer's noise may make this share of the motion that it tells; above it hides the scale.
 MAX_NOISE = 0.1
-# A clock that is off by this many deviations is told from this many noise deviations of the displacement on, and
-# refused from this many.
+# A clock that is off is reported from this many noise deviations of the displacement on, and refused from this many.
 CLOCK_TOLD, CLOCK_REFUSED = 2.0, 5.0
 # Measurements that are searched for a clock offset at most; a faster sensor is thinned.
 MAX_ROWS = 6000
@@ -103,20 +101,17 @@ def fitting(
     found = Fitting([], {})
     refused = REFUSED if len(sensors) < 2 else REFUSED_BESIDE
     for sensed in sensors:
-        found.scale_std[sensed.sensor] = sensed.relative_scale_std
+        known = sensed.relative_scale_std
+        found.scale_std[sensed.sensor] = known
         scale = apparent_scale(acceleration, sensed, max_offset_s)
         if scale is not None:
-            found.warnings.extend(
-                (*_clock_warnings(scale, sensed), *_scale_warnings(scale, sensed, along, refused, followed=followed))
-            )
-            found.scale_std[sensed.sensor] = _with_surplus(scale, sensed.relative_scale_std)
+            found.warnings.extend(_clock_warnings(scale, sensed))
+            found.warnings.extend(_scale_warnings(scale, sensed, along, refused, followed=followed))
+            # What it is off by beyond what both deviations let expect is in the deviation.
+            expected = EXPECTED * float(np.hypot(scale.std, known))
+            surplus = max((scale.value - 1.0) ** 2 - expected**2, 0.0)
+            found.scale_std[sensed.sensor] = float(np.sqrt(known**2 + surplus))
     return found
-
-
-def _with_surplus(scale: ApparentScale, known: float) -> float:
-    """A scale's relative standard deviation with what it is off by beyond what both deviations let expect."""
-    expected = EXPECTED * float(np.hypot(scale.std, known))
-    return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
 def _scale_warnings(
@@ -158,24 +153,23 @@ def apparent_scale(acceleration: Acceleration, sensed: Sensed, max_offset_s: flo
     found = _compared(acceleration, sensed.measured)
     if found is None:
         return None
+    pair, density, noise_m = found
+
+    def tells(pair: Pair, fit: Fit) -> bool:
+        # Whether the accelerometer's own noise leaves the motion to tell the scale.
+        return noise_share(pair, fit, float(np.sqrt(density * pair.sample_rate_hz))) < MAX_NOISE
+
     if sensed.source not in CLOCKED or max_offset_s == 0.0:
-        pair, fit = without_outliers(found.pair)
-        found = replace(found, pair=pair)
-        return ApparentScale(fit.ratio, float(np.sqrt(fit.ratio_variance))) if found.tells(fit) else None
-    rows = found.pair.rows
-    thinned = replace(found.pair, rows=rows[:: max(1, -(-len(rows) // MAX_ROWS))])
-    search = search_offset(thinned, max_offset_s)
+        pair, fit = without_outliers(pair)
+        return ApparentScale(fit.ratio, float(np.sqrt(fit.ratio_variance))) if tells(pair, fit) else None
+    rows = pair.rows
+    search = search_offset(replace(pair, rows=rows[:: max(1, -(-len(rows) // MAX_ROWS))]), max_offset_s)
     fit, variance = nearest(search)
-    if not replace(found, pair=search.pair).tells(fit):
+    if not tells(search.pair, fit):
         return None
-    return ApparentScale(
-        fit.ratio,
-        float(np.sqrt(fit.ratio_variance)),
-        fit.offset_s,
-        float(np.sqrt(variance)),
-        _moved_m(rows, fit.offset_s, found.noise_m),
-        found.noise_m,
-    )
+    late_s, moved_m = fit.offset_s, _moved_m(rows, fit.offset_s, noise_m)
+    std, late_std_s = float(np.sqrt(fit.ratio_variance)), float(np.sqrt(variance))
+    return ApparentScale(fit.ratio, std, late_s, late_std_s, moved_m, noise_m)
 
 
 def _moved_m(rows: Floats, late_s: float, noise_m: float) -> float:
@@ -188,20 +182,8 @@ def _moved_m(rows: Floats, late_s: float, noise_m: float) -> float:
     return float(np.sqrt(max(power, 0.0))) * abs(late_s) / (lag * period)
 
 
-@dataclass(frozen=True, slots=True)
-class _Compared:
-    """What is compared of a sensor; density: of the acceleration's noise as estimated; noise_m: of one measurement."""
-
-    pair: Pair
-    density: float
-    noise_m: float
-
-    def tells(self, fit: Fit) -> bool:
-        """Whether the accelerometer's own noise leaves the motion to tell the scale."""
-        return noise_share(self.pair, fit, float(np.sqrt(self.density * self.pair.sample_rate_hz))) < MAX_NOISE
-
-
-def _compared(block: Acceleration, measured: Displacement) -> _Compared | None:
+def _compared(block: Acceleration, measured: Displacement) -> tuple[Pair, float, float] | None:
+    """What is compared of a sensor, the density of the acceleration's noise as estimated, and one value's noise, m."""
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
     usable &= (measured.time_ns >= block.time_ns[0]) & (measured.time_ns <= block.time_ns[-1])
     measured = part(measured, usable)
@@ -218,4 +200,4 @@ def _compared(block: Acceleration, measured: Displacement) -> _Compared | None:
     samples = np.column_stack((seconds(block.time_ns, first), value, block.noise_density / density))
     variance = measured.variance_m2 / float(np.median(measured.variance_m2))
     pair = Pair(samples, measured_rows(measured.time_ns, measured.value_m, variance, first))
-    return _Compared(without_lonely_outliers(pair), density, float(np.sqrt(np.median(measured.variance_m2))))
+    return without_lonely_outliers(pair), density, float(np.sqrt(np.median(measured.variance_m2)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from midspan.calibration.agreement import straightened, unexplained
 from midspan.calibration.fit import Fit, Pair, with_corner_doubt
-from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
+from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, levels_of, nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
@@ -51,7 +51,8 @@ def calibrate_sensor_scale(
             look(search.fit)
         _refuse(search.pair, search.fit)
         _refuse_ambiguity(search, max_offset_s)
-        _refuse_unexplained(search, max_offset_s)
+        if unexplained(search.pair, search.fit):
+            raise UntrustedError(unexplained_text(search.fit.offset_s, max_offset_s))
         return _scaled(_with_slow_error(search.pair, search.fit, noise_time_s), search.offset, search)
     pair, still = without_outliers(pair)
     still = with_corner_doubt(pair, still, disputed=exceeds_own_noise(pair, still))
@@ -97,7 +98,6 @@ def _clocks_differ(offset: TimeOffset) -> UntrustedError:
 
 
 def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) -> NoiseCalibration:
-    """The calibration of readings that are multiplied by the factor found."""
     pair, fit = slow.pair, slow.fit
     factor, relative = 1.0 / fit.ratio, fit.relative_std
     straight = straightened(pair, fit)
@@ -114,14 +114,12 @@ def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) ->
                 "recording."
             )
     return NoiseCalibration(
-        variance_factor=fit.noise * factor * factor,
-        input_noise=pair.input_noise(fit.input_density),
+        **levels_of(pair, fit, factor),
         offset=offset,
         scale=1.0,
         scale_std=relative,
-        slow_std_m=abs(factor) * float(np.sqrt(pair.slow[0] * fit.noise)),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
-        unseen_m=(abs(factor) * slow.unseen[0], abs(factor) * slow.unseen[1], abs(factor) * slow.unseen[2]),
+        unseen_m=tuple(abs(factor) * one for one in slow.unseen),
         exposure_s=pair.exposure_s,
         factor=factor,
         factor_std=abs(factor) * relative,
@@ -136,7 +134,6 @@ def _refuse(pair: Pair, fit: Fit) -> None:
 
 
 def _objection(pair: Pair, fit: Fit) -> str:
-    """Why the scale of a fit is not to be trusted; empty where it is."""
     if fit.gain < LEAST_AGREEMENT or fit.relative_std > REFUSED_ABOVE:
         return _too_vague(pair, 1.0 / fit.ratio, fit.relative_std)
     if needed := noise_needed(pair, fit):
@@ -149,7 +146,6 @@ def _objection(pair: Pair, fit: Fit) -> str:
 
 
 def _too_vague(pair: Pair, factor: float, relative: float) -> str:
-    """What to tell where the scale would be known to more than REFUSED_ABOVE."""
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
     figures = f"({1e3 * seen:.3g} mm rms as read, acceleration {1e3 * shaken:.3g} mm/s² rms)"
@@ -164,11 +160,6 @@ def _too_vague(pair: Pair, factor: float, relative: float) -> str:
         f"{alias_in_words(pair)}Record livelier motion, check that both sensors measure the same axis and event, "
         "or leave estimate_scale out and set displacement.unit."
     )
-
-
-def _refuse_unexplained(search: OffsetSearch, max_offset_s: float) -> None:
-    if unexplained(search.pair, search.fit):
-        raise UntrustedError(unexplained_text(search.fit.offset_s, max_offset_s))
 
 
 def unexplained_text(offset_s: float, max_offset_s: float) -> str:

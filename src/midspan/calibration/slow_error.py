@@ -5,19 +5,38 @@ the error drifts, variance over correlation time: what is slower than the freque
 exceeds the sensor's looks like the motion's own start. So variance and time are not the most likely ones but means over
 all of them, each weighed by its likelihood, with an even prior of the standard deviation and of the time. A drift that
 does not show is reported where none is taken into account.
+
+Noise of the measurements that is not alike all along the record: the instants at which its level changes.
+
+Innovations of a segment with its own variance s against one variance of the whole (m of n innovations): the logarithm
+of the likelihood gains n/2 ln s − Σ m/2 ln sᵢ. The likeliest instant splits the record, and each part again, as long as
+that gains more than a change of unknown place and size would by chance (half the logarithm of n for each and for the
+segment: N. R. Zhang, D. O. Siegmund, A modified Bayes information criterion, Biometrics 63 (2007) 22-32, doi
+10.1111/j.1541-0420.2006.00662.x). Taken for one level, a change looks like an error that is correlated over seconds.
+
+The noise whose level changes is the sensor's, or the accelerometer's where that is likelier: an accelerometer that errs
+with a cross motion or its attitude leaves innovations that are correlated, which a noisier sensor does not.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, best_corner_here
-from midspan.calibration.noise_levels import with_noise_levels, with_outliers
+from midspan.calibration.outliers import cleaned
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.records import Floats
 
-# Correlation times: the shortest in intervals of the measurements, the longest as a share of the record, how many are
-# tried.
+# A level is told by this many innovations at least: its variance is then known to a quarter. And it holds for this
+# share of them: what is briefer, as a sensor that is stuck for some seconds, is no level of the noise.
+MIN_SEGMENT, MIN_SHARE = 30, 0.1
+# Unknowns of a change, half a ln n each: its instant, and the variance on both sides for one.
+UNKNOWNS = 3.0
+# An innovation's variance is more than the noise's alone: a level is found in rounds. Of one that is 25 times another
+# the first round leaves a factor of 2.5, the fourth less than 1.1.
+ROUNDS = 4
+# Correlation times: the shortest in intervals, the longest as a share of the record, how many are tried.
 MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
 # Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
 SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
@@ -38,6 +57,92 @@ STEP_SHOWS = 26.0
 BEYOND_DOUBT = 2.0
 # Measurements are missing where the next one comes after this number of intervals.
 MISSING = 3.0
+
+
+def _with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tuple[Pair, Fit]:
+    """The pair with the levels of its noise, of mean 1, and its fit; as they are where one level explains all."""
+    inner = fit.whitened.index[_edges(fit.residual**2)[1:-1]]
+    if not len(inner):
+        return pair, fit
+    edges = np.r_[0, inner, len(pair.rows)]
+    felt = _levelled_acceleration(pair, fit, edges)
+    pair, fit = _levelled(pair, fit, edges)
+    if felt[1].likelihood > fit.likelihood:
+        return felt
+    if whole is not None:
+        pair = _with_outliers(pair, whole)
+        pair = cleaned(pair, best_corner(pair, fit.offset_s, fit.corner))
+        pair, fit = _levelled(pair, best_corner(pair, fit.offset_s, fit.corner), edges)
+    return pair, fit
+
+
+def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
+    for _ in range(ROUNDS):
+        level = _level(fit, edges)
+        rows = pair.rows.copy()
+        rows[:, 2] *= np.repeat(level, np.diff(edges))
+        rows[:, 2] /= np.mean(rows[fit.whitened.index, 2])
+        pair = replace(pair, rows=rows)
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+    return pair, fit
+
+
+def _levelled_acceleration(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
+    """The pair and its fit with a level of the accelerometer's noise during each segment of rows."""
+    begins_s = pair.rows[edges[1:-1], 0] + fit.offset_s
+    segment = np.searchsorted(begins_s, pair.samples[:, 0], side="right")
+    for _ in range(ROUNDS):
+        level = _level(fit, edges)[segment] * (1.0 if pair.level is None else pair.level)
+        pair = replace(pair, level=level / np.mean(level))
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+    return pair, fit
+
+
+def _level(fit: Fit, edges: NDArray[np.int64]) -> Floats:
+    """Mean square (k,) of the innovations of each segment of rows, the numbers of whose first ones are `edges`."""
+    segment = np.searchsorted(edges, fit.whitened.index, side="right") - 1
+    count = np.bincount(segment, minlength=len(edges) - 1)
+    level = np.bincount(segment, fit.residual**2, minlength=len(edges) - 1) / np.maximum(count, 1)
+    # Of a segment of which nothing is left no level shows.
+    return np.where(level > 0.0, level, 1.0)
+
+
+def _with_outliers(pair: Pair, whole: Floats) -> Pair:
+    """The pair with the rows of `whole` (m, 3) that were left out, each at the relative variance of the one before."""
+    rows, used = pair.rows.copy(), np.flatnonzero(np.isfinite(pair.rows[:, 2]))
+    before = used[np.maximum(np.searchsorted(used, np.arange(len(rows)), side="right") - 1, 0)]
+    left = np.isinf(rows[:, 2]) & np.isfinite(whole[:, 2])
+    rows[left, 2] = rows[before[left], 2]
+    return replace(pair, rows=rows)
+
+
+def _edges(square: Floats) -> list[int]:
+    edges, open_ones = [0, len(square)], [(0, len(square))]
+    least = 0.5 * UNKNOWNS * float(np.log(max(len(square), 1)))
+    brief = max(MIN_SEGMENT, round(MIN_SHARE * len(square)))
+    while open_ones:
+        first, last = open_ones.pop()
+        cut = _cut(square[first:last], brief, least)
+        if cut:
+            edges.append(first + cut)
+            open_ones += [(first, first + cut), (first + cut, last)]
+    return sorted(edges)
+
+
+def _cut(square: Floats, brief: int, least: float) -> int:
+    """Where squares (k,) split into two levels of at least `brief` that gain more than `least`; 0: nowhere."""
+    count = len(square)
+    if count < 2 * brief:
+        return 0
+    first = np.arange(brief, count - brief + 1)
+    total = np.cumsum(square)
+    before, after = total[first - 1] / first, (total[-1] - total[first - 1]) / (count - first)
+    if not (np.all(before > 0.0) and np.all(after > 0.0)):
+        # Without any noise there are no levels.
+        return 0
+    gains = 0.5 * (count * np.log(total[-1] / count) - first * np.log(before) - (count - first) * np.log(after))
+    best = int(np.argmax(gains))
+    return int(first[best]) if gains[best] > least else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,19 +166,17 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
 
     Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
     (as in `fit.with_input_noise`) not in one place only, and no quiet part speaks against it: the sensor's own error is
-    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see
-    `noise_levels`): the rows of the pair that is returned have it in their relative variances, or its samples a level.
+    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see the
+    module): the rows of the pair that is returned have it in their relative variances, or its samples a level.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
-    levelled, fit = with_noise_levels(white, fit, whole)
+    levelled, fit = _with_noise_levels(white, fit, whole)
     if levelled is not white:
         pair, white = replace(levelled, slow=pair.slow), levelled
     if time_s == 0.0:
         return SlowError(white, fit)
     rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = MIN_INTERVALS / pair.rate_hz
-    longest = max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest)
-    times = np.geomspace(shortest, longest, TIMES_TRIED) if time_s is None else np.array([time_s])
+    times = _times(pair, rows) if time_s is None else np.array([time_s])
     tried = [_along(white, fit, float(lasting)) for lasting in times]
     best = max(float(np.max(one.likelihood)) for one in tried)
     # Sums over standard deviations and times, each for the width of its part of the scale.
@@ -91,39 +194,50 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         # An accelerometer whose noise changes its level may err slowly as well: both unknowns count then.
         least = (0.5 if white.level is None else 1.0) * np.log(max(len(rows), 1))
         gained = found.likelihood - none.likelihood
-        if (
-            gained < least
-            or _happened_once(white if whole is None else with_outliers(white, whole), none, found)
-            or _lost(white, none, found) > NOT_EXCLUDED
-            or _drifts_farther(slow, found)
+        if gained < least or _is_none(
+            white, slow, white if whole is None else _with_outliers(white, whole), none, found
         ):
             return SlowError(white, fit, _unseen(white, fit, rows, np.sqrt(2.0 * (least + NOT_EXCLUDED))))
     return SlowError(slow, found)
 
 
+def _times(pair: Pair, rows: Floats) -> Floats:
+    shortest = MIN_INTERVALS / pair.rate_hz
+    return np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
+
+
 def likeliest_slow_error(pair: Pair, fit: Fit) -> tuple[float, float]:
     """The largest likelihood (logarithm) with a slow error of the translation, and that one's standard deviation."""
-    rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = MIN_INTERVALS / pair.rate_hz
-    times = np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
-    tried = [_along(replace(pair, slow=NO_SLOW_ERROR), fit, float(lasting)) for lasting in times]
+    white, times = replace(pair, slow=NO_SLOW_ERROR), _times(pair, pair.rows[pair.used(fit.offset_s), 0])
+    tried = [_along(white, fit, float(lasting)) for lasting in times]
     return max((float(np.max(one.likelihood)), float(one.std[np.argmax(one.likelihood)])) for one in tried)
+
+
+def _is_none(pair: Pair, slow: Pair, whole: Pair, none: Fit, found: Fit) -> bool:
+    """Whether what a slow error gains is none of the sensor's: it gains in one place only, the quietest measurements
+    become less likely, or it drifts twice as far in DRIFT_S as the readings themselves.
+    """
+    rows = slow.rows[slow.used(found.offset_s)]
+    steps = min(max(round(DRIFT_S * slow.rate_hz), 1), len(rows) // 2)
+    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
+    drift = -2.0 * np.expm1(-steps / slow.rate_hz * slow.slow[1]) * slow.slow[0] * found.noise
+    return bool(drift > TAIL * own or _happened_once(whole, none, found) or _lost(pair, none, found) > NOT_EXCLUDED)
 
 
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
     """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: deviations at which a drift does."""
     middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)
     longest = int(np.argmax(lapses))
-    drift = shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)
+    drift = _shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)
     # Away from a gap.
-    steps = [shown_std(pair, fit, rows[0] + share * (rows[-1] - rows[0]), 0.0) for share in (0.25, 0.5, 0.75)]
+    steps = [_shown_std(pair, fit, rows[0] + share * (rows[-1] - rows[0]), 0.0) for share in (0.25, 0.5, 0.75)]
     missing = lapses[longest] > MISSING * float(np.median(lapses))
-    gap = shown_std(pair, fit, rows[longest] + 0.5 * lapses[longest], 0.0) if missing else 0.0
+    gap = _shown_std(pair, fit, rows[longest] + 0.5 * lapses[longest], 0.0) if missing else 0.0
     shows = float(np.sqrt(STEP_SHOWS))
     return float(drift_shows) * drift, shows * float(np.median(steps)), shows * gap
 
 
-def shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
+def _shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
     """Standard deviation with which the measurements tell the size of a change of theirs from an instant on (s, on
     their own clock) that takes so long (s; 0: a step), in the translation's unit; infinite where they do not tell it.
     """
@@ -134,9 +248,7 @@ def shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
 
 
 def _change(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> tuple[Floats, Floats, float]:
-    """Signature of a change as of `shown_std` and the innovations (k,), both over the root of their relative variance,
-    and the noise's variance.
-    """
+    """Signature of a change as of `_shown_std`, the innovations (k,), both standardised, and the noise's variance."""
 
     def change(time_s: Floats) -> Floats:
         since = time_s - fit.offset_s - from_s
@@ -165,34 +277,21 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
     return False
 
 
-def _drifts_farther(pair: Pair, fit: Fit) -> bool:
-    """Whether the slow error drifts twice as far in DRIFT_S as the readings themselves, whose error it would be."""
-    rows = pair.rows[pair.used(fit.offset_s)]
-    steps = min(max(round(DRIFT_S * pair.rate_hz), 1), len(rows) // 2)
-    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
-    return bool(-2.0 * np.expm1(-steps / pair.rate_hz * pair.slow[1]) * pair.slow[0] * fit.noise > TAIL * own)
-
-
 def _lost(pair: Pair, without: Fit, found: Fit) -> float:
-    """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm).
-
-    Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
-    """
+    """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm)."""
+    # Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
     at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
     order = np.argsort(pair.lively[np.minimum(at, len(pair.lively) - 1)], kind="stable")
     return float(np.max(np.cumsum((_deviance(found) - _deviance(without))[order])))
 
 
 def _deviance(fit: Fit) -> Floats:
-    """Minus the logarithm of each innovation's likelihood (k,), without constants."""
     return 0.5 * fit.residual**2 + 0.5 * np.log(fit.noise * fit.whitened.variance)
 
 
 @dataclass(frozen=True, slots=True)
 class _Along:
-    """Slow errors of one correlation time: standard deviation (k,), variance (k,) of the white noise with it, in the
-    translation's unit, and the logarithm of their likelihood (k,).
-    """
+    """Slow errors of one correlation time: their deviation (k,), the white noise's variance (k,), likelihood (k,)."""
 
     std: Floats
     noise: Floats
@@ -205,7 +304,6 @@ class _Along:
 
 
 def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:
-    """Slow errors of a correlation time, from small to those that the record excludes."""
     here, found, best = aligned(white, fit.offset_s), [], -np.inf
     size, corner = SMALLEST, fit.corner
     while size < LARGEST:

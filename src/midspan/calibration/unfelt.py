@@ -33,7 +33,7 @@ CHANCE = 1e-6
 # The largest share of them whose band may be wider than the motion: the radar is hidden for a while.
 MIN_SUPPORTED, MAX_WIDE = 0.5, 0.1
 # A step of the clock this near to frames without the target, ns, may be a lost cycle: several times as long as the
-# stretches over which steps are looked for.
+# segments over which steps are looked for.
 NEAR_NS = NANOSECONDS
 
 
@@ -63,7 +63,6 @@ def _windows(time_ns: Nanoseconds, length_s: float, unknowns: int) -> list[slice
 def _refuse_windows(
     prepared: PreparedAcceleration, moved: tuple[Nanoseconds, Floats, Floats], windows: list[slice], unknowns: int
 ) -> None:
-    """UntrustedError where a displacement differs by far more in one of these windows; moved: as of `refuse_unfelt`."""
     time_ns, moved_m, variance_m2 = moved
     felt, differs, missed = np.array([_powers(prepared, time_ns[one], moved_m[one], unknowns) for one in windows]).T
     uncertain = np.array([np.mean(variance_m2[one]) for one in windows])
@@ -132,7 +131,11 @@ def refuse_lost_cycles(
     """
     length_s, unknowns = LOOKS[0]
     length_ns, last = round(length_s * NANOSECONDS), len(rows.time_ns) - 1
-    ends = [(int(t) - length_ns // 2, int(t) + length_ns // 2) for t in _apart(unseen_ns, length_ns // 2)]
+    middles: list[int] = []
+    for one_ns in unseen_ns.tolist():
+        if not middles or one_ns - middles[-1] >= length_ns // 2:
+            middles.append(one_ns)
+    ends = [(one_ns - length_ns // 2, one_ns + length_ns // 2) for one_ns in middles]
     places = [slice(*np.searchsorted(rows.time_ns, pair)) for pair in ends]
     windows = [one for one in places if one.stop - one.start >= 2 * unknowns and one.stop <= last]
     if not windows:
@@ -178,15 +181,6 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
             f"{1e3 * np.sqrt(felt):.2g} mm rms: the radar loses its target too often. Leave frames with interference "
             "out of the file, or aim the radar at a target that nothing hides."
         )
-
-
-def _apart(time_ns: Nanoseconds, least_ns: int) -> list[int]:
-    """Instants (k,) in their order without those that follow the last one that is kept by less."""
-    kept: list[int] = []
-    for one in time_ns.tolist():
-        if not kept or one - kept[-1] >= least_ns:
-            kept.append(one)
-    return kept
 
 
 def _powers(

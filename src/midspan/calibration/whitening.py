@@ -120,17 +120,28 @@ class Whitened:
     def product(self, first: Floats, second: Floats) -> float:
         """Sum of the products of two innovations (k,) over their variance."""
         # Not by BLAS, whose threads cost more than these sums.
-        return float(np.sum(first * second / self.variance))
+        return float(np.add.reduce(first * second / self.variance))
 
     @property
     def input_share(self) -> float:
         """The number of innovations that are accelerometer noise: their shares summed up."""
-        return float(np.sum(self.input_part / self.variance))
+        return float(np.add.reduce(self.input_part / self.variance))
 
     @property
     def entropy(self) -> float:
         """Half the sum of the logarithms of the variances."""
-        return 0.5 * float(np.sum(np.log(self.variance)))
+        return 0.5 * float(np.add.reduce(np.log(self.variance)))
+
+    def regression(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Products (c, c) of columns (k, c) with each other and (c,) with the translation, over the variance."""
+        power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / self.variance)
+        return power, np.einsum("mi,m->i", columns, self.translation / self.variance)
+
+
+def inverse_of(power: Floats) -> Floats:
+    """The inverse of a matrix (k, k) of products of columns whose units differ; what none determines is left out."""
+    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    return np.asarray(np.linalg.pinv(power / np.outer(size, size), hermitian=True) / np.outer(size, size))
 
 
 def levelled(time_s: Floats, values: Floats, *, drifts: bool) -> tuple[Floats, Floats]:
@@ -160,18 +171,22 @@ def whiten_columns(
     *,
     late_s: Floats | None = None,
     slow: tuple[float, float] = NO_SLOW_ERROR,
+    index: NDArray[np.int64] | None = None,
+    open_bias: Floats | float = 0.0,
 ) -> Whitened:
     """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance through the filter.
 
     pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance; late_s
     (m, c): where the lateness of a column's stamps changes, so does the time that its states move on; slow: variance of
-    the measurements' slow error in units of the noise variance, and its rate, 1/s.
+    the measurements' slow error in units of the noise variance, and its rate, 1/s; index (m,): of the measurements,
+    else counted; open_bias (c,): what levelling took from the bias.
     """
     longer = None if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
     coloured = slow if slow[0] > 0.0 else None
     found, variance, input_part, bias, bias_variance = _core.whiten(pieces, rows, values, density, coloured, longer)
-    index = np.arange(SETTLING, len(rows))
-    return Whitened(found[SETTLING:], variance[SETTLING:], input_part[SETTLING:], index, bias, bias_variance)
+    index = np.arange(len(rows)) if index is None else index
+    s = slice(SETTLING, None)
+    return Whitened(found[s], variance[s], input_part[s], index[s], bias - open_bias, bias_variance)
 
 
 def usable(rows: Floats, offset_s: float, span_s: tuple[float, float]) -> NDArray[np.int64]:

@@ -8,8 +8,6 @@ import click
 from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
-    from midspan.calibration.sensors.camera import TargetCalibration
-    from midspan.calibration.sensors.radar import RadarTarget
     from midspan.settings.stored.calibration import Calibration
 
 
@@ -47,31 +45,23 @@ def describe(console: Console, calibration: "Calibration") -> None:
     rows = [(label.replace(": ", " "), value) for label, value in calibrated(calibration)]
     for name, _, sensor in calibration.sensors:
         if isinstance(sensor, RadarCalibration):
-            rows += [(f"{name} target {radar_place(one.target)}", _radar_target(one)) for one in sensor.targets]
+            for item in sensor.targets:
+                found, factor = item.target, item.target.conversion_factor
+                words = [f"{found.snr_db:.0f} dB"] if math.isfinite(found.snr_db) else []
+                if math.isfinite(factor) and math.isfinite(found.conversion_factor_std):
+                    words.append(f"factor {factor:.4g} ± {found.conversion_factor_std:.2g}")
+                    words.append(f"coherence {found.coherence:.4f}")
+                words.append("used" if item.used else f"left out: {item.reason}")
+                rows.append((f"{name} target {radar_place(found)}", ", ".join(words)))
         elif isinstance(sensor, CameraCalibration) and len(sensor.targets) > 1:
-            rows += [(f"{name} target {one.name}", _target(one)) for one in sensor.targets]
+            for target in sensor.targets:
+                value, scale = "no scale factor", target.scale
+                if scale is not None:
+                    value = f"{1e3 * scale.value_m_per_px:.5g} ± {1e3 * math.sqrt(scale.variance):.2g} mm/px"
+                rows.append((f"{name} target {target.name}", value if target.used else f"{value}, left out"))
     camera = None if calibration.across is None else calibration.across.first_camera
     if camera is not None:
         how = "with its own acceleration" if camera.fused else "tracked only"
         value = f"{1e3 * camera.scale.value_m_per_px:.5g} mm/px, {how}"
         rows.append((f"scale factor along {camera.direction}", value))
     console.table(rows)
-
-
-def _radar_target(item: "RadarTarget") -> str:
-    """Level, factor and coherence of a radar's target, and whether the result rests on it."""
-    target = item.target
-    found = [f"{target.snr_db:.0f} dB"] if math.isfinite(target.snr_db) else []
-    if math.isfinite(target.conversion_factor) and math.isfinite(target.conversion_factor_std):
-        found.append(f"factor {target.conversion_factor:.4g} ± {target.conversion_factor_std:.2g}")
-        found.append(f"coherence {target.coherence:.4f}")
-    return ", ".join([*found, "used" if item.used else f"left out: {item.reason}"])
-
-
-def _target(target: "TargetCalibration") -> str:
-    """Scale factor of one of several targets of a camera, and whether the result rests on it."""
-    scale = target.scale
-    value = "no scale factor"
-    if scale is not None:
-        value = f"{1e3 * scale.value_m_per_px:.5g} ± {1e3 * math.sqrt(scale.variance):.2g} mm/px"
-    return value if target.used else f"{value}, left out"

@@ -27,7 +27,9 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
         return
     path, settings = settings_file(file), load_settings(file)
     missing = []
-    _require_units(str(path), settings)
+    for name, quantity, section in [*_channels(settings), ("reference", "displacement", settings.reference)]:
+        if section is not None and section.unit is not None:
+            _check_unit(section, quantity, f"{path}: {name}")
     sections = (
         ("accelerometer", settings.accelerometer),
         *((sensor.name, sensor.settings) for sensor in settings.sensors),
@@ -61,29 +63,27 @@ def _verdict(file: str, missing: list[str]) -> str:
     return f"{file}: valid, but {len(missing)} {are} missing."
 
 
-def _require_units(path: str, settings: "RecordingSettings") -> None:
+def _check_unit(section: Any, quantity: str, where: str) -> None:
     """UsageError for a unit that does not measure what its section is for."""
     from midspan.errors import UsageError
     from midspan.sources.accelerometer.units import si_factor
 
-    channels: list[tuple[str, str, Any]] = [
-        ("accelerometer", "acceleration", settings.accelerometer),
-        ("reference", "displacement", settings.reference),
-    ]
-    channels += [(one.name, "displacement", one.settings) for one in settings.sensors if one.kind == "displacement"]
-    for name, quantity, section in channels:
-        if section is not None and section.unit is not None:
-            try:
-                si_factor(section.unit, quantity, getattr(section, "sensitivity", 0.0) or None)
-            except UsageError as error:
-                raise UsageError(f"{path}: {name}: {error}") from None
+    try:
+        si_factor(section.unit, quantity, getattr(section, "sensitivity", 0.0) or None)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from None
+
+
+def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
+    """Name, quantity and section of the accelerometer and each displacement sensor."""
+    plain = [one for one in settings.sensors if one.kind == "displacement"]
+    own = [("accelerometer", "acceleration", settings.accelerometer)]
+    return [*own, *((one.name, "displacement", one.settings) for one in plain)]
 
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
-    from midspan.settings.addresses import without_secrets
-    from midspan.settings.site import load_site
-    from midspan.settings.site_folders import require_folders
+    from midspan.settings.site import load_site, require_folders, without_secrets
 
     site = load_site(file)
     file = str(site.file)
@@ -115,7 +115,7 @@ def _missing(plan: "PointPlan", folder: Path, where: str) -> list[str]:
     """
     from midspan.errors import DataError
     from midspan.settings.load import settings_file
-    from midspan.settings.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration import load_calibration
 
     named = {} if plan.settings.calibration is None else {"calibration": plan.settings.calibration}
     named |= {f"{name}.config": config for name, config in plan.configs.items()}
@@ -136,22 +136,13 @@ def _missing(plan: "PointPlan", folder: Path, where: str) -> list[str]:
 
 def _units(plan: "PointPlan", where: str) -> list[str]:
     """Which unit is taken where a source of blocks is given none; UsageError for a unit of something else."""
-    from midspan.errors import UsageError
-    from midspan.sources.accelerometer.units import SI_UNITS, si_factor
+    from midspan.sources.accelerometer.units import SI_UNITS
 
     lines = []
-    sections: list[tuple[str, str, Any]] = [("accelerometer", "acceleration", plan.recording.accelerometer)]
-    sections += [
-        (one.name, "displacement", one.settings) for one in plan.recording.sensors if one.kind == "displacement"
-    ]
-    for name, quantity, section in sections:
-        if plan.sources[name].startswith("replay:"):
-            continue
-        if section.unit is None:
-            lines.append(f"{name}.unit: is left out; {SI_UNITS[quantity]} is taken.")
-            continue
-        try:
-            si_factor(section.unit, quantity, getattr(section, "sensitivity", 0.0) or None)
-        except UsageError as error:
-            raise UsageError(f"{where}: {name}: {error}") from None
+    for name, quantity, section in _channels(plan.recording):
+        if not plan.sources[name].startswith("replay:"):
+            if section.unit is None:
+                lines.append(f"{name}.unit: is left out; {SI_UNITS[quantity]} is taken.")
+            else:
+                _check_unit(section, quantity, f"{where}: {name}")
     return lines

@@ -18,8 +18,8 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     from midspan.cli import compare, estimate, inspect
     from midspan.cli.calibrate import describe
     from midspan.cli.targets import check_result
+    from midspan.evaluate.bound import least_error_mm
     from midspan.evaluate.result_file import compare as compare_results
-    from midspan.evaluate.simulated import least_error_mm
     from midspan.recording.calibrate import calibrate_and_track
     from midspan.recording.estimate import estimate as run_estimate
     from midspan.recording.inspect import inspect_recording

@@ -1,5 +1,6 @@
 """`midspan estimate RECORDING`, or `midspan estimate ACCEL VIDEO`."""
 
+import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -7,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midspan.cli.console import Console, common_options
-from midspan.cli.every_method import ALL, compare_methods
 from midspan.notices import notice_trees
 
 if TYPE_CHECKING:
+    from midspan.evaluate.methods import MethodRun
     from midspan.recording.result import Result
     from midspan.recording.streams.recording import Recording
     from midspan.records import TimeSeries
@@ -74,8 +75,7 @@ def _of_store(where: str, folder: Path, console: Console, options: dict[str, Any
     """Compute a segment of a store again, with the calibration that is in force where none is given."""
     from midspan.errors import MidspanError
     from midspan.service.replay import point_name
-    from midspan.service.stored_recording import in_words_of_a_store, stored_recording
-    from midspan.service.stored_rows import chosen_point, instant
+    from midspan.service.stored_recording import chosen_point, in_words_of_a_store, instant, stored_recording
     from midspan.store.store import open_store
 
     store = open_store(where, read_only=True)
@@ -108,16 +108,14 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
     from midspan.recording.streams.recording import Recording
     from midspan.settings.two_files import draft, settings_of
 
-    for given in ("point", "begin", "end"):
-        if options[given]:
-            raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
+    if options["point"] or options["begin"] or options["end"]:
+        raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
     found = draft(accel, video, options["value"], options["unit"], options["direction"])
     tree = found.sections
-    chosen = {"tracker": options["tracker"]} if options["tracker"] else {}
-    tree[found.camera] |= chosen
-    tree["fusion"] = {"literal": bool(options["literal"])} | (
-        {"method": options["method"]} if options["method"] else {}
-    )
+    tree["fusion"] = {"literal": bool(options["literal"])}
+    for section, key in ((found.camera, "tracker"), ("fusion", "method")):
+        if options[key]:
+            tree[section][key] = options[key]
     for channel in ("value", "unit"):
         if channel in tree["accelerometer"]:
             console.say(f"{accel.name}: {channel} {tree['accelerometer'][channel]}")
@@ -134,7 +132,7 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
         return
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
-    from midspan.settings.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration import load_calibration
     from midspan.sinks.write import check_target
 
     output = check_result(options["output"] or opened.folder / "result.csv", opened)
@@ -191,41 +189,30 @@ def write_report(
     console.done()
 
 
-def _second(result: "Result") -> list[tuple[str, str]]:
-    """The same two rows along the second image axis, where there is one."""
-    if result.across is None:
-        return []
-    return [(f"{label} along {result.across.axis}", value) for label, value in _first(result.across.figures())]
-
-
-def _first(f: dict[str, Any]) -> list[tuple[str, str]]:
-    """The displacement's range and its typical standard deviation."""
+def _extent(f: dict[str, Any], axis: str = "") -> list[tuple[str, str]]:
+    """The displacement's range and its typical standard deviation; axis: the second one of the image."""
+    along = f" along {axis}" if axis else ""
     return [
-        ("displacement", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
-        ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
+        (f"displacement{along}", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
+        (f"standard deviation{along}", f"{f['median_std_mm']:.3g} mm (median)"),
     ]
-
-
-def _sources(shares: dict[str, float]) -> list[tuple[str, str]]:
-    """Which sensor the rows rest on, where there are several."""
-    named = [f"{100 * part:.3g} % {word}" for word, part in shares.items()]
-    return [("source", ", ".join(named))] if len(named) > 1 else []
 
 
 def show(console: Console, result: "Result", written: list[str]) -> None:
     """Print the first figures of a result and where it went."""
     f = result.figures()
     share = ", ".join(f"{100 * part:.3g} % {word}" for word, part in f["status"].items() if part > 0)
+    sources = [f"{100 * part:.3g} % {word}" for word, part in f["source"].items()]
     console.table(
         [
             ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
-            *_first(f),
+            *_extent(f),
             ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
             ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
-            *_second(result),
+            *([] if result.across is None else _extent(result.across.figures(), result.across.axis)),
             *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
             ("status", share),
-            *_sources(f["source"]),
+            *([("source", ", ".join(sources))] if len(sources) > 1 else []),
             *(("not in the band", line) for line in result.not_in_band),
             ("written", ", ".join(written)),
         ]
@@ -242,3 +229,48 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             "calibration": result.calibration.to_dict(),
         }
     )
+
+
+# What stands for all methods, as the value of --method.
+ALL = "all"
+HEADINGS = ("method", "RMSE", "without zero", "inside ±1.96 σ", "σ", "delay", "takes")
+
+
+def compare_methods(opened: "Recording", console: Console, options: dict[str, Any]) -> None:
+    """Run all methods on a recording, print the table, and write the picture."""
+    from midspan.cli.targets import check_picture
+    from midspan.evaluate.methods import reference_of, run_all
+    from midspan.report.methods_figure import draw_methods
+    from midspan.settings.stored.calibration import load_calibration
+
+    if options["report"]:
+        raise click.UsageError("--report: is of one method. Name it with --method, or leave --report out.")
+    target = check_picture(options["output"] or opened.folder / "methods.png", "-o", opened)
+    given = None if options["reference"] is None else Path(options["reference"])
+    reference = reference_of(opened, given, options["reference_unit"])
+    calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
+    runs = list(run_all(opened, calibration, reference=reference, progress=console.progress))
+    console.done()
+    draw_methods(runs, reference, target)
+    console.columns(HEADINGS, [_row(run) for run in runs])
+    for run in runs:
+        if run.refused:
+            console.say(f"  {run.name}: refused. {run.refused}")
+    if reference is None:
+        console.say("No reference: --reference FILE, or [reference] in the recording, gives errors and coverage.")
+    console.say(f"{target}: written.")
+    console.document({"methods": [run.to_dict() for run in runs], "written": str(target)})
+
+
+def _row(run: "MethodRun") -> tuple[str, ...]:
+    """A method's row; empty cells where there is no figure."""
+    if run.result is None:
+        return (run.name, *[""] * (len(HEADINGS) - 1))
+    found, against = run.result, run.comparison
+    compared = ("", "", "")
+    if against is not None:
+        share = against.plain.coverage_95
+        inside = "" if share is None else f"{100 * share:.1f} %"
+        compared = (f"{against.plain.rmse_mm:.3g} mm", f"{against.without_zero.rmse_mm:.3g} mm", inside)
+    delay = {0.0: "none", math.inf: "whole record"}.get(found.delay_s, f"{found.delay_s:.2g} s")
+    return (run.name, *compared, f"{found.figures()['median_std_mm']:.3g} mm", delay, f"{run.took_s:.2g} s")

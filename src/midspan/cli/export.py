@@ -56,7 +56,7 @@ def _of_file(path: str, options: dict[str, str | None]) -> "tuple[str, Path, Res
 def _of_store(store: str, options: dict[str, str | None]) -> "tuple[str, Path, ResultTable]":
     """The rows of a point of a store, and where they go."""
     from midspan.service.replay import point_name
-    from midspan.service.stored_rows import chosen_point, instant, stored_table
+    from midspan.service.stored_recording import chosen_point, instant, stored_table
     from midspan.store.store import open_store
 
     kept = open_store(store, read_only=True)

@@ -21,41 +21,43 @@ if TYPE_CHECKING:
 @common_options
 def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
+    from midspan.cli.targets import check_picture
     from midspan.recording.inspect import inspect_recording
     from midspan.recording.streams.recording import open_recording
     from midspan.sources.inspect import inspect_file
 
-    console = Console(quiet, as_json)
-    path = Path(recording)
-    if _is_single(path):
-        target = None if picture is None else _target(picture)
+    console, path = Console(quiet, as_json), Path(recording)
+    opened = None if _is_single(path) else open_recording(path)
+    # Refused before the work where it could not be written.
+    target = None if picture is None else check_picture(picture, "--picture", *([] if opened is None else [opened]))
+    if opened is None:
         tree = inspect_file(path, console.progress)
         console.done()
         _show_file(console, tree)
-        if target is not None:
-            tree |= _picture(console, target, path)
-        console.document(tree)
-        return
-    opened = open_recording(path)
-    target = None if picture is None else _target(picture, opened)
-    tree = inspect_recording(opened, all_frames, console.progress)
-    console.done()
-    show(console, tree)
+    else:
+        tree = inspect_recording(opened, all_frames, console.progress)
+        console.done()
+        show(console, tree)
     if target is not None:
-        tree |= _picture(console, target, opened)
+        tree |= _picture(console, target, path if opened is None else opened)
     console.document(tree)
-    _fail_if_unreadable(tree)
+    if opened is None:
+        return
+    for branch in tree.values():
+        if isinstance(branch, dict) and "error" in branch:
+            click.echo(f"midspan: {branch['error']}", err=True)
+            raise click.exceptions.Exit(branch["exit_code"])
 
 
 def _is_single(path: Path) -> bool:
     """Whether a path is a single file to look at, or a folder of pictures or FLIR frames that is no recording."""
     from midspan.settings.load import RECORDING_FILE
-    from midspan.sources.inspect import PICTURES
+    from midspan.sources.camera.formats import IMAGES
     from midspan.sources.thermal.formats import is_thermal
 
     if os.path.isdir(path):
         names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
-        return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
+        return any(name in IMAGES for name in names) or (bool(names) and is_thermal(path))
     try:
         path.stat()
     except FileNotFoundError:
@@ -64,13 +66,6 @@ def _is_single(path: Path) -> bool:
         # No path that can be: refused with the reason as the file that it is not.
         return True
     return path.suffix.lower() != ".toml"
-
-
-def _target(picture: str, *recordings: "Recording") -> Path:
-    """The picture's path, refused before the work where it could not be written."""
-    from midspan.cli.targets import check_picture
-
-    return check_picture(picture, "--picture", *recordings)
 
 
 def _picture(console: Console, target: Path, source: "Path | Recording") -> dict[str, Any]:
@@ -101,7 +96,12 @@ def show(console: Console, tree: dict[str, Any]) -> None:
     for section, branch in tree.items():
         if isinstance(branch, dict) and "file" in branch:
             _show_stream(console, section, branch)
-    _show_overlap(console, tree["overlap"])
+    if overlap := tree["overlap"]:
+        names = " and ".join(overlap["streams"])
+        if overlap["overlapping"]:
+            console.say(f"\noverlap of {names}: {overlap['duration_s']:.3f} s from {overlap['start']}")
+        else:
+            console.say(f"\n{names} do not overlap in time; bring the clocks together with start_s.")
 
 
 def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None:
@@ -111,37 +111,36 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
         return
     rows = _times(branch)
     if "samples" in branch:
+        # In the file's unit; in SI where that takes a sensitivity.
+        factor, unit = branch["unit_in_si"], branch["unit"]
+        if factor is None:
+            factor, unit = 1.0, branch["value_unit"]
+        low, high, mean, std = (branch[name] / factor for name in ("smallest", "largest", "mean", "std"))
+        digits = _digits(low, high, 4)
         rows += [
             ("channel", f"{branch['channel']} in {branch['unit']}, {branch['samples']} samples"),
-            ("values", _in_own_unit(branch)),
+            ("values", f"{_values(low, high, unit, 4)}, mean {mean:.{digits}g}, rms about it {std:.4g}"),
             ("missing, frozen, clipped", f"{branch['missing_samples']}, {branch['frozen_samples']}, "
                                          f"{branch['clipped_samples']} samples"),
         ]  # fmt: skip
     elif "carrier_hz" in branch:
         rows += _radar(branch)
     else:
+        warmth = []
+        if "coldest_c" in branch:
+            warmth = [("temperatures", f"{branch['coldest_c']:.2f} … {branch['warmest_c']:.2f} °C")]
         lossless = {True: "lossless", False: "lossy", None: "lossless or not is unknown"}[branch["lossless"]]
         rows += [
             ("picture", f"{branch['width']} × {branch['height']} px, {branch['bit_depth']} bit, "
                         f"{branch['codec']}, {lossless}"),
             ("frames", f"{branch['frames_used']} used of {branch['frames_in_file'] or 'an unknown number'}"),
-            *_temperatures(branch),
+            *warmth,
             ("frozen, dark, saturated", f"{branch['frozen_frames']}, {branch['dark_frames']}, "
                                         f"{branch['saturated_frames']} of the {branch['frames_looked_at']} looked at"),
         ]  # fmt: skip
     rows += [("found", note) for note in branch["notes"]]
     rows += [("warning", line) for line in branch.get("warnings", ())]
     console.table(rows)
-
-
-def _in_own_unit(branch: dict[str, Any]) -> str:
-    """The range of a channel in the file's unit; in SI where that takes a sensitivity."""
-    factor, unit = branch["unit_in_si"], branch["unit"]
-    if factor is None:
-        factor, unit = 1.0, branch["value_unit"]
-    low, high, mean, std = (branch[name] / factor for name in ("smallest", "largest", "mean", "std"))
-    digits = _digits(low, high, 4)
-    return f"{low:.{digits}g} … {high:.{digits}g} {unit}, mean {mean:.{digits}g}, rms about it {std:.4g}"
 
 
 def _times(branch: dict[str, Any]) -> list[tuple[str, str]]:
@@ -183,22 +182,6 @@ def _radar(branch: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _temperatures(branch: dict[str, Any]) -> list[tuple[str, str]]:
-    if "coldest_c" not in branch:
-        return []
-    return [("temperatures", f"{branch['coldest_c']:.2f} … {branch['warmest_c']:.2f} °C")]
-
-
-def _show_overlap(console: Console, overlap: dict[str, Any]) -> None:
-    if not overlap:
-        return
-    names = " and ".join(overlap["streams"])
-    if overlap["overlapping"]:
-        console.say(f"\noverlap of {names}: {overlap['duration_s']:.3f} s from {overlap['start']}")
-    else:
-        console.say(f"\n{names} do not overlap in time; bring the clocks together with start_s.")
-
-
 def _show_file(console: Console, tree: dict[str, Any]) -> None:
     if "frames" in tree:
         _show_stream(console, "frames", {"file": tree["file"], **tree["frames"]})
@@ -211,18 +194,18 @@ def _show_file(console: Console, tree: dict[str, Any]) -> None:
         low, high = channel["smallest"], channel["largest"]
         rate = f", {channel['rate_hz']:.6g} Hz" if channel["rate_hz"] else ""
         missing = f" ({channel['missing']} without a number)" if channel["missing"] else ""
-        values = _values(low, high, channel["unit"] or "(no unit)")
+        values = _values(low, high, channel["unit"] or "(no unit)", 6)
         console.say(f"  {channel['name']}: {channel['samples']} samples{missing}, {values}{rate}")
     console.table([("found", note) for note in tree["notes"]] + [("warning", line) for line in tree["warnings"]])
 
 
-def _values(low: float | str | None, high: float | str | None, unit: str) -> str:
+def _values(low: float | str | None, high: float | str | None, unit: str, least: int) -> str:
     """The range of a channel; times are texts that have their unit with them."""
     if low is None or high is None:
         return f"no numbers {unit}"
     if isinstance(low, str) or isinstance(high, str):
         return f"{low} … {high}"
-    digits = _digits(low, high, 6)
+    digits = _digits(low, high, least)
     return f"{low:.{digits}g} … {high:.{digits}g} {unit}"
 
 
@@ -233,10 +216,3 @@ def _digits(low: float, high: float, least: int) -> int:
         return least
     # A double holds 17.
     return min(max(least, math.ceil(math.log10(size / apart)) + 3), 17)
-
-
-def _fail_if_unreadable(tree: dict[str, Any]) -> None:
-    for branch in tree.values():
-        if isinstance(branch, dict) and "error" in branch:
-            click.echo(f"midspan: {branch['error']}", err=True)
-            raise click.exceptions.Exit(branch["exit_code"])

@@ -11,8 +11,6 @@ from midspan.cli.console import Console, common_options
 if TYPE_CHECKING:
     from midspan.sources.camera.lens import CalibratedLens
 
-PICTURES = (".png", ".svg", ".pdf", ".jpg")
-
 
 @click.command("lens")
 @click.argument("images", type=click.Path())
@@ -64,14 +62,12 @@ def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any
 
 def _targets(images: str, output: str, picture: str | None) -> tuple[Path, Path | None]:
     """The files to write, refused before the work where they would not do."""
+    from midspan.cli.targets import PICTURES, require_place
+
     target, drawn = Path(output), None if picture is None else Path(picture)
-    if target.suffix.lower() != ".json":
-        raise click.UsageError(f"-o {output}: must end in .json.")
-    if drawn is not None and drawn.suffix.lower() not in PICTURES:
-        raise click.UsageError(f"--picture {picture}: must end in {', '.join(PICTURES)}.")
-    for path in (target, drawn):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise click.UsageError(f"{path}: the folder {path.absolute().parent} does not exist; make it first.")
+    require_place("-o", target, (".json",), "lens file")
+    if drawn is not None:
+        require_place("--picture", drawn, (*PICTURES, ".jpg"), "picture")
     # A drawing inside the folder of pictures would be taken for one of them the next time.
     folder = Path(images) if Path(images).is_dir() else Path(images).parent
     if drawn is not None and drawn.absolute().parent.resolve() == folder.resolve() and not Path(images).is_file():

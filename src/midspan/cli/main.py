@@ -56,7 +56,7 @@ def run(arguments: list[str]) -> int:
 
     import click
 
-    from midspan.cli.group import commands
+    from midspan.cli.console import commands
     from midspan.errors import MidspanError
 
     try:
@@ -64,7 +64,9 @@ def run(arguments: list[str]) -> int:
     except FileNotFoundError:
         text = 'the current folder no longer exists; it was replaced or removed. Change into it anew: `cd "$PWD"`.'
         return _explain(arguments, text, 2, None)
-    long = next((given for given in arguments if _has_long_name(given)), None)
+    # An argument that, as a path, holds a name that no file can have.
+    names = ((given, os.fsencode(name)) for given in arguments for name in given.split("/"))
+    long = next((given for given, name in names if len(name) > MAX_NAME_BYTES), None)
     if long is not None:
         text = f"{long[:60]}…: each name in a path must have at most {MAX_NAME_BYTES} bytes. Give a shorter one."
         return _explain(arguments, text, 2, None)
@@ -89,13 +91,6 @@ def run(arguments: list[str]) -> int:
         text = f"internal error ({what}). This is a defect of midspan; MIDSPAN_TRACEBACK=1 shows where it happened."
         return _explain(arguments, text, 1, None)
     return left if isinstance(left, int) else 0
-
-
-def _has_long_name(argument: str) -> bool:
-    """Whether an argument, as a path, holds a name that no file can have."""
-    import os
-
-    return any(len(os.fsencode(name)) > MAX_NAME_BYTES for name in argument.split("/"))
 
 
 def _explain(arguments: list[str], message: str, code: int, error: "click.ClickException | None") -> int:

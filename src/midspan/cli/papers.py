@@ -11,7 +11,6 @@ from midspan.papers.published import PAPERS
 
 if TYPE_CHECKING:
     from midspan.papers.claims import Row
-    from midspan.papers.table import Outcome
 
 
 @click.command("papers")
@@ -43,10 +42,13 @@ def command(only: str | None, quick: bool, seeds: int | None, report: str | None
     if path is not None:
         from midspan.papers.page import write_papers
 
-        write_papers(outcomes, path, _how(only, quick, count))
+        given = [f" --only {only}"] * bool(only) + [" --quick"] * quick
+        write_papers(outcomes, path, f"midspan papers{''.join(given)} --seeds {count}")
         console.say(f"{path}: the page")
         document["report"] = str(path)
-    console.document(document | {"chosen_here": _free(outcomes)})
+    # What the papers do not print, by experiment.
+    free = {f"{one.experiment.paper} {one.experiment.name}": one.experiment.free for one in outcomes}
+    console.document(document | {"chosen_here": free})
 
 
 def _report_file(report: str | None) -> Path | None:
@@ -69,12 +71,6 @@ def _report_file(report: str | None) -> Path | None:
     return path
 
 
-def _how(only: str | None, quick: bool, seeds: int) -> str:
-    """The command line."""
-    options = [f" --only {only}"] * bool(only) + [" --quick"] * quick
-    return f"midspan papers{''.join(options)} --seeds {seeds}"
-
-
 def _show(console: Console, key: str, rows: "list[Row]") -> None:
     for row in rows:
         console.say(f"{key} {row.entry.where}: {row.entry.what}")
@@ -93,8 +89,3 @@ def _counted(rows: "list[Row]") -> str:
         f"{verdicts}; our default errs more than a method as printed in {sum(row.worse for row in compared)} of "
         f"{len(compared)} rows"
     )
-
-
-def _free(outcomes: "list[Outcome]") -> dict[str, str]:
-    """What the papers do not print, by experiment."""
-    return {f"{one.experiment.paper} {one.experiment.name}": one.experiment.free for one in outcomes}

@@ -46,13 +46,14 @@ def supervised(command: "Callable[[], int]") -> int:
     try:
         before = _catch_signals()
         # A closed stream is None, which click and print know.
-        sys.stdout = sys.stdout and _Stream(sys.stdout, _fail)
-        sys.stderr = sys.stderr and _Stream(sys.stderr, _ignore)
+        sys.stdout = sys.stdout and _Stream(sys.stdout, fails=True)
+        # Of standard error there is no place left to complain.
+        sys.stderr = sys.stderr and _Stream(sys.stderr, fails=False)
         sys.unraisablehook = lambda lost: _again(lost, hook)
         code = command()
     except Stopped as stopped:
         _use(before, signal.SIG_IGN)
-        name = "interrupted" if stopped.number == signal.SIGINT else f"stopped by {_name(stopped.number)}"
+        name = "interrupted" if stopped.number == signal.SIGINT else f"stopped by {signal.Signals(stopped.number).name}"
         _say(f"midspan: {name}; nothing half-written was left.")
         code = _BY_SIGNAL + stopped.number
     except OutputError as failed:
@@ -65,10 +66,6 @@ def supervised(command: "Callable[[], int]") -> int:
     # The work is done: what comes now ends the process at once and without a traceback.
     _use(before, signal.SIG_DFL)
     return code
-
-
-def _name(number: int) -> str:
-    return signal.Signals(number).name
 
 
 def _catch_signals() -> "tuple[int, ...]":
@@ -119,16 +116,16 @@ def _say(text: str) -> None:
 
 
 class _Stream:
-    """A text stream that hands errors of writing to `failed`; everything else goes to the stream itself."""
+    """A text stream whose errors of writing are OutputError, or nothing; everything else goes to the stream itself."""
 
-    def __init__(self, stream: "Any", failed: "Callable[[OSError], None]") -> None:
-        self._stream, self._failed = stream, failed
+    def __init__(self, stream: "Any", *, fails: bool) -> None:
+        self._stream, self._fails = stream, fails
 
     def __getattr__(self, name: str) -> "Any":
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, or hand the error on."""
+        """Write, or give up."""
         try:
             return int(self._stream.write(text))
         except OSError as error:
@@ -136,7 +133,7 @@ class _Stream:
             return len(text)
 
     def flush(self) -> None:
-        """Flush, or hand the error on."""
+        """Flush, or give up."""
         try:
             self._stream.flush()
         except OSError as error:
@@ -147,12 +144,5 @@ class _Stream:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self._stream.fileno())
         os.close(nowhere)
-        self._failed(error)
-
-
-def _fail(error: OSError) -> None:
-    raise OutputError(error)
-
-
-def _ignore(error: OSError) -> None:
-    """There is no place left to complain."""
+        if self._fails:
+            raise OutputError(error)

@@ -22,7 +22,7 @@ def command(recording: str, store: str, quiet: bool, as_json: bool, **options: A
     from midspan.cli.targets import check_store
     from midspan.recording.streams.recording import open_recording
     from midspan.service.replay import LIVE, point_called, replay
-    from midspan.settings.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration import load_calibration
     from midspan.store.store import open_store
 
     option("method", options["method"], LIVE)

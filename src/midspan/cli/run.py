@@ -20,8 +20,7 @@ def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
 
     console = Console(quiet, as_json)
     from midspan.service.run import Service
-    from midspan.settings.site import load_site
-    from midspan.settings.site_folders import require_folders
+    from midspan.settings.site import load_site, require_folders
 
     loaded = load_site(site)
     require_folders(loaded)

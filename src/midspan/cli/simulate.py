@@ -30,8 +30,8 @@ def command(
 ) -> None:
     """Write a recording folder with its truth (truth.csv)."""
     from midspan.checks import option
-    from midspan.simulate.scenarios.table import NAMES, PAPER_NAMES, chosen_here
-    from midspan.simulate.scenarios.write import write
+    from midspan.papers.scenes import PAPER_NAMES, chosen_here, write_scene
+    from midspan.simulate.scenarios.table import NAMES
 
     console = Console(quiet, as_json)
     names = NAMES | PAPER_NAMES
@@ -43,7 +43,7 @@ def command(
         raise click.UsageError("give a SCENARIO and -o DIR; --list names the scenarios.")
     option("SCENARIO", scenario, names)
     wanted = [name.strip() for text in breaks for name in text.split(",")]
-    folder = write(
+    folder = write_scene(
         scenario,
         output,
         seed=seed,

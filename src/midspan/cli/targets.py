@@ -10,7 +10,7 @@ from midspan.errors import MidspanError
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.stored.calibration import CALIBRATION_FILE
-from midspan.sinks.pair import partner
+from midspan.sinks.metadata import partner
 from midspan.store.store import is_address
 from midspan.trees import TreeError, read_json
 
@@ -35,22 +35,26 @@ def check_result(output: str | Path, *recordings: Recording, option: str = "-o")
     calibrations = {(owner.folder / CALIBRATION_FILE).resolve() for owner in owners}
     for target in written:
         _refuse_kept(f"{option} {output}", target, owners, calibrations)
-    known = _is_metadata(partner(path)) if pair else _is_marked(path)
+    known = _keys(partner(path)) >= _METADATA and not _keys(partner(path)) >= _LENS if pair else _is_marked(path)
     kind = f"not a result (one has a {partner(path).name} of midspan's)" if pair else "no file of midspan's"
     for target in written:
         _refuse_foreign(f"{option} {output}", target, kind, known=known)
     return path
 
 
-def check_picture(output: str | Path, option: str, *recordings: Recording) -> Path:
-    """Refuse a picture of another format, and one in place of anything but its like; returns the path."""
-    path = Path(output)
-    if path.suffix.lower() not in PICTURES:
-        raise click.UsageError(f"{option} {path}: the picture's suffix must be one of {', '.join(PICTURES)}.")
+def require_place(option: str, path: Path, suffixes: tuple[str, ...], what: str) -> None:
+    """Refuse a file of another format, and one in a folder that does not exist."""
+    if path.suffix.lower() not in suffixes:
+        raise click.UsageError(f"{option} {path}: the {what}'s suffix must be one of {', '.join(suffixes)}.")
     folder = path.absolute().parent
     if not folder.is_dir():
         raise click.UsageError(f"{option} {path}: the folder {folder} does not exist; make it first.")
-    return check_result(path, *recordings, option=option)
+
+
+def check_picture(output: str | Path, option: str, *recordings: Recording) -> Path:
+    """Refuse a picture of another format, and one in place of anything but its like; returns the path."""
+    require_place(option, Path(output), PICTURES, "picture")
+    return check_result(output, *recordings, option=option)
 
 
 def check_calibration(output: str | Path, recording: Recording) -> Path:
@@ -106,12 +110,6 @@ def _refuse_foreign(what: str, target: Path, kind: str, *, known: bool) -> None:
         )
 
 
-def _is_metadata(path: Path) -> bool:
-    """Whether a file is the metadata of a CSV that midspan wrote, and not a calibration or a lens of that name."""
-    found = _keys(path)
-    return found >= _METADATA and not found >= _LENS
-
-
 def _keys(path: Path) -> set[str]:
     """The keys of a JSON file's tree; none where it is no JSON."""
     try:
@@ -134,10 +132,5 @@ def report_path(path: str | None) -> Path | None:
     """The report's path, refused before the work where it could not be written."""
     if path is None:
         return None
-    target = Path(path)
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise click.UsageError(f"--report {path}: must end in .html.")
-    folder = target.absolute().parent
-    if not folder.is_dir():
-        raise click.UsageError(f"--report {path}: the folder {folder} does not exist; make it first.")
-    return check_result(target, option="--report")
+    require_place("--report", Path(path), (".html", ".htm"), "report")
+    return check_result(path, option="--report")

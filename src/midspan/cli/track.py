@@ -10,7 +10,6 @@ from midspan.notices import notice_trees
 
 if TYPE_CHECKING:
     from midspan.recording.tracking.track import Tracked
-    from midspan.records import Region
 
 
 @click.command("track")
@@ -29,13 +28,10 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
 
     SOURCE is a recording, a video, a folder or glob of images, or an .npy/.npz stack.
     """
-    import numpy as np
-
     from midspan.checks import RATE_HZ, option, within
     from midspan.cli.targets import check_result
     from midspan.recording.streams.recording import open_recording
     from midspan.recording.tracking.track import track
-    from midspan.records import Status
     from midspan.settings.load import RECORDING_FILE
     from midspan.sinks.write import check_target
     from midspan.vision.tracker import TRACKERS
@@ -57,48 +53,42 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     tracked = track(source, **options, progress=console.progress)
     console.done()
     tracked.save(output)
-    rows, region = tracked.track, tracked.region
-    lost = int(np.count_nonzero(rows.status == Status.LOST))
-    figures = {
-        "frames": len(rows.time_ns),
-        "lost": lost,
-        "roi": [region.x, region.y, region.width, region.height],
-        **_others(tracked),
-        "range_x_px": _range(rows.x_px),
-        "range_y_px": _range(rows.y_px),
-        "median_std_x_px": float(np.nanmedian(np.sqrt(rows.variance_x_px2))) if lost < len(rows.time_ns) else None,
-        "median_std_y_px": float(np.nanmedian(np.sqrt(rows.variance_y_px2))) if lost < len(rows.time_ns) else None,
-        "written": output,
-        "warnings": list(tracked.warnings),
-        "notices": notice_trees(tracked.warnings),
-    }
-    console.table(_rows(figures, tracked))
+    figures = _figures(tracked, output)
+    regions = figures.get("targets") or {"": figures["roi"]}
+    console.table(
+        [
+            ("frames", f"{figures['frames']}, {figures['lost']} lost"),
+            *(
+                (f"target {name}" if name else "roi", f"x {x}, y {y}, {width} × {height} px")
+                for name, (x, y, width, height) in regions.items()
+            ),
+            *((axis, _along(figures, axis)) for axis in "xy"),
+            ("written", output),
+        ]
+    )
     console.warn(tracked.warnings)
     console.document(figures)
 
 
-def _others(tracked: "Tracked") -> dict[str, Any]:
-    """Regions by name, where there are several targets."""
-    targets = tracked.tracking.targets
-    if len(targets) == 1:
-        return {}
-    regions = {t.name: [t.region.x, t.region.y, t.region.width, t.region.height] for t in targets}
-    return {"targets": regions}
+def _figures(tracked: "Tracked", output: str) -> dict[str, Any]:
+    """The document: counts, regions, and along each axis the translation's range and typical standard deviation."""
+    import numpy as np
 
+    from midspan.records import Region, Status
 
-def _rows(figures: dict[str, Any], tracked: "Tracked") -> list[tuple[str, str]]:
-    """The figures for a person."""
-    several = len(tracked.tracking.targets) > 1
-    return [
-        ("frames", f"{figures['frames']}, {figures['lost']} lost"),
-        *((f"target {one.name}" if several else "roi", _place(one.region)) for one in tracked.tracking.targets),
-        *((axis, _along(figures, axis)) for axis in "xy"),
-        ("written", figures["written"]),
-    ]
-
-
-def _place(region: "Region") -> str:
-    return f"x {region.x}, y {region.y}, {region.width} × {region.height} px"
+    rows, count, keys = tracked.track, len(tracked.track.time_ns), Region.__slots__
+    lost = int(np.count_nonzero(rows.status == Status.LOST))
+    figures: dict[str, Any] = {"frames": count, "lost": lost, "roi": [getattr(tracked.region, key) for key in keys]}
+    if len(tracked.tracking.targets) > 1:
+        targets = tracked.tracking.targets
+        figures["targets"] = {one.name: [getattr(one.region, key) for key in keys] for one in targets}
+    for axis in "xy":
+        value, variance = rows.along(axis)
+        ends = [round(float(end(value)), 4) for end in (np.nanmin, np.nanmax)] if np.isfinite(value).any() else None
+        figures[f"range_{axis}_px"] = ends
+        figures[f"median_std_{axis}_px"] = float(np.nanmedian(np.sqrt(variance))) if lost < count else None
+    notices = {"warnings": list(tracked.warnings), "notices": notice_trees(tracked.warnings)}
+    return {**figures, "written": output, **notices}
 
 
 def _along(figures: dict[str, Any], axis: str) -> str:
@@ -107,11 +97,3 @@ def _along(figures: dict[str, Any], axis: str) -> str:
     if found is None or std is None:
         return "not measured"
     return f"{found[0]:.4g} … {found[1]:.4g} px, standard deviation {std:.3g} px (median)"
-
-
-def _range(values: Any) -> list[float] | None:
-    import numpy as np
-
-    return (
-        [round(float(np.nanmin(values)), 4), round(float(np.nanmax(values)), 4)] if np.isfinite(values).any() else None
-    )

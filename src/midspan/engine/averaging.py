@@ -42,8 +42,8 @@ class Averaging:
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         alone = in_displacement_alone(channels)
-        self._channels = {c: one for c, one in enumerate(channels) if alone and one.exposure_s > 0.0}
-        longest_s = max((one.exposure_s for one in self._channels.values()), default=0.0)
+        self.channels = {c: one for c, one in enumerate(channels) if alone and one.exposure_s > 0.0}
+        longest_s = max((one.exposure_s for one in self.channels.values()), default=0.0)
         self._reach_ns = round(longest_s / 2.0 * NANOSECONDS)
         self._samples: Samples | None = None
         self._given_ns: int | None = None
@@ -60,7 +60,7 @@ class Averaging:
 
     def seen(self, seen: Seen) -> Seen:
         """What a sensor saw, without the measurements that wait for the acceleration."""
-        if seen.measured is None or not np.isin(seen.measured.channel, list(self._channels)).any():
+        if seen.measured is None or not np.isin(seen.measured.channel, list(self.channels)).any():
             return seen
         waiting = self._waiting.get(seen.sensor)
         self._waiting[seen.sensor] = seen.measured if waiting is None else joined([waiting, seen.measured])
@@ -68,7 +68,7 @@ class Averaging:
 
     def sampled(self, samples: Samples) -> tuple[list[Seen], Samples]:
         """Measurements that are complete, and the samples that may follow them."""
-        if not self._channels:
+        if not self.channels:
             return [], samples
         known = samples if self._samples is None else joined([self._samples, samples])
         return self._released(known, int(known.time_ns[-1]) - self._reach_ns)
@@ -96,7 +96,7 @@ class Averaging:
     def _completed(self, measured: Measured, known: Samples) -> Measured:
         """The measurements without what averaging took from them beyond its first term."""
         value = measured.value.copy()
-        for c, channel in self._channels.items():
+        for c, channel in self.channels.items():
             own, acceleration = measured.channel == c, known.value_m_s2[:, channel.axis]
             value[own] -= channel.units_per_m * taken_by_averaging(
                 known.time_ns, acceleration, measured.time_ns[own], channel.exposure_s, beyond_first_term=True

@@ -9,11 +9,11 @@ import numpy as np
 
 from midspan.fusion.entry import MAX_M_S2
 from midspan.records import Event, Floats, Nanoseconds
-from midspan.signals.bridging import MIN_HZ, missed_share
 from midspan.signals.health import (
     BESIDE,
     CLIPPED_RUN,
     EQUAL_AT_FIRST,
+    MIN_HZ,
     REST_SHARE,
     SPIKE,
     SPIKE_SAMPLES,
@@ -26,12 +26,13 @@ from midspan.signals.health import (
     frozen,
     is_clipped,
     lone_spikes,
+    mean_square,
+    missed_share,
     runs,
     smallest_step,
     spikes,
     with_crests,
 )
-from midspan.signals.lively import mean_square
 
 # Samples already given out that are still looked at: a run counts as reached gently by the five steps before it.
 CONTEXT = 6
@@ -59,11 +60,6 @@ class AxisFigures:
     name: str = ""
     motion_noise_s: float = 0.0
     gain: float = 1.0
-
-    @property
-    def spike_std(self) -> float:
-        """The standard deviation (m/s²) that spikes are judged by."""
-        return float(max(np.sqrt(self.variance), self.resolution_m_s2))
 
     @property
     def frequency_hz(self) -> float:
@@ -123,11 +119,14 @@ def displacement_std(value: Floats, rate_hz: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """Rate, and the numbers of samples after which a hole is bridged without its end, and that wait at most."""
+    """Rate, the numbers of samples after which a hole is bridged without its end, and that wait at most, and the
+    standard deviation (m/s²) that spikes are judged by.
+    """
 
     rate_hz: float
     long: int
     held: int
+    spike_std: float
 
     @classmethod
     def of(cls, figures: AxisFigures, rate_hz: float, hold_s: float) -> "AxisLimits":
@@ -136,7 +135,8 @@ class AxisLimits:
         """
         whole_s = np.sqrt(8.0) / (2.0 * np.pi * figures.frequency_hz)
         long = int(np.ceil(min(whole_s, hold_s) * rate_hz))
-        return cls(rate_hz, max(long, 1), round(hold_s * rate_hz))
+        spike_std = float(max(np.sqrt(figures.variance), figures.resolution_m_s2))
+        return cls(rate_hz, max(long, 1), round(hold_s * rate_hz), spike_std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,11 +166,6 @@ class AxisMemory:
         nothing, ends = np.empty(0, dtype=np.int64), (figures.low_m_s2, figures.high_m_s2)
         return cls(nothing, np.empty(0), 0, 0, EQUAL_AT_FIRST, True, *ends, figures.variance, 0, 0)
 
-    @property
-    def last(self) -> tuple[float, int, float]:
-        """Value, length of its run of equal ones and share before it, of the last sample given out."""
-        return float(self.value[self.given - 1]) if self.given else np.nan, self.equal, self.share
-
 
 @dataclass(frozen=True, slots=True)
 class Bridged:
@@ -179,7 +174,6 @@ class Bridged:
     value: Floats
     density: Floats
     bridged: Mask
-    events: tuple[Event, ...] = ()
 
 
 def bridge(
@@ -189,28 +183,30 @@ def bridge(
     limits: AxisLimits,
     *,
     end: bool = False,
-) -> tuple[AxisMemory, Bridged]:
-    """Take samples, time (n,) and value (n,); returns those that are decided by now, in their order.
+) -> tuple[AxisMemory, Bridged, list[Event]]:
+    """Take samples, time (n,) and value (n,); returns those that are decided by now, in their order, and events.
 
     end: the record ends here, and all is decided.
     """
     time_ns = np.concatenate((memory.time_ns, samples[0]))
     value = np.concatenate((memory.value, samples[1]))
     value[~(np.abs(value) < MAX_M_S2)] = np.nan
-    alone, whole = _spikes(value, memory, figures, end=end)
+    alone, whole = _spikes(value, memory, (figures, limits), end=end)
     value[alone] = np.nan
-    equal = equal_runs(value[memory.given :], limits.rate_hz, figures.resolution_m_s2, memory.last)
+    last_value = float(memory.value[memory.given - 1]) if memory.given else np.nan
+    before = (last_value, memory.equal, memory.share)
+    equal = equal_runs(value[memory.given :], limits.rate_hz, figures.resolution_m_s2, before)
     still, settled = _still(value, equal, memory, (figures, limits), end=end)
     held, decided = _clipped(value, equal, memory, figures, end=end)
     decided = min(decided, settled, whole)
     missing = np.isnan(value) | still | held
     missing[: memory.given] = False
     faulty = (missing, held, decided)
-    filled, release, lost = _filled(time_ns, value, faulty, memory, (figures, limits), end=end)
+    filled, events, release, lost = _filled(time_ns, value, faulty, memory, (figures, limits), end=end)
     told = [Event(int(time_ns[a]), "spike", f"{figures.name}: {b - a} {SPIKE_TEXT}") for a, b in runs(alone)]
-    filled = replace(filled, events=(*told, *filled.events))
+    events = [*told, *events]
     if release == memory.given:
-        return _waiting(memory, time_ns, value), filled
+        return replace(memory, time_ns=time_ns, value=value), filled, events
     power = mean_square(filled.value, figures.mean_m_s2, memory.power, limits.rate_hz)
     filled = replace(filled, density=filled.density + figures.motion_noise_s * power)
     last, first = release - 1, max(release - CONTEXT, 0)
@@ -229,26 +225,26 @@ def bridge(
         lost=lost[0],
         lost_from_ns=lost[1],
     )
-    return after, filled
-
-
-def is_sound(memory: AxisMemory, fresh: Floats, figures: AxisFigures) -> bool:
-    """Whether new samples (n,) are plainly good and nothing waits: then `passed` is the short way to the same."""
-    if memory.lost or not memory.given or memory.given < len(memory.value):
-        return False
-    far = min(SPIKE * figures.spike_std, MAX_M_S2)
-    low, high = max(memory.low, figures.mean_m_s2 - far), min(memory.high, figures.mean_m_s2 + far)
-    within = max(low, -MAX_M_S2) < fresh.min() and fresh.max() < min(high, MAX_M_S2)
-    return bool(within and fresh[0] != memory.value[-1] and (fresh[1:] != fresh[:-1]).all())
+    return after, filled, events
 
 
 def passed(
-    memory: AxisMemory, samples: tuple[Nanoseconds, Floats], figures: AxisFigures, rate_hz: float
-) -> tuple[AxisMemory, Floats]:
-    """The memory after sound samples (n,), which are given out as they are, and what the motion adds to their noise."""
+    memory: AxisMemory, samples: tuple[Nanoseconds, Floats], figures: AxisFigures, limits: AxisLimits
+) -> tuple[AxisMemory, Floats] | None:
+    """The short way to the same for new samples (n,) that are plainly good while nothing waits: they are given out as
+    they are. Returns the memory after them and what the motion adds to their noise; None where the short way is none.
+    """
     time_ns, fresh = samples
-    share = float(equal_runs(fresh, rate_hz, figures.resolution_m_s2, memory.last).share[-1])
-    power = mean_square(fresh, figures.mean_m_s2, memory.power, rate_hz)
+    if memory.lost or not memory.given or memory.given < len(memory.value):
+        return None
+    far = min(SPIKE * limits.spike_std, MAX_M_S2)
+    low, high = max(memory.low, figures.mean_m_s2 - far), min(memory.high, figures.mean_m_s2 + far)
+    within = max(low, -MAX_M_S2) < fresh.min() and fresh.max() < min(high, MAX_M_S2)
+    if not within or fresh[0] == memory.value[-1] or (fresh[1:] == fresh[:-1]).any():
+        return None
+    before = (float(memory.value[-1]), memory.equal, memory.share)
+    share = float(equal_runs(fresh, limits.rate_hz, figures.resolution_m_s2, before).share[-1])
+    power = mean_square(fresh, figures.mean_m_s2, memory.power, limits.rate_hz)
     if len(fresh) < CONTEXT:
         time_ns, fresh = np.concatenate((memory.time_ns, time_ns)), np.concatenate((memory.value, fresh))
     last_ns, last = time_ns[-CONTEXT:].copy(), fresh[-CONTEXT:].copy()
@@ -256,18 +252,13 @@ def passed(
     return after, figures.motion_noise_s * power
 
 
-def _waiting(memory: AxisMemory, time_ns: Nanoseconds, value: Floats) -> AxisMemory:
-    """The memory with more samples held back."""
-    return replace(memory, time_ns=time_ns, value=value)
-
-
-def _spikes(value: Floats, memory: AxisMemory, figures: AxisFigures, *, end: bool) -> tuple[Mask, int]:
+def _spikes(value: Floats, memory: AxisMemory, usual: tuple[AxisFigures, AxisLimits], *, end: bool) -> tuple[Mask, int]:
     """Samples (n,) that are spikes, and how many are settled: one that may be a spike waits for what follows."""
-    given, settled = memory.given, len(value)
-    far = np.abs(value - figures.mean_m_s2) > SPIKE * figures.spike_std
+    (figures, limits), given, settled = usual, memory.given, len(value)
+    far = np.abs(value - figures.mean_m_s2) > SPIKE * limits.spike_std
     if not far[given:].any():
         return np.zeros(settled, dtype=bool), settled
-    alone, last = spikes(value, figures.mean_m_s2, figures.spike_std), runs(far)[-1]
+    alone, last = spikes(value, figures.mean_m_s2, limits.spike_std), runs(far)[-1]
     if not end and last[1] + BESIDE > settled and last[1] - last[0] <= SPIKE_SAMPLES:
         settled = max(int(last[0]), given)
         alone[settled:] = False
@@ -287,7 +278,9 @@ def _still(
     for first, stop in runs(equal.length > 1):
         length, least, stop = int(equal.length[stop - 1]), int(equal.frozen[first]), given + int(stop)
         start = stop - length
-        if _is_rest(value, start, memory, figures):
+        apart = abs(value[max(start, memory.given)] - figures.mean_m_s2)
+        if apart < REST_SHARE * np.sqrt(figures.variance) and _is_gentle(value, start, memory, figures):
+            # The structure is at rest: at the mean, and reached gently.
             continue
         waits = least <= limits.held
         if length >= least:
@@ -304,12 +297,6 @@ def _is_gentle(value: Floats, start: int, memory: AxisMemory, figures: AxisFigur
     steps = np.abs(np.diff(value[max(start - CONTEXT + 1, 0) : start + 1]))
     small = REST_SHARE * np.sqrt(figures.variance)
     return bool(np.fmax.reduce(steps, initial=0.0) < small)
-
-
-def _is_rest(value: Floats, start: int, memory: AxisMemory, figures: AxisFigures) -> bool:
-    """Whether the run of equal values from `start` on is rest: at the mean, and reached gently."""
-    apart = abs(value[max(start, memory.given)] - figures.mean_m_s2)
-    return bool(apart < REST_SHARE * np.sqrt(figures.variance)) and _is_gentle(value, start, memory, figures)
 
 
 def _clipped(
@@ -343,8 +330,8 @@ def _filled(
     usual: tuple[AxisFigures, AxisLimits],
     *,
     end: bool,
-) -> tuple[Bridged, int, tuple[int, int]]:
-    """The samples that can be given out, the end of them, and length and start of the long hole they end in.
+) -> tuple[Bridged, list[Event], int, tuple[int, int]]:
+    """The samples that can be given out, events, the samples' end, and length and start of the long hole they end in.
 
     known: which samples are missing, which of them are clipped, and how many are decided.
     """
@@ -368,25 +355,19 @@ def _filled(
             drawn[start:stop] = crests[start:stop]
             density[start : stop + 1] = figures.unseen((count + 1) / limits.rate_hz)
         elif count < limits.long:
-            _draw(drawn, missing, (start, stop), figures, rate_hz=limits.rate_hz)
+            # On the line between its ends, drawn to the mean where it is long.
+            near = slice(max(start - 1, 0), stop + 1)
+            line = bridged(drawn[near], missing[near])[start - near.start :][: stop - start]
+            share = missed_share((count + 1) / limits.rate_hz, figures.frequency_hz)
+            drawn[start:stop] = line + share * (figures.mean_m_s2 - line)
             density[start : stop + 1] = figures.unseen((count + 1) / limits.rate_hz)
         else:
             drawn[start:stop], density[start : stop + 1] = figures.mean_m_s2, figures.unknown_density
         if count >= limits.long > before:
-            events.append(
-                Event(since, "missing", f"{figures.name}: samples are missing, frozen or clipped from here on.")
-            )
+            text = f"{figures.name}: samples are missing, frozen or clipped from here on."
+            events.append(Event(since, "missing", text))
         if not is_open:
             events.append(Event(since, "bridged", f"{figures.name}: {count} samples bridged."))
         lost = (count, since) if is_open else (0, 0)
     given = slice(memory.given, release)
-    return Bridged(drawn[given], density[given], missing[given], tuple(events)), release, lost
-
-
-def _draw(value: Floats, missing: Mask, hole: tuple[int, int], figures: AxisFigures, *, rate_hz: float) -> None:
-    """Put a hole (start, end) of `value` (n,) on the line between its ends, drawn to the mean where it is long."""
-    start, stop = hole
-    near = slice(max(start - 1, 0), stop + 1)
-    line = bridged(value[near], missing[near])[start - near.start :][: stop - start]
-    share = missed_share((stop - start + 1) / rate_hz, figures.frequency_hz)
-    value[start:stop] = line + share * (figures.mean_m_s2 - line)
+    return Bridged(drawn[given], density[given], missing[given]), events, release, lost

@@ -1,16 +1,158 @@
-"""The camera's stage: a frame and what is expected of it in, a translation of each target with final variances out."""
+"""The camera's stage: a frame and what is expected of it in, a translation of each target out.
 
+Every frame's variances rest on the frames up to it.
+"""
+
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
-from midspan.engine.camera_target import ChainSettings, Target, TargetChain, TargetState
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan import _core
+from midspan.engine.target_opening import Opening
 from midspan.errors import DataError
-from midspan.records import Frame, PixelTranslation, Prediction
+from midspan.records import Event, Frame, PixelTranslation, Prediction, Region
 from midspan.thermal.temperature_range import Expected
+from midspan.vision.lens import lens_of, shown_prediction
+from midspan.vision.picture_report import LightReport, PictureReport, picture_report
+from midspan.vision.region import check_size
+from midspan.vision.target import translation_of
 
 # What is usual is estimated up to the frame that completes the third check of the codec, see core/src/track/codec.rs.
 WARM_UP_FRAMES = 28
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A target to be tracked: its region in the reference frame and what it is called."""
+
+    region: Region
+    name: str = "1"
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSettings:
+    """How a camera's frames become translations.
+
+    opening: what each target is tracked with. readout_s: rolling shutter, s from the first row (which the stamps belong
+    to) to the last: translations are dated by the row of the target's middle. lossless: whether the frames come from a
+    file which leaves nothing out. quarter_turns: by which the sensor's rows were turned with the picture.
+    """
+
+    opening: Opening
+    readout_s: float = 0.0
+    lossless: bool = False
+    quarter_turns: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetState:
+    """What a `TargetChain` remembers: its tracker's state, and all the rest as the core writes it."""
+
+    tracker: Any
+    core: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetReport:
+    """What of a target's frames is worth reporting: how many only repeated the one before; picture and light are None
+    where they do not apply: temperatures have no codec, no full scale and no shadows, and trackers whose reference
+    changes know themselves what that makes.
+    """
+
+    frozen_frames: int = 0
+    picture: PictureReport | None = None
+    light: LightReport | None = None
+
+
+class TargetChain:
+    """Tracks one target; every frame's variances rest on the frames up to it.
+
+    The core (`core/src/track/chain.rs`) looks at each frame and what a tracker found in it: frozen and dark frames,
+    light, codec, blur and saturation, the row that the target lies in, the lens. Where the tracker is the core's too,
+    one call takes a frame through both.
+    """
+
+    def __init__(self, reference: Frame, target: Target, settings: ChainSettings) -> None:
+        self.region, self.name = target.region, target.name
+        self._settings = settings
+        opening, region = settings.opening, target.region
+        self.tracker = opening.opened(reference, region)
+        pictured = not opening.radiometric(reference)
+        self._core = _core.TargetChain(
+            reference.pixels,
+            (region.x, region.y, region.width, region.height),
+            picture=pictured,
+            light=pictured and opening.reference == "first",
+            lossless=settings.lossless,
+            readout_s=settings.readout_s,
+            quarter_turns=settings.quarter_turns,
+            lens=lens_of(opening.lens),
+        )
+        # How long after the reference frame's stamp the row of the target's middle was read out, ns.
+        self.first_late_ns: int = self._core.first_late_ns
+
+    @property
+    def state(self) -> TargetState:
+        """Everything that changes from frame to frame."""
+        return TargetState(self.tracker.state, np.frombuffer(self._core.state(), dtype=np.uint8))
+
+    def restore(self, state: TargetState) -> None:
+        """Continue from a `state` taken earlier. Raises DataError for that of another version or of other settings."""
+        try:
+            self._core.restore(state.core.tobytes())
+        except ValueError as error:
+            raise DataError(f"A target's state must be one of this program; received {error}.") from None
+        self.tracker.restore(state.tracker)
+
+    def restart(self, tracker: Any) -> None:
+        """Take the frames so far once more, of which what is usual is kept; `tracker`: its state before them."""
+        self.tracker.restore(tracker)
+        self._core.keep_usual()
+
+    @property
+    def report(self) -> TargetReport:
+        """What of the frames so far is worth reporting."""
+        core = self._core
+        light = None if core.light is None else LightReport(*core.light)
+        return TargetReport(core.frozen_frames, picture_report(core), light)
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """The translation in `frame` in pixels of the ideal camera, dated by the row that the target lies in.
+
+        prediction: the same, of this frame. The target is LOST in the dark and where the picture is the one before once
+        more.
+        """
+        core, tracker = self._core, self.tracker
+        events: tuple[Event, ...] = ()
+        try:
+            if tracker.core is None:
+                row = core.dark(frame.pixels, frame.time_ns)
+            else:
+                row = core.track(tracker.core, frame.pixels, frame.time_ns, prediction)
+                if tracker.core.learnable:
+                    tracker.keep(frame)
+        except ValueError:
+            check_size(frame, tracker.reference)
+            raise
+        if row is None:
+            found = tracker.search(frame, shown_prediction(prediction, self.region, self._settings.opening.lens))
+            row, events = core.push(frame.pixels, frame.time_ns, found), found.events
+        return translation_of(row, events)
+
+    def blur_s(self, exposure_s: float | None) -> float:
+        """The time a translation is averaged over: the exposure, and the read-out of the region's rows.
+
+        Both are box averages; their widths add as squares.
+        """
+        rows, columns = self.tracker.reference.pixels.shape
+        turned = self._settings.quarter_turns % 2
+        share = self.region.width / max(columns, 1) if turned else self.region.height / max(rows, 1)
+        return math.hypot(exposure_s or 0.0, self._settings.readout_s * share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +189,7 @@ class CameraChain:
     ) -> tuple[PixelTranslation, ...]:
         """The translation of each target in `frame`; predictions: of each target, in pixels of the ideal camera."""
         expected = predictions or (None,) * len(self.targets)
-        return tuple(map(TargetChain.push, self.targets, (frame,) * len(self.targets), expected))
+        return tuple(target.push(frame, one) for target, one in zip(self.targets, expected, strict=True))
 
     @property
     def frames_to_learn(self) -> int:
@@ -74,7 +216,3 @@ class CameraChain:
             self.push(frame)
         for target, tracker in zip(self.targets, begun, strict=True):
             target.restart(tracker)
-
-    def leave_out(self, places: Sequence[int]) -> None:
-        """Track the targets of these numbers (from 0) no further."""
-        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)

@@ -1,16 +1,26 @@
 """The estimator's channels and parameters as a recording's sensors put them together, one after another."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from midspan._core import TEMPLATE_NOISE
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.averaging import in_displacement_alone
-from midspan.engine.order import FIRST_NS
 from midspan.engine.plain import PlainChain, PlainSettings
-from midspan.engine.sensors import PlainSensor
+from midspan.engine.radar import RadarChain
+from midspan.engine.radar_target import FollowedTarget
+from midspan.engine.sensors import MIN_STD_PX, CameraSensor, PlainSensor, RadarSensor
+from midspan.engine.stream import FIRST_NS
+from midspan.engine.tracking import CameraTracking
+from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.frames import bin_m_of
 from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
 from midspan.signals.stuck import resolution
 
@@ -31,6 +41,14 @@ SLIGHT = 0.1
 # the prediction. The acceleration's own noise follows no sensor, which looks like a scale of less: a quarter of the
 # prediction's variance is its (a double integrator's filter in its steady state), so that what is left is 1/400 of it.
 CLEAR_MOTION = 400.0
+# Where the structure is when a target is first used, relative to the best target's first frame, m: more than structures
+# move by, and little enough for the estimator's arithmetic together with variances of (1 µm)².
+OTHER_ZERO_STD_M = 0.1
+# Density of the random walk of a radar's clock relative to the accelerometer's, s²/s: it follows a drift of 60 ppm at
+# once.
+CLOCK_WALK = 3.6e-9
+# A target calibrated for another radar, or moved since, differs in carrier by this share or in range by this many bins.
+SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
 
 @dataclass(slots=True)
@@ -65,14 +83,13 @@ class Table:
         Of a given calibration it is estimated, from `GIVEN_SCALE_STD` besides; otherwise the band alone holds it. The
         accelerometer's gain is no part of it: see `gain`.
         """
-        relative_std = without_gain(relative_std, self.gain_std[self.channels[channels[0]].axis])
+        gain_std = self.gain_std[self.channels[channels[0]].axis]
+        kind, std = ParameterKind.SCALE_ERROR, without_gain(relative_std, gain_std)
         if not self.given:
-            self.uncertain(ParameterKind.SCALE_ERROR, channels, relative_std)
+            self.uncertain(kind, channels, std)
             return
-        std = float(np.hypot(relative_std, GIVEN_SCALE_STD))
-        self.parameters.append(
-            Parameter(ParameterKind.SCALE_ERROR, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION)
-        )
+        std = float(np.hypot(std, GIVEN_SCALE_STD))
+        self.parameters.append(Parameter(kind, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION))
 
     def by_first_terms(self) -> None:
         """Let displacement sensors together with others average by the first term, at the motion's frequency."""
@@ -139,35 +156,165 @@ def plain_channel(
 
     series: its values as read; first: whether its zero is the zero of the displacement.
     """
-    step_s = interval_s(series.time_ns)
+    known, step_s = calibration, interval_s(series.time_ns)
     coasting_s, lost_s = ages(step_s)
-    channel = table.add(
-        Channel(
-            sensor=sensor,
-            source=Source.DISPLACEMENT,
-            units_per_m=1.0,
-            zero_std_m=0.0 if first else np.inf,
-            coasting_s=coasting_s,
-            lost_s=lost_s,
-            slow_std_m=calibration.slow_std_m,
-            slow_time_s=calibration.slow_time_s,
-            exposure_s=calibration.exposure_s,
-        )
+    channel = Channel(
+        sensor=sensor,
+        source=Source.DISPLACEMENT,
+        units_per_m=1.0,
+        zero_std_m=0.0 if first else np.inf,
+        coasting_s=coasting_s,
+        lost_s=lost_s,
+        slow_std_m=known.slow_std_m,
+        slow_time_s=known.slow_time_s,
+        exposure_s=known.exposure_s,
     )
-    if calibration.relative_std > 0.0 or calibration.scale != 1.0:
-        table.scaled([channel], calibration.relative_std)
+    number = table.add(channel)
+    if known.relative_std > 0.0 or known.scale != 1.0:
+        table.scaled([number], known.relative_std)
     else:
-        table.in_true_metres.append(channel)
-    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(calibration.offset))
-    step_m = calibration.resolution_m
+        table.in_true_metres.append(number)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, [number], clock_std_s(known.offset))
+    step_m = resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m
     settings = PlainSettings(
-        name=sensor,
-        channel=channel,
-        variance_m2=calibration.noise_std_m**2,
-        step_s=step_s,
-        resolution_m=resolution(calibration.scale * series.value) if step_m is None else step_m,
-        scale=calibration.scale,
-        low_m=calibration.low_m,
-        high_m=calibration.high_m,
+        sensor, number, known.noise_std_m**2, step_s, step_m, known.scale, low_m=known.low_m, high_m=known.high_m
     )
     return PlainSensor(sensor, PlainChain(settings))
+
+
+def camera_channels(
+    table: Table,
+    tracking: CameraTracking,
+    calibrations: Sequence[CameraCalibration],
+    exposure_s: float | None,
+    *,
+    first: bool,
+    min_std_px: float = MIN_STD_PX,
+) -> CameraSensor:
+    """A camera's sensor, and its channels in the table.
+
+    calibrations: along each axis, the main one first; first: whether its zero is the zero of the displacement.
+    min_std_px: see `CameraSensor`.
+    """
+    sensor = tracking.settings.sensor
+    step_s = interval_s(tracking.time_ns)
+    coasting_s, lost_s = ages(step_s)
+    # Numbers of the channels along each axis, target by target.
+    along: list[list[int]] = []
+    for axis, camera in enumerate(calibrations):
+        along.append([])
+        own_s = camera.exposure_s if exposure_s is None else exposure_s
+        mappings = camera.mappings()
+        noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
+        best = camera.best_used
+        for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
+            zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
+            channel = Channel(
+                sensor=sensor,
+                source=camera.source,
+                units_per_m=1.0 / mapping.scale_m_per_px,
+                target=target.name,
+                axis=axis,
+                variance_factor=mapping.variance_factor,
+                exposure_s=as_first_term(target.chain.blur_s(own_s), table.motion_hz),
+                zero_std_m=zero_std_m if first else np.inf,
+                coasting_s=coasting_s,
+                lost_s=lost_s,
+            )
+            along[axis].append(table.add(channel))
+    for numbers, camera in zip(along, calibrations, strict=True):
+        # An axis without an accelerometer has the other's scale factor.
+        shared = numbers if camera.fused else []
+        table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
+    every = [number for numbers in along for number in numbers]
+    table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
+    directions = [camera.direction for camera in calibrations]
+    rows = list(zip(*along, strict=True))
+    return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px)
+
+
+def radar_chain(
+    calibration: RadarCalibration, info: RadarInfo, sensor: str = "radar", moved_m: float = 0.0
+) -> tuple[RadarChain, tuple[Channel, ...]]:
+    """The stage of the calibrated targets, best first, and one channel each, whose measurements are phases in rad.
+
+    The frames must hold the stage's `bins`: `source.slow_time(chain.bins)`. moved_m: standard deviation of the
+    structure's usual displacement.
+    """
+    bin_m, period_s = bin_m_of(info), 1.0 / info.frame_rate_hz
+    targets = tuple(
+        FollowedTarget.of(
+            target, info.axis.phase_per_m(target.range_m), bin_m, period_s=period_s, bins=info.bins, moved_m=moved_m
+        )
+        for target in calibration.used
+    )
+    channels = tuple(
+        Channel(
+            sensor,
+            Source.RADAR,
+            units_per_m=item.phase_per_m / item.target.conversion_factor,
+            target=str(k + 1),
+            variance_factor=calibration.variance_factor,
+            zero_std_m=OTHER_ZERO_STD_M if k else first_zero_std_m(item),
+        )
+        for k, item in enumerate(targets)
+    )
+    return RadarChain(targets, sensor), channels
+
+
+def radar_channels(
+    table: Table,
+    calibration: RadarCalibration,
+    info: RadarInfo,
+    *,
+    sensor: str,
+    step_s: float,
+    moved_m: float,
+    first: bool,
+) -> RadarSensor:
+    """A radar's sensor, and its channels in the table.
+
+    step_s: its usual interval; moved_m: standard deviation of the usual displacement; first: whether its zero is that
+    of the displacement.
+    """
+    coasting_s, lost_s = ages(step_s)
+    chain, channels = radar_chain(calibration, info, sensor, moved_m)
+    numbers = [
+        table.add(
+            replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
+        )
+        for channel in channels
+    ]
+    table.scaled(numbers, calibration.relative_std)
+    clock = ParameterKind.CLOCK_OFFSET
+    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(calibration.offset), 0, CLOCK_WALK))
+    return RadarSensor(sensor, chain, numbers)
+
+
+def require_same_radar(info: RadarInfo, calibration: RadarCalibration) -> None:
+    """UsageError where the calibration belongs to other settings of the radar."""
+    if abs(info.carrier_hz / calibration.carrier_hz - 1.0) > SAME_CARRIER:
+        made, has = f"at a carrier of {calibration.carrier_hz / 1e9:.6g} GHz", f"{info.carrier_hz / 1e9:.6g} GHz"
+        raise UsageError(f"radar: the calibration was made {made}, this recording has {has}. Calibrate again.")
+    if info.channels != calibration.channels:
+        made, has = f"with {calibration.channels} channels", str(info.channels)
+        raise UsageError(f"radar: the calibration was made {made}, this recording has {has}. Calibrate again.")
+    bin_m = float(np.median(np.diff(info.range_m))) if info.bins > 1 else np.nan
+    for target in calibration.used:
+        if target.place_bin > info.bins - 1:
+            raise UsageError(
+                f"radar: the calibration's target is at bin {target.place_bin:.1f}, this recording has {info.bins} "
+                "bins. Calibrate again."
+            )
+        range_m = info.axis.range_at(target.place_bin)
+        if abs(range_m - target.range_m) > SAME_BINS * bin_m:
+            raise UsageError(
+                f"radar: the calibration's target at {target.range_m:.3f} m would be at {range_m:.3f} m with this "
+                "recording's settings. Calibrate again."
+            )
+
+
+def first_zero_std_m(item: FollowedTarget) -> float:
+    """Standard deviation of the zero that the best target's first frame gives, m of displacement."""
+    bent_m = abs(item.target.conversion_factor) * item.target.bent_rad / item.phase_per_m
+    return math.hypot(item.target.noise_m, bent_m)

@@ -30,9 +30,7 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 MAX_DEPTH = 20
 TUPLE, RECORD, ENUM, ARRAY, SCALAR, NOT_FINITE, COMPLEX = "t", "r", "e", "a", "n", "f", "c"
 # The numbers that arrays may hold, always little-endian.
-DTYPES = frozenset(
-    ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"),
-)
+DTYPES = frozenset(("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"))
 FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 State = TypeVar("State")
 Types = Mapping[str, type]
@@ -93,7 +91,19 @@ def from_bytes(data: bytes, kind: type[State]) -> State:
         raise _refuse("bytes that are cut or changed")
     if length > len(data) - start:
         raise _refuse("a tree that is cut")
-    state = _parsed(data[start : start + length], data[start + length :], types_in(kind))
+    try:
+        whole = json_tree(data[start : start + length])
+    except TreeError as error:
+        raise _refuse(f"a tree that {error}") from None
+    if not isinstance(whole, dict) or set(whole) != {"tree", "arrays"} or not isinstance(whole["arrays"], list):
+        raise _refuse("a tree of another form")
+    arrays, numbers, at = [], data[start + length :], 0
+    for one in whole["arrays"]:
+        array, at = _array(one, numbers, at)
+        arrays.append(array)
+    if at != len(numbers):
+        raise _refuse(f"{len(numbers) - at} bytes too many")
+    state = _value(whole["tree"], arrays, types_in(kind))
     if type(state) is not kind:
         raise _refuse(f"one of type {type(state).__name__} instead of {kind.__name__}")
     return state
@@ -150,23 +160,6 @@ class _Writer:
         return len(self.arrays) - 1
 
 
-def _parsed(text: bytes, numbers: bytes, types: Types) -> object:
-    """The state of a tree of such types and its arrays. Raises DataError."""
-    try:
-        whole = json_tree(text)
-    except TreeError as error:
-        raise _refuse(f"a tree that {error}") from None
-    if not isinstance(whole, dict) or set(whole) != {"tree", "arrays"} or not isinstance(whole["arrays"], list):
-        raise _refuse("a tree of another form")
-    arrays, at = [], 0
-    for kind in whole["arrays"]:
-        array, at = _array(kind, numbers, at)
-        arrays.append(array)
-    if at != len(numbers):
-        raise _refuse(f"{len(numbers) - at} bytes too many")
-    return _value(whole["tree"], arrays, types)
-
-
 def _array(kind: object, numbers: bytes, at: int) -> tuple[NDArray[Any], int]:
     """The array of a kind [dtype, shape, order] whose bytes begin at `at`, and where they end."""
     match kind:
@@ -212,13 +205,9 @@ def _value(tree: object, arrays: list[NDArray[Any]], types: Types) -> object:
             except (ValueError, TypeError):
                 raise _refuse(f"no {name}: {str(value)[:80]}") from None
         case ["r", str(name), dict(values)] if name in types and is_dataclass(types[name]):
-            return _record(types[name], {key: _value(item, arrays, types) for key, item in values.items()})
+            kind, names = types[name], {item.name for item in fields(types[name])}
+            if set(values) != names:
+                other = ", ".join(sorted(names.symmetric_difference(values)))
+                raise _refuse(f"a {kind.__name__} of another version, which differs in {other}")
+            return kind(**{key: _value(item, arrays, types) for key, item in values.items()})
     raise _refuse(f"an unknown part {str(tree)[:80]}")
-
-
-def _record(kind: type, values: dict[str, object]) -> object:
-    names = {item.name for item in fields(kind)}
-    if set(values) != names:
-        other = sorted(names.symmetric_difference(values))
-        raise _refuse(f"a {kind.__name__} of another version, which differs in {', '.join(other)}")
-    return kind(**values)

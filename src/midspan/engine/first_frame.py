@@ -3,17 +3,17 @@
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
 from midspan.thermal.shutter import FLAT_SHARE
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.light import is_dark
 
 # At most this many dark frames are skipped at the start.
 MAX_SKIPPED = 1000
@@ -28,7 +28,7 @@ FREE_SHARE, COVERED_SHARE = 0.02, 0.1
 MAX_WAIT_S = 60.0
 # A body lies on one side of the wall's temperatures, but for its soft edge; a wall that fades lies on both alike.
 MAX_OF_BOTH = 0.1
-_MIN_APART_K = 1.0
+MIN_APART_K = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +49,15 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
     frames = source.frames(first, last)
     opening = next(frames, None)
     if opening is None:
-        return Begun(0, "", _chained(None, iter(())))
+        return Begun(0, "", _closing(frames))
     if opening.pixels.dtype.kind == "f":
         skipped, reason = _unusable_temperatures(source, slice(first, last), regions, opening)
-        return Begun(skipped, reason, _chained(None, source.frames(first + skipped, last)))
-    rest = _chained(opening, frames)
-    for skipped, frame in enumerate(islice(rest, MAX_SKIPPED)):
-        if not is_dark(np.asarray(frame.pixels)):
+        return Begun(skipped, reason, _closing(source.frames(first + skipped, last)))
+    for skipped, frame in enumerate(islice(chain((opening,), frames), MAX_SKIPPED)):
+        if not _core.is_dark(np.asarray(frame.pixels), 1):
             told = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
-            return Begun(skipped, told if skipped else "", _chained(frame, rest))
-    return Begun(0, "", _chained(None, source.frames(first, last)))
+            return Begun(skipped, told if skipped else "", _closing(chain((frame,), frames)))
+    return Begun(0, "", _closing(source.frames(first, last)))
 
 
 def _unusable_temperatures(
@@ -68,9 +67,14 @@ def _unusable_temperatures(
     times = source.times_ns()[used]
     until = int(np.searchsorted(times, times[0] + round(LOOKED_AT_S * NANOSECONDS)))
     places = used.start + np.unique(np.linspace(0, until - 1, LOOKED_AT).astype(int))
-    seen = _read(source, places) or [opening.pixels]
+    seen = []
+    for k in places.tolist():
+        # What is wrong with one is reported where frames are read in their order.
+        with suppress(DataError):
+            seen += [frame.pixels for frame in source.frames(k, k + 1)]
+    seen = seen or [opening.pixels]
     usual_k = float(np.median([_contrast(pixels) for pixels in seen]))
-    closed = _closed(source, used, usual_k) if _contrast(opening.pixels) < _flat(usual_k) else 0
+    closed = _closed(source, used, usual_k) if _contrast(opening.pixels) < FLAT_SHARE * usual_k else 0
     begin = slice(used.start + closed, used.stop)
     covered, share = _covered(source, begin, regions, (times[closed:], np.median(np.stack(seen), axis=0)))
     told = []
@@ -83,23 +87,14 @@ def _unusable_temperatures(
     return closed + covered, f"{text}; they were skipped, and the zero is at the first frame after them" if told else ""
 
 
-def _read(source: FrameSource, places: NDArray[Any]) -> list[NDArray[Any]]:
-    """The pictures at these places (n,); what is wrong with one is reported where frames are read in their order."""
-    seen = []
-    for k in places.tolist():
-        with suppress(DataError):
-            seen += [frame.pixels for frame in source.frames(k, k + 1)]
-    return seen
-
-
 def _closed(source: FrameSource, used: slice, usual_k: float) -> int:
     """Number of frames (from the first of `used` on) before a shutter or a cover opens; 0 where none does suddenly."""
     after: int | None = None
     for frame in islice(source.frames(used.start, used.stop), MAX_SKIPPED):
         contrast_k = _contrast(frame.pixels)
-        if after is not None or contrast_k >= _flat(usual_k):
+        if after is not None or contrast_k >= FLAT_SHARE * usual_k:
             after = frame.index if after is None else after
-            if contrast_k >= 2.0 * _flat(usual_k):
+            if contrast_k >= 2.0 * FLAT_SHARE * usual_k:
                 return int(after - used.start)
             if frame.index - after >= SUDDEN_FRAMES:
                 return 0
@@ -132,14 +127,10 @@ def _covered(
 def _far_share(now: NDArray[Any], usual: NDArray[Any]) -> float:
     """Share of a target's pixels that lie outside its usual temperatures by more than these are wide, on one side."""
     low, high = (float(v) for v in np.percentile(usual, (1.0, 99.0)))
-    apart = max(high - low, _MIN_APART_K)
+    apart = max(high - low, MIN_APART_K)
     warmer, colder = float(np.mean(now > high + apart)), float(np.mean(now < low - apart))
     # A body is warmer than the wall or colder; a wall whose contrast fades or turns is both.
     return 0.0 if min(warmer, colder) > MAX_OF_BOTH * max(warmer, colder) else warmer + colder
-
-
-def _flat(usual_k: float) -> float:
-    return FLAT_SHARE * usual_k
 
 
 def _contrast(pixels: NDArray[Any]) -> float:
@@ -153,8 +144,6 @@ def _cut(pixels: NDArray[Any], region: Region) -> NDArray[Any]:
     return pixels[region.y : region.y + region.height, region.x : region.x + region.width]
 
 
-def _chained(first: Frame | None, rest: Iterator[Frame]) -> Generator[Frame]:
-    """A frame and those after it."""
-    if first is not None:
-        yield first
-    yield from rest
+def _closing(frames: Iterator[Frame]) -> Generator[Frame]:
+    """Frames that can be closed."""
+    yield from frames

@@ -8,22 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.order import (
+from midspan.engine.stream import (
     AHEAD,
     BACKWARDS,
     CLOCK_SET,
+    DOUBLED,
     FIRST_NS,
     GOOD,
+    IMPOSSIBLE,
     KINDS,
     LAST_NS,
     LATE,
-    is_new,
+    SETTLED_S,
+    StreamMemory,
+    gone_on,
     order,
-    order_of,
     spans,
-    words,
+    take_offset,
 )
-from midspan.engine.stream import SETTLED_S, StreamMemory, gone_on, moved, quiet, take_offset
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -31,11 +33,9 @@ from midspan.records import (
     Complete,
     Event,
     Frame,
-    Health,
     Nanoseconds,
     RangeFrame,
     Readings,
-    StreamState,
     Tick,
     Tracked,
     joined,
@@ -45,6 +45,9 @@ from midspan.records import (
 SILENT_S = 5.0
 # Stamps that far ahead of the first stream, in times of the longest silence, are not waited for: memory is bounded.
 MAX_AHEAD = 2
+
+# What fits into 64 bits.
+LIMITS_NS = (-(2**63), 2**63 - 1)
 
 Single = Frame | Tracked | RangeFrame
 
@@ -99,23 +102,22 @@ class Merge:
         self._held = [deque(waiting) for waiting in state.held]
         self._released_ns, self._now_ns = state.released_ns, state.now_ns
 
-    @property
-    def health(self) -> tuple[Health, ...]:
-        """How each stream stands."""
-        return tuple(self._health(stream) for stream in self._streams)
-
     def push(self, record: Arrival | Tick | ClockOffset | Complete) -> list[Arrival]:
         """Take a record; returns what is due, in the order of time, on the common clock."""
         if isinstance(record, Complete):
             return self._release(record.time_ns)
         if isinstance(record, Tick):
             self._tick(record.now_ns)
-        elif isinstance(record, ClockOffset):
-            stream = self._streams[self._number(record.stream)]
+            return self._release(self._limit())
+        if record.stream not in self._names:
+            raise refuse("stream", f"one of {', '.join(self._names)}", record.stream)
+        number = self._names[record.stream]
+        if isinstance(record, ClockOffset):
+            stream = self._streams[number]
             others = [one for one in stream.offsets if one.from_ns != record.from_ns]
             stream.offsets = tuple(sorted((*others, record), key=lambda one: one.from_ns))
         else:
-            self._arrive(self._number(record.stream), record)
+            self._arrive(number, record)
         return self._release(self._limit())
 
     def finish(self) -> list[Arrival]:
@@ -124,14 +126,9 @@ class Merge:
 
     def _newest(self) -> int | None:
         """The newest stamp (ns) of all that waits and all that came."""
-        waiting = [_stamp(held[-1]) for held in self._held if held]
+        waiting = [np.ravel(held[-1].record.time_ns)[0] for held in self._held if held]
         came = [stream.newest_ns for stream in self._streams if stream.newest_ns is not None]
-        return max((*waiting, *came), default=None)
-
-    def _number(self, name: str) -> int:
-        if name not in self._names:
-            raise refuse("stream", f"one of {', '.join(self._names)}", name)
-        return self._names[name]
+        return max((*map(int, waiting), *came), default=None)
 
     def _tick(self, now_ns: int) -> None:
         before_ns = now_ns if self._now_ns is None else self._now_ns
@@ -145,10 +142,12 @@ class Merge:
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
             silent, stream.heard_ns, stream.out = out and not stream.out, heard_ns, out
             if silent:
-                text = f"{stream.name}: {quiet(stream, self._now_ns)}; the others no longer wait."
-                self._tell(number, "silent", text)
+                came = "nothing came" if stream.fault in (GOOD, LATE) else "no record with a usable stamp came"
+                text = f"{came} for {silent_ns / NANOSECONDS:.3g} s; the others no longer wait."
+                self._tell(number, "silent", f"{stream.name}: {text}")
 
     def _arrive(self, number: int, arrival: Arrival) -> None:
+        """Let a record wait for its time where it is plainly good, which is the usual case."""
         stream, record = self._streams[number], arrival.record
         lost = 0 if stream.sequence is None else max(arrival.sequence - stream.sequence - 1, 0)
         if lost:
@@ -157,52 +156,64 @@ class Merge:
         stream.sequence = arrival.sequence
         if isinstance(record, Event):
             self._tell(number, record.kind, record.text)
-        elif isinstance(record, Readings):
-            while len(record.time_ns):
-                done = self._sort_in(number, arrival, record)
-                record = Readings(record.time_ns[done:], record.value[done:])
-        else:
-            self._sort_in_one(number, arrival, record)
-
-    def _sort_in(self, number: int, arrival: Arrival, record: Readings) -> int:
-        """Let the good readings of a block wait for their time, and leave out the others; returns how many readings
-        that were: up to where the stream has another offset.
-        """
-        stream, own_ns = self._streams[number], np.asarray(record.time_ns, dtype=np.int64)
-        stop = take_offset(own_ns, stream)
-        common_ns = moved(own_ns[:stop], stream.offset_ns)
-        codes, newest_ns = order(common_ns, stream.newest_ns, self._bound(number))
-        if self._released_ns is not None:
-            codes[(codes == GOOD) & (common_ns <= self._released_ns)] = LATE
-        for start, end, code in spans(codes):
-            if code != GOOD:
-                done, offset_ns = start, stream.offset_ns
-                done += self._leave_out(number, code, common_ns[start:end], int(newest_ns[start]))
-                if done < end or stream.offset_ns != offset_ns:
-                    return done
-                continue
-            good = Readings(common_ns[start:end], record.value[start:end])
-            self._heard(number, int(good.time_ns[-1]), used=end - start)
-            self._held[number].append(Arrival(arrival.stream, arrival.sequence, good))
-        return stop
-
-    def _sort_in_one(self, number: int, arrival: Arrival, record: Single) -> None:
-        """The same for a record with one stamp: arrays of one would take most of the time that a frame is merged in."""
-        stream = self._streams[number]
-        own_ns = int(record.time_ns)
-        take_offset([own_ns], stream)
-        common_ns = own_ns if abs(own_ns) > LAST_NS else own_ns + stream.offset_ns
-        code = order_of(common_ns, stream.newest_ns, self._bound(number))
-        if code == GOOD and self._released_ns is not None and common_ns <= self._released_ns:
-            code = LATE
-        if code != GOOD:
-            newest_ns = FIRST_NS - 1 if stream.newest_ns is None else stream.newest_ns
-            self._leave_out(number, code, np.array([common_ns]), newest_ns)
             return
-        if record.time_ns != common_ns:
-            arrival = Arrival(arrival.stream, arrival.sequence, replace(record, time_ns=common_ns))
-        self._heard(number, common_ns, used=1)
-        self._held[number].append(arrival)
+        if not isinstance(record, Readings):
+            first_ns = last_ns = int(record.time_ns)
+            rises = True
+        elif len(record.time_ns):
+            first_ns, last_ns = int(record.time_ns[0]), int(record.time_ns[-1])
+            rises = bool((record.time_ns[1:] > record.time_ns[:-1]).all())
+        else:
+            return
+        good = rises and not stream.offsets and first_ns >= FIRST_NS and last_ns <= LAST_NS
+        for before_ns in (FIRST_NS - 1, stream.newest_ns, self._released_ns):
+            good = good and (before_ns is None or before_ns < first_ns + stream.offset_ns)
+        if good and last_ns + stream.offset_ns <= min(self._bound(number), LAST_NS):
+            self._hold(number, arrival, record)
+        else:
+            self._sort_out(number, arrival, record)
+
+    def _hold(self, number: int, arrival: Arrival, record: Readings | Single) -> None:
+        """Let a good record, which has the stream's own stamps, wait for its time on the common clock."""
+        stream, used = self._streams[number], 1
+        if isinstance(record, Readings):
+            used = len(record.time_ns)
+            record = Readings(np.asarray(record.time_ns, dtype=np.int64) + stream.offset_ns, record.value)
+            newest_ns = int(record.time_ns[-1])
+        else:
+            newest_ns = int(record.time_ns) + stream.offset_ns
+            record = replace(record, time_ns=newest_ns) if stream.offset_ns else record
+        self._heard(number, newest_ns, used=used)
+        self._held[number].append(Arrival(arrival.stream, arrival.sequence, record))
+
+    def _sort_out(self, number: int, arrival: Arrival, record: Readings | Single) -> None:
+        """Let those of a record's readings wait that are good, and leave out the others, run by run."""
+        stream, done = self._streams[number], 0
+        own_ns = np.atleast_1d(np.clip(record.time_ns, *LIMITS_NS)).astype(np.int64)
+        while done < len(own_ns):
+            stop = done + take_offset(own_ns[done:], stream)
+            part_ns = own_ns[done:stop]
+            # Stamps that are no times stay what they are, so that nothing runs over.
+            no_times = np.abs(part_ns.astype(np.float64)) > LAST_NS
+            common_ns = np.where(no_times, part_ns, part_ns + np.int64(stream.offset_ns))
+            codes, newest_ns = order(common_ns, stream.newest_ns, self._bound(number))
+            if self._released_ns is not None:
+                codes[(codes == GOOD) & (common_ns <= self._released_ns)] = LATE
+            first = done
+            for start, end, code in spans(codes):
+                if code == GOOD:
+                    good = slice(first + start, first + end)
+                    if isinstance(record, Readings):
+                        self._hold(number, arrival, Readings(own_ns[good], record.value[good]))
+                    else:
+                        self._hold(number, arrival, record)
+                    continue
+                offset_ns = stream.offset_ns
+                count = self._leave_out(number, code, common_ns[start:end], int(newest_ns[start]))
+                if start + count < end or stream.offset_ns != offset_ns:
+                    stop = first + start + count
+                    break
+            done = stop
 
     def _leave_out(self, number: int, code: int, common_ns: Nanoseconds, newest_ns: int) -> int:
         """Count readings (n,) with a fault; the first of a run of them is an event. Returns how many were left out:
@@ -216,7 +227,9 @@ class Merge:
         first_ns, late_ns, pause_ns = int(common_ns[0]), stream.late_ns, self._silent_ns
         # A stream that is late now and then is reported once, until it was in time for a while.
         often = late_ns is not None and pause_ns is not None and first_ns - late_ns <= pause_ns and code == LATE
-        if is_new(code, stream.fault) and not often:
+        # Of a clock that ran back, the stamp that reaches the newest one again is no fault of its own.
+        again = code == stream.fault or (stream.fault, code) == (BACKWARDS, DOUBLED)
+        if not again and not often:
             text = self._words(number, code, first_ns, newest_ns)
             self._tell(number, KINDS[code], f"{stream.name}: {text}")
         stream.fault = code
@@ -264,7 +277,12 @@ class Merge:
         if code == LATE:
             late_s = ((self._released_ns or 0) - time_ns) / NANOSECONDS
             return f"a record came {late_s:.3g} s after its time was given out; it is left out."
-        return words(code, time_ns, newest_ns)
+        if code == DOUBLED:
+            return "a stamp came twice; the second record is left out."
+        if code == IMPOSSIBLE:
+            return f"a stamp of {time_ns} ns is no time; the record is left out."
+        until = "until it is newer than all before or shows that the clock was set"
+        return f"time runs backwards by {(newest_ns - time_ns) / NANOSECONDS:.3g} s; each record is left out {until}."
 
     def _tell(self, number: int, kind: str, text: str) -> None:
         """Put an event behind what waits in its stream."""
@@ -299,40 +317,37 @@ class Merge:
         return max(limits, default=None)
 
     def _release(self, limit_ns: int | None) -> list[Arrival]:
-        """Everything that waits and is not later than `limit_ns`."""
+        """Everything that waits and is not later than `limit_ns`.
+
+        Readings between two frames or events are one block a stream, that of the first stream last; at the stamp itself
+        only those of the streams before that of the frame or event.
+        """
         if limit_ns is None:
             return []
         self._released_ns = limit_ns if self._released_ns is None else max(limit_ns, self._released_ns)
         due: list[Arrival] = []
-        while (single := self._first_single()) is not None:
-            due += self._blocks(*single)
-            due.append(self._held[single[1]].popleft())
-        return due + self._blocks(self._released_ns, len(self._held))
+        while True:
+            # The first frame or event that is due, at equal stamps of the first stream's.
+            firsts = [
+                (
+                    next((one.record.time_ns for one in held if not isinstance(one.record, Readings)), LAST_NS + 2),
+                    number,
+                )
+                for number, held in enumerate(self._held)
+            ]
+            until_ns, before = min(firsts)
+            found = until_ns <= self._released_ns
+            if not found:
+                until_ns, before = self._released_ns, len(self._held)
+            for number in (*range(1, len(self._held)), 0):
+                if self._held[number]:
+                    due += self._block(number, until_ns if number < before else until_ns - 1)
+            if not found:
+                return due
+            due.append(self._held[before].popleft())
 
-    def _first_single(self) -> tuple[int, int] | None:
-        """Stamp and stream's number of the first frame or event that is due, at equal stamps of the first stream's."""
-        found = []
-        for number, held in enumerate(self._held):
-            for arrival in held:
-                stamp = _stamp(arrival)
-                if stamp > (self._released_ns or 0):
-                    break
-                if not isinstance(arrival.record, Readings):
-                    found.append((stamp, number))
-                    break
-        return min(found, default=None)
-
-    def _blocks(self, until_ns: int, before: int) -> list[Arrival]:
-        """All readings up to a stamp as one block a stream; at the stamp itself of streams before a number only.
-
-        Those of the first stream come last.
-        """
-        numbers = [*range(1, len(self._held)), 0]
-        found = [self._block(number, until_ns if number < before else until_ns - 1) for number in numbers]
-        return [block for block in found if block is not None]
-
-    def _block(self, number: int, until_ns: int) -> Arrival | None:
-        """The readings that wait in a stream, up to a stamp and to the first event, as one block."""
+    def _block(self, number: int, until_ns: int) -> list[Arrival]:
+        """The readings that wait in a stream, up to a stamp and to the first event: one block, or none."""
         held, records = self._held[number], []
         while held and isinstance(record := held[0].record, Readings) and record.time_ns[0] <= until_ns:
             arrival = held.popleft()
@@ -342,26 +357,9 @@ class Merge:
                 held.appendleft(Arrival(arrival.stream, arrival.sequence, rest))
                 record = Readings(record.time_ns[:count], record.value[:count])
             records.append(record)
-        return Arrival(arrival.stream, arrival.sequence, joined(records)) if records else None
-
-    def _health(self, stream: StreamMemory) -> Health:
-        state, reason = StreamState.LIVE, ""
-        first = self._streams[0]
-        if stream.out:
-            state, reason = StreamState.OUT, quiet(stream, self._now_ns or 0)
-        elif stream.newest_ns is None:
-            state, reason = StreamState.WAITING, "nothing came yet"
-        elif self._released_ns is not None and stream.newest_ns < self._released_ns:
-            behind_s = ((first.newest_ns or stream.newest_ns) - stream.newest_ns) / NANOSECONDS
-            state, reason = StreamState.BEHIND, f"its stamps are {behind_s:.3g} s behind those of {first.name}"
-        counts = (stream.used, stream.late, stream.disordered, stream.lost)
-        return Health(stream.name, state, reason, stream.newest_ns, *counts)
-
-
-def _stamp(arrival: Arrival) -> int:
-    """The first stamp of a record that waits."""
-    record = arrival.record
-    return int(record.time_ns[0]) if isinstance(record, Readings) else record.time_ns
+        if not records:
+            return []
+        return [Arrival(arrival.stream, arrival.sequence, records[0] if len(records) == 1 else joined(records))]
 
 
 def _whole(length_s: float) -> int | None:

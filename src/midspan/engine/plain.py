@@ -6,8 +6,7 @@ import numpy as np
 
 from midspan.checks import positive, refuse
 from midspan.records import NANOSECONDS, Event, Floats, Measured, Nanoseconds, Readings, Samples, seconds
-from midspan.signals.bridging import GAP_STEPS
-from midspan.signals.health import Mask
+from midspan.signals.health import GAP_STEPS, Mask
 from midspan.signals.stuck import MIN_EQUAL, RESOLUTIONS, at_limits, moved, piece_length
 
 # A run of equal values is judged again when it is longer by this share: the work per value stays the same.
@@ -80,20 +79,10 @@ class PlainChain:
     def __init__(self, settings: PlainSettings) -> None:
         positive("step_s", settings.step_s, "s")
         positive("variance_m2", settings.variance_m2, "m²")
-        self.settings = settings
-        self._piece = piece_length(settings.step_s)
+        self.settings, self._piece = settings, piece_length(settings.step_s)
         nothing = np.empty(0, dtype=np.int64)
         run = EqualRun(np.nan, nothing, 0, MIN_EQUAL, 0)
-        self._state = PlainState(None, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
-
-    @property
-    def state(self) -> PlainState:
-        """All that has an effect on what comes later."""
-        return self._state
-
-    def restore(self, state: PlainState) -> None:
-        """Go on from where `state` was read."""
-        self._state = state
+        self.state = PlainState(None, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
 
     def push(self, record: Samples | Readings | Event) -> list[Measured | Event]:
         """Take samples, or readings of time_ns (n,) and value (n, 1) in metres; returns measurements and events.
@@ -106,29 +95,38 @@ class PlainChain:
             return self._reached(record)
         if record.value.shape != (len(record.time_ns), 1):
             raise refuse("value", f"of shape ({len(record.time_ns)}, 1)", record.value.shape)
-        kept = np.isfinite(record.value[:, 0])
-        value = self.settings.scale * record.value[kept, 0]
-        events = self._gaps(record.time_ns[kept])
-        state = self._state
-        waiting_ns = np.concatenate((state.waiting_ns, record.time_ns[kept]))
-        self._state = replace(state, waiting_ns=waiting_ns, waiting_m=np.concatenate((state.waiting_m, value)))
-        return list(events)
+        kept, state = np.isfinite(record.value[:, 0]), self.state
+        time_ns, value = record.time_ns[kept], self.settings.scale * record.value[kept, 0]
+        if not len(time_ns):
+            return []
+        before_ns = np.concatenate(([time_ns[0] if state.finite_ns is None else state.finite_ns], time_ns[:-1]))
+        step_s = (time_ns - before_ns) / NANOSECONDS
+        self.state = replace(
+            state,
+            finite_ns=int(time_ns[-1]),
+            waiting_ns=np.concatenate((state.waiting_ns, time_ns)),
+            waiting_m=np.concatenate((state.waiting_m, value)),
+        )
+        return [
+            Event(int(before_ns[k]), "gap", f"{self.settings.name}: no values for {step_s[k]:.3g} s.")
+            for k in np.flatnonzero(step_s > GAP_STEPS * self.settings.step_s)
+        ]
 
     def _reached(self, samples: Samples) -> list[Measured | Event]:
         """Take samples, and judge the values that they reach; what no later value may need is forgotten."""
-        state, axis = self._state, self.settings.axis
+        state, axis = self.state, self.settings.axis
         if not len(samples.time_ns):
             return []
         time_ns = np.concatenate((state.time_ns, samples.time_ns))
         acceleration = np.concatenate((state.acceleration, samples.value_m_s2[:, axis]))
         density = np.concatenate((state.density, samples.noise_density[:, axis]))
-        self._state = replace(state, time_ns=time_ns, acceleration=acceleration, density=density)
+        self.state = replace(state, time_ns=time_ns, acceleration=acceleration, density=density)
         due = int(np.searchsorted(state.waiting_ns, time_ns[-1], side="right"))
         found = self._judged(state.waiting_ns[:due], state.waiting_m[:due])
         reach_ns = round(2.0 * self._piece * self.settings.step_s * NANOSECONDS)
         first = int(np.searchsorted(time_ns, int(time_ns[-1]) - reach_ns))
-        self._state = replace(
-            self._state,
+        self.state = replace(
+            self.state,
             time_ns=time_ns[first:].copy(),
             acceleration=acceleration[first:].copy(),
             density=density[first:].copy(),
@@ -141,10 +139,14 @@ class PlainChain:
         """Values (n,) in metres as measurements, without those that are stuck, and events."""
         if not len(value):
             return []
-        held, ends = self._at_limits(time_ns, value)
+        known, state = self.settings, self.state
+        held = at_limits(value, known.low_m, known.high_m)
+        begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
+        self.state = replace(state, clipped=bool(held[-1]))
+        text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."
+        ends = [Event(int(time_ns[k]), "clipped", text.format(1e3 * value[k])) for k in begins]
         time_ns, value = time_ns[~held], value[~held]
         used, found = self._moving(time_ns, value) if len(value) else (held[:0], [])
-        found = [*ends, *found]
         count = int(np.count_nonzero(used))
         block = Measured(
             time_ns=time_ns[used],
@@ -153,33 +155,11 @@ class PlainChain:
             variance=np.full(count, self.settings.variance_m2),
             reference_variance=np.zeros(count),
         )
-        return [block, *found] if count else [*found]
-
-    def _at_limits(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
-        """Which values (n,) are held at an end of the range, and an event where that begins."""
-        known, state = self.settings, self._state
-        held = at_limits(value, known.low_m, known.high_m)
-        begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
-        self._state = replace(state, clipped=bool(held[-1]))
-        text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."
-        return held, [Event(int(time_ns[k]), "clipped", text.format(1e3 * value[k])) for k in begins]
-
-    def _gaps(self, time_ns: Nanoseconds) -> list[Event]:
-        """An event for each gap before the stamps (n,) of finite values."""
-        if not len(time_ns):
-            return []
-        state, first_ns = self._state, int(time_ns[0])
-        before_ns = np.concatenate(([first_ns if state.finite_ns is None else state.finite_ns], time_ns[:-1]))
-        step_s = (time_ns - before_ns) / NANOSECONDS
-        self._state = replace(state, finite_ns=int(time_ns[-1]))
-        return [
-            Event(int(before_ns[k]), "gap", f"{self.settings.name}: no values for {step_s[k]:.3g} s.")
-            for k in np.flatnonzero(step_s > GAP_STEPS * self.settings.step_s)
-        ]
+        return [*([block] if count else []), *ends, *found]
 
     def _moving(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
         """Which finite values (n,) are used, and events where the sensor gets stuck and where it is free again."""
-        run, events = self._state.run, []
+        run, events = self.state.run, list[Event]()
         used = np.ones(len(value), dtype=bool)
         fresh = np.concatenate(([run.value], value))[: len(value)] != value
         edges = np.concatenate(([0], np.flatnonzero(fresh[1:]) + 1, [len(value)]))
@@ -189,12 +169,15 @@ class PlainChain:
         for k in np.flatnonzero(lasting):
             start, stop = int(edges[k]), int(edges[k + 1])
             if fresh[start]:
-                events += self._freed(run)
+                if run.stuck:
+                    text = f"{run.count} values are all {1e3 * run.value:.6g} mm while the structure moved"
+                    text = f"{self.settings.name}: {text}; {run.left_out} were left out."
+                    events.append(Event(int(run.time_ns[-1]), "released", text))
                 run = EqualRun(float(value[start]), time_ns[:0], 0, MIN_EQUAL, int(time_ns[start]))
             run, found = self._prolonged(run, time_ns[start:stop])
             events += found
             used[stop - min(run.left_out, stop - start) : stop] = False
-        self._state = replace(self._state, run=run)
+        self.state = replace(self.state, run=run)
         return used, events
 
     def _prolonged(self, run: EqualRun, time_ns: Nanoseconds) -> tuple[EqualRun, list[Event]]:
@@ -209,11 +192,16 @@ class PlainChain:
             left_out += is_stuck
         newly = is_stuck and not run.stuck
         run = EqualRun(run.value, known[-self._piece :].copy(), count, next_look, run.since_ns, is_stuck, left_out)
-        return run, [self._told(run, int(time_ns[-left_out]))] if newly else []
+        if not newly:
+            return run, []
+        begun_ns = int(time_ns[-left_out])
+        text = f"the value has been {1e3 * run.value:.6g} mm for {(begun_ns - run.since_ns) / NANOSECONDS:.3g} s"
+        text = f"{text} while the structure moved; it is left out until it changes."
+        return run, [Event(begun_ns, "frozen", f"{self.settings.name}: {text}")]
 
     def _moved(self, time_ns: Nanoseconds) -> bool:
         """Whether the acceleration shows a motion at the stamps (k,) that it has reached."""
-        state = self._state
+        state = self.state
         if not len(state.time_ns):
             return False
         met = time_ns[: int(np.searchsorted(time_ns, state.time_ns[-1], side="right"))]
@@ -225,16 +213,3 @@ class PlainChain:
             (seconds(state.time_ns[:end], origin_ns), state.acceleration[:end], state.density[:end])
         )
         return moved(seconds(met, origin_ns), samples, RESOLUTIONS * self.settings.resolution_m)
-
-    def _told(self, run: EqualRun, time_ns: int) -> Event:
-        length_s = (time_ns - run.since_ns) / NANOSECONDS
-        text = f"the value has been {1e3 * run.value:.6g} mm for {length_s:.3g} s while the structure moved"
-        return Event(time_ns, "frozen", f"{self.settings.name}: {text}; it is left out until it changes.")
-
-    def _freed(self, run: EqualRun) -> list[Event]:
-        """An event for a run that was left out, at its end."""
-        if not run.stuck:
-            return []
-        text = f"{run.count} values are all {1e3 * run.value:.6g} mm while the structure moved"
-        text = f"{self.settings.name}: {text}; {run.left_out} were left out."
-        return [Event(int(run.time_ns[-1]), "released", text)]

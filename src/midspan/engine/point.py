@@ -6,36 +6,84 @@ recording is a loop over `push`, and a live point is the same loop.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any, Protocol
 
 import numpy as np
 
 from midspan.engine.averaging import Averaging, AveragingState
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
-from midspan.engine.order import STEPS
 from midspan.engine.sensors import Seen, Sensor, SensorState
-from midspan.engine.support import PointStatus, Support
-from midspan.engine.switching import Switch, SwitchState
+from midspan.engine.stream import STEPS
 from midspan.fusion.blocks import Rows
-from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState
+from midspan.fusion.estimator import BLOCK, Estimator, Lag, State
 from midspan.fusion.model import ParameterKind
-from midspan.fusion.printed_prediction import PredictedState
-from midspan.fusion.second_pass import Lag, LagState
-from midspan.records import (
-    Arrival,
-    ClockOffset,
-    Complete,
-    Event,
-    PixelTranslation,
-    Readings,
-    Samples,
-    Tick,
-    cut,
-)
+from midspan.records import NANOSECONDS, Arrival, ClockOffset, Complete, Event, Readings, Samples, Status, Tick, part
+from midspan.signals.stamps import shown
 
 ACCELEROMETER = "accelerometer"
 
 Output = Rows | Seen | Event
+
+
+class PointStatus(IntEnum):
+    """How a point stands. TRACKING, COASTING, LOST: as its newest row; WARMING: there is no row yet, the first
+    measurements are waited for; CALIBRATING: none of its sensors is calibrated, so that nothing is measured.
+    """
+
+    TRACKING = Status.TRACKING.value
+    COASTING = Status.COASTING.value
+    LOST = Status.LOST.value
+    WARMING = 3
+    CALIBRATING = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """What was last seen of the rows of a main axis: the newest one's status, None before the first; since_ns: of the
+    first of the newest rows that are not TRACKING; reported: whether that they came to be LOST is an event already.
+    """
+
+    status: Status | None = None
+    since_ns: int = 0
+    reported: bool = False
+
+    def after(self, outputs: Sequence[Rows]) -> "tuple[Support, list[Rows]]":
+        """After further rows, which get the events among theirs where no measurement supports them for long."""
+        now, out = self, []
+        for rows in outputs:
+            if not rows.estimates:
+                out.append(rows)
+                continue
+            main, events = rows.estimates[0], list[Event]()
+            starts = np.flatnonzero(np.diff(main.status, prepend=np.uint8(len(PointStatus))))
+            for time_ns, code in zip(main.time_ns[starts].tolist(), main.status[starts].tolist(), strict=True):
+                if code == Status.TRACKING:
+                    if now.reported:
+                        lasting_s = (time_ns - now.since_ns) / NANOSECONDS
+                        text = f"the acceleration alone carried them for {lasting_s:.1f} s."
+                        events.append(Event(time_ns, "seen", f"Measurements support the rows again; {text}"))
+                    now = Support(Status.TRACKING)
+                    continue
+                alone = now.status in (Status.COASTING, Status.LOST)
+                now = Support(Status(code), now.since_ns if alone else time_ns, now.reported)
+                if code == Status.LOST and not now.reported:
+                    text = f"from {shown(now.since_ns)} on: the acceleration alone carries them."
+                    events.append(Event(now.since_ns, "lost", f"No measurement supports the rows {text}"))
+                    now = replace(now, reported=True)
+            out.append(replace(rows, events=(*rows.events, *events)) if events else rows)
+        return now, out
+
+
+class Switch(Protocol):
+    """Which of two cameras measures, as of `papers.printed.switching`."""
+
+    state: Any
+
+    def switched(self, seen: Seen) -> Seen:
+        """What a sensor saw, without measurements where the other camera measures; a switch is among its events."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,15 +92,15 @@ class PointState:
 
     merge: MergeState
     guard: GuardState
-    estimator: EstimatorState | LagState | PredictedState
+    estimator: State | tuple[State, State | None, int]
     sensors: tuple[SensorState, ...]
     support: Support
-    averaging: AveragingState
-    switch: SwitchState | None = None
+    averaging: AveragingState | None
+    switch: tuple[int, bool, tuple[tuple[tuple[int, float], ...], ...]] | None = None
 
 
 class Point:
-    """An accelerometer and the sensors beside it, by their streams' names, and the estimator that they feed."""
+    """An accelerometer and the sensors with it, by their streams' names, and the estimator that they feed."""
 
     def __init__(
         self,
@@ -68,10 +116,11 @@ class Point:
         switch: tells which of two cameras measures; None: both do.
         """
         self.merge, self.guard, self.sensors, self.estimator = merge, guard, dict(sensors), estimator
-        self.unmeasured = tuple(unmeasured)
-        self.switch = switch
+        self.unmeasured, self.switch = tuple(unmeasured), switch
         self._support = Support()
-        self._averaging = Averaging(estimator.settings.channels)
+        averaging = Averaging(estimator.settings.channels)
+        self._averaging = averaging if averaging.channels else None
+        self._reached = [reached for sensor in self.sensors.values() if (reached := sensor.reached) is not None]
 
     @property
     def status(self) -> PointStatus:
@@ -88,12 +137,12 @@ class Point:
         return self.sensors[stream].unseen if stream in self.sensors else ""
 
     def scale_errors(self) -> dict[str, tuple[float, float]]:
-        """Relative error of each sensor's scale, or of the accelerometer's gain beside sensors whose unit is right, as
-        estimated since the beginning, and its standard deviation.
+        """Relative error of each sensor's scale, or of the accelerometer's gain relative to sensors whose unit is
+        right, as estimated since the beginning, and its standard deviation.
         """
         settings, (values, variances) = self.estimator.settings, self.estimator.parameters
         return {
-            settings.channels[one.channels[0]].sensor if one.kind is ParameterKind.SCALE_ERROR else "accelerometer": (
+            settings.channels[one.channels[0]].sensor if one.kind is ParameterKind.SCALE_ERROR else ACCELEROMETER: (
                 float(value),
                 float(np.sqrt(variance)),
             )
@@ -104,16 +153,14 @@ class Point:
     @property
     def state(self) -> PointState:
         """All that has an effect on what comes later."""
-        own = tuple(self.sensors[name].state for name in sorted(self.sensors))
-        switch = None if self.switch is None else self.switch.state
         return PointState(
             self.merge.state,
             self.guard.state,
             self.estimator.state,
-            own,
+            tuple(self.sensors[name].state for name in sorted(self.sensors)),
             self._support,
-            self._averaging.state,
-            switch,
+            None if self._averaging is None else self._averaging.state,
+            None if self.switch is None else self.switch.state,
         )
 
     def restore(self, state: PointState) -> None:
@@ -124,87 +171,78 @@ class Point:
         for name, own in zip(sorted(self.sensors), state.sensors, strict=True):
             self.sensors[name].restore(own)
         self._support = state.support
-        self._averaging.restore(state.averaging)
+        if self._averaging is not None and state.averaging is not None:
+            self._averaging.restore(state.averaging)
         if self.switch is not None and state.switch is not None:
             self.switch.state = state.switch
 
-    def push(self, record: Arrival | Tick | ClockOffset | Complete) -> list[Output]:
-        """Take a record; returns what is due: rows, what the sensors saw, and events."""
-        return self._run(self.merge.push(record))
+    def push(self, record: Arrival | Tick | ClockOffset | Complete | None) -> list[Output]:
+        """Take a record; returns what is due, in the order of time: rows, what the sensors saw, and events.
 
-    def finish(self) -> list[Output]:
-        """What is held back still, at the end of all records."""
-        out = self._run(self.merge.finish())
-        for found in self.guard.finish():
-            out += self._sampled(found)
-        complete, rest = self._averaging.finish()
-        if rest is not None:
-            out += [*self._measured(complete), *self._given(self.estimator.push(rest))]
-        return [*out, *self._given(self.estimator.finish())]
-
-    def _run(self, due: Sequence[Arrival]) -> list[Output]:
-        """Give records, in the order of time, to what they are for."""
+        None: no more records come.
+        """
         out: list[Output] = []
-        for arrival in due:
+        for arrival in self.merge.finish() if record is None else self.merge.push(record):
             if isinstance(arrival.record, Event) and arrival.record.kind in STEPS:
                 self.estimator.push(arrival.record)
             if arrival.stream == ACCELEROMETER:
                 assert isinstance(arrival.record, Readings | Event)
-                for found in self.guard.push(arrival.record):
-                    out += self._sampled(found)
+                for samples in self.guard.push(arrival.record):
+                    out += self._sampled(samples)
             elif isinstance(arrival.record, Event):
                 out.append(arrival.record)
             else:
-                out += self._seen(self.sensors[arrival.stream].push(arrival.record, self.estimator.predict))
+                seen = self.sensors[arrival.stream].push(arrival.record, self.estimator.predict)
+                out += [] if seen is None else self._measured(seen)
         return out
+
+    def finish(self) -> list[Output]:
+        """What is held back still, at the end of all records."""
+        out = self.push(None)
+        for samples in self.guard.finish():
+            out += self._sampled(samples)
+        if self._averaging is not None:
+            complete, rest = self._averaging.finish()
+            out += self._estimated(complete, rest)
+        self._support, rows = self._support.after(self.estimator.finish())
+        return [*out, *rows]
 
     def _sampled(self, found: Samples | Event) -> list[Output]:
         """Give samples to the estimator, after the measurements that they cover."""
         if isinstance(found, Event):
             return [found]
         if self.unmeasured:
-            found = with_unmeasured(found, self.unmeasured)
+            nothing = np.zeros((len(found.time_ns), len(self.unmeasured)))
+            value = np.column_stack((found.value_m_s2, nothing))
+            density = np.column_stack((found.noise_density, nothing + self.unmeasured))
+            found = Samples(found.time_ns, value, density, found.kind)
         out: list[Output] = []
-        for block in cut(found, BLOCK):
-            out += [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(block))]
-            complete, due = self._averaging.sampled(block)
-            out += [*self._measured(complete), *self._given(self.estimator.push(due))]
+        blocks, count = [found], len(found.time_ns)
+        if count > BLOCK:
+            blocks = [part(found, slice(first, first + BLOCK)) for first in range(0, count, BLOCK)]
+        for block in blocks:
+            for reached in self._reached:
+                seen = reached(block)
+                out += [] if seen is None else self._measured(seen)
+            complete, due = ((), block) if self._averaging is None else self._averaging.sampled(block)
+            out += self._estimated(complete, due)
         return out
 
-    def _given(self, found: Sequence[Rows]) -> list[Rows]:
-        """What the estimator gave, with events where no measurement supports its rows."""
-        self._support, out = self._support.after(found)
-        return out
-
-    def _seen(self, seen: Seen | None) -> list[Output]:
-        """Give to the estimator what a sensor measured."""
-        if seen is None:
-            return []
-        if self.switch is not None and seen.sensor in self.switch.sensors:
-            seen = switched(self.switch, seen)
-        return self._measured([self._averaging.seen(seen)])
-
-    def _measured(self, found: Sequence[Seen]) -> list[Output]:
-        """Give complete measurements to the estimator."""
-        for seen in found:
+    def _estimated(self, complete: Sequence[Seen], samples: Samples | None) -> list[Output]:
+        """What the estimator makes of complete measurements and the samples after them."""
+        for seen in complete:
             if seen.measured is not None:
                 self.estimator.push(seen.measured)
-        return list(found)
+        rows = [] if samples is None else self.estimator.push(samples)
+        self._support, rows = self._support.after(rows)
+        return [*complete, *rows]
 
-
-def switched(switch: Switch, seen: Seen) -> Seen:
-    """What a camera saw, without measurements where the other one measures; a switch is among its events."""
-    found = [one for one in seen.found if isinstance(one, PixelTranslation)]
-    told = switch.push(seen.sensor, found[0].time_ns, max(one.strength for one in found))
-    measured = seen.measured if seen.sensor == switch.chosen else None
-    return replace(seen, measured=measured, events=seen.events if told is None else (*seen.events, told))
-
-
-def with_unmeasured(samples: Samples, densities: Sequence[float]) -> Samples:
-    """The samples with further axes along which no acceleration is measured; densities: of the motion's own there."""
-    count = len(samples.time_ns)
-    return replace(
-        samples,
-        value_m_s2=np.column_stack((samples.value_m_s2, np.zeros((count, len(densities))))),
-        noise_density=np.column_stack((samples.noise_density, np.tile(densities, (count, 1)))),
-    )
+    def _measured(self, seen: Seen) -> list[Output]:
+        """Give to the estimator what a sensor measured, unless that waits for the acceleration of its exposure."""
+        if self.switch is not None:
+            seen = self.switch.switched(seen)
+        if self._averaging is not None:
+            seen = self._averaging.seen(seen)
+        if seen.measured is not None:
+            self.estimator.push(seen.measured)
+        return [seen]

@@ -23,7 +23,7 @@ from midspan.checks import refuse
 from midspan.engine.radar_target import FollowedState, FollowedTarget
 from midspan.radar.blockage import CLEAR_FRAMES, MAX_SHARE, MIN_SHARE, mean_power, power_gain
 from midspan.radar.channels import Phasors
-from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
+from midspan.radar.following import between, fraction_between, looked_at, noise_between
 from midspan.radar.range_gap import MAX_FIRST_FRAMES, MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
 from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
 from midspan.records import NANOSECONDS, Event, Floats, PhaseMeasurement, RangeFrame, Status
@@ -95,12 +95,9 @@ class RadarChain:
         if frame.phasors.shape[1] != len(self.bins):
             raise refuse("phasors", f"(channels, {len(self.bins)} bins)", frame.phasors.shape)
         given = [None] * len(self._followers) if predictions is None else predictions
-        valid = frame.valid
-        whole = frame.phasors.astype(np.complex128)
-        received = None if valid.all() else valid
-        return tuple(
-            one.push(frame.time_ns, whole, received, told) for one, told in zip(self._followers, given, strict=True)
-        )
+        whole, valid = frame.phasors.astype(np.complex128), None if frame.valid.all() else frame.valid
+        every = zip(self._followers, given, strict=True)
+        return tuple(one.push(frame.time_ns, whole, valid, predicted) for one, predicted in every)
 
     @property
     def state(self) -> tuple[FollowedState, ...]:
@@ -156,7 +153,11 @@ class _Follower:
             given = (given[0], max(given[1], 0.0)) if given[1] < math.inf else None
         self._moved_alone(time_ns, alone_rad)
         own = self._own_prediction(time_ns)
-        base = own if given is None else self._better(own, given)
+        base = own if given is None else given
+        if given is not None and own[1] < UNSURE_RAD2:
+            # The given prediction is followed while it can name the cycle and is the closer one.
+            refuted = state.given_count >= MIN_JUDGED and state.given_rad2 > max(state.own_rad2, REFUTED_RAD2)
+            base = own if refuted or not given[1] < UNSURE_RAD2 else given
         seen = self._seen(phasors, valid, self._place(base))
         if seen is None:
             return self._unseen(time_ns, base, 0.0, "lost frames")
@@ -197,12 +198,6 @@ class _Follower:
         # Innovations are second differences: over n frames n (n + 1) / 2 of them add up.
         phase = state.phase_rad + late_s * state.speed_rad_s + (0.0 if math.isnan(state.alone_rad) else state.alone_rad)
         return phase, state.own_rad2 * (0.5 * frames * (frames + 1.0)) ** 2
-
-    def _better(self, own: PhasePrediction, given: PhasePrediction) -> PhasePrediction:
-        """The given prediction while it can name the cycle and is the closer one; else the target's own if that can."""
-        state = self.state
-        refuted = state.given_count >= MIN_JUDGED and state.given_rad2 > max(state.own_rad2, REFUTED_RAD2)
-        return own if own[1] < UNSURE_RAD2 and (refuted or not given[1] < UNSURE_RAD2) else given
 
     def _place(self, base: PhasePrediction) -> tuple[float, float]:
         """Fractional bin at which the target is expected, and how far from it it may be, bins."""
@@ -323,29 +318,20 @@ class _Follower:
             return PhaseMeasurement(time_ns, math.nan, math.inf, 0.0, Status.LOST, seen.strength)
         turns = TURN * (state.first.count - 1)
         raised, state.lost_rad2 = turns * speed[0], turns**2 * speed[1] + state.zero_rad2
-        earlier, state.begun = self._earlier(speed[0], state.first.count), ()
-        state.first = None
+        # The phases of those before, raised by the speed.
+        number, common = state.first.count - 1 - len(state.begun), state.lost_rad2 + state.doubt_rad2 + self.own_rad2
+        earlier = tuple(
+            PhaseMeasurement(one_ns, own_rad + TURN * speed[0] * k, white, common, Status.TRACKING, strength)
+            for k, (one_ns, own_rad, white, strength) in enumerate(state.begun, start=number)
+        )
+        state.first, state.begun = None, ()
         phase, state.phase_rad = phase + raised, state.phase_rad + raised
         state.speed_rad_s += TURN * speed[0] / self.item.period_s
         state.gap = RangeGap().met(place - phase / TURN, phase)
         return replace(self._measured(time_ns, phase, seen, []), earlier=earlier)
 
-    def _earlier(self, cycles_per_frame: int, count: int) -> tuple[PhaseMeasurement, ...]:
-        """The first frames but the last one of `count`, their phases raised by the speed that was found."""
-        state, first = self.state, count - 1 - len(self.state.begun)
-        common = state.lost_rad2 + state.doubt_rad2 + self.own_rad2
-        return tuple(
-            PhaseMeasurement(
-                time_ns, phase + TURN * cycles_per_frame * (first + k), white, common, Status.TRACKING, strength
-            )
-            for k, (time_ns, phase, white, strength) in enumerate(state.begun)
-        )
-
     def _used(
-        self,
-        time_ns: int,
-        seen: _Seen,
-        predicted: tuple[PhasePrediction, PhasePrediction, PhasePrediction | None],
+        self, time_ns: int, seen: _Seen, predicted: tuple[PhasePrediction, PhasePrediction, PhasePrediction | None]
     ) -> PhaseMeasurement:
         """A frame that shows the target; predicted: as it is unwrapped, its own prediction, and the given one."""
         state, (base, own, given), events = self.state, predicted, []

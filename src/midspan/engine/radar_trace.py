@@ -88,12 +88,8 @@ class _Segments:
         self.rows.append(row)
 
     def columns(self) -> list[Floats]:
-        """The seven columns (k,) of all segments but the stamps, which come from `stamps`."""
+        """The seven columns (k,) of all segments; the stamps lose their last digits."""
         return list(np.array(self.rows, dtype=np.float64).reshape(-1, 7).T)
-
-    def stamps(self) -> Nanoseconds:
-        """First stamps (k,) of the segments."""
-        return np.array([row[0] for row in self.rows], dtype=np.int64)
 
 
 def _joined(a: list[float], b: list[float]) -> list[float]:
@@ -190,8 +186,8 @@ class RadarLog:
         )
 
     def _target(self, number: int) -> TargetTrace:
-        segments = self._segments[number]
+        segments, range_m = self._segments[number], self.targets[number].target.range_m
+        stamps = np.array([row[0] for row in segments.rows], dtype=np.int64)
         _, low, high, _, _, used, frames = segments.columns()
         restarts = np.array(self._restarts[number], dtype=np.int64)
-        place = self.targets[number].target.range_m
-        return TargetTrace(place, segments.stamps(), low, high, used / frames, restarts)
+        return TargetTrace(range_m, stamps, low, high, used / frames, restarts)

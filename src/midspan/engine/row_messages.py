@@ -1,9 +1,10 @@
-"""What of a result's rows, innovations and events is worth telling, in sentences."""
+"""What of a result's rows, innovations, events and radar frames is worth telling, in sentences."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from midspan.engine.radar_trace import RadarLog
 from midspan.fusion.blocks import REJECTED
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Measured, Nanoseconds, Status
@@ -32,6 +33,10 @@ EVENT_CODES = {
     "new datum": "radar-zero",
     "contradiction": "radar-zero",
 }
+# A target that is seen in a smaller share of the frames is reported.
+MIN_SEEN = 0.9
+# Events of the radar that are warnings as well.
+REPORTED = ("new datum", "contradiction")
 
 
 def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
@@ -40,10 +45,9 @@ def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
     events = tuple(event for event in events if event.kind != "seen")
     for kind in dict.fromkeys(event.kind for event in events):
         texts = [event.text for event in events if event.kind == kind]
-        rest = (
-            [f"{len(texts) - MAX_WARNED} more such stretches stand in the events."] if len(texts) > MAX_WARNED else []
-        )
-        found += [Notice(EVENT_CODES[kind], text) for text in (*texts[:MAX_WARNED], *rest)]
+        if len(texts) > MAX_WARNED:
+            texts[MAX_WARNED:] = [f"{len(texts) - MAX_WARNED} more such stretches stand in the events."]
+        found += [Notice(EVENT_CODES[kind], text) for text in texts]
     return found
 
 
@@ -57,9 +61,8 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Noti
     found = []
     rejected = rejected_share(innovation)
     if rejected > NOTABLE_REJECTED:
-        found.append(
-            Notice("outliers", f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
-        )
+        text = f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers."
+        found.append(Notice("outliers", text))
     for status in (Status.COASTING, Status.LOST):
         own = rows.status == status
         held = float(np.sum(rows.variance_m2[own])) / float(np.sum(rows.variance_m2))
@@ -89,3 +92,20 @@ def unmeasured_ends(
     late = [Notice("lost", f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late.")]
     text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early."
     return (late if late_s > 1.0 else []) + ([Notice("lost", text)] if early_s > 1.0 else [])
+
+
+def radar_warnings(log: RadarLog, of_source: Sequence[Notice]) -> list[Notice]:
+    """What the source reported, a sentence on frames that were not usable, and on each target that was seldom seen."""
+    found = [*of_source]
+    if log.lost:
+        text = (
+            f"radar: {log.lost} frames ({100.0 * log.lost / log.frames:.2g} %) never arrived or hold interference: "
+            "more power in all range bins than usual."
+        )
+        found.append(Notice("radar-data", text))
+    for item, used in zip(log.targets, log.used, strict=True):
+        if used < MIN_SEEN * log.frames:
+            share = 100.0 * used / log.frames
+            text = f"radar: the target at {item.target.range_m:.2f} m was seen in {share:.3g} % of frames only."
+            found.append(Notice("radar-target", text))
+    return found

@@ -9,34 +9,20 @@ from itertools import pairwise
 
 import numpy as np
 
-from midspan.calibration.one_clock import CourseError, OneClock, one_clock
-from midspan.calibration.scale_check import Fitting, Sensed, fitting
-from midspan.engine.order import BACKWARDS, KINDS
+from midspan.calibration.one_clock import OneClock, one_clock
+from midspan.engine.point import Support
 from midspan.engine.sensor_series import SensorSeries, series_of
-from midspan.engine.support import Support
+from midspan.engine.stream import BACKWARDS, KINDS
 from midspan.fusion.blocks import Rows
-from midspan.fusion.estimator import BLOCK, Estimator, Log
+from midspan.fusion.estimator import BLOCK, Estimator
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
-from midspan.records import (
-    Acceleration,
-    Channel,
-    Displacement,
-    Estimate,
-    Event,
-    Measured,
-    Nanoseconds,
-    joined,
-    part,
-)
+from midspan.records import Acceleration, Channel, Displacement, Event, Measured, Nanoseconds, joined, part
 from midspan.signals.stamps import shown
 
 
 def clocks(
-    series: Mapping[str, SensorSeries],
-    acceleration: Acceleration,
-    kalman: KalmanSettings,
-    shared: Collection[str],
+    series: Mapping[str, SensorSeries], acceleration: Acceleration, kalman: KalmanSettings, shared: Collection[str]
 ) -> dict[str, OneClock]:
     """How the clock of each sensor ran, by what it measured along the main axis; shared: names of those whose clock is
     the accelerometer's, so that no drift is looked for.
@@ -51,7 +37,7 @@ def clocks(
 
 def ran_apart(clock: OneClock) -> bool:
     """Whether a clock jumped or drifted."""
-    return bool(clock.jumps) or (clock.running is not None and clock.running.course is not None)
+    return bool(clock.jumps) or clock.course is not None
 
 
 def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
@@ -59,35 +45,13 @@ def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
     return series_of(series.sensor, series.source, clock.also(series.displacement).measured)
 
 
-def without_stamps(series: SensorSeries, stamps: Nanoseconds | None) -> SensorSeries:
-    """A series without its values at some stamps (k,)."""
-    if stamps is None:
-        return series
-    wrong = np.isin(series.time_ns, stamps)
-    return replace(series, value_m=np.where(wrong, np.nan, series.value_m))
-
-
-def without_measured(measured: Measured, stamps: Nanoseconds) -> Measured:
-    """A sensor's measurements without those at some stamps (k,)."""
-    return part(measured, ~np.isin(measured.time_ns, stamps))
-
-
 def left_out_event(name: str, stamps: Nanoseconds) -> Event:
     """The event of a sensor's values at some stamps (k,) that are left out."""
     text = (
         f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
-        "acceleration and the rest of its values, and are left out. Check what passes in front of it, and what holds "
-        "it."
+        "acceleration and the rest of its values, and are left out. It was stuck, or something passed in front of it."
     )
     return Event(int(stamps[0]), "rejected", text)
-
-
-def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:
-    """The rows with what the displacement may be off by where the motion does not tell which jump a clock made."""
-    variance = rows.variance_m2
-    for level in levels:
-        variance = variance + np.interp(rows.time_ns, level.time_ns, level.std_m) ** 2
-    return replace(rows, variance_m2=variance)
 
 
 def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneClock) -> Measured:
@@ -99,24 +63,6 @@ def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneCloc
         moved = clock.also(Displacement(own.time_ns, own.value, own.variance, source)).measured
         blocks.append(replace(own, time_ns=moved.time_ns, value=moved.value_m, variance=moved.variance_m2))
     return joined(blocks)
-
-
-def scales(
-    series: Mapping[str, SensorSeries],
-    acceleration: Acceleration,
-    known: Mapping[str, float],
-    *,
-    along: str,
-    max_offset_s: float,
-    followed: bool,
-) -> Fitting:
-    """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt.
-
-    known: relative standard deviations of the scales as calibrated; along: a second axis in words; max_offset_s:
-    largest clock offset looked for; followed: the method estimates the scales on its way.
-    """
-    compared = [Sensed(name, one.source, one.displacement, known[name]) for name, one in series.items()]
-    return fitting(acceleration, compared, along, max_offset_s=max_offset_s, followed=followed)
 
 
 def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], float]) -> EstimatorSettings:
@@ -141,15 +87,17 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     return replace(settings, parameters=tuple(parameters))
 
 
-def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
+def once_more(
+    settings: EstimatorSettings, first: Estimator, measured: Sequence[Measured]
+) -> tuple[Estimator, list[Rows]]:
     """The estimator run again over the samples and measurements of a whole record, as the first pass logged it.
 
     Where stamps went back in the first pass they do so again: the samples are cut there.
     """
-    estimator, out, samples = Estimator(settings, log=True), list[Rows](), log.samples
+    estimator, out, samples = Estimator(settings, log=True), list[Rows](), first.logged_samples
     rows = joined(measured)
     rows = part(rows, np.argsort(rows.time_ns, kind="stable"))
-    back_ns = log.went_back_ns
+    back_ns = first.went_back_ns
     cuts = np.searchsorted(samples.time_ns, back_ns, side="right")
     edges = np.unique(np.concatenate((np.arange(0, len(samples.time_ns), BLOCK), cuts, [len(samples.time_ns)])))
     done = 0
@@ -162,5 +110,4 @@ def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured
         out += estimator.push(block)
         done = due
     out += estimator.finish()
-    assert estimator.log is not None
-    return estimator.log, Support().after(out)[1]
+    return estimator, Support().after(out)[1]

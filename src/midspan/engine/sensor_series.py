@@ -1,11 +1,14 @@
-"""What one sensor measured over a record, in metres: what a report draws as points."""
+"""What one sensor measured over a record, in metres, and what a result keeps of a camera: plain records of arrays."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.averaging import in_displacement_alone
+from midspan.engine.tracking import CameraTracking
 from midspan.fusion.path import at
 from midspan.fusion.targets import agreeing, combine, relative_zeros
 from midspan.records import (
@@ -13,13 +16,19 @@ from midspan.records import (
     Channel,
     Displacement,
     Estimate,
+    Event,
     Floats,
     Measured,
     Nanoseconds,
+    PixelTrack,
+    Region,
     Source,
     part,
 )
 from midspan.signals.averaging import at_instants
+from midspan.thermal.temperature_range import RangeSurface
+from midspan.vision.active_pixels import ActivePixels
+from midspan.vision.roi import RegionChoice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +76,8 @@ def agreed_series(
     variance = np.array([block.variance_m2 for block in blocks])
     residual -= relative_zeros(residual, variance)[:, None]
     expected, spread = at(path, blocks[best].time_ns)
-    found = combine(residual, variance, agreeing(residual, variance, spread))
-    measured = replace(blocks[best], value_m=found.value + expected, variance_m2=found.variance)
-    return series_of(sensor, source, measured)
+    value, own = combine(residual, variance, agreeing(residual, variance, spread))
+    return series_of(sensor, source, replace(blocks[best], value_m=value + expected, variance_m2=own))
 
 
 def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str, path: Estimate) -> SensorSeries:
@@ -78,15 +86,10 @@ def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str,
     What is uncertain of the zero of all of them is no noise of a frame; of one relative to the others it takes its
     weight.
     """
-    numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
-    rows = [part(measured, measured.channel == number) for number in numbers]
-    zeros = np.array(
-        [own.reference_variance / channels[number].units_per_m ** 2 for own, number in zip(rows, numbers, strict=True)]
-    )
-    zeros -= zeros.min(axis=0)
+    rows = [(c, part(measured, measured.channel == k)) for k, c in enumerate(channels) if c.sensor == sensor]
+    zeros = np.array([own.reference_variance / channel.units_per_m**2 for channel, own in rows])
     blocks = []
-    for own, number, zero in zip(rows, numbers, zeros, strict=True):
-        channel = channels[number]
+    for (channel, own), zero in zip(rows, zeros - zeros.min(axis=0), strict=True):
         source = np.full(len(own.time_ns), channel.source, dtype=np.uint8)
         variance = channel.variance_factor * own.variance / channel.units_per_m**2 + zero
         blocks.append(Displacement(own.time_ns, own.value / channel.units_per_m, variance, source))
@@ -99,15 +102,109 @@ def series_at_instants(
     """The series of sensors along an axis, by name, without what their exposures take from fast motion."""
     # The first one of a sensor is its best target's.
     exposures = {one.sensor: one.exposure_s for one in reversed(channels) if one.axis == axis}
-    first = not in_displacement_alone(channels)
-    return {
-        name: series_of(
-            name, one.source, at_instants(one.displacement, exposures[name], acceleration, first_term=first)
-        )
-        for name, one in series.items()
-    }
+    first, found = not in_displacement_alone(channels), {}
+    for name, one in series.items():
+        measured = at_instants(one.displacement, exposures[name], acceleration, first_term=first)
+        found[name] = series_of(name, one.source, measured)
+    return found
 
 
-def taken(series: SensorSeries, measured: Measured) -> SensorSeries:
-    """The series with nothing where the estimator was given no measurement of the sensor: another one measured."""
-    return replace(series, value_m=np.where(np.isin(series.time_ns, measured.time_ns), series.value_m, np.nan))
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetResult:
+    """One target of a camera, frame by frame.
+
+    region: in the reference frame, px; track: its translation on the camera's own clock, with whole variances; strength
+    (n,): good matches, of trackers without matches the quality in percent, 0 where it was lost; reference_px2 (n, 2):
+    the part of the variances along x and y that the reference frame makes, for many frames alike. active_pixels: those
+    whose phase was used; None for other trackers.
+    """
+
+    name: str
+    region: Region
+    track: PixelTrack
+    strength: Floats
+    reference_px2: Floats
+    active_pixels: ActivePixels | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraResult:
+    """One camera of a recording at the end of an estimate.
+
+    sensor: its name; source: how the rows that rest on it are marked; calibrations: what was estimated along each
+    measured axis, the main one first; reference (rows, columns): pixels of the first frame used; best: number of the
+    best target along the main axis. choice: how the regions were chosen, None where they were given; range_surface: how
+    the temperature range was found, None where it was not looked for. events: what happened to its targets, on the
+    accelerometer's clock.
+    """
+
+    sensor: str
+    source: Source
+    calibrations: tuple[CameraCalibration, ...]
+    reference: NDArray[np.generic]
+    targets: tuple[TargetResult, ...]
+    best: int = 0
+    choice: RegionChoice | None = None
+    range_surface: RangeSurface | None = None
+    events: tuple[Event, ...] = ()
+
+    @property
+    def track(self) -> PixelTrack:
+        """The best target's track, on the camera's own clock."""
+        return self.targets[self.best].track
+
+    def displacement(self, target: int, axis: int = 0) -> Displacement:
+        """What a target says along the axis of this number, on the accelerometer's clock."""
+        mapping, found = self.calibrations[axis].mappings()[target], self.targets[target]
+        more_x, more_y = found.reference_px2.T
+        x, y = found.track.variance_x_px2 - more_x, found.track.variance_y_px2 - more_y
+        single = mapping.displacement(replace(found.track, variance_x_px2=x, variance_y_px2=y))
+        # The estimated factor is of single frames; what the reference makes is not among them.
+        shared = mapping.scale_m_per_px**2 * (more_x, more_y)["xy".index(mapping.direction)]
+        return replace(single, variance_m2=single.variance_m2 + shared)
+
+
+def camera_result(
+    tracking: CameraTracking, sensor: str, calibrations: Sequence[CameraCalibration], events: Sequence[Event] = ()
+) -> CameraResult:
+    """What is kept of a camera that was tracked to its end; the targets are those that the calibrations use.
+
+    events: what happened to them, on the accelerometer's clock.
+    """
+    return CameraResult(
+        sensor=sensor,
+        source=calibrations[0].source,
+        calibrations=tuple(calibrations),
+        reference=tracking.reference.pixels,
+        targets=tuple(
+            TargetResult(
+                name=target.name,
+                region=target.region,
+                track=target.track,
+                strength=target.strengths,
+                reference_px2=target.reference_px2,
+                active_pixels=target.tracker.active_pixels,
+            )
+            for target in tracking.targets
+        ),
+        best=best_target([target.region for target in tracking.targets], calibrations[0]),
+        choice=tracking.choice,
+        range_surface=tracking.range_surface,
+        events=tuple(events),
+    )
+
+
+def best_target(regions: Sequence[Region], camera: CameraCalibration) -> int:
+    """Number of the best target along an axis; a single one may have been moved a little by the recording."""
+    return list(regions).index(camera.region) if camera.region in regions else 0
+
+
+def camera_series(camera: CameraResult, path: Estimate, axis: int = 0) -> SensorSeries:
+    """What a camera measured along the axis of this number: in each frame the mean of those targets that agree.
+
+    path: the displacement along this axis; it bridges the milliseconds between the rows of a rolling shutter that the
+    targets lie in, and decides where two targets contradict each other. The stamps are the best target's.
+    """
+    blocks = [camera.displacement(number, axis) for number in range(len(camera.targets))]
+    best = best_target([target.region for target in camera.targets], camera.calibrations[axis])
+    return agreed_series(camera.sensor, camera.source, (blocks, best), path)

@@ -16,8 +16,8 @@ from midspan.engine.camera import CameraChain, CameraState
 from midspan.engine.plain import PlainChain, PlainState
 from midspan.engine.radar import RadarChain
 from midspan.engine.radar_target import FollowedState
-from midspan.engine.unseen import Unseen
 from midspan.records import (
+    NANOSECONDS,
     Event,
     Frame,
     Measured,
@@ -27,9 +27,11 @@ from midspan.records import (
     RangeFrame,
     Readings,
     Samples,
+    Status,
     Tracked,
-    joined,
 )
+from midspan.signals.health import GAP_STEPS
+from midspan.signals.stamps import shown
 
 # The prediction across the measured axis, where nothing predicts: the motion there is small, px.
 ACROSS_STD_PX = 2.0
@@ -37,6 +39,15 @@ ACROSS_STD_PX = 2.0
 MIN_STD_PX = 0.5
 # A prediction vaguer than this is none, px.
 MAX_STD_PX = 100.0
+# This many seconds, and this many usual intervals, without the target are an event: rows are coasting by then. Shorter
+# ones are what a codec or a shutter leaves out.
+LOST_S, LOST_INTERVALS = 3.0, 5.0
+TEXTS = {
+    "dark": "it is dark from {} on; nothing is measured with this camera.",
+    "frozen": "the picture does not change (frozen) from {} on; nothing is measured with this camera.",
+    "lost": "the target is lost from {} on; nothing is measured with this camera. Look at what stands in front of it, "
+    "and at its region.",
+}
 # Of a translation along an image axis: value, its variance and that of its reference.
 ALONG = {
     direction: attrgetter(f"{direction}_px", f"variance_{direction}_px2", f"reference_variance_{direction}_px2")
@@ -64,8 +75,9 @@ class Sensor(Protocol):
         """Take the next record, its stamps on the common clock."""
         ...
 
-    def reached(self, samples: Samples) -> Seen | None:
-        """Take the samples that the estimator gets next: a sensor may wait for those that cover its records."""
+    @property
+    def reached(self) -> Callable[[Samples], Seen | None] | None:
+        """Takes the samples that the estimator gets next, where records wait for those that cover them; else None."""
         ...
 
     @property
@@ -81,6 +93,48 @@ class Sensor(Protocol):
     def restore(self, state: Any) -> None:
         """Go on from a `state` taken earlier."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """What was last seen of a camera: last_ns, the newest frame's stamp; since_ns: of the first frame without the
+    target, None where it is seen; reported: why, once that is an event; otherwise_ns: of the first of the newest frames
+    that are without it for another reason than that; again_ns: of the newest frame, where it shows the target and the
+    one before did not. A single one between others is no return: a codec makes a frozen picture anew now and then.
+    """
+
+    last_ns: int | None = None
+    since_ns: int | None = None
+    reported: str = ""
+    otherwise_ns: int | None = None
+    again_ns: int | None = None
+
+    def after(
+        self, time_ns: int, found: Sequence[PixelTranslation], step_s: float, name: str
+    ) -> "tuple[Unseen, list[Event]]":
+        """After a frame with what was `found` of each target; and events. step_s: usual interval of frames."""
+        events: list[Event] = []
+        if self.last_ns is not None and (gap_s := (time_ns - self.last_ns) / NANOSECONDS) > GAP_STEPS * step_s > 0.0:
+            events.append(Event(self.last_ns, "gap", f"{name}: no frames for {gap_s:.3g} s."))
+        reasons = [one.unseen or ("lost" if one.status is Status.LOST else "") for one in found]
+        if not all(reasons):
+            if self.since_ns is not None and self.again_ns is None:
+                return replace(self, last_ns=time_ns, again_ns=time_ns), events
+            if self.reported and self.since_ns is not None and self.again_ns is not None:
+                lasting_s = (self.again_ns - self.since_ns) / NANOSECONDS
+                text = f"{name}: the target is seen again; nothing was measured for {lasting_s:.1f} s."
+                events.append(Event(self.again_ns, "seen", text))
+            return Unseen(time_ns), events
+        reason, now = max(reasons), replace(self, last_ns=time_ns, again_ns=None)
+        if self.since_ns is None:
+            now = replace(now, since_ns=time_ns)
+        if reason == self.reported:
+            return replace(now, otherwise_ns=None), events
+        otherwise_ns = time_ns if self.otherwise_ns is None else self.otherwise_ns
+        if time_ns - otherwise_ns < NANOSECONDS * max(LOST_S, LOST_INTERVALS * step_s):
+            return replace(now, otherwise_ns=otherwise_ns), events
+        events.append(Event(otherwise_ns, reason, f"{name}: {TEXTS[reason].format(shown(otherwise_ns))}"))
+        return replace(now, reported=reason, otherwise_ns=None), events
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +159,8 @@ class CameraSensor:
     trusted to no better than this.
     """
 
+    reached = None
+
     def __init__(
         self,
         name: str,
@@ -120,6 +176,7 @@ class CameraSensor:
         self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
         self._seen_px = [(0.0, 0.0)] * len(self.channels)
         self._numbers = np.array(self.channels, dtype=np.int64).reshape(-1)
+        self._along = [ALONG[direction] for direction in directions]
 
     @property
     def unseen(self) -> str:
@@ -148,19 +205,17 @@ class CameraSensor:
             if math.isfinite(one.x_px) and math.isfinite(one.y_px):
                 self._seen_px[k] = (one.x_px, one.y_px)
         self._unseen, events = self._unseen.after(record.time_ns, found, self._step_s, self.name)
-        return Seen(self.name, self._measured(found), found, (*events, *self._told(found)))
-
-    def reached(self, samples: Samples) -> None:
-        """A frame is measured when it comes; the estimator waits for the samples that cover it."""
-
-    def _told(self, found: Sequence[PixelTranslation]) -> tuple[Event, ...]:
-        """What happened to the targets, with their names."""
         several = len(found) > 1
-        return tuple(
+        events += [
             replace(event, text=f"{self.name}{f', target {target.name}' * several}: {event.text}")
             for target, one in zip(self.chain.targets, found, strict=True)
             for event in one.events
-        )
+        ]
+        # Of each target along each axis: value, its variance and that of its reference.
+        rows = np.array([read(one) for one in found for read in self._along], dtype=np.float64)
+        time_ns = np.array([one.time_ns for one in found for _ in self._along], dtype=np.int64)
+        measured = Measured(time_ns, self._numbers, rows[:, 0], rows[:, 1], rows[:, 2])
+        return Seen(self.name, measured, found, tuple(events))
 
     def _prediction(self, target: int, time_ns: int, expect: Expect) -> Prediction | None:
         """Where a target is expected; None while the main axis cannot tell."""
@@ -177,16 +232,11 @@ class CameraSensor:
                 return None
         return Prediction(x_px, y_px, x_std, y_std)
 
-    def _measured(self, found: Sequence[PixelTranslation]) -> Measured:
-        """The translations that were found, along each axis, as measurements."""
-        along = [ALONG[direction] for direction in self.directions]
-        rows = np.array([read(one) for one in found for read in along], dtype=np.float64)
-        time_ns = np.array([one.time_ns for one in found for _ in along], dtype=np.int64)
-        return Measured(time_ns, self._numbers, rows[:, 0], rows[:, 1], rows[:, 2])
-
 
 class RadarSensor:
     """A radar: channels[target] are numbers in the estimator's table, in the order of the chain's targets."""
+
+    reached = None
 
     def __init__(self, name: str, chain: RadarChain, channels: Sequence[int]) -> None:
         self.name, self.chain, self.channels = name, chain, tuple(channels)
@@ -226,9 +276,6 @@ class RadarSensor:
         )
         return Seen(self.name, measured, found, tuple(event for one in found for event in one.events))
 
-    def reached(self, samples: Samples) -> None:
-        """A frame is measured when it comes; the estimator waits for the samples that cover it."""
-
 
 class PlainSensor:
     """A displacement sensor: its chain takes readings in m and gives them out with the samples that cover them."""
@@ -248,7 +295,7 @@ class PlainSensor:
 
     def restore(self, state: PlainState) -> None:
         """Go on from a `state` taken earlier."""
-        self.chain.restore(state)
+        self.chain.state = state
 
     def push(self, record: Readings, expect: Expect) -> Seen | None:
         """Take readings, which wait."""
@@ -259,6 +306,5 @@ class PlainSensor:
         return self._seen(self.chain.push(samples))
 
     def _seen(self, found: Sequence[Measured | Event]) -> Seen | None:
-        measured = [one for one in found if isinstance(one, Measured)]
-        events = tuple(one for one in found if isinstance(one, Event))
-        return Seen(self.name, joined(measured) if measured else None, (), events) if found else None
+        measured = next((one for one in found if isinstance(one, Measured)), None)
+        return Seen(self.name, measured, (), tuple(one for one in found if isinstance(one, Event))) if found else None

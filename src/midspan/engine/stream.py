@@ -1,13 +1,25 @@
-"""One stream of a `Merge`: what is known of it, the offset of its clock, and how a clock set for good shows."""
+"""One stream of a `Merge`: its memory, what is wrong with its stamps, and how a clock that was set for good shows."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from midspan.engine.order import GOOD, LAST_NS, LATE
+from midspan.checks import TIME_S
 from midspan.records import NANOSECONDS, ClockOffset, Nanoseconds
 
+# What is wrong with a stamp.
+GOOD, DOUBLED, BACKWARDS, IMPOSSIBLE, AHEAD, LATE = range(6)
+# The word of the event for each.
+KINDS = ("", "doubled", "backwards", "stamp", "ahead", "late")
+# Events after which the stamps of a stream may be those of another clock.
+CLOCK_SET = "clock"
+STEPS = (KINDS[BACKWARDS], CLOCK_SET)
+# Stamps that far from the clock's zero are no times: the difference of two of them would not fit into 64 bits.
+FIRST_NS, LAST_NS = (round(end * NANOSECONDS) for end in (TIME_S.low, TIME_S.high))
+Codes = NDArray[np.uint8]
 # Stamps that go on elsewhere for so long (s) are those of a clock that was set; until then they are left out. Packets
 # that overtake each other are below a second apart.
 SETTLED_S = 2.0
@@ -98,15 +110,23 @@ def take_offset(own_ns: Sequence[int] | Nanoseconds, stream: StreamMemory) -> in
     return int(begins[0]) if len(begins) else len(own_ns)
 
 
-def quiet(stream: StreamMemory, now_ns: int) -> str:
-    """For how long a stream has been silent, for a message."""
-    quiet_s = (now_ns - (stream.heard_ns or 0)) / NANOSECONDS
-    came = "nothing came" if stream.fault in (GOOD, LATE) else "no record with a usable stamp came"
-    return f"{came} for {quiet_s:.3g} s"
+def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) -> tuple[Codes, Nanoseconds]:
+    """What is wrong with each stamp (n,), and the newest good one before it (n,).
+
+    newest_ns: the newest good stamp before the block; None: there is none. Stamps above `bound_ns` are AHEAD.
+    """
+    codes = np.zeros(len(time_ns), dtype=np.uint8)
+    before = FIRST_NS - 1 if newest_ns is None else newest_ns
+    codes[time_ns > bound_ns] = AHEAD
+    codes[(time_ns < FIRST_NS) | (time_ns > LAST_NS)] = IMPOSSIBLE
+    reached = np.where(codes == GOOD, time_ns, before)
+    newest = np.maximum.accumulate(np.concatenate(([before], reached)))[:-1]
+    codes[(codes == GOOD) & (time_ns < newest)] = BACKWARDS
+    codes[(codes == GOOD) & (time_ns == newest)] = DOUBLED
+    return codes, newest
 
 
-def moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
-    """Stamps (n,) plus an offset; those that are no times stay what they are, so that nothing runs over."""
-    if offset_ns == 0:
-        return time_ns
-    return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
+def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
+    """Start, end (exclusive) and code of each run of equal codes (n,)."""
+    for start, end in pairwise([0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]):
+        yield int(start), int(end), int(codes[start])

@@ -2,45 +2,34 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 from operator import attrgetter
+from struct import Struct
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.camera.view import SeenTarget
-from midspan.engine.camera import CameraChain
-from midspan.engine.camera_target import ChainSettings, Target, TargetChain
+from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target, TargetChain, TargetReport
 from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
-from midspan.records import (
-    Event,
-    Floats,
-    Frame,
-    Nanoseconds,
-    PixelTrack,
-    PixelTranslation,
-    Region,
-    Status,
-)
-from midspan.signals.growing import Columns
+from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region, Status
 from midspan.signals.stamps import shown
-from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import Expected, RangeSurface
-from midspan.vision.frame_source import FrameSource
-from midspan.vision.lens import Lens, lens_warnings
-from midspan.vision.light import LightReport
-from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.active_pixels import ActivePixels
+from midspan.vision.frame_source import FrameSource, StoredTrack
+from midspan.vision.lens import lens_warnings
+from midspan.vision.picture_report import LightReport, picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice
 from midspan.vision.target import UNSEEN
-from midspan.vision.tracker import Tracker
 
 # Frames that were looked at are kept until they are tracked; so much memory at most.
 MOST_AHEAD_BYTES = 200_000_000
@@ -50,20 +39,44 @@ STRENGTH, REFERENCE_X, REFERENCE_Y = range(len(fields(PixelTrack)), len(fields(P
 Felt = Callable[[Nanoseconds], Expected]
 
 
-@dataclass(frozen=True, slots=True)
-class TrackingSettings:
-    """What to track: the tracker's name, the measured image axis, the targets (none: chosen) and the frames used.
+class Columns:
+    """Columns that grow by a row at a time; `codes`: a letter each, "q" int64, "d" float64, "B" uint8.
 
-    reference, reference_settings: how the reference frame is kept, see `Opening`; thermal: frames are temperatures, of
-    which `levels` are shown in grey (None: all, as they are). sensor: what messages call it.
-    automatic_targets: how many are chosen; trial_from_ns: where the calibration begins, on the camera's clock.
-    first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
-    first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
-    tracker_settings: the tracker's settings record, None for its defaults. lens: its distortion is taken out of the
-    translations (None: is not).
+    Numbers come out as they were put in, to the last bit.
     """
 
-    tracker: str
+    def __init__(self, codes: str) -> None:
+        self._row = Struct(f"={codes}")
+        self._kind = np.dtype([(str(k), f"={code}") for k, code in enumerate(codes)])
+        self._rows, self._count = bytearray(), 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, *row: float) -> None:
+        """Add a row, a number for each column."""
+        self._rows += self._row.pack(*row)
+        self._count += 1
+
+    def row(self, number: int) -> tuple[Any, ...]:
+        """The row of this number, from 0."""
+        return self._row.unpack_from(self._rows, number * self._row.size)
+
+    def column(self, number: int) -> NDArray[Any]:
+        """The rows so far (n,) of the column with this number, a copy."""
+        return np.frombuffer(self._rows, dtype=self._kind)[str(number)].copy()
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSettings(Opening):
+    """What to track, and with what (see `Opening`): the measured image axis, the targets and the frames used.
+
+    targets: none: `automatic_targets` are chosen. first: index of the reference frame; last: index after the last frame
+    used. readout_s: rolling shutter, s from the first row (which the stamps belong to) to the last: the track's times
+    are those of the target's middle row. trial_from_ns: where the calibration begins, on the camera's clock. sensor:
+    what messages call it.
+    """
+
     direction: str = "y"
     targets: tuple[Target, ...] = ()
     automatic_targets: int = 1
@@ -71,46 +84,19 @@ class TrackingSettings:
     last: int | None = None
     readout_s: float = 0.0
     trial_from_ns: int | None = None
-    tracker_settings: Any = None
-    lens: Lens | None = None
-    reference: str = "first"
-    reference_settings: Mapping[str, Any] = field(default_factory=dict)
-    thermal: bool = False
-    levels: Limits | None = None
     sensor: str = "camera"
-
-    @property
-    def opening(self) -> Opening:
-        """What each target is tracked with."""
-        rule = (self.reference, self.reference_settings)
-        return Opening(self.tracker, self.tracker_settings, *rule, self.thermal, self.levels, self.lens)
 
 
 class TargetTracking:
     """One target: its part of the camera's chain, and the rows found so far, one a frame, as they came."""
 
     def __init__(self, chain: TargetChain) -> None:
-        self.chain = chain
+        self.chain, self.name, self.region, self.tracker = chain, chain.name, chain.region, chain.tracker
         # The fields of a track, how strong it was, the reference's variances along x and y, why it was not seen.
         self._columns = Columns("qdddddBdddB")
         self._track: PixelTrack | None = None
         # What happened in frames, by their numbers.
         self._events: dict[int, tuple[Event, ...]] = {}
-
-    @property
-    def name(self) -> str:
-        """What the target is called."""
-        return self.chain.name
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self.chain.region
-
-    @property
-    def tracker(self) -> Tracker:
-        """What it is tracked with."""
-        return self.chain.tracker
 
     def add(self, found: PixelTranslation) -> None:
         """Keep what was found in a frame."""
@@ -161,33 +147,25 @@ class TargetTracking:
 
     def warnings(self, axes: str) -> list[Notice]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
-        found, report = [], self.chain.report
+        found, report = list[Notice](), self.chain.report
         if report.frozen_frames:
-            found.append(
-                Notice(
-                    "frozen",
-                    f"camera: {report.frozen_frames} frames only repeat the picture before them (frozen); they were "
-                    "not used.",
-                )
-            )
+            text = f"{report.frozen_frames} frames only repeat the picture before them (frozen); they were not used."
+            found.append(Notice("frozen", f"camera: {text}"))
         if report.picture is not None:
             found += picture_warnings(report.picture, axes)
-        return found + (light_warnings(report.light) if report.light is not None else [])
+        return found + ([] if report.light is None else light_warnings(report.light))
 
 
 def light_warnings(light: LightReport) -> list[Notice]:
     """A sentence where light may have moved a target with a fixed reference."""
     if light.notable_ns is None:
         return []
-    return [
-        Notice(
-            "light-changed",
-            f"camera: from {shown(light.notable_ns)} on light has changed the target against its reference frame; its "
-            f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), "
-            "which "
-            'the band holds. Take camera.reference = "key-frames".',
-        )
-    ]
+    text = (
+        f"camera: from {shown(light.notable_ns)} on light has changed the target against its reference frame; its "
+        f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), which "
+        'the band holds. Take camera.reference = "key-frames".'
+    )
+    return [Notice("light-changed", text)]
 
 
 # The code of what compression does, which is said once for all targets.
@@ -221,7 +199,13 @@ class CameraTracking:
         self.choice: RegionChoice | None = None
         # Frames that were looked at before they are tracked.
         self._ahead: deque[Frame] = deque()
-        targets = settings.targets or self._choose(judge)
+        targets = settings.targets
+        if not targets:
+            request = ChoiceRequest(
+                settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns
+            )
+            self.choice = choose_targets(self._read, self.time_ns, request, progress, judge)
+            targets = tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))
         if not self._read_ahead(1):
             raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
         self.reference = self._ahead[0]
@@ -232,11 +216,15 @@ class CameraTracking:
                 refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
         info = source.info
-        chain = ChainSettings(settings.opening, settings.readout_s, info.lossless is True, info.quarter_turns)
+        chain = ChainSettings(settings, settings.readout_s, info.lossless is True, info.quarter_turns)
         self.chain = CameraChain(self.reference, targets, chain)
         self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
-        self._teach(felt)
-        self.done, self.ended = 0, False
+        # The chain learns from the first frames, which are kept to be tracked afterwards.
+        wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")
+        frames = list(islice(self._ahead, wanted))
+        stamps = np.array([frame.time_ns for frame in frames], dtype=np.int64)
+        self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
+        self.done = 0
         # The trackings of further cameras of the same recording; how a thermal camera's range was found.
         self.beside: tuple[CameraTracking, ...] = ()
         self.range_surface: RangeSurface | None = None
@@ -248,8 +236,8 @@ class CameraTracking:
 
     def leave_out(self, places: Sequence[int]) -> None:
         """Track the targets of these numbers (from 0) no further."""
-        self.chain.leave_out(places)
         self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
+        self.chain.targets = tuple(target.chain for target in self.targets)
 
     def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
         """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not told."""
@@ -270,8 +258,7 @@ class CameraTracking:
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
         while self.done < len(self.time_ns) and self.time_ns[self.done] <= time_ns:
-            frame = self.take()
-            if frame is None:
+            if (frame := self.take()) is None:
                 break
             self.push(frame)
         return self.tracks
@@ -304,11 +291,11 @@ class CameraTracking:
 
         They call the sensor by its kind.
         """
-        found, compressed = list[Notice](), list[Notice]()
+        found, compressed, info = list[Notice](), list[Notice](), self.source.info
         if self.skipped:
             found.append(Notice("frames-skipped", f"camera: {self._skipped_for}."))
-        found += [Notice("file-damaged", f"camera: {line}.") for line in self.source.info.damage]
-        found += [one.worded(f"camera: {one}.") for one in self.source.info.notices]
+        found += [Notice("file-damaged", f"camera: {line}.") for line in info.damage]
+        found += [one.worded(f"camera: {one}.") for one in info.notices]
         for target in self.targets:
             own = target.warnings(axes or self.settings.direction)
             if self.settings.lens is not None:
@@ -318,26 +305,15 @@ class CameraTracking:
             compressed = compressed or shared
             own = [line for line in own if line not in shared]
             found += own if len(self.targets) == 1 else [line.worded(f"target {target.name}: {line}") for line in own]
-        return found + (compressed or self._codec_warnings())
-
-    def _codec_warnings(self) -> list[Notice]:
-        """A sentence where the codec may have lost what the frames themselves do not show."""
-        info = self.source.info
-        if info.lossless is not False:
-            return []
-        text = (
-            f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
-            "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
-            "Record raw or lossless where you can."
-        )
-        return [Notice(COMPRESSED, text)]
-
-    def _teach(self, felt: Felt | None) -> None:
-        """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
-        wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")
-        frames = list(islice(self._ahead, wanted))
-        stamps = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
+        if info.lossless is False and not compressed:
+            # The codec may have lost what the frames themselves do not show.
+            text = (
+                f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
+                "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
+                "Record raw or lossless where you can."
+            )
+            compressed = [Notice(COMPRESSED, text)]
+        return found + compressed
 
     @property
     def learns_by_acceleration(self) -> bool:
@@ -372,8 +348,97 @@ class CameraTracking:
             if self._ahead[number].index >= first:
                 yield self._ahead[number]
 
-    def _choose(self, judge: Judge | None) -> tuple[Target, ...]:
-        settings = self.settings
-        request = ChoiceRequest(settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns)
-        self.choice = choose_targets(self._read, self.time_ns, request, self.progress, judge)
-        return tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))
+
+class StoredTracker:
+    """What stands for a tracker where only its rows are known."""
+
+    phase_gain_px_per_rad: tuple[float, float] | None = None
+    active_pixels: ActivePixels | None = None
+    # Of a fixed pattern nothing is known.
+    scale_share_std = 0.0
+    learns_by_acceleration = False
+
+    def __init__(self, reference: Frame, region: Region) -> None:
+        self.reference, self.region = reference, region
+
+
+class StoredTarget:
+    """What stands for a target's chain: nothing is left to be tracked."""
+
+    report = TargetReport()
+
+    def __init__(self, reference: Frame, target: StoredTrack, readout_s: float, first: int = 0) -> None:
+        self.name, self.region = target.name, target.region
+        # The rows of a track are dated as they were tracked.
+        self.first_late_ns = int(target.rows.time_ns[first]) - reference.time_ns
+        self.tracker: Any = StoredTracker(reference, target.region)
+        self._readout_s = readout_s
+
+    def blur_s(self, exposure_s: float | None) -> float:
+        """The time a translation is averaged over: the exposure, and the read-out of the region's rows."""
+        rows = self._readout_s * self.region.height / max(self.tracker.reference.pixels.shape[0], 1)
+        return math.hypot(exposure_s or 0.0, rows)
+
+
+class StoredChain:
+    """What stands for a camera's chain."""
+
+    state = CameraState(())
+
+    def __init__(self, targets: Sequence[StoredTarget]) -> None:
+        self.targets = tuple(targets)
+
+    def restore(self, state: CameraState) -> None:
+        """Nothing changes from frame to frame."""
+
+    def push(self, frame: Frame, predictions: object = None) -> tuple[PixelTranslation, ...]:
+        """There is nothing to track with."""
+        raise DataError("A track holds what was found in frames; new frames cannot be tracked with it.")
+
+
+class StoredTracking(CameraTracking):
+    """The tracking of a track: all its rows are there from the beginning."""
+
+    def __init__(self, source: FrameSource, settings: TrackingSettings, progress: Progress = silent) -> None:
+        self.source, self.progress, self.settings = source, progress, settings
+        used = slice(settings.first, settings.last)
+        self.time_ns = source.times_ns()[used]
+        info = source.info
+        self.reference = Frame(int(self.time_ns[0]), np.zeros((info.height, info.width), dtype=np.uint8))
+        # The tracks of the targets that a calibration uses, all where none are named.
+        names = [target.name for target in settings.targets]
+        named = tuple(track for track in source.tracks if track.name in names)
+        tracks = named if named and len(named) == len(names) else tuple(source.tracks)
+        targets = [StoredTarget(self.reference, track, settings.readout_s, settings.first) for track in tracks]
+        self.chain: Any = StoredChain(targets)
+        self.targets = tuple(TargetTracking(target) for target in targets)  # type: ignore[arg-type]
+        self.chosen = tuple(Target(track.region, track.name) for track in tracks)
+        self.skipped, self.done = 0, len(self.time_ns)
+        self.choice = self.range_surface = None
+        self.beside = ()
+        for number in range(settings.first, settings.first + self.done):
+            for target, track in zip(self.targets, tracks, strict=True):
+                target.add(translation(track, number))
+
+    def take(self) -> None:
+        """There are no further frames."""
+
+    def close(self) -> None:
+        """There is no file to let go."""
+
+
+def translation(track: StoredTrack, number: int) -> PixelTranslation:
+    """What was found in the frame of this number."""
+    rows = track.rows
+    return PixelTranslation(
+        int(rows.time_ns[number]),
+        float(rows.x_px[number]),
+        float(rows.y_px[number]),
+        float(rows.variance_x_px2[number]),
+        float(rows.variance_y_px2[number]),
+        float(rows.quality[number]),
+        Status(rows.status[number]),
+        float(track.strength[number]),
+        float(track.reference_px2[number, 0]),
+        float(track.reference_px2[number, 1]),
+    )

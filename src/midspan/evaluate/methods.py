@@ -92,7 +92,9 @@ def run_all(
     for method, literal in forms:
         begun_s = time.perf_counter()
         try:
-            view = _in_form(recording, method, literal)
+            tree = recording.settings.model_dump(exclude_none=True)
+            tree["fusion"] |= {"method": method, "literal": literal}
+            view = Recording(recording.file, validate(tree, str(recording.file)))
             found = estimate(view, calibration, tracking=tracking, given=given, progress=progress)
         except MidspanError as error:
             yield MethodRun(method, literal, refused=str(error))
@@ -101,10 +103,3 @@ def run_all(
         own = of_result(found)
         compared = None if reference is None else metrics.compare(own.series, reference, band=own.band)
         yield MethodRun(method, literal, found, comparison=compared, took_s=took_s)
-
-
-def _in_form(recording: Recording, method: str, literal: bool) -> Recording:
-    """The recording with a method, as printed or not."""
-    tree = recording.settings.model_dump(exclude_none=True)
-    tree["fusion"] |= {"method": method, "literal": literal}
-    return Recording(recording.file, validate(tree, str(recording.file)))

@@ -1,17 +1,149 @@
 """A displacement against a reference, and a result against its own error band."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from midspan.checks import option, positive, same_length
 from midspan.errors import DataError, UsageError
-from midspan.evaluate.interpolation import Piecewise, piecewise, step_of
-from midspan.evaluate.lag import correlation, find_lag
 from midspan.fusion.blocks import REJECTED
-from midspan.records import Floats, Innovation, Nanoseconds, TimeSeries, seconds
+from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, TimeSeries, seconds
 from midspan.signals.stamps import shown
+
+# A pause of the reference longer than this many of its usual intervals is a gap: nothing is interpolated across it.
+MAX_GAP_STEPS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Piecewise:
+    """A series as cubic splines, one for each segment without a gap.
+
+    Not-a-knot splines: their error is at most 5/384 · h⁴ · max|x''''|, for a sine of frequency f sampled at rate r thus
+    5/384 · (2π f/r)⁴ of its amplitude; Akima's and other local cubics are of lower order at the crests. A spline across
+    a gap would ring into its neighbours, so each segment has its own.
+    origin_ns: what its seconds count from; start_s, end_s (k,): the segments; step_s: the usual interval.
+    """
+
+    origin_ns: int
+    start_s: Floats
+    end_s: Floats
+    step_s: float
+    splines: tuple[Any, ...]
+
+    def at(self, time_s: Floats) -> Floats:
+        """Values (n,) at increasing instants (n,), s after `origin_ns`; NaN in gaps and outside."""
+        value = np.full(len(time_s), np.nan)
+        first = np.searchsorted(time_s, self.start_s, side="left")
+        last = np.searchsorted(time_s, self.end_s, side="right")
+        for spline, i, j in zip(self.splines, first, last, strict=True):
+            if j > i:
+                value[i:j] = spline(time_s[i:j])
+        return value
+
+    def covers(self, time_s: Floats, margin_s: float) -> Any:
+        """Whether (n,) each instant lies in a segment, `margin_s` away from both its ends."""
+        k = np.clip(np.searchsorted(self.start_s, time_s, side="right") - 1, 0, len(self.start_s) - 1)
+        return (time_s - margin_s >= self.start_s[k]) & (time_s + margin_s <= self.end_s[k])
+
+
+def piecewise(series: TimeSeries) -> Piecewise:
+    """Splines of a series (n,) in its own unit; values that are not numbers count as missing.
+
+    Raises DataError below two numbers.
+    """
+    usable = np.isfinite(series.value)
+    time_ns, value = series.time_ns[usable], series.value[usable]
+    if len(time_ns) < 2:
+        raise DataError(f"The reference needs two numbers or more; it has {len(time_ns)}. Check its column.")
+    step_ns = float(np.median(np.diff(time_ns)))
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) > MAX_GAP_STEPS * step_ns) + 1, [len(time_ns)]))
+    origin_ns = int(time_ns[0])
+    time_s = seconds(time_ns, origin_ns)
+    return Piecewise(
+        origin_ns=origin_ns,
+        start_s=time_s[edges[:-1]],
+        end_s=time_s[edges[1:] - 1],
+        step_s=step_ns / NANOSECONDS,
+        splines=tuple(_spline(time_s[i:j], value[i:j]) for i, j in pairwise(edges)),
+    )
+
+
+def _spline(time_s: Floats, value: Floats) -> Any:
+    from scipy.interpolate import CubicSpline
+
+    if len(time_s) == 1:
+        return lambda at: np.full(len(at), value[0])
+    return CubicSpline(time_s, value, bc_type="not-a-knot")
+
+
+def step_of(time_ns: Nanoseconds) -> float:
+    """The usual interval of stamps (n,), s."""
+    return float(np.median(np.diff(time_ns))) / NANOSECONDS
+
+
+# The correlation is taken over this many instants at most, chosen at random: evenly thinned ones could always meet a
+# periodic motion at the same phase.
+MAX_INSTANTS = 5_000
+MIN_LAG_INSTANTS = 20
+MAX_LAGS = 2_000
+CANDIDATES = 5
+# Of maxima that differ by less than this, as a periodic motion has them, the one with the smallest lag is meant.
+ALIKE_MAXIMA = 1e-3
+
+
+def correlation(a: Floats, b: Floats) -> float | None:
+    """Pearson's correlation of two arrays (n,); None where either one is constant."""
+    a, b = a - a.mean(), b - b.mean()
+    power = float(np.sqrt(np.dot(a, a) * np.dot(b, b)))
+    floor = 1e-12 * len(a) * float(np.finfo(float).tiny + np.max(np.abs(a)) * np.max(np.abs(b)))
+    return float(np.dot(a, b)) / power if power > floor else None
+
+
+def find_lag(time_s: Floats, value: Floats, reference: Piecewise, max_lag_s: float) -> float | None:
+    """Seconds by which `value` (n,) at `time_s` (n,) comes later than the reference; positive: later.
+
+    The lag maximises the correlation of value(t) with reference(t − lag) within ±max_lag_s, or a quarter of the span in
+    common where that is shorter: scanned in steps of the finer of both intervals, the best maxima then refined on the
+    reference's spline. None where either is constant, or no maximum lies inside.
+    """
+    span = float(np.sum(reference.end_s - reference.start_s))
+    limit = min(max_lag_s, 0.25 * min(span, float(time_s[-1] - time_s[0])))
+    inside = np.flatnonzero(reference.covers(time_s, limit))
+    if len(inside) < MIN_LAG_INSTANTS or limit <= 0.0:
+        return None
+    if len(inside) > MAX_INSTANTS:
+        inside = np.sort(np.random.default_rng(0).choice(inside, MAX_INSTANTS, replace=False))
+    at, own = time_s[inside], value[inside]
+
+    def score(lag_s: float) -> float:
+        found = correlation(own, reference.at(at - lag_s))
+        return -2.0 if found is None else found
+
+    step = min(float(np.median(np.diff(time_s))), reference.step_s)
+    lags = np.linspace(-limit, limit, min(2 * int(np.ceil(limit / step)) + 1, MAX_LAGS + 1))
+    return _refined(lags, np.array([score(lag) for lag in lags]), score)
+
+
+def _refined(lags: Floats, scores: Floats, score: Callable[[float], float]) -> float | None:
+    """The refined lag of the highest maximum inside, None without one."""
+    from scipy.optimize import minimize_scalar
+
+    peaks = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] > scores[2:])) + 1
+    peaks = peaks[np.argsort(scores[peaks])[::-1][:CANDIDATES]]
+    if not len(peaks) or max(scores[0], scores[-1]) > scores[peaks[0]] + ALIKE_MAXIMA:
+        return None
+    found = []
+    for i in peaks:
+        bracket = (float(lags[i - 1]), float(lags[i + 1]))
+        options = {"xatol": 1e-7}
+        refined = minimize_scalar(lambda lag: -score(lag), bounds=bracket, method="bounded", options=options)
+        found.append((float(refined.x), -float(refined.fun)))
+    best = max(value for _, value in found)
+    return min((lag for lag, value in found if value > best - ALIKE_MAXIMA), key=abs)
+
 
 MAX_LAG_S = 1.0
 MIN_INSTANTS = 2

@@ -13,9 +13,7 @@ from midspan.evaluate.metrics import MAX_LAG_S, Band, Comparison
 from midspan.recording.result import Result
 from midspan.records import TimeSeries
 from midspan.settings.load import RECORDING_FILE
-from midspan.sinks.metadata import read_metadata
-from midspan.sinks.pair import mismatch
-from midspan.sources.accelerometer.channel import Channel
+from midspan.sinks.metadata import mismatch, read_metadata
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, named_after, read_series
 from midspan.sources.accelerometer.units import measures, si_factor
@@ -58,10 +56,12 @@ def read_result(path: str | Path, unit: str | None = None, axis: str | None = No
     if assumed:
         note = f"{path.name}: no unit in the file; {USUAL_UNIT} assumed."
         series = replace(series, notes=(*series.notes, note))
-    std = None if own is None else own.replace("displacement_", "displacement_std_")
-    return StoredResult(
-        series, None if std is None else _band(found.channels, std, series, (unit, _zero_std_m(path, axis)))
-    )
+    std, band = "" if own is None else own.replace("displacement_", "displacement_std_"), None
+    for channel in found.channels:
+        if channel.name == std and channel.size == len(series.value):
+            factor = si_factor(unit or channel.unit or USUAL_UNIT, "displacement", None)
+            band = band or Band(channel.values.astype(np.float64) * factor, _zero_std_m(path, axis))
+    return StoredResult(series, band)
 
 
 def _zero_std_m(path: Path, axis: str | None) -> float:
@@ -103,39 +103,8 @@ def _own(axis: str) -> str:
     return f"displacement_{axis}_mm"
 
 
-def _of_both(path: Path, axis: str | None) -> str | None:
-    """The axis, if the result has both; UsageError where it has one only."""
-    if axis is None or any(_own(name) in list_channels(path).names for name in "xy"):
-        return axis
-    raise UsageError(f"axis = {axis!r}: {path.name} has one axis only. Leave the axis out.")
-
-
-def _refuse_other_axis(path: Path, axis: str) -> None:
-    """DataError for a reference of one axis only where a result's second axis is compared: whose axis it is is unknown.
-
-    A file without midspan's columns holds what the user says it does.
-    """
-    if _is_recording(path):
-        return
-    names = list_channels(path).names
-    if VALUE in names and not any(_own(name) in names for name in "xy"):
-        raise DataError(
-            f"{path.name}: has {VALUE} but no column {_own(axis)} for the axis {axis!r}. Call the column {_own(axis)} "
-            f"if it is along {axis}, or name another reference."
-        )
-
-
 def _is_recording(path: Path) -> bool:
     return path.is_dir() or path.name == RECORDING_FILE or path.suffix == ".toml"
-
-
-def _band(channels: tuple[Channel, ...], name: str, series: TimeSeries, given: tuple[str | None, float]) -> Band | None:
-    """The band of a file's column of standard deviations; given: the unit that the user names, and the zero's, m."""
-    for channel in channels:
-        if channel.name == name and channel.size == len(series.value):
-            factor = si_factor(given[0] or channel.unit or USUAL_UNIT, "displacement", None)
-            return Band(channel.values.astype(np.float64) * factor, given[1])
-    return None
 
 
 def read_reference(path: str | Path, unit: str | None = None, axis: str | None = None) -> TimeSeries:
@@ -190,10 +159,19 @@ def compare(
         stored, second = of_result(result, axis), result.across is not None and result.across.axis == axis
     else:
         result = path_of("result", result)
-        stored = read_result(result, axis=_of_both(result, axis))
-        second = axis is not None and _own(axis) in list_channels(result).names
-    if axis is not None and second:
-        _refuse_other_axis(reference, axis)
+        names = () if axis is None else list_channels(result).names
+        if axis is not None and not any(_own(name) in names for name in "xy"):
+            raise UsageError(f"axis = {axis!r}: {result.name} has one axis only. Leave the axis out.")
+        stored = read_result(result, axis=axis)
+        second = axis is not None and _own(axis) in names
+    if axis is not None and second and not _is_recording(reference):
+        # A file without midspan's columns holds what the user says it does.
+        names = list_channels(reference).names
+        if VALUE in names and not any(_own(name) in names for name in "xy"):
+            raise DataError(
+                f"{reference.name}: has {VALUE} but no column {_own(axis)} for the axis {axis!r}. Call the column "
+                f"{_own(axis)} if it is along {axis}, or name another reference."
+            )
     wanted = read_reference(reference, unit, axis)
     found = metrics.compare(stored.series, wanted, band=stored.band, align=align, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]

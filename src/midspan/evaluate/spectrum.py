@@ -82,12 +82,13 @@ def spectrum(series: TimeSeries, *, max_modes: int = 6) -> Spectrum:
             f"The displacement has {len(value)} rows, of which {SEGMENTS} segments of {2 * MIN_ORDINATES} or more are "
             "needed for a spectrum. Give a longer record."
         )
-    from scipy.signal import welch
-
-    frequency, density = welch(1e3 * value, rate_hz, nperseg=segment, detrend="linear")
+    frequency, density = welch(1e3 * value, rate_hz, segment)
     width_hz = rate_hz / segment
     peaks = frequency[_peaks(frequency, density, (2 * len(value)) // segment - 1, rate_hz)]
-    ordinates = _periodogram(1e3 * value, rate_hz)
+    # The whole record, tapered over a twentieth at each end.
+    edge = 0.05 * (len(value) - 1)
+    near = np.minimum(np.arange(len(value)), np.arange(len(value))[::-1]) / edge
+    ordinates = _density(1e3 * value, rate_hz, 0.5 - 0.5 * np.cos(np.pi * np.minimum(near, 1.0)), overlap=0)
     modes: list[Mode] = []
     for peak_hz in peaks.tolist():
         # Chance splits a peak: what lies in one that is fitted is no other.
@@ -113,12 +114,24 @@ def _even(series: TimeSeries) -> tuple[float, Floats]:
     return NANOSECONDS / step_ns, np.interp(at_ns, series.time_ns[known], series.value[known])
 
 
-def _periodogram(value: Floats, rate_hz: float) -> tuple[Floats, Floats]:
-    """Frequencies (k,) and one-sided densities (k,) of the whole record, tapered at its ends."""
-    from scipy.signal import periodogram
-    from scipy.signal.windows import tukey
+def welch(value: Floats, rate_hz: float, segment: int) -> tuple[Floats, Floats]:
+    """Frequencies (k,), Hz, and one-sided density (k,) by Welch's method: Hann windows of `segment` values (n,), half
+    overlapping.
+    """
+    return _density(value, rate_hz, hann(segment), segment // 2)
 
-    return periodogram(value, rate_hz, window=tukey(len(value), 0.1), detrend="linear")  # type: ignore[no-any-return]
+
+def hann(count: int) -> Floats:
+    """Hann's window (n,) of one period."""
+    return np.hanning(count + 1)[:-1]
+
+
+def _density(value: Floats, rate_hz: float, window: Floats, overlap: int) -> tuple[Floats, Floats]:
+    # SciPy's own would bring scipy.stats with it, which takes a second to import.
+    from matplotlib import mlab
+
+    density, frequency = mlab.psd(value, len(window), rate_hz, "linear", window, overlap)
+    return np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)
 
 
 def _peaks(frequency: Floats, density: Floats, averaged: int, rate_hz: float) -> list[int]:
@@ -127,15 +140,14 @@ def _peaks(frequency: Floats, density: Floats, averaged: int, rate_hz: float) ->
     averaged: how many segments, of which half overlap, the density is the mean of.
     """
     from scipy.ndimage import median_filter
-    from scipy.signal import find_peaks
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     # The spectrum of the acceleration is more even, so that a median tells the level about a peak.
     even = density * frequency**4
     level = median_filter(even, AROUND | 1)
     freedom = 2.0 * max(averaged / 2.0, 1.0)
-    beyond = chi2.isf(CHANCE / len(even), freedom) / chi2.median(freedom)
-    near = np.asarray(find_peaks(even)[0])
+    beyond = chdtri(freedom, CHANCE / len(even)) / chdtri(freedom, 0.5)
+    near = 1 + np.flatnonzero((even[1:-1] > even[:-2]) & (even[1:-1] > even[2:]))
     usable = near[(even[near] > beyond * level[near]) & (frequency[near] < MAX_SHARE * rate_hz) & (near > 1)]
     order = np.argsort(-(even[usable] / level[usable]))
     return [int(k) for k in usable[order]]

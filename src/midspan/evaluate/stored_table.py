@@ -9,8 +9,7 @@ import numpy as np
 
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Nanoseconds
-from midspan.sinks.metadata import read_metadata
-from midspan.sinks.pair import KEY
+from midspan.sinks.metadata import KEY, read_metadata
 from midspan.sinks.table import ResultTable, is_text, unit_of, words_of
 from midspan.sinks.tdms import GROUP
 from midspan.sinks.xlsx import ROWS_SHEET
@@ -32,12 +31,19 @@ def read_table(path: Path) -> ResultTable:
         )
     require_file(path)
     with reading(path, "a result"):
-        columns: dict[str, Any] = {name: _column(name, values) for name, values in READERS[suffix](path).items()}
+        columns: dict[str, Any] = {name: np.asarray(values) for name, values in READERS[suffix](path).items()}
+        for name, values in columns.items():
+            if words_of(name) is not None:
+                # Without the blanks of formats with a fixed length.
+                texts = (one.decode() if isinstance(one, bytes) else one for one in values.tolist())
+                columns[name] = [str(text).strip() for text in texts]
     if not len(columns.get(TIME, ())):
         raise DataError(f"{path} holds no rows with a column {TIME}. Name a file that midspan wrote.")
-    texts = [name for name, values in columns.items() if name != TIME and unit_of(name) and is_text(values)]
-    if texts:
-        raise DataError(f"{path}: the column {texts[0]} holds text; it must hold numbers only. Correct the file.")
+    text_columns = [name for name, one in columns.items() if name != TIME and unit_of(name) and is_text(one)]
+    if text_columns:
+        raise DataError(
+            f"{path}: the column {text_columns[0]} holds text; it must hold numbers only. Correct the file."
+        )
     time_ns = _stamps(path, columns[TIME])
     columns[TIME] = time_ns / NANOSECONDS
     metadata = {key: value for key, value in read_metadata(path).items() if key != KEY}
@@ -64,14 +70,6 @@ def _stamps(path: Path, values: Any) -> Nanoseconds:
             f"{path}: {TIME} must grow from row to row; the row at {after} s follows that at {before} s. Sort the rows."
         )
     return time_ns
-
-
-def _column(name: str, values: Any) -> Any:
-    """Words as texts without the blanks of formats with a fixed length, numbers as they are."""
-    array = np.asarray(values)
-    if words_of(name) is None:
-        return array
-    return [str(one.decode() if isinstance(one, bytes) else one).strip() for one in array.tolist()]
 
 
 def _of_csv(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the core gives out as records: rows, innovations, events."""
+"""What the estimator gives out, as records: rows, innovations, and what it decided in the words of the field."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.fusion.decisions import Report, event_of
 from midspan.records import Channel, Estimate, Event, Floats, Innovation, Nanoseconds
 
 # The motion's first velocity lies within three times what the sensors say of its size; of the core too.
@@ -18,8 +17,54 @@ Codes = NDArray[np.uint8]
 # Stamps (n,), and of each axis displacement, variance, velocity, source and status.
 RowArrays = tuple[Nanoseconds, Sequence[tuple[Floats, Floats, Floats, Codes, Codes]]]
 InnovationArrays = tuple[Nanoseconds, Floats, Floats, NDArray[np.int8]]
+# Of the core: what happened (its place in TEXTS), when (ns), to which channel, its size and the standard deviation of
+# that (mm), and of outliers in a row how many and how long (s).
+Report = tuple[int, int, int, float, float, int, float]
 # Rows or None, innovations of each channel, events, variance of the zero of each axis.
 OutputArrays = tuple[RowArrays | None, Sequence[InnovationArrays], Sequence[Report], Sequence[float]]
+
+# Of each code of a report the event's kind and text.
+TEXTS = (
+    ("late", "Measurements of {sensor} came too late and are left out."),
+    ("overflow", "More than {max_waiting} measurements wait for samples of acceleration; the oldest are left out."),
+    (
+        "rejected",
+        "{count} measurements in a row ({name}) were rejected over {lasting_s:.2f} s, the first {size_mm:.2f} mm off: "
+        "they contradict the other sensors. Something may have stood in front of the target, or the tracker held on to "
+        "something else.",
+    ),
+    (
+        "rejected",
+        "A measurement of {name} lies {off} off and is left out: nothing moves so fast. Check the sensor and its "
+        "connection.",
+    ),
+    (
+        "level_shift",
+        "The zero of {name} shifted by {off}; the displacement keeps its own. Check whether the target or the sensor "
+        "has moved.",
+    ),
+    ("level_shift", "The zero of {name} went back to where it was before its shift, or its clock to where it was."),
+    (
+        "acceleration",
+        "The predicted displacement was off by {off} where {name} measured: the acceleration was wrong, and its band "
+        "is widened there. Check the accelerometer's range and mounting.",
+    ),
+    (
+        "reacquired",
+        "The predicted displacement had been led away: {name} measured {off} off, and the estimator started anew from "
+        "it.",
+    ),
+    ("noise", "The noise of {name} rose suddenly: a measurement lies {off} off, and its variance is raised."),
+    (
+        "clock",
+        "The clocks of {sensor} and of the accelerometer have stepped against each other: measurements (target "
+        "{target}) contradict the acceleration, the first by {off}. They bound only the slow motion from here on. "
+        "Calibrate the clock offset again.",
+    ),
+)
+EVENT_KINDS = frozenset(kind for kind, _ in TEXTS)
+# Of these the whole point is told, not one of its axes.
+OF_THE_POINT = ("late", "overflow")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +80,28 @@ class Rows:
     zero_variance_m2: tuple[float, ...] = ()
 
 
-def estimates_of(rows: RowArrays) -> tuple[Estimate, ...]:
-    """The rows of each axis."""
-    time_ns, axes = rows
-    return tuple(Estimate(time_ns, *one) for one in axes)
-
-
 def rows_of(output: OutputArrays, channels: Sequence[Channel], max_waiting: int) -> Rows:
-    """One output of the core as records."""
+    """One output of the core as records; max_waiting: so many measurements may wait for samples."""
     rows, innovations, reports, zero = output
     return Rows(
-        () if rows is None else estimates_of(rows),
-        tuple(Innovation(*one) for one in innovations),
-        tuple(event_of(one, channels, max_waiting) for one in reports),
+        () if rows is None else tuple(Estimate(rows[0], *axis) for axis in rows[1]),
+        tuple(Innovation(*channel) for channel in innovations),
+        tuple(_event(report, channels, max_waiting) for report in reports) if reports else (),
         tuple(zero),
     )
+
+
+def _event(report: Report, channels: Sequence[Channel], max_waiting: int) -> Event:
+    code, time_ns, number, size_mm, std_mm, count, lasting_s = report
+    (kind, text), channel = TEXTS[code], channels[number]
+    told = text.format(
+        sensor=channel.sensor,
+        target=channel.target,
+        name=f"{channel.sensor}, target {channel.target}",
+        off=f"{size_mm:.2f} ± {std_mm:.2f} mm",
+        size_mm=size_mm,
+        count=count,
+        lasting_s=lasting_s,
+        max_waiting=max_waiting,
+    )
+    return Event(time_ns, kind, told, 0 if kind in OF_THE_POINT else channel.axis)

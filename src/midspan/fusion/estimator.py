@@ -3,14 +3,12 @@
 The core (`core/src/estimator`) filters and decides; here its numbers become records and sentences.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.errors import DataError
-from midspan.fusion.blocks import Rows, estimates_of, rows_of
+from midspan.fusion.blocks import Rows, rows_of
 from midspan.fusion.model import EstimatorSettings
 from midspan.records import Estimate, Event, Floats, Measured, Nanoseconds, Samples
 
@@ -19,60 +17,17 @@ MAX_WAITING = 65536
 # Samples that are run at once: bounds the memory.
 BLOCK = 8192
 
-
-@dataclass(frozen=True, slots=True)
-class EstimatorState:
-    """All that an estimator remembers, as the core writes it: bytes with a version and a check sum."""
-
-    core: NDArray[np.uint8]
+State = NDArray[np.uint8]
+"""All that a stream of the core remembers, as the core writes it: bytes with a version and a check sum."""
 
 
-class Log:
-    """What an estimator keeps for a second pass: samples, measurements and final decisions as they were met."""
+class Stream:
+    """What `Estimator` and `Lag` have in common: records in, rows out, by a stream of the core."""
 
-    def __init__(self, core: _core.Estimator, settings: EstimatorSettings) -> None:
-        self.core, self.settings = core, settings
+    core: _core.Estimator | _core.Lag
 
-    @property
-    def samples(self) -> Samples:
-        """All samples, from the filter's beginning on."""
-        found = self.core.logged_samples()
-        assert found is not None
-        time_ns, value, density, kind = found
-        shape = (len(time_ns), self.settings.axes)
-        return Samples(time_ns, value.reshape(shape), density.reshape(shape), kind)
-
-    @property
-    def went_back_ns(self) -> Nanoseconds:
-        """Instants (k,) from which on clocks were in doubt, as stamps had gone back."""
-        return np.array(self.core.went_back_ns(), dtype=np.int64)
-
-    def smoothed(self, settings: EstimatorSettings, *, logged: bool = True) -> tuple[Estimate, ...]:
-        """The rows of each axis, smoothed by the whole record; logged: take the filters that were logged where they are
-        right, which gives the same bits as running all again.
-        """
-        return estimates_of(self.core.smooth(settings, logged and settings == self.settings))
-
-
-class Estimator:
-    """The estimator as a stream: any cutting of the input into pushes gives the same rows.
-
-    Measurements wait for the samples that cover their time; rows are held back until the first few have come. log: keep
-    all that a second pass needs. rows: whether rows are given out, which only a second pass does not need. max_waiting:
-    so many measurements may wait for samples, older ones are dropped; None: MAX_WAITING.
-    """
-
-    def __init__(
-        self, settings: EstimatorSettings, *, log: bool = False, rows: bool = True, max_waiting: int | None = None
-    ) -> None:
-        self.settings = settings
-        self._max_waiting = max_waiting or MAX_WAITING
-        self.core = _core.Estimator(settings, log=log, rows=rows, waiting=self._max_waiting, block=BLOCK)
-
-    @property
-    def log(self) -> Log | None:
-        """What a second pass needs; None before the filter has begun, or where nothing is kept."""
-        return Log(self.core, self.settings) if self.core.logs() else None
+    def __init__(self, settings: EstimatorSettings, max_waiting: int | None) -> None:
+        self.settings, self._max_waiting = settings, max_waiting or MAX_WAITING
 
     def push(self, record: Samples | Measured | Event) -> list[Rows]:
         """Take one block; returns for samples the rows that are due, if any.
@@ -80,11 +35,30 @@ class Estimator:
         Times increase from block to block of samples. A measurement that is not later than the last sample is left out,
         with an event. An event stands for stamps that went back: from then on clocks may have stepped.
         """
-        return pushed(self.core, record, self.settings, self._max_waiting)
+        if isinstance(record, Event):
+            self.core.doubt(record.time_ns)
+            return []
+        if isinstance(record, Measured):
+            self.core.measure(
+                np.ascontiguousarray(record.time_ns, dtype=np.int64),
+                np.ascontiguousarray(record.channel, dtype=np.int64),
+                *(
+                    np.ascontiguousarray(values, dtype=np.float64)
+                    for values in (record.value, record.variance, record.reference_variance)
+                ),
+            )
+            return []
+        outputs = self.core.push(
+            np.ascontiguousarray(record.time_ns, dtype=np.int64),
+            np.ascontiguousarray(record.value_m_s2, dtype=np.float64),
+            np.ascontiguousarray(record.noise_density, dtype=np.float64),
+            np.ascontiguousarray(record.kind, dtype=np.uint8),
+        )
+        return [rows_of(output, self.settings.channels, self._max_waiting) for output in outputs]
 
     def finish(self) -> list[Rows]:
         """The rows that are held back still, and events that the record's end completes."""
-        return [rows_of(one, self.settings.channels, self._max_waiting) for one in self.core.finish()]
+        return [rows_of(output, self.settings.channels, self._max_waiting) for output in self.core.finish()]
 
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
@@ -96,13 +70,13 @@ class Estimator:
         return self.core.predict(channel, time_ns) or (np.nan, np.inf)
 
     @property
-    def state(self) -> EstimatorState:
-        """All that the estimator remembers besides its log."""
-        return EstimatorState(np.frombuffer(self.core.state(), dtype=np.uint8))
+    def state(self) -> State:
+        """All that is remembered besides the log."""
+        return np.frombuffer(self.core.state(), dtype=np.uint8)
 
-    def restore(self, state: EstimatorState) -> None:
-        """Go on from a state of an estimator with the same settings."""
-        restore(self.core, state.core)
+    def restore(self, state: State) -> None:
+        """Go on from a state of a stream with the same settings."""
+        restore(self.core, state)
 
     @property
     def parameters(self) -> tuple[Floats, Floats]:
@@ -111,33 +85,61 @@ class Estimator:
         return np.array(values), np.array(variances)
 
 
-def pushed(
-    core: _core.Estimator | _core.Lag, record: Samples | Measured | Event, settings: EstimatorSettings, max_waiting: int
-) -> list[Rows]:
-    """Give a record to the core."""
-    if isinstance(record, Event):
-        core.doubt(record.time_ns)
-        return []
-    if isinstance(record, Measured):
-        core.measure(
-            np.ascontiguousarray(record.time_ns, dtype=np.int64),
-            np.ascontiguousarray(record.channel, dtype=np.int64),
-            *(
-                np.ascontiguousarray(one, dtype=np.float64)
-                for one in (record.value, record.variance, record.reference_variance)
-            ),
-        )
-        return []
-    found = core.push(
-        np.ascontiguousarray(record.time_ns, dtype=np.int64),
-        np.ascontiguousarray(record.value_m_s2, dtype=np.float64),
-        np.ascontiguousarray(record.noise_density, dtype=np.float64),
-        np.ascontiguousarray(record.kind, dtype=np.uint8),
-    )
-    return [rows_of(one, settings.channels, max_waiting) for one in found]
+class Estimator(Stream):
+    """The estimator as a stream: any cutting of the input into pushes gives the same rows.
+
+    Measurements wait for the samples that cover their time; rows are held back until the first few have come. log: keep
+    all that a second pass needs. rows: whether rows are given out, which only a second pass does not need. max_waiting:
+    so many measurements may wait for samples, older ones are dropped; None: MAX_WAITING.
+    """
+
+    core: _core.Estimator
+
+    def __init__(
+        self, settings: EstimatorSettings, *, log: bool = False, rows: bool = True, max_waiting: int | None = None
+    ) -> None:
+        super().__init__(settings, max_waiting)
+        self.core = _core.Estimator(settings, log=log, rows=rows, waiting=self._max_waiting, block=BLOCK)
+
+    @property
+    def logged_samples(self) -> Samples:
+        """All samples that were logged, from the filter's beginning on."""
+        logged = self.core.logged_samples()
+        assert logged is not None
+        time_ns, value, density, kind = logged
+        shape = (len(time_ns), self.settings.axes)
+        return Samples(time_ns, value.reshape(shape), density.reshape(shape), kind)
+
+    @property
+    def went_back_ns(self) -> Nanoseconds:
+        """Instants (k,) from which on clocks were in doubt, as stamps had gone back."""
+        return np.array(self.core.went_back_ns(), dtype=np.int64)
+
+    def smoothed(self, settings: EstimatorSettings | None = None, *, logged: bool = True) -> tuple[Estimate, ...]:
+        """The second pass over what was decided, once finished: the rows of each axis, smoothed by the whole record.
+
+        logged: take the filters that were logged where they are right (the settings are the same), which gives the same
+        bits as running all again.
+        """
+        settings = settings or self.settings
+        time_ns, axes = self.core.smooth(settings, logged and settings == self.settings)
+        return tuple(Estimate(time_ns, *axis) for axis in axes)
 
 
-def restore(core: _core.Estimator | _core.Lag | _core.PrintedFilter, state: NDArray[np.uint8]) -> None:
+class Lag(Stream):
+    """The estimator's rows given out `lag_samples` or up to a quarter more later, smoothed by what came until then.
+
+    The window moves on in hops of a quarter of the lag, counted in samples from the first one, so that any cutting of
+    the input gives the same rows. Innovations and events are those of the estimator, as they come.
+    """
+
+    def __init__(self, settings: EstimatorSettings, lag_samples: int, *, max_waiting: int | None = None) -> None:
+        super().__init__(settings, max_waiting)
+        self.lag_samples = lag_samples
+        self.core = _core.Lag(settings, lag_samples, waiting=self._max_waiting, block=BLOCK)
+
+
+def restore(core: _core.Estimator | _core.Lag | _core.PrintedFilter, state: State) -> None:
     """Let the core go on from its own bytes; DataError where they are not of a stream with the same settings."""
     try:
         core.restore(state.tobytes())

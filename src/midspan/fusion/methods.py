@@ -1,12 +1,20 @@
 """The table of fusion methods: a new one is a file with a function of the form `runners.OnSeries`, and a row here.
 
-The table costs no import: a method's module is imported when it is run.
+The table costs no import: a method's module is imported when it is run. The papers' methods stand in `papers`, above
+this room, and are known here by name alone.
 """
 
 from dataclasses import dataclass
 from enum import Enum
+from importlib import import_module
+from typing import Any
 
 from midspan.errors import UsageError
+
+# What the FIR methods take: lengths of their equiripple filters, below which nothing is left to shape and beyond which
+# the exchange algorithm fails to converge, and knots on each side of an interval. A cubic spline forgets what is k
+# knots away by 0.268 to the power k: 0.5 %.
+MIN_TAPS, MAX_TAPS, SPLINE_FRAMES = 9, 1500, 4
 
 
 class Pass(Enum):
@@ -65,7 +73,7 @@ METHODS: dict[str, Method] = {
         "causal, estimates the displacement's noise all the time: for light or weather that changes; "
         "with fusion.literal the adaptive multi-rate Kalman filter (AMKF paper) exactly as published",
         Pass.CAUSAL,
-        "midspan.fusion.adaptive:run_printed",
+        "midspan.papers.printed.adaptive:run_printed",
         literal=True,
         follows_noise=True,
         title="adaptive multirate Kalman filter",
@@ -73,18 +81,24 @@ METHODS: dict[str, Method] = {
     "fir": Method(
         "two FIR branches with a delay of seconds (Lee and others 2010; radar paper): to compare with it, where no "
         "motion is above the Nyquist frequency of the displacement",
-        on_series="midspan.fusion.fir:run_fir",
+        on_series="midspan.papers.printed.fir:run_fir",
         literal=True,
         title="regularised FIR filters of Lee",
     ),
     "two-stage-fir": Method(
         "the same after aliased motion is subtracted (two-stage paper): to compare with it",
-        on_series="midspan.fusion.two_stage:run_two_stage",
+        on_series="midspan.papers.printed.two_stage:run_two_stage",
         literal=True,
         title="two-stage FIR filters with aliased motion removed first",
     ),
 }
 DEFAULT_METHOD = "smoother"
+
+
+def named(place: str) -> Any:
+    """What stands at "module:name" in a room above, imported now."""
+    module, name = place.split(":")
+    return getattr(import_module(module), name)
 
 
 def no_literal_form(method: str) -> str:

@@ -96,12 +96,3 @@ class EstimatorSettings:
     unseen_zero_std_m: tuple[float, ...] = (0.0, 0.0)
     misfit: tuple[float, ...] = (1.0, 1.0)
     lean: tuple[float, ...] = (0.0, 0.0)
-
-    def unseen_variance_m2(self, axis: int) -> float:
-        """What nothing measured tells of a row, m²: of its own and of its zero."""
-        return 2.0 * self.unseen_std_m[axis] ** 2 + self.unseen_zero_std_m[axis] ** 2
-
-    def unseen_common_m2(self, axis: int) -> float:
-        """The part of it that all rows have in common, m²: a sensor's own zero has none of the first kind."""
-        own = 0.0 if self.zero_ns is None else self.unseen_std_m[axis] ** 2
-        return own + self.unseen_zero_std_m[axis] ** 2

@@ -18,15 +18,6 @@ def at(path: Estimate, time_ns: Nanoseconds) -> tuple[Floats, Floats]:
     return _cubic(t, path, at_s), np.interp(at_s, t, path.variance_m2)
 
 
-def velocity_at(path: Estimate, time_ns: Nanoseconds) -> Floats:
-    """Velocity (m/s) of an estimate at stamps (n,) in ns, by straight lines; beyond its ends as at them.
-
-    The slope of the cubic would be sharper on a smoothed path, but a causal one jumps where a measurement is met.
-    """
-    origin = int(path.time_ns[0])
-    return np.interp(seconds(time_ns, origin), seconds(path.time_ns, origin), path.velocity_m_s)
-
-
 def _cubic(t: Floats, path: Estimate, at_s: Floats) -> Floats:
     d, v = path.displacement_m, path.velocity_m_s
     if len(t) < 2:
@@ -41,10 +32,3 @@ def _cubic(t: Floats, path: Estimate, at_s: Floats) -> Floats:
         - u * u * (1 - u) * h * v[k + 1]
     )
     return between
-
-
-def rows_at(path: Estimate, time_ns: Nanoseconds) -> Estimate:
-    """The rows of an estimate at other stamps (n,); source and status are those of its last row before each."""
-    displacement, variance = at(path, time_ns)
-    last = np.maximum(np.searchsorted(path.time_ns, time_ns, side="right") - 1, 0)
-    return Estimate(time_ns, displacement, variance, velocity_at(path, time_ns), path.source[last], path.status[last])

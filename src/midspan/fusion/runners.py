@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 
 from midspan.checks import option
 from midspan.errors import UsageError
-from midspan.fusion.methods import METHODS, Pass, no_literal_form
+from midspan.fusion.methods import METHODS, Pass, named, no_literal_form
 from midspan.fusion.streams import MethodSettings, Smoothed, filtered, smooth
 from midspan.records import Acceleration, Displacement
 
@@ -31,8 +30,7 @@ def run_method(
     if settings.literal and not row.literal:
         raise UsageError(f"{no_literal_form(name)}.")
     if row.takes_series(literal=settings.literal):
-        module, function = row.on_series.split(":")
-        run: OnSeries = getattr(import_module(module), function)
+        run: OnSeries = named(row.on_series)
         return run(acceleration, displacement, settings, path)
     kalman = settings.kalman
     if row.follows_noise:

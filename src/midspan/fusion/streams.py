@@ -1,6 +1,6 @@
 """The estimator for plain arrays: one channel for each source of displacement, in metres, whose zero is known.
 
-For displacement that comes ready made; everything else about the estimator is in `estimator` and `second_pass`.
+For displacement that comes ready made; everything else about the estimator is in `estimator`.
 """
 
 from collections.abc import Sequence
@@ -11,10 +11,9 @@ import numpy as np
 from midspan.checks import refuse
 from midspan.fusion.blocks import Rows
 from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
-from midspan.fusion.estimator import Estimator, EstimatorState
+from midspan.fusion.estimator import Estimator, Lag, State, Stream
+from midspan.fusion.methods import SPLINE_FRAMES
 from midspan.fusion.model import EstimatorSettings, Rates
-from midspan.fusion.second_pass import Lag, LagState
-from midspan.fusion.second_pass import smooth as smooth_log
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -31,7 +30,6 @@ from midspan.records import (
     joined,
     part,
 )
-from midspan.signals.resample import SIDE
 
 Output = Estimate | Innovation | Event
 # Every measurement is as good as its variance says: none is rejected.
@@ -71,12 +69,9 @@ class KalmanSettings:
         The channel of the prediction stands for what is known before anything is measured; no row rests on it.
         """
         ages = {Source.PREDICTION: (-1.0, -1.0)}
-        channels = []
-        for code in map(Source, sources):
-            coasting_s, lost_s = ages.get(code, (self.coasting_s, self.lost_s))
-            channels.append(Channel(code.word, code, 1.0, coasting_s=coasting_s, lost_s=lost_s))
+        own = ((code, ages.get(code, (self.coasting_s, self.lost_s))) for code in map(Source, sources))
         settings = EstimatorSettings(
-            channels=tuple(channels),
+            tuple(Channel(code.word, code, 1.0, coasting_s=age[0], lost_s=age[1]) for code, age in own),
             bias_m_s2=(self.bias,),
             bias_std_m_s2=(self.bias_std,),
             bias_walk=self.bias_walk,
@@ -94,10 +89,9 @@ class MethodSettings:
 
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
-    What the papers leave open: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s of `adaptive-kalman`,
-    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`,
-    see `fir.FirSettings`; transition_hz, taps, anti_alias_taps of `two-stage-fir`, see `two_stage.TwoStageSettings`;
-    spline_frames of both.
+    What the papers leave open, see `papers/printed`: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s
+    of `adaptive-kalman` (`PrintedFilter`); half_window, cut_off_hz, accuracy of `fir` (`FirSettings`); transition_hz,
+    taps, anti_alias_taps of `two-stage-fir` (`TwoStageSettings`); spline_frames of both.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
@@ -114,7 +108,7 @@ class MethodSettings:
     transition_hz: tuple[float, float] = (0.5, 1.0)
     taps: int | None = None
     anti_alias_taps: int | None = None
-    spline_frames: int = SIDE
+    spline_frames: int = SPLINE_FRAMES
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting < 1.0:
@@ -158,7 +152,7 @@ class KalmanFilter:
             raise refuse("lag_samples", "0 or more", lag_samples)
         self.settings = settings or KalmanSettings()
         known = self.settings.estimator(tuple(Source))
-        self._estimator: Estimator | Lag = Lag(known, lag_samples) if lag_samples else Estimator(known)
+        self._estimator: Stream = Lag(known, lag_samples) if lag_samples else Estimator(known)
 
     def push(self, record: Acceleration | Displacement) -> list[Output]:
         """Take one block; returns for acceleration an Estimate, an Innovation and Events, each where there are any.
@@ -170,24 +164,28 @@ class KalmanFilter:
         if isinstance(record, Displacement):
             self._estimator.push(measured(sound_displacement(record), tuple(Source)))
             return []
-        return outputs(self._estimator.push(samples(sound_acceleration(record))))
+        return self._single(self._estimator.push(samples(sound_acceleration(record))))
 
     def finish(self) -> list[Output]:
         """What is left at the end of the record."""
-        return outputs(self._estimator.finish())
+        return self._single(self._estimator.finish())
+
+    def _single(self, rows: Sequence[Rows]) -> list[Output]:
+        estimate, innovation, events = gathered(rows)
+        return [*(one for one in (estimate, innovation) if one is not None), *events]
 
     def predict(self, time_ns: int) -> tuple[float, float]:
         """Displacement (m) and variance (m²) at a time after the last sample, whose acceleration is held."""
         return self._estimator.predict(Source.PREDICTION, time_ns)
 
     @property
-    def state(self) -> EstimatorState | LagState:
+    def state(self) -> State:
         """All that the filter remembers."""
         return self._estimator.state
 
-    def restore(self, state: EstimatorState | LagState) -> None:
+    def restore(self, state: State) -> None:
         """Go on from the state of a filter with the same settings."""
-        self._estimator.restore(state)  # type: ignore[arg-type]
+        self._estimator.restore(state)
 
 
 def smooth(acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings | None = None) -> Smoothed:
@@ -196,13 +194,11 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. The
     estimate has one row a sample; its standard deviation is that of the smoother.
     """
-    settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
-    estimator = Estimator(known, log=True, rows=False, max_waiting=count)
+    settings, count = settings or KalmanSettings(), len(displacement.time_ns) + 1
+    estimator = Estimator(settings.estimator(sources_of(displacement)), log=True, rows=False, max_waiting=count)
     _, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
-    assert estimator.log is not None
-    return Smoothed(smooth_log(estimator.log, estimator.settings)[0], innovation or no_innovation(), tuple(events))
+    return Smoothed(estimator.smoothed()[0], innovation or no_innovation(), tuple(events))
 
 
 def filtered(
@@ -213,9 +209,9 @@ def filtered(
     lag_s: float = 0.0,
 ) -> Smoothed:
     """Filter a whole record, as `smooth`; each row rests on what came before it, and on what came `lag_s` after it."""
-    settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    known, count = settings.estimator(sources_of(displacement)), len(displacement.time_ns) + 1
+    settings, count = settings or KalmanSettings(), len(displacement.time_ns) + 1
+    known = settings.estimator(sources_of(displacement))
     step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
     lag_samples = round(lag_s / step_s)
     estimator = Lag(known, lag_samples, max_waiting=count) if lag_samples else Estimator(known, max_waiting=count)
@@ -225,7 +221,7 @@ def filtered(
 
 
 def whole(
-    estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
+    estimator: Stream, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
 ) -> list[Rows]:
     """All that an estimator with one channel for each of `sources_of` gives for a whole record, in one piece.
 
@@ -268,12 +264,6 @@ def gathered(rows: Sequence[Rows]) -> tuple[Estimate | None, Innovation | None, 
         None if met is None else part(met, np.argsort(met.time_ns, kind="stable")),
         [event for one in rows for event in one.events],
     )
-
-
-def outputs(rows: Sequence[Rows]) -> list[Output]:
-    """What a push gave as single records."""
-    estimate, innovation, events = gathered(rows)
-    return [*(one for one in (estimate, innovation) if one is not None), *events]
 
 
 def sources_of(displacement: Displacement) -> tuple[int, ...]:

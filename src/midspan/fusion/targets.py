@@ -4,8 +4,6 @@ All targets are fixed, so their displacements differ by noise and by a constant:
 picture, whose noise is in its zero. Arrays have the axes (target k, frame n); what was not seen is NaN.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,21 +16,15 @@ MEDIAN_EXCESS = 0.5 * np.pi
 Used = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
-class Combined:
-    """One value a frame: value and variance (n,), NaN and infinite where no target is used."""
-
-    value: Floats
-    variance: Floats
-
-
-def combine(residual: Floats, variance: Floats, used: Used) -> Combined:
-    """The mean by inverse variance of those residuals (k, n) that are `used`."""
+def combine(residual: Floats, variance: Floats, used: Used) -> tuple[Floats, Floats]:
+    """One value a frame and its variance (n,): the mean by inverse variance of those residuals (k, n) that are `used`;
+    NaN and infinite where none is.
+    """
     inverse = np.where(used, 1.0 / np.maximum(np.where(used, variance, 1.0), 1e-300), 0.0)
     total = inverse.sum(axis=0)
     known = np.where(total > 0.0, total, 1.0)
     value = np.where(total > 0.0, np.sum(inverse / known * np.where(used, residual, 0.0), axis=0), np.nan)
-    return Combined(value, np.where(total > 0.0, 1.0 / known, np.inf))
+    return value, np.where(total > 0.0, 1.0 / known, np.inf)
 
 
 def agreeing(residual: Floats, variance: Floats, path_variance: Floats) -> Used:
@@ -49,33 +41,21 @@ def agreeing(residual: Floats, variance: Floats, path_variance: Floats) -> Used:
     crowd = count >= 3
     middle, spread = np.zeros(residual.shape[1]), np.asarray(path_variance, dtype=np.float64)
     if crowd.any():
-        middle = np.where(crowd, _median(residual, usable, crowd), 0.0)
+        middle[crowd] = np.nanmedian(np.where(usable, residual, np.nan)[:, crowd], axis=0)
         information = np.where(crowd, np.sum(1.0 / total, axis=0), 1.0)
         spread = np.where(crowd, MEDIAN_EXCESS / information, spread)
     known = np.where(usable, residual - middle, 0.0) / np.sqrt(np.where(usable, variance, 1.0) + spread)
     away = np.where(usable, np.abs(known), np.inf)
     used = usable & (away <= AGREE_STD)
-    pair = (count == 2) & ~_apart(residual, total, usable)
+    low = np.min(np.where(usable, residual, np.inf), axis=0)
+    high = np.max(np.where(usable, residual, -np.inf), axis=0)
+    both = np.sqrt(np.sum(np.where(usable, total, 0.0), axis=0))
+    pair = (count == 2) & (high - low <= AGREE_STD * both)
     used = np.where(pair, usable, used)
     # Where nothing agrees, the nearest is taken, and the filter judges it.
     none = (count > 0) & ~used.any(axis=0)
     used[np.argmin(away, axis=0)[none], np.flatnonzero(none)] = True
     return used
-
-
-def _median(residual: Floats, usable: Used, frames: Used) -> Floats:
-    """The median (n,) over the usable targets of `frames`, 0 elsewhere."""
-    out = np.zeros(residual.shape[1])
-    out[frames] = np.nanmedian(np.where(usable, residual, np.nan)[:, frames], axis=0)
-    return out
-
-
-def _apart(residual: Floats, total: Floats, usable: Used) -> Used:
-    """Whether the lowest and the highest of the usable targets (k, n) differ by more than noise, (n,)."""
-    low = np.min(np.where(usable, residual, np.inf), axis=0)
-    high = np.max(np.where(usable, residual, -np.inf), axis=0)
-    both = np.sum(np.where(usable, total, 0.0), axis=0)
-    return np.where(usable.any(axis=0), high - low > AGREE_STD * np.sqrt(both), False)
 
 
 def relative_zeros(residual: Floats, variance: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """The two-stage paper's calibration, section 3: scale factor and clock offset at 30 and 3 frames/s; figures 18, 19, 23.
 
-The steps are those of `calibration.printed`. "proposed" samples the displacement as the camera does before it is
+The steps are those of `papers.printed.camera`. "proposed" samples the displacement as the camera does before it is
 filtered, "existing" after; with or without a spline of the cross-correlation.
 """
 
@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.papers.claims import Effort, Measured
+from midspan.papers.motions import CAMERA_HZ
+from midspan.papers.printed.camera import calibrate_printed
 from midspan.papers.two_stage_003 import (
-    CAMERA_HZ,
     FIRS,
     STOREY,
     STOREY_S,
@@ -24,17 +25,14 @@ from midspan.papers.two_stage_003 import (
     storey_motion,
 )
 
-LOW_HZ, HIGH_HZ = 0.5, 3.0
-MAX_OFFSET_S = 1.0
-
 
 def aligned(record: Record, slow_hz: float, *, sampled_first: bool, spline: bool, late_s: float) -> tuple[float, float]:
     """Scale factor over the true one, and the clock offset's error in s; the camera's stamps are `late_s` late."""
     felt, seen = record.acceleration, record.displacement
     samples = np.column_stack((felt.time_ns / 1e9, felt.value_m_s2, np.ones(len(felt.time_ns))))
     rows = np.column_stack((seen.time_ns / 1e9 + late_s, seen.value_m, np.ones(len(seen.time_ns))))
-    steps = PrintedSteps((LOW_HZ, min(HIGH_HZ, 0.5 * slow_hz)), spline, sampled_first, sign=1)
-    scale, offset = calibrate_printed(Pair(samples, rows), MAX_OFFSET_S, steps)
+    steps = PrintedSteps((0.5, min(3.0, 0.5 * slow_hz)), spline, sampled_first, sign=1)
+    scale, offset = calibrate_printed(Pair(samples, rows), 1.0, steps)
     return scale.value_m_per_px, offset.value_s + late_s
 
 

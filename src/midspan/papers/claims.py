@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -61,6 +61,15 @@ class Claim:
     right: str = ""
     above: bool = False
 
+    @classmethod
+    def of(cls, text: str, inequality: str) -> "Claim":
+        """From an inequality of measured names: "a < b", "a > 0.5 · b" or, with a limit, "a < 0.3"."""
+        left, sign, limit = re.split(r" ([<>]) ", inequality)
+        factor, _, right = limit.rpartition(" · ")
+        if re.fullmatch(r"[\d.]+", right):
+            factor, right = right, ""
+        return cls(text, left, float(factor or 1.0), right, above=sign == ">")
+
     def holds(self, values: Mapping[str, Floats]) -> bool:
         """Whether the numbers, each an array over the cases, satisfy it; a number that is missing does not."""
         limit = self.factor * (values[self.right] if self.right else 1.0)
@@ -72,9 +81,9 @@ class Entry:
     """A table or figure of a paper: what it prints, the measured names to show for it, and its claims.
 
     where: "Fig. 14"; paper: the paper's own figure; printed, ours: names of measured numbers of the method as printed
-    and of our default; a name that ends in "(…)" has a unit of its own. errors: both are errors, those with a unit of
-    their own excepted, so that the factor between their least can be given. because: why the claim does not hold here,
-    or, without claims, why it cannot be tried.
+    and of our default; a name that ends in "(…)" has a unit of its own. claims: words → inequality, as `Claim.of` takes
+    them. errors: both are errors, those with a unit of their own excepted, so that the factor between their least can
+    be given. because: why the claim does not hold here, or, without claims, why it cannot be tried.
     """
 
     where: str
@@ -82,7 +91,7 @@ class Entry:
     paper: str
     printed: tuple[str, ...] = ()
     ours: tuple[str, ...] = ()
-    claims: tuple[Claim, ...] = ()
+    claims: Mapping[str, str] = field(default_factory=dict)
     unit: str = "mm"
     errors: bool = False
     because: str = ""
@@ -143,7 +152,7 @@ class Row:
             "factor": self.factor,
             "worse": self.worse,
             "values": {name: value.tolist() for name, value in self.values.items()},
-            "claims": {claim.text: claim.holds(self.values) for claim in self.entry.claims},
+            "claims": {claim.text: claim.holds(self.values) for claim in _claims(self.entry)},
         }
 
 
@@ -161,17 +170,19 @@ def judged(experiment: Experiment, found: Sequence[Measured]) -> list[Row]:
     return [_row(experiment.paper, entry, values) for entry in experiment.entries]
 
 
+def _claims(entry: Entry) -> list[Claim]:
+    return [Claim.of(*item) for item in entry.claims.items()]
+
+
 def _row(paper: str, entry: Entry, values: dict[str, Floats]) -> Row:
-    names = {*entry.printed, *entry.ours} | {name for claim in entry.claims for name in (claim.left, claim.right)}
+    claims = _claims(entry)
+    names = {*entry.printed, *entry.ours} | {name for claim in claims for name in (claim.left, claim.right)}
     own = {name: value for name, value in values.items() if name in names}
     shown, ours = (_shown(part, own, entry) for part in (entry.printed, entry.ours))
-    if not entry.claims:
+    if not claims:
         return Row(paper, entry, shown, ours, Verdict.UNTRIED, entry.because, own)
-    failed = [claim.text for claim in entry.claims if not claim.holds(own)]
-    if failed:
-        why = f"not that {'; '.join(failed)}. {entry.because}".rstrip()
-    else:
-        why = "; ".join(claim.text for claim in entry.claims)
+    failed = [claim.text for claim in claims if not claim.holds(own)]
+    why = f"not that {'; '.join(failed)}. {entry.because}".rstrip() if failed else "; ".join(entry.claims)
     verdict = Verdict.FAILS if failed else Verdict.HOLDS
     return Row(paper, entry, shown, ours, verdict, why, own, _factor(entry, own))
 

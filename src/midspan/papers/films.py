@@ -17,6 +17,8 @@ import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.tracking import CameraTracking
+from midspan.papers.filming import CALIBRATION, Film, write_recording
+from midspan.papers.motions import ACCELEROMETER
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
@@ -29,7 +31,6 @@ from midspan.records import (
     PixelTrack,
 )
 from midspan.settings.stored.calibration import Calibration
-from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, Film, write_recording
 from midspan.vision.tracker import open_tracker, tracker_settings
 
 # What the printed calibration is given: its band reaches from 0.3 Hz to a tenth of the camera's 29.97 frames a second,

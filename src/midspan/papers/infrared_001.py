@@ -11,18 +11,20 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.calibration.fit import Pair
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import calibrate_scale
 from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
-from midspan.engine.switching import Switch
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.target_opening import ThermalTarget
 from midspan.errors import UsageError
-from midspan.fusion.adaptive import PrintedFilter
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanFilter, KalmanSettings, MethodSettings
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.motions import ACCELEROMETER, Sweep
+from midspan.papers.printed.adaptive import PrintedFilter
+from midspan.papers.printed.camera import calibrate_printed
+from midspan.papers.printed.switching import Switch
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -39,8 +41,7 @@ from midspan.records import (
 )
 from midspan.simulate.day.camera import Wall, wall_in_relief
 from midspan.simulate.day.sky import Light
-from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
-from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.scene.scene import Image
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalView, WarmBody
@@ -60,17 +61,17 @@ from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
 
-# Scale factors of the paper, mm/px: camera, infrared, infrared on the bridge.
-CAMERA_MM, INFRARED_MM, BRIDGE_MM = 0.945, 1.094, 3.827
+# Scale factors of the paper, mm/px: camera, infrared.
+CAMERA_MM, INFRARED_MM = 0.945, 1.094
 BAND_HZ = (0.3, 3.0)
 # As printed: its l and h divide the differences by nine; SURF matches with rejection I and II.
 DIVISIONS = 9
 FEATURES = tracker_settings("features", literal=True)
 IN_GREY = tracker_settings("features", literal=True, detector="sift")
 INFRARED_SIZE, INFRARED_ROI = (90, 112), Region(20, 14, 72, 60)
-WALL_SIZE, WALL_ROI, WALL_HZ = (96, 96), Region(20, 20, 56, 56), 10.0
-BIAS_M_S2, NOISE_M_S2, FELT_HZ = 0.02, 5e-4, 100.0
-SETTLED_S = 5.0  # the learnt noise R remembers 20 frames: 2 s, and the start is one of them
+WALL_ROI, WALL_HZ = Region(20, 20, 56, 56), 10.0
+FELT_HZ = ACCELEROMETER.rate_hz
+DENSITY = ACCELEROMETER.noise_std_m_s2**2 / FELT_HZ
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ class Filmed:
     def fused_mm(self, track: PixelTrack, *, literal: bool) -> float:
         """Error in mm of a track that is fused with the acceleration: by the printed filter, or smoothed."""
         series = (self.at_s, self.scale_mm * track.y_px, (1e-3 * self.scale_mm) ** 2 * track.variance_y_px2)
-        density = np.full(len(self.acceleration.value), NOISE_M_S2**2 / FELT_HZ)
+        density = np.full(len(self.acceleration.value), DENSITY)
         acceleration = Acceleration(self.acceleration.time_ns, self.acceleration.value, density)
         return _fused(acceleration, series, self.truth_m, literal=literal)
 
@@ -120,7 +121,7 @@ class Filmed:
         filtered = self._printed() if printed else KalmanFilter(KalmanSettings(bias=float(np.mean(series.value))))
         take = filtered.wait if isinstance(filtered, PrintedFilter) else filtered.push
         scale_m, min_std_px = 1e-3 * self.scale_mm, 0.0 if printed else MIN_STD_PX
-        samples = Acceleration(series.time_ns, series.value, np.full(len(series.time_ns), NOISE_M_S2**2 / FELT_HZ))
+        samples = Acceleration(series.time_ns, series.value, np.full(len(series.time_ns), DENSITY))
         found: list[PixelTranslation] = []
         pushed, across_px = 0, 0.0
         for frame in frames:
@@ -142,7 +143,7 @@ class Filmed:
     def _printed(self) -> PrintedFilter:
         """The adaptive filter as printed at the film's beginning."""
         speed_m_s = float(np.sqrt(np.mean(np.diff(self.truth_m) ** 2))) * FELT_HZ
-        kalman = KalmanSettings(bias=BIAS_M_S2, velocity_std=VELOCITY_WITHIN * speed_m_s)
+        kalman = KalmanSettings(bias=ACCELEROMETER.bias_m_s2, velocity_std=VELOCITY_WITHIN * speed_m_s)
         begins_ns = int(self.acceleration.time_ns[0])
         return PrintedFilter(MethodSettings(kalman, literal=True), begins_ns, step_s=1 / FELT_HZ, speed_m_s=speed_m_s)
 
@@ -218,8 +219,7 @@ def filmed(frames: list[Frame], px: Floats, scale_mm: float, motion: Motion, len
 
 def felt(motion: Motion, length_s: float, seed: int) -> TimeSeries:
     """The motion by the accelerometer."""
-    model = AccelerometerModel(FELT_HZ, NOISE_M_S2, BIAS_M_S2)
-    return model.measure(motion, (0.0, length_s), rng=np.random.default_rng([11, seed]))
+    return ACCELEROMETER.measure(motion, (0.0, length_s), rng=np.random.default_rng([11, seed]))
 
 
 def cups(motion: Motion, scale: float, warm_c: float, cold_c: float) -> tuple[WarmBody, WarmBody]:
@@ -384,9 +384,9 @@ def bridge(effort: Effort) -> Measured:
     length_s, rate_hz = (12.0, 15.0) if effort.quick else (30.0, 15.0)
     rng = np.random.default_rng([4, effort.seed])
     motion = from_rest(random_motion((2.0, 2.3), 2.5e-3, rng=rng), length_s)
-    cold = cups(motion, BRIDGE_MM, 9.0, -14.0)
+    cold = cups(motion, 3.827, 9.0, -14.0)
     exhaust = WarmBody(0.7 * length_s, -20.0, 40.0, 20.0, 26.0, 60.0, celsius=25.0)
-    setting = {"length_s": length_s, "rate_hz": rate_hz, "scale": BRIDGE_MM}
+    setting = {"length_s": length_s, "rate_hz": rate_hz, "scale": 3.827}
     case = [
         infrared(motion, fans(effort.seed, *cold, *more, mean_c=-1.0), 50 + effort.seed, **setting)
         for more in ((), (exhaust,))
@@ -411,7 +411,7 @@ def lit(wall: Wall, moved: Floats, lights: Sequence[Light], seed: int) -> list[F
 
 def relief(rng: np.random.Generator) -> Wall:
     """A stone whose bumps are all that throws shade."""
-    wall = wall_in_relief(WALL_SIZE, rng=rng, slope=0.25)
+    wall = wall_in_relief((96, 96), rng=rng, slope=0.25)
     return replace(wall, post_at_px=-1e4, eaves_px=0.0)
 
 
@@ -454,21 +454,18 @@ def _matches(row: PixelTranslation) -> float:
     return row.strength if np.isfinite(row.y_px) else 0.0
 
 
-# Case 7: [0, 38] day, [38, 52] transition, [52, 92] night, [92, 108] transition, [108, 120] day, s.
-DAY_S, NIGHT_S, LENGTH_S = (38.0, 108.0), (52.0, 92.0), 120.0
-
-
 def day_and_night(effort: Effort) -> Measured:
     """Case 7: the light goes out between 38 and 60 s and comes back before 100 s; the air cools from 60 s on."""
-    at_s = np.arange(int(LENGTH_S * WALL_HZ)) / WALL_HZ
-    motion = from_rest(random_motion((0.3, 2.2), 1.5e-3, rng=np.random.default_rng([7, effort.seed])), LENGTH_S)
+    length_s = 120.0
+    at_s = np.arange(int(length_s * WALL_HZ)) / WALL_HZ
+    motion = from_rest(random_motion((0.3, 2.2), 1.5e-3, rng=np.random.default_rng([7, effort.seed])), length_s)
     true = motion.displacement(at_s) - motion.displacement(np.zeros(1))
     strength = np.interp(at_s, [38.0, 56.0, 60.0, 94.0, 100.0], [0.8, 0.02, 0.0, 0.0, 0.8])
     lights = [lamp(float(a), float(s)) for a, s in zip(np.interp(at_s, [0, 60], [-0.3, 0.3]), strength, strict=True)]
     wall = relief(np.random.default_rng([8, effort.seed]))
     px, warmer_px = (true / (1e-3 * scale) for scale in (CAMERA_MM, INFRARED_MM))
-    seen = filmed(lit(wall, px, lights, effort.seed), px, CAMERA_MM, motion, LENGTH_S, effort.seed)
-    warm = filmed(_cooling(true, at_s, effort.seed), warmer_px, INFRARED_MM, motion, LENGTH_S, effort.seed)
+    seen = filmed(lit(wall, px, lights, effort.seed), px, CAMERA_MM, motion, length_s, effort.seed)
+    warm = filmed(_cooling(true, at_s, effort.seed), warmer_px, INFRARED_MM, motion, length_s, effort.seed)
     sensed = seen.acceleration
     calibration = slice(None, 100, 2)
     known = replace(warm, frames=warm.frames[calibration], px=warm.px[calibration])
@@ -485,7 +482,7 @@ def day_and_night(effort: Effort) -> Measured:
     rows = [printed[name][k] for k, name in enumerate(chosen)]
     scale = np.array([{"camera": CAMERA_MM, "infrared": INFRARED_MM}[name] for name in chosen])
     value_mm = scale * np.array([row.y_px for row in rows])
-    acceleration = Acceleration(sensed.time_ns, sensed.value, np.full(len(sensed.value), NOISE_M_S2**2 / FELT_HZ))
+    acceleration = Acceleration(sensed.time_ns, sensed.value, np.full(len(sensed.value), DENSITY))
     changes = np.flatnonzero(np.array(chosen[1:]) != np.array(chosen[:-1])) + 1
     seen_s = np.concatenate(([0.0], at_s[np.isfinite(value_mm)], [at_s[-1]]))
     gaps = np.diff(seen_s)
@@ -523,14 +520,15 @@ def _cooling(true_m: Floats, at_s: Floats, seed: int) -> list[Frame]:
 
 def _chosen(at_s: Floats, rows: dict[str, list[PixelTranslation]]) -> list[str]:
     """Which camera measures in each frame: by day vision, by night infrared, between them that with more matches."""
+    # [0, 38] day, [38, 52] transition, [52, 92] night, [92, 108] transition, [108, 120] day, s.
     switch, chosen = Switch(("camera", "infrared")), []
     for k, time_s in enumerate(at_s):
         for name, own in rows.items():
             switch.push(name, own[k].time_ns, _matches(own[k]))
-        if time_s < DAY_S[0] or time_s >= DAY_S[1]:
+        if time_s < 38.0 or time_s >= 108.0:
             chosen.append("camera")
         else:
-            chosen.append("infrared" if NIGHT_S[0] <= time_s < NIGHT_S[1] else switch.chosen)
+            chosen.append("infrared" if 52.0 <= time_s < 92.0 else switch.chosen)
     return chosen
 
 
@@ -544,10 +542,11 @@ def _fused(
     stamps = np.round(1e9 * at_s[good]).astype(np.int64)
     displacement = Displacement(stamps, 1e-3 * value_mm[good], variance[good], source)
     method = "adaptive-kalman" if literal else "smoother"
-    settings = MethodSettings(KalmanSettings(bias=BIAS_M_S2), literal=literal)
+    settings = MethodSettings(KalmanSettings(bias=ACCELEROMETER.bias_m_s2), literal=literal)
     rows = run_method(method, acceleration, displacement, settings).estimate
     error = 1e3 * (rows.displacement_m - truth_m[-len(rows.time_ns) :])
-    return float(np.std(error[round(SETTLED_S * FELT_HZ) :]))
+    # The learnt noise R remembers 20 frames: 2 s, and the start is one of them.
+    return float(np.std(error[round(5.0 * FELT_HZ) :]))
 
 
 def _ours(acceleration: Acceleration, films: tuple[Filmed, Filmed], at_s: Floats, truth_m: Floats) -> float:

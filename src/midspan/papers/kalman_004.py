@@ -7,15 +7,16 @@ scale factor of a known size; "fused" adds the adaptive filter.
 """
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.filming import Film, FilmSettings, film
 from midspan.papers.films import Run, Track, Way, followed, frames_of, half_sample_mm, run_all, with_means
 from midspan.records import Floats, Prediction, Region
-from midspan.simulate.scenarios.papers import Film, FilmSettings, film
 from midspan.vision.features import FeatureSettings, earlier_rules, good_matches
 from midspan.vision.tracker import open_tracker, tracker_settings
 
@@ -32,16 +33,12 @@ WAYS = {
     "registration": Way("registration", "smoother"),
 }
 OURS = "registration and smoother"  # what our default is called where it is fused
-# The papers calibrate with 50 s. In much less, what the printed calibration leaves hides what its trackers differ by.
-CALIBRATION_S, QUICK_CALIBRATION_S = 50.0, 30.0
-QUICK_EXCITATION_S = 8.0
 
 
 def printed_film(name: str, effort: Effort, quick: tuple[str, ...]) -> Film:
     """The scene's film, short where it must be quick."""
-    settings = FilmSettings(CALIBRATION_S)
-    if effort.quick:
-        settings = FilmSettings(QUICK_CALIBRATION_S, QUICK_EXCITATION_S, quick)
+    # The papers calibrate with 50 s. In much less, the printed calibration's errors hide what its trackers differ by.
+    settings = FilmSettings(30.0, 8.0, quick) if effort.quick else FilmSettings(50.0)
     return film(name, settings, seed=effort.seed)
 
 
@@ -86,7 +83,12 @@ def scene(name: str, effort: Effort) -> Measured:
     values |= fused_values(one, runs)
     if name == "shaking-table":
         values |= _matches(one, proposed.track)
-    return Measured(with_means(values), (_histories(one, (existing, known), proposed, ours),))
+    tracks = {
+        "existing": (existing, known),
+        "proposed": (proposed.track, proposed.scale_m_per_px),
+        "ours (registration)": (ours.track, ours.scale_m_per_px),
+    }
+    return Measured(with_means(values), (error_curve(one, "{}", tracks),))
 
 
 def _matches(one: Film, proposed: Track) -> dict[str, float]:
@@ -115,21 +117,16 @@ def _matches(one: Film, proposed: Track) -> dict[str, float]:
     }
 
 
-def _histories(one: Film, existing: tuple[Track, float], proposed: Run, ours: Run) -> Curve:
-    """Errors of the camera alone in the first excitation, by the scale factors of each technique."""
+def error_curve(one: Film, figure: str, tracks: Mapping[str, tuple[Track, float]]) -> Curve:
+    """Errors of the camera alone in the first excitation, each track by its scale factor in m/px; {} is its name."""
     name, (start, stop) = next((n, span) for n, span in one.spans.items() if n in one.scene.excitations)
     at_s = one.stamps_s + one.time_offset_s
     inside = (at_s >= start) & (at_s < min(stop, start + 8.0))
-    scales = {
-        "existing": existing,
-        "proposed": (proposed.track, proposed.scale_m_per_px),
-        "ours (registration)": (ours.track, ours.scale_m_per_px),
-    }
     lines: dict[str, tuple[Floats, Floats]] = {
         label: (at_s[inside] - start, 1e3 * (scale * track.px - one.seen_m())[inside])
-        for label, (track, scale) in scales.items()
+        for label, (track, scale) in tracks.items()
     }
-    return Curve(f"{one.scene.title}, {name}", "time (s)", "error (mm)", lines)
+    return Curve(f"{one.scene.title}, {figure.format(name)}", "time (s)", "error (mm)", lines)
 
 
 def rejection(effort: Effort) -> Measured:

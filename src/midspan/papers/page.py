@@ -8,7 +8,7 @@ from midspan.papers.claims import Curve, Row
 from midspan.papers.published import PAPERS, Paper
 from midspan.papers.table import Outcome
 from midspan.report import page
-from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, saved, sheet, style
+from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, sheet, style, write_picture
 from midspan.writing import write_whole
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
 # Ours is blue in every figure; what the papers compare with has the colours after it.
 OURS, OTHERS = ("smoother", "ours"), (VERMILLION, GREEN, ORANGE, PURPLE, GREY, "#8C564B")
-HEIGHT_IN, PICTURE_IN = 2.6, 6.4
-DOTS_PER_INCH = 110
 
 
 def write_papers(outcomes: Sequence[Outcome], path: Path, command: str) -> Path:
@@ -39,24 +37,24 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
         rows = [_cells(row) for one in own for row in one.rows]
-        drawn = [_figure(curve, paper) for one in own for curve in one.curves]
+        drawn = [
+            page.figure(picture(_axes(curve)), f"{paper.key} {curve.figure}", f"{curve.y} over {curve.x}.")
+            for one in own
+            for curve in one.curves
+        ]
         free = page.bullets([f"{name}: {text}" for name, text in _free(own)], "")
         chosen = page.folded("What the paper does not print, chosen here", free)
         body.append(
             page.section(
-                paper.key, _title(paper), page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn
+                paper.key, paper.name, page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn
             )
         )
     title = "The papers' experiments, repeated in simulation"
     return page.document(title, [page.heading(title, [_made(command)]), page.contents(body), *body])
 
 
-def _figure(curve: Curve, paper: Paper) -> str:
-    return page.figure(picture(_axes(curve)), f"{paper.key} {curve.figure}", f"{curve.y} over {curve.x}.")
-
-
 def _axes(curve: Curve) -> "Figure":
-    figure = sheet(HEIGHT_IN, PICTURE_IN)
+    figure = sheet(2.6, 6.4)
     axes = figure.subplots()
     others = iter(OTHERS)
     for name, (x, y) in curve.lines.items():
@@ -75,7 +73,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
     lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
-        lines += [f"## {paper.key}: {_title(paper)}", "", f"{paper.citation}.", ""]
+        lines += [f"## {paper.key}: {paper.name}", "", f"{paper.citation}.", ""]
         lines += [_line(HEADER), _line(["---"] * len(HEADER))]
         lines += [_line(_cells(row)) for one in own for row in one.rows]
         lines += ["", "The paper does not print, and is chosen here:", ""]
@@ -84,7 +82,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
             for curve in one.curves:
                 name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
                 picture_file = path.parent / "images" / f"{name}.png"
-                write_whole(picture_file, saved(_axes(curve), "png", dpi=DOTS_PER_INCH))
+                write_picture(_axes(curve), picture_file, 110)
                 lines += ["", f"![{curve.figure}: {curve.y} over {curve.x}](images/{name}.png)"]
         lines.append("")
     return "\n".join(lines)
@@ -107,10 +105,6 @@ def _repeated(outcomes: Sequence[Outcome]) -> list[Paper]:
 
 def _free(outcomes: Sequence[Outcome]) -> list[tuple[str, str]]:
     return [(one.experiment.name, one.experiment.free) for one in outcomes if one.experiment.free]
-
-
-def _title(paper: Paper) -> str:
-    return f"{paper.name}"
 
 
 def _made(command: str) -> str:

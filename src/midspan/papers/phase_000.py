@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.calibration.camera.felt import felt_motion
-from midspan.papers.claims import Curve, Effort, Measured
+from midspan.calibration.camera.best_range import felt_motion
+from midspan.papers.claims import Effort, Measured
+from midspan.papers.filming import FRAME_RATE, Film
 from midspan.papers.films import (
     Run,
     Track,
@@ -23,14 +24,12 @@ from midspan.papers.films import (
     run_all,
     with_means,
 )
-from midspan.papers.kalman_004 import existing_technique, fused_values, printed_film
+from midspan.papers.kalman_004 import error_curve, existing_technique, fused_values, printed_film
 from midspan.recording.streams.window import calibration_window
 from midspan.records import Floats, Frame, Region
 from midspan.signals.band_pass import band_passed
-from midspan.simulate.scenarios.papers import FRAME_RATE, Film
 from midspan.vision.active_pixels import slope_and_r_squared
-from midspan.vision.phase_flow import phase_change
-from midspan.vision.phase_model import region_patch
+from midspan.vision.phase_model import phase_change, region_patch
 from midspan.vision.steerable import MARGIN_PX, quadrature
 
 QUICK = {"indoor": ("sine", "sweep"), "outdoor": ("sine", "sweep"), "footbridge-phase": ("jumping", "crossing")}
@@ -70,7 +69,9 @@ def scene(name: str, effort: Effort) -> Measured:
         "existing features": existing_technique(one, limit_px),
     }
     values = _camera_alone(runs, alone) | fused_values(one, runs) | _learnt(one, runs)
-    return Measured(with_means(values), (_errors(one, runs),))
+    shown = {"features": "features", "hybrid": "hybrid", "ours (registration)": "registration"}
+    tracks = {label: (runs[name].track, one.scale_m_per_px) for label, name in shown.items()}
+    return Measured(with_means(values), (error_curve(one, "camera alone", tracks),))
 
 
 def _camera_alone(runs: dict[str, Run], existing: dict[str, Track]) -> dict[str, Any]:
@@ -132,16 +133,3 @@ def _responses(frame: Frame, region: Region, axis: str) -> NDArray[np.complex64]
     """Local phase and amplitude of a region's pixels."""
     cut = np.asarray(frame.pixels[region_patch(region, 0, 0, MARGIN_PX)], dtype=np.float32)
     return quadrature(np.ascontiguousarray(cut - cut.mean()), axis)
-
-
-def _errors(one: Film, runs: dict[str, Run]) -> Curve:
-    """Errors of the camera alone in the first excitation, by the true scale factor."""
-    start, stop = next(span for name, span in one.spans.items() if name in one.scene.excitations)
-    at_s = one.stamps_s + one.time_offset_s
-    inside = (at_s >= start) & (at_s < min(stop, start + 8.0))
-    shown = {"features": "features", "hybrid": "hybrid", "registration": "ours (registration)"}
-    lines = {
-        label: (at_s[inside] - start, 1e3 * (one.scale_m_per_px * runs[name].track.px - one.seen_m())[inside])
-        for name, label in shown.items()
-    }
-    return Curve(f"{one.scene.title}, camera alone", "time (s)", "error (mm)", lines)

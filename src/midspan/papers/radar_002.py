@@ -5,22 +5,24 @@ Mech. Syst. Signal Process. 182 (2023) 109582, doi 10.1016/j.ymssp.2022.109582, 
 unwrapping, "aided" equations 12 to 15, "FIR" equations 17 to 21 with the paper's 101 coefficients.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from midspan.fusion.fir import FirSettings, fir
+from midspan.checks import refuse
 from midspan.fusion.runners import run_method
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.printed.fir import FirSettings, fir
+from midspan.papers.printed.radar_phase import best_on_grid
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
-from midspan.radar.literal import best_on_grid
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.range_profile import averaged, range_profile
 from midspan.radar.target import Target, find_targets, ranked
-from midspan.radar.unwrap import unwrap_aided, unwrap_plain
+from midspan.radar.unwrap import unwrap_aided
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Motion, Sines, Window, random_motion
 from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
@@ -264,21 +266,38 @@ def chirp(effort: Effort) -> Measured:
     )
 
 
-def wall(effort: Effort) -> Measured:
-    """Section 4.1."""
-    return tested("wall", effort)
+def unwrap_plain(phase_rad: Floats) -> Floats:
+    """Phase (n,) in rad without jumps of half a turn or more from frame to frame.
+
+    Right while the range changes by less than a quarter of a wavelength a frame (97 mm/s at 77 GHz and 100 Hz); NaN
+    marks missing frames, over which the last phase is held.
+    """
+    phase = np.asarray(phase_rad, dtype=np.float64)
+    out = np.full(len(phase), np.nan)
+    known = np.flatnonzero(np.isfinite(phase))
+    out[known] = np.unwrap(phase[known])
+    return out
 
 
-def building(effort: Effort) -> Measured:
-    """Section 4.2."""
-    return tested("building", effort)
+def factor_by_distances(range_m: float, along_m: float) -> float:
+    """Displacement by change of range, D / √(D² − L²), of a surface at right angles to the line of sight: equation 9.
+
+    range_m: D, from radar to target, m; along_m: L, the part of it at right angles to the motion, m, below D.
+    """
+    if not 0.0 <= along_m < range_m:
+        raise refuse("along_m", f"from 0 to below range_m = {range_m:g} m", along_m)
+    return range_m / math.sqrt(range_m**2 - along_m**2)
 
 
-def angled(effort: Effort) -> Measured:
-    """Section 4.3."""
-    return tested("angled", effort)
+def factor_by_angles(motion_rad: float, surface_rad: float = 0.5 * math.pi) -> float:
+    """Displacement by change of range, 1 / (cos θ + sin θ tan(π/2 − φ)): equation 11.
 
-
-def bridge(effort: Effort) -> Measured:
-    """Section 5."""
-    return tested("bridge", effort)
+    motion_rad: θ, from the line of sight to the motion; surface_rad: φ, from the line of sight to the target's surface,
+    above 0 and below π. Raises UsageError where the motion leaves the range as it is: it runs along the surface.
+    """
+    if not 0.0 < surface_rad < math.pi:
+        raise refuse("surface_rad", "above 0 and below π", surface_rad)
+    change = math.cos(motion_rad) + math.sin(motion_rad) * math.tan(0.5 * math.pi - surface_rad)
+    if abs(change) < 1e-12:
+        raise refuse("motion_rad", "a direction that is not that of the surface", motion_rad)
+    return 1.0 / change

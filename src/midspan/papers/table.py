@@ -17,8 +17,6 @@ MODULES = {
     "004": "midspan.papers.entries_004",
 }
 QUICK_SEEDS, SEEDS = 1, 3
-# Interval at which progress is reported, s.
-LOOK_S = 0.5
 
 Progress = Callable[[int, int, str], None]  # measurements done, in all, the experiment's name
 
@@ -65,7 +63,7 @@ def _measured(jobs: Sequence[tuple[Experiment, Effort]], progress: Progress, pro
             waiting = set(futures)
             while waiting:
                 progress(len(jobs) - len(waiting), len(jobs), "repeating the experiments")
-                ended, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+                ended, waiting = wait(waiting, timeout=0.5, return_when=FIRST_COMPLETED)
                 for future in ended:
                     future.result()
         except BaseException:

@@ -11,53 +11,46 @@ from typing import Any
 
 import numpy as np
 
-from midspan.fusion import fir, two_stage
-from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.papers.claims import Curve, Effort, Measured
+from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ
+from midspan.papers.printed import fir, two_stage
+from midspan.papers.printed.complementary import fused, smoothed_record
 from midspan.records import Acceleration, Displacement, Floats, Source
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
-RATE_HZ, CAMERA_HZ = 100.0, 30000 / 1001
+RATE_HZ = ACCELEROMETER.rate_hz
 TONES_HZ = (2.2, 3.3, 5.1, 6.3, 10.3)
 # The beam's two aliases in a displacement at 10 Hz, Hz.
 ALIASES_HZ = (0.3, 2.0)
-# As printed: settings of `FirSettings` and `TwoStageSettings`.
-EXISTING: dict[str, Any] = {"literal": True, "cut_off_hz": 1.0}
-PROPOSED: dict[str, Any] = {"literal": True}
-# The lengths that leave the delay of 2.5 s that section 5.1.2 states at 3 frames/s; the paper prints no length.
-SHORT: dict[str, Any] = {"literal": True, "taps": 201, "anti_alias_taps": 201, "spline_frames": 0}
 # Rows nearer to the ends than the filters' reach are the smoother's; no more is left out than this, s.
 MAX_EDGE_S = 12.0
 
 Method = Callable[[Acceleration, Displacement, Smoothed], Smoothed]
 
 
-def _existing(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return fused(fir.design, fir.FirSettings(**EXISTING), (a, d), path)
-
-
-def _proposed(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return fused(two_stage.design, two_stage.TwoStageSettings(**PROPOSED), (a, d), path)
-
-
-def _short(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return fused(two_stage.design, two_stage.TwoStageSettings(**SHORT), (a, d), path)
+def _designed(design: Any, settings: Any) -> Method:
+    return lambda a, d, path: fused(design, settings, (a, d), path)
 
 
 def _kalman(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
     return run_method("adaptive-kalman", a, d, MethodSettings(KalmanSettings(bias=STOREY.bias_m_s2), literal=True))
 
 
-def _smoother(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return path
-
-
-FIRS: dict[str, Method] = {"existing": _existing, "proposed": _proposed, "smoother": _smoother}
+# As printed; SHORT with the lengths that leave the delay of 2.5 s that section 5.1.2 states at 3 frames/s: the
+# paper prints no length.
+FIRS: dict[str, Method] = {
+    "existing": _designed(fir.design, fir.FirSettings(literal=True, cut_off_hz=1.0)),
+    "proposed": _designed(two_stage.design, two_stage.TwoStageSettings(literal=True)),
+    "smoother": lambda a, d, path: path,
+}
 ALL: dict[str, Method] = {"Kalman": _kalman, **FIRS}
+SHORT = _designed(
+    two_stage.design, two_stage.TwoStageSettings(literal=True, taps=201, anti_alias_taps=201, spline_frames=0)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,13 +230,13 @@ def beam_noise(effort: Effort) -> Measured:
 # Section 5.1: the storey model.
 
 STOREY_S = 54.0
-SLOW_M, TONE_M = 8e-3, 2.8e-3
+TONE_M = 2.8e-3
 
 
 def storey_motion(tone_hz: float, seed: int) -> Motion:
     """0.1 Hz and a tone, from rest: the shaker is switched on."""
     phase = np.random.default_rng([3, seed]).uniform(0, 2 * np.pi, 2)
-    motion = Sines(np.array([SLOW_M, TONE_M]), np.array([0.1, tone_hz]), phase_rad=phase)
+    motion = Sines(np.array([8e-3, TONE_M]), np.array([0.1, tone_hz]), phase_rad=phase)
     return Window(motion, 0.0, STOREY_S, ramp_s=2.0)
 
 
@@ -294,7 +287,7 @@ def _short_at_3(tone: float, seed: int) -> tuple[float, float, float]:
     s.
     """
     record = recorded(storey_motion(tone, seed), STOREY_S, CAMERA_HZ / 10, STOREY, seed)
-    found = record.run({"proposed": _proposed, "short": _short})
+    found = record.run({"proposed": FIRS["proposed"], "short": SHORT})
     edge = round(MAX_EDGE_S * RATE_HZ)
     error, delay_s = found["short"]
     return float(np.std(error[edge : len(error) - edge])), found["proposed"][1], delay_s

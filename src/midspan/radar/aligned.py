@@ -1,6 +1,10 @@
-"""A whole record unwrapped: the accelerometer aligned with the phase first, then the filter forwards and backwards.
+"""A whole record unwrapped: the accelerometer aligned with the phase first, then a filter forwards and backwards.
 
-Where the two directions disagree about the cycle it is a guess: a slip, or an outage that was too long.
+The filter's state is the range change u (m), its rate v (m/s) and the bias b (m/s²) of the acceleration in the line of
+sight; the wrapped phase corrects its prediction from the accelerometer. Only the innovation is wrapped, so no speed is
+too high while the prediction is within a quarter of a wavelength, and the prediction averages over many frames: it
+stays right at signal-to-noise ratios and through fades where the last two phases alone lead astray. Where the two
+directions disagree about the cycle it is a guess: a slip, or an outage that was too long.
 """
 
 from dataclasses import dataclass, replace
@@ -8,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
+from midspan.checks import same_length
 from midspan.radar.alignment import Alignment, align
-from midspan.radar.phase_filter import PhaseFilterSettings, Unwrapped, unwrap_filtered
 from midspan.radar.unwrap import BLIND_RAD, TURN, inertial_steps
 from midspan.records import Floats
 
@@ -25,11 +30,49 @@ MIN_TREND_S = 8.0
 SETTLED_S = 2.0
 # The directions are compared as medians of this many frames; noise takes single ones a cycle off.
 COMPARED_FRAMES = 11
+
+
+@dataclass(frozen=True, slots=True)
+class _Trust:
+    """How far the accelerometer is trusted.
+
+    noise_density: of the acceleration in the line of sight, (m/s²)²/Hz; scale_error, time_error_s: relative error of
+    the conversion factor and error of the time offset that are allowed for; start_inflation: natural logarithm of the
+    factor on all of these at the first frame, estimated from then on; speed_m_s, speed_std_m_s: of the range there;
+    bias_walk, bias_std_m_s2: growth of the bias' variance, (m/s²)² a second, and its deviation at the first frame.
+    """
+
+    noise_density: float = 1e-6
+    scale_error: float = 0.02
+    time_error_s: float = 1e-3
+    start_inflation: float = 4.6
+    speed_m_s: float = 0.0
+    speed_std_m_s: float = 0.05
+    bias_walk: float = 1e-8
+    bias_std_m_s2: float = 0.05
+
+
 # The radar alone: the range changes at a speed that drifts slowly, or fast.
-WITHOUT_ACCELEROMETER = (
-    PhaseFilterSettings(noise_density=1e-2, start_inflation=0.0),
-    PhaseFilterSettings(noise_density=1.0, start_inflation=0.0),
-)
+WITHOUT_ACCELEROMETER = tuple(_Trust(noise_density=density, start_inflation=0.0) for density in (1e-2, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Unwrapped:
+    """Unwrapped phase (n,) in rad since the first frame used, its variance, the filter's range change and its variance.
+
+    phase_rad is NaN where the frame was not used; filtered_m (n,) goes on by the accelerometer. `restarts` are the
+    frames from which on the cycle is a guess, because the prediction had become too wide; `surprise` is the mean of log
+    variance + squared innovation over variance: the smaller, the better predicted; explained: whether the accelerometer
+    accounts for the motion, or there is too little of it for a cycle to be lost.
+    """
+
+    phase_rad: Floats
+    variance_rad2: Floats
+    filtered_m: Floats
+    filtered_variance_m2: Floats
+    restarts: tuple[int, ...]
+    surprise: float = np.nan
+    explained: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +110,7 @@ def unwrap_aligned(
     whether the accelerometer accounts for the phase, without which slips are likely and not always seen.
     """
     time, variance = np.asarray(frame_s, dtype=np.float64), np.asarray(variance_rad2, dtype=np.float64)
+    same_length(frame_s=time, phase_rad=phase_rad, variance_rad2=variance)
     phase = np.where(variance < BLIND_RAD**2, phase_rad, np.nan)
     found = align(time, phase, samples=samples, phase_per_m=phase_per_m, max_offset_s=max_offset_s, prior=ratio)
     offset, ratio = (found.offset_s, found.ratio) if found is not None else (0.0, ratio)
@@ -83,43 +127,57 @@ def unwrap_aligned(
 
 def _passed(record: _Record, found: Alignment | None, kind: int) -> Unwrapped:
     """One pass of the filter: kind 0 with the accelerometer, else one of those without."""
-    steps = inertial_steps(record.frame_s, record.los)
-    if kind == 0:
-        settings = _settings(found, _first_speed(record.frame_s, record.phase, steps, record.unit))
-    else:
-        steps, settings = np.zeros_like(steps), WITHOUT_ACCELEROMETER[kind - 1]
-    run = unwrap_filtered(
-        record.frame_s,
-        record.phase,
-        variance_rad2=record.variance,
-        steps=steps,
-        phase_per_m=record.unit,
-        settings=settings,
+    time, phase, unit = record.frame_s, record.phase, record.unit
+    steps, trust = inertial_steps(time, record.los), _Trust()
+    if kind > 0:
+        steps, trust = np.zeros_like(steps), WITHOUT_ACCELEROMETER[kind - 1]
+    elif found is not None:
+        trust = _Trust(
+            scale_error=max(3.0 * found.ratio_std / abs(found.ratio), MIN_SCALE_ERROR),
+            time_error_s=max(3.0 * found.offset_std_s, MIN_TIME_ERROR_S),
+            start_inflation=0.0,
+            speed_m_s=_first_speed(time, phase, steps, unit),
+            speed_std_m_s=START_SPEED_STD_M_S,
+        )
+    follower = _core.PhaseFollower(
+        unit,
+        (trust.noise_density, trust.scale_error, trust.time_error_s, trust.bias_walk),
+        (trust.speed_m_s, trust.speed_std_m_s, trust.bias_std_m_s2, trust.start_inflation),
     )
-    return _without_drift(run, record.frame_s, record.unit)
+    rows = follower.push(np.column_stack((np.diff(time, prepend=time[:1]), phase, record.variance, steps)))
+    surprise = rows[:, 4]
+    run = Unwrapped(
+        phase_rad=rows[:, 0] - follower.origin,
+        variance_rad2=np.where(np.isfinite(rows[:, 0]), record.variance, np.inf),
+        filtered_m=rows[:, 1],
+        filtered_variance_m2=rows[:, 2],
+        restarts=tuple(int(k) for k in np.flatnonzero(rows[:, 3])),
+        surprise=float(np.nanmean(surprise)) if np.isfinite(surprise).any() else np.nan,
+    )
+    return _without_drift(run, time, unit)
 
 
 def _agreed(forward: Unwrapped, backward: Unwrapped, time: Floats, unit: float) -> Unwrapped:
     """The forward pass with its start from the other direction, and restarts where the directions disagree."""
+    from scipy.ndimage import median_filter
+
     used = np.flatnonzero(np.isfinite(forward.phase_rad) & np.isfinite(backward.phase_rad[::-1]))
     if len(used) < COMPARED_FRAMES:
         return forward
     apart = (forward.phase_rad - backward.phase_rad[::-1])[used] / TURN
-    cycles = _median_of_neighbours(np.rint(apart - np.median(apart)).astype(np.int64))
+    cycles = median_filter(np.rint(apart - np.median(apart)).astype(np.int64), COMPARED_FRAMES, mode="nearest")
     begin = int(np.searchsorted(time[used], time[used[0]] + SETTLED_S))
     end = int(np.searchsorted(time[used], time[used[-1]] - SETTLED_S))
     restarts = set(forward.restarts)
     if begin < end:
         restarts |= {_after_gap(used, int(k) + 1) for k in np.flatnonzero(np.diff(cycles[begin : end + 1])) + begin}
-        forward = _restarted(forward, used[:begin], cycles[:begin] - cycles[begin], unit)
+        if np.any(early := cycles[:begin] - cycles[begin]):
+            # The start less its cycles, its first frame being zero again.
+            first, last = used[0], used[begin - 1] + 1
+            shift = np.zeros(len(time))
+            shift[:last] = early[np.searchsorted(used[:begin], np.arange(last), side="right").clip(1) - 1]
+            forward = _shifted(forward, shift - shift[first], unit)
     return replace(forward, restarts=tuple(sorted(restarts)))
-
-
-def _median_of_neighbours(cycles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Running median of whole numbers (n,)."""
-    from scipy.ndimage import median_filter
-
-    return np.asarray(median_filter(cycles, COMPARED_FRAMES, mode="nearest"))
 
 
 def _after_gap(used: NDArray[np.int64], k: int) -> int:
@@ -129,37 +187,23 @@ def _after_gap(used: NDArray[np.int64], k: int) -> int:
     return int(used[k] if len(gaps) == 0 else used[gaps[np.argmin(np.abs(gaps - k))]])
 
 
-def _restarted(run: Unwrapped, used: NDArray[np.int64], cycles: NDArray[np.int64], unit: float) -> Unwrapped:
-    """The run with `cycles` taken off its first frames `used`, its first one being zero again."""
-    if not np.any(cycles):
-        return run
-    shift = np.zeros(len(run.phase_rad))
-    shift[: used[-1] + 1] = cycles[np.searchsorted(used, np.arange(used[-1] + 1), side="right").clip(1) - 1]
-    shift -= shift[used[0]]
-    return replace(run, phase_rad=run.phase_rad - TURN * shift, filtered_m=run.filtered_m - TURN * shift / unit)
+def _shifted(run: Unwrapped, cycles: Floats, unit: float) -> Unwrapped:
+    """The run less cycles (n,)."""
+    return replace(run, phase_rad=run.phase_rad - TURN * cycles, filtered_m=run.filtered_m - TURN * cycles / unit)
 
 
 def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
-    """The run less a whole number of cycles a frame, where its trend is nearest to one.
-
-    Wrapped phases and accelerations are the same for a range that changes by a cycle more in every frame. A record that
-    begins in the middle of a swing can settle there; but no structure drifts so far.
-    """
+    """The run less whole cycles a frame, where its trend is nearest to them: wrapped phases tell no such drift."""
     known = np.flatnonzero(np.isfinite(run.phase_rad))
     if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < MIN_TREND_S:
         return run
     turns = run.phase_rad[known] / TURN
     cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
-    extra = cycles * (np.arange(len(run.phase_rad)) - known[0])
-    return replace(run, phase_rad=run.phase_rad - TURN * extra, filtered_m=run.filtered_m - TURN * extra / unit)
+    return _shifted(run, cycles * (np.arange(len(run.phase_rad)) - known[0]), unit)
 
 
 def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:
-    """Speed of the range at the first usable frame, m/s: the one that turns the first frames' phasors alike.
-
-    What the accelerometer says of them is taken off first. Speeds a cycle a frame apart look the same; the smallest is
-    meant (see `_without_drift`).
-    """
+    """The range's smallest speed at the first usable frame, m/s, that turns the first frames' phasors alike."""
     known = np.flatnonzero(np.isfinite(phase))[:START_FRAMES]
     if len(known) < START_FRAMES:
         return 0.0
@@ -172,16 +216,3 @@ def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> 
     speeds = np.linspace(-limit, limit, 8 * START_FRAMES, endpoint=False)
     turns = np.exp(-1j * unit * np.multiply.outer(speeds, frame_s[known] - frame_s[first]))
     return float(speeds[np.argmax(np.abs(turns @ phasors))])
-
-
-def _settings(found: Alignment | None, speed_m_s: float) -> PhaseFilterSettings:
-    """What the filter allows for: the alignment's own errors where it is known."""
-    if found is None:
-        return PhaseFilterSettings()
-    return PhaseFilterSettings(
-        start_speed_m_s=speed_m_s,
-        start_speed_std_m_s=START_SPEED_STD_M_S,
-        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), MIN_SCALE_ERROR),
-        time_error_s=max(3.0 * found.offset_std_s, MIN_TIME_ERROR_S),
-        start_inflation=0.0,
-    )

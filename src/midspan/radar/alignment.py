@@ -21,14 +21,11 @@ MAX_LAG_S = 0.25
 PRIOR_SHARE = 0.6
 # Lags of the first search, frames, and the fewest second differences that it needs.
 SEARCHED_LAGS, MIN_FRAMES = (1, 4, 16), 20
-_STEPS, _RATIOS = 6, 25
 # Frames of the search of a motion so strong that its differences wrap, at most; it tries a grid of ratios too.
 MAX_SEARCHED = 4096
-# Sums by Fourier transform are exact to about this share.
-MIN_POWER = 1e-12
 # The scatter of the result is that of sums over segments of this many lags, of which there must be a few; from so few
 # it comes out a little small.
-STRETCH_LAGS, MIN_STRETCHES, MARGIN = 8, 10, 1.08
+SEGMENT_LAGS, MIN_SEGMENTS, MARGIN = 8, 10, 1.08
 # The accelerometer's noise is what its quieter frequencies hold: this percentile of its spectrum, from records of so
 # many samples on. The correction for it is trusted to this share.
 QUIET_PERCENTILE, SPECTRUM_SAMPLES, CORRECTION_SHARE = 30.0, 256, 0.3
@@ -189,22 +186,21 @@ def _regressions(
         x = response[half::2][: count + (some - half + 1) // 2 - 1]
         for row, (left, right) in enumerate(((x, there), (x * x, there), (x, seen))):
             sums[row, half::2] = correlate(left, right, mode="valid", method="fft")
-    least = MIN_POWER * float(response @ response)
+    # Sums by Fourier transform are exact to about this share.
+    exact = 1e-12
+    least = exact * float(response @ response)
     if not least > 0.0:
         return np.zeros(some), np.full(some, np.inf)
     total, power = float(seen @ seen), np.maximum(sums[1] - sums[0] ** 2 / len(value), least)
     slope = sums[2] / power
-    rest = np.maximum(total - slope * sums[2], MIN_POWER * total)
+    rest = np.maximum(total - slope * sums[2], exact * total)
     return slope, np.sqrt(rest / len(value) / power)
 
 
 def _search_strong(
     time: Floats, phase: Floats, integrals: Integrals, known: tuple[float, float, float], prior: float
 ) -> tuple[Alignment, int] | None:
-    """The same for a motion so strong that the second differences themselves wrap: the phasors that are left align.
-
-    At 77 GHz and 100 Hz that is beyond 9.5 m/s²; the ratio must be known to `PRIOR_SHARE`.
-    """
+    """The same for second differences that wrap (beyond 9.5 m/s² at 77 GHz, 100 Hz): phasors that are left align."""
     second, frame = _differences(phase, 1)
     if len(second) < MIN_FRAMES:
         return None
@@ -212,12 +208,13 @@ def _search_strong(
     second, frame = second[lively], frame[lively]
     turns = np.exp(1j * second)
     found, best = None, float(np.abs(turns.mean())) + MIN_SIGNIFICANCE / np.sqrt(2.0 * len(second))
+    ratios = prior * np.linspace(1.0 - PRIOR_SHARE, 1.0 + PRIOR_SHARE, 25)
     for offset in _offsets(known[1], known[2]):
         response = known[0] * integrals.second_difference(time[frame] + offset, known[1])
-        for ratio in prior * np.linspace(1.0 - PRIOR_SHARE, 1.0 + PRIOR_SHARE, _RATIOS):
+        for ratio in ratios:
             together = float(np.abs(np.mean(turns * np.exp(-1j * ratio * response))))
             if together > best:
-                found, best = (Alignment(float(ratio), abs(prior) / _RATIOS, float(offset), known[1]), 1), together
+                found, best = (Alignment(float(ratio), abs(prior) / len(ratios), float(offset), known[1]), 1), together
     return found
 
 
@@ -247,7 +244,7 @@ def _sharpened(
         return None
     second, frame = _differences(phase, lag)
     value = np.array([start.ratio, start.offset_s, 0.0])
-    for _ in range(_STEPS):
+    for _ in range(6):
         at = time[frame] + value[1]
         response = integrals.second_difference(at, lag * period)
         slope = integrals.second_difference(at, lag * period, 1)
@@ -269,13 +266,10 @@ def _sharpened(
 
 
 def _scatter(columns: Floats, rest: Floats, inverse: Floats, frame: NDArray[np.int64], lag: int) -> Floats:
-    """Standard deviations (k,) of least-squares results whose residuals (n,) hang together over a few lags.
-
-    The sums of column times residual over segments show the noise as it is at the frequencies of the motion.
-    """
-    stretch = frame // (STRETCH_LAGS * lag)
-    starts = np.flatnonzero(np.diff(stretch, prepend=-1))
-    if len(starts) < MIN_STRETCHES:
+    """Standard deviations (k,) of least squares with residuals (n,) that hang together, by sums over segments."""
+    segment = frame // (SEGMENT_LAGS * lag)
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
+    if len(starts) < MIN_SEGMENTS:
         return np.asarray(np.sqrt(np.mean(rest**2) * np.abs(np.diag(inverse)) * max(1.0, lag / 2.0)))
     sums = np.add.reduceat(columns * rest[:, None], starts)
     spread = sums.T @ sums * len(starts) / (len(starts) - columns.shape[1])

@@ -33,6 +33,11 @@ def combined(phasors: Phasors, weights: NDArray[np.complex128], valid: NDArray[n
         return np.asarray(np.where(total > 0, summed / total / np.sqrt(len(weights)), np.nan))
 
 
+def combined_bins(phasors: Phasors, weights: NDArray[np.complex128], valid: NDArray[np.bool_] | None = None) -> Phasors:
+    """The same for each of several bins: phasors (frames, k) of phasors (frames, channels, k)."""
+    return np.stack([combined(phasors[..., k], weights, valid) for k in range(phasors.shape[2])], axis=1)
+
+
 def disagreement_rad(phasors: Phasors, weights: NDArray[np.complex128]) -> Floats:
     """Standard deviation in rad of each channel's phase (channels,) about that of all together."""
     together = phasors @ weights.conj()

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from midspan.checks import positive, refuse
+from midspan.notices import Notice
 from midspan.records import Floats
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
@@ -88,16 +89,13 @@ class ChirpProfile:
         """From the start of the frame to the middle of all its chirps, s."""
         return self.centre_s + 0.5 * (self.chirps - 1) * self.chirp_period_s
 
-    def effective_carrier_hz(self, range_m: float) -> float:
-        """Frequency (Hz) whose phase a target at `range_m` turns by: the echo is late on the ramp by its delay.
-
-        The difference from `carrier_hz` is slope · delay: 7e-5 of it at 12 m with 65 MHz/µs.
-        """
-        return self.carrier_hz - self.slope_hz_s * 2.0 * range_m / SPEED_OF_LIGHT_M_S
-
     def phase_per_m(self, range_m: float = 0.0) -> float:
-        """Phase in rad that one metre more of range adds, for a target at `range_m`."""
-        return 4.0 * np.pi * self.effective_carrier_hz(range_m) / SPEED_OF_LIGHT_M_S
+        """Phase in rad that one metre more of range adds, for a target at `range_m`.
+
+        The echo is late on the ramp by its delay: slope · delay is 7e-5 of the carrier at 12 m with 65 MHz/µs.
+        """
+        hertz = self.carrier_hz - self.slope_hz_s * 2.0 * range_m / SPEED_OF_LIGHT_M_S
+        return 4.0 * np.pi * hertz / SPEED_OF_LIGHT_M_S
 
     @property
     def axis(self) -> "RangeAxis":
@@ -145,3 +143,45 @@ def profile_from_json(text: str) -> ChirpProfile:
     """The chirp's settings of their fields as JSON. Raises UsageError, TypeError and ValueError for others."""
     fields = json.loads(text)
     return ChirpProfile(**{**fields, "transmitters": tuple(fields["transmitters"])})
+
+
+@dataclass(frozen=True, slots=True)
+class RadarInfo:
+    """What is known of a source of radar frames.
+
+    carrier_hz: what the phase moves with; frame_count None where it is not known; channels: transmitters times
+    receivers; range_m (bins,): of each bin, NaN where the file does not say; missing_frames: with a hole in one
+    channel or all; profile: the chirp where there is one; notes, warnings: sentences.
+    """
+
+    kind: str
+    carrier_hz: float
+    frame_rate_hz: float
+    frame_count: int | None
+    channels: int
+    range_m: Floats
+    iq_order: str = ""
+    profile: ChirpProfile | None = None
+    missing_frames: int = 0
+    notes: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
+
+    @property
+    def bins(self) -> int:
+        """Number of range bins."""
+        return len(self.range_m)
+
+    @property
+    def axis(self) -> RangeAxis:
+        """Ranges and carrier, as the radar's functions take them."""
+        return RangeAxis(self.range_m, self.carrier_hz, self.profile.slope_hz_s if self.profile else 0.0)
+
+    @property
+    def cycle_m(self) -> float:
+        """Change of range that turns the phase once: half a wavelength, m."""
+        return SPEED_OF_LIGHT_M_S / (2.0 * self.carrier_hz)
+
+    @property
+    def limit_speed_m_s(self) -> float:
+        """Line-of-sight speed from which plain unwrapping fails, m/s."""
+        return 0.5 * self.cycle_m * self.frame_rate_hz

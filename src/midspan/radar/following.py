@@ -4,24 +4,19 @@ A fixed bin loses a target that moves by a good part of it: 7 dB at 40 mm and al
 of a target is the same in every bin of its main lobe, so the phasors are taken where the target is at the time.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.radar.channels import Phasors
+from midspan.radar.channels import MIN_BINS, Phasors
 from midspan.records import Floats
 
 # Below this excursion (bins) a target needs no following: it would win 0.4 dB.
 MIN_EXCURSION_BINS = 0.25
 # Bins on each side beyond the target's own that are fetched.
 SPARE_BINS = 2
-# Steps of the background's fit: each halves what is left.
-STEPS = 4
-# How far from the frame before a target is looked for without a prediction, bins.
-NEAR_BINS = 2.0
-# A record's place is looked for in steps of this many bins, on some of its frames.
-SEARCHED_STEP, SEARCHED_FRAMES = 1 / 16, 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +65,9 @@ def places_of(phasors: Phasors, bins: Floats, *, place_bin: float, moved_bins: F
         return np.full(len(moved_bins), place_bin)
     n = np.arange(len(moved_bins))
     moved = np.interp(n, n[known], moved_bins[known]) - np.median(moved_bins[known])
-    some = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // SEARCHED_FRAMES)]
-    shifts = np.linspace(-search, search, 2 * int(np.ceil(search / SEARCHED_STEP)) + 1)
+    some = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // 2000)]
+    # In sixteenths of a bin, on some 2000 frames.
+    shifts = np.linspace(-search, search, 2 * int(np.ceil(16 * search)) + 1)
     power = [np.nansum(np.abs(_weighed(phasors[some], bins, place_bin + s + moved[some])) ** 2) for s in shifts]
     return np.asarray(place_bin + shifts[int(np.argmax(power))] + moved)
 
@@ -83,7 +79,8 @@ def tracked_places(power: Floats, bins: Floats, place_bin: float) -> Floats:
     """
     home = int(np.argmin(np.abs(bins - place_bin)))
     begin = int(np.argmax(power[:, home]))
-    near = np.exp(-np.square(np.arange(-len(bins) + 1, len(bins))) / (2.0 * NEAR_BINS**2))
+    # A target moves by some two bins from one frame to the next at most.
+    near = np.exp(-np.square(np.arange(-len(bins) + 1, len(bins))) / (2.0 * 2.0**2))
     out = np.empty(len(power))
     for frames in (range(begin, len(power)), range(begin, -1, -1)):
         k = home
@@ -100,7 +97,7 @@ def _weighed(phasors: Phasors, bins: Floats, places: Floats) -> Phasors:
     return np.asarray((phasors * shape).sum(axis=1) / np.sqrt((shape**2).sum(axis=1)))
 
 
-def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Background:
+def static_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Background:
     """What is static in each bin under a target that turns many times, from phasors (n, k) and its places (n,).
 
     Each bin is the target's response, turning, and a constant: least squares, the phase taken again without the
@@ -108,7 +105,8 @@ def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Backgrou
     """
     shape = response(bins[None, :] - places[:, None])
     found = np.zeros(len(bins), dtype=np.complex128)
-    for _ in range(STEPS):
+    # Each step halves what is left.
+    for _ in range(4):
         z = at_places(phasors - found, bins, places)
         turn = np.exp(1j * np.angle(z))
         for k in range(len(bins)):
@@ -116,3 +114,86 @@ def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Backgrou
             columns = np.column_stack((shape[known, k] * turn[known], np.ones(np.count_nonzero(known))))
             found[k] = np.linalg.lstsq(columns, phasors[known, k], rcond=None)[0][1]
     return Background(np.asarray(bins, dtype=np.float64), found)
+
+
+def response_at(distance_bins: float) -> float:
+    """`following.response` at one distance."""
+    d = abs(distance_bins)
+    if d < 1e-9 or abs(d - 1.0) < 1e-9:
+        return 1.0 if d < 0.5 else 0.5
+    return math.sin(math.pi * d) / (math.pi * d * (1.0 - d * d))
+
+
+def between(share: float) -> float:
+    """Response of two neighbouring bins, weighed linearly, to a target that lies a share of a bin from the lower."""
+    return (1.0 - share) * response_at(share) + share * response_at(1.0 - share)
+
+
+def noise_between(share: float) -> float:
+    """Variance of the noise of two neighbouring bins, weighed linearly, over that of one."""
+    # The covariance of neighbouring bins of a Hann window is 2/3 of the variance of one.
+    return 1.0 - 2.0 * (1.0 - 2.0 / 3.0) * share * (1.0 - share)
+
+
+def fraction_between(low: complex, high: complex, value: complex) -> float:
+    """Where between two bins a target of phasor `value` lies, -½ to 1½: its responses are as 2 − d to 1 + d."""
+    a, b = (low * value.conjugate()).real, (high * value.conjugate()).real
+    return min(max((2.0 * b - a) / (a + b), -0.5), 1.5) if a + b > 0.0 else 0.5
+
+
+def looked_at(z: list[complex], first_bin: float, place: tuple[float, float]) -> float:
+    """Fractional bin where a target is met: where it is expected, or at the strongest bin where that is not sure.
+
+    z: phasors of the bins from `first_bin` on; place: expected bin, and how far from it the target may be.
+    """
+    expected, reach = place
+    if not reach > MIN_EXCURSION_BINS:
+        return expected
+    near = [k for k in range(len(z)) if abs(first_bin + k - expected) <= reach + 0.5] or range(len(z))
+    k = max(near, key=lambda bin_: abs(z[bin_]))
+    low = k if k + 1 < len(z) and (k == 0 or abs(z[k + 1]) > abs(z[k - 1])) else k - 1
+    return first_bin + low + fraction_between(z[low], z[low + 1], z[k])
+
+
+# A peak counts from this power ratio to the noise on, and this many are looked at. A weak one has, receivers combined,
+# the least ratio at which the phase can be unwrapped (4 dB).
+MIN_POWER_RATIO, WEAK_POWER_RATIO, MAX_TARGETS = 10.0, 2.5, 40
+
+
+def peaks(profiles: Phasors, noise: float, *, weak: bool = False) -> tuple[float, ...]:
+    """Fractional bins of the peaks of the mean power, and of the power that changes, of (frames, channels, bins).
+
+    noise: power of one receiver's; weak: also of targets that no single frame shows, but the mean of all does.
+    """
+    z = np.asarray(profiles)
+    if z.shape[2] < MIN_BINS:
+        # Stored targets, not a profile.
+        return tuple(float(k) for k in range(z.shape[2]))
+    power = np.mean(np.abs(z) ** 2, axis=(0, 1))
+    changing = np.maximum(power - np.mean(np.abs(z.mean(axis=0)) ** 2, axis=0), 0.0)
+    least = (1.0 + WEAK_POWER_RATIO / z.shape[1] if weak else MIN_POWER_RATIO) * noise
+    found: dict[int, float] = {}
+    for values in (power, changing):
+        inner = values[1:-1]
+        high = (inner > values[:-2]) & (inner >= values[2:]) & (inner > least)
+        for k in map(int, np.flatnonzero(high) + 1):
+            if not any(abs(k - known) <= 1 for known in found):
+                found[k] = k + _fraction(values[k - 1 : k + 2])
+    strongest = sorted(found, key=lambda k: -power[k])[:MAX_TARGETS]
+    return tuple(found[k] for k in sorted(strongest))
+
+
+def _fraction(three: Floats) -> float:
+    """Where between -½ and ½ a peak of three powers of a Hann window lies; their logarithms are near a parabola."""
+    # Single precision holds no 1e-300.
+    low, middle, high = np.log(np.maximum(three.astype(np.float64), 1e-300))
+    bend = low - 2.0 * middle + high
+    return float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+
+
+def at_place(profiles: Phasors, place_bin: float) -> Phasors:
+    """Phasors (frames, channels) at a fractional bin: the two nearest bins, which a Hann window has in phase."""
+    low = min(max(int(np.floor(place_bin)), 0), max(profiles.shape[2] - 2, 0))
+    share = place_bin - low
+    high = min(low + 1, profiles.shape[2] - 1)
+    return np.asarray((1.0 - share) * profiles[..., low] + share * profiles[..., high])

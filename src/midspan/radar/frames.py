@@ -1,44 +1,23 @@
 """The frames of a recording's radar as they are read: on an even grid, receivers combined, holes known."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.progress import Progress
-from midspan.radar.channels import MIN_BINS, Phasors, combined
-from midspan.radar.following import MIN_EXCURSION_BINS, bins_within
-from midspan.radar.info import RadarInfo
+from midspan.radar.channels import MIN_BINS, Phasors, combined_bins
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.following import MIN_EXCURSION_BINS, at_place, bins_within
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 
-# Of an even grid the frames fill one in this many places or more, of a short record these places at most.
-MAX_GRID, MAX_GRID_FRAMES = 100, 100_000
-
-
-@dataclass(frozen=True, slots=True)
-class RadarFrames:
-    """Frames in memory: time_ns (n,) on the radar's clock, phasors (n, channels, bins), valid (n, channels)."""
-
-    time_ns: Nanoseconds
-    phasors: NDArray[np.complex64]
-    valid: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class TargetPhasors:
-    """One target, receivers combined: bins (k,) whole ones in which it moves, or the one place (1,) where it stays.
-
-    time_ns (n,): on the radar's clock; phasors (n, k): NaN where nothing was received.
-    """
-
-    time_ns: Nanoseconds
-    bins: Floats
-    phasors: NDArray[np.complex64]
+# The frames of a recording in memory, stamped on the radar's clock.
+RadarFrames = RangeFrames
 
 
 def collected(blocks: Iterable[RangeFrames], total: int, progress: Progress, what: str) -> RadarFrames:
@@ -64,7 +43,8 @@ def even_places(time_ns: Nanoseconds) -> NDArray[np.int64]:
         return np.zeros(len(time_ns), dtype=np.int64)
     usual = np.median(steps)
     wanted = float(np.sum(np.maximum(np.rint(steps / usual), 1.0)))
-    if wanted > MAX_GRID * len(time_ns) + MAX_GRID_FRAMES:
+    # The frames fill one in a hundred places or more; a short record has 100 000 at most.
+    if wanted > 100 * len(time_ns) + 100_000:
         raise DataError(
             f"radar: the {len(time_ns)} frames looked at are usually {usual / NANOSECONDS:.3g} s apart, but lie in "
             f"{np.sum(steps) / NANOSECONDS:.3g} s. Check the times in radar.file, or give radar.rate_hz."
@@ -88,12 +68,6 @@ def bin_m_of(info: RadarInfo) -> float:
     return float(np.median(np.diff(info.range_m)))
 
 
-def bins_of(target: Target, info: RadarInfo) -> Floats:
-    """The bins to fetch of a target that moves as the calibration saw; its place if by little."""
-    followed = bin_m_of(info) > 0 and target.reach_bins > MIN_EXCURSION_BINS
-    return bins_within(target.place_bin, target.reach_bins, info.bins) if followed else np.array([target.place_bin])
-
-
 def fetched(
     blocks: Iterable[RangeFrames], target: Target, total: int, progress: Progress
 ) -> tuple[Nanoseconds, NDArray[np.complex64]]:
@@ -111,33 +85,37 @@ def fetched(
     return np.concatenate(times), np.concatenate(parts)
 
 
-def target_series(own: TargetPhasors, target: Target, given: tuple[float, float, Floats]) -> TargetSeries:
-    """The displacement at one target, on the even grid of `even_places`.
+def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
+    """The displacement at one target on the even grid of `even_places`; samples: of `samples_of`, counted as stamps.
 
-    given: rad per m of range, from bin to bin in m, and `samples_of` with the stamps' own origin.
+    It is followed through the bins in which the calibration saw it move; met in its place if it moves by little.
     """
-    phase_per_m, bin_m, samples = given
-    places = even_places(own.time_ns)
+    bin_m = bin_m_of(info)
+    if bin_m > 0 and target.reach_bins > MIN_EXCURSION_BINS:
+        bins = bins_within(target.place_bin, target.reach_bins, info.bins)
+        some = frames.phasors[..., bins.astype(np.int64)]
+    else:
+        bins, some = np.array([target.place_bin]), at_place(frames.phasors, target.place_bin)[..., None]
+    places = even_places(frames.time_ns)
     count = int(places[-1]) + 1
-    several = len(own.bins) > 1
-    phasors = np.full((count, 1, len(own.bins)), np.nan, dtype=np.complex64)
-    phasors[places, 0] = own.phasors
-    frames = TargetFrames(
-        frame_s=np.interp(np.arange(count), places, seconds(own.time_ns, 0)),
+    several = len(bins) > 1
+    phasors = np.full((count, 1, len(bins)), np.nan, dtype=np.complex64)
+    phasors[places, 0] = together(some, target, frames.valid)
+    even = TargetFrames(
+        frame_s=np.interp(np.arange(count), places, seconds(frames.time_ns, 0)),
         phasors=phasors if several else phasors[..., 0],
         valid=np.asarray(np.isfinite(phasors).all(axis=2)),
-        bins=own.bins if several else None,
+        bins=bins if several else None,
         bin_m=bin_m,
     )
     # The receivers are together already.
     alone = replace(target, weights=np.ones(1, dtype=np.complex128))
-    return displacement(frames, alone, samples=samples, phase_per_m=phase_per_m)
+    return displacement(even, alone, samples=samples, phase_per_m=info.axis.phase_per_m(target.range_m))
 
 
 def together(phasors: Phasors, target: Target, valid: NDArray[np.bool_]) -> NDArray[np.complex64]:
     """Phasors (n, k) of phasors (n, channels, k), receivers combined as the target was calibrated."""
-    each = [combined(phasors[..., k], target.weights, valid) for k in range(phasors.shape[2])]
-    return np.stack(each, axis=1).astype(np.complex64)
+    return combined_bins(phasors, target.weights, valid).astype(np.complex64)
 
 
 def without_holes(frames: RadarFrames) -> RadarFrames:
@@ -156,14 +134,9 @@ def without_holes(frames: RadarFrames) -> RadarFrames:
     z[places], valid[places] = np.where(frames.valid[..., None], frames.phasors, 0.0), frames.valid
     first = int(np.argmax(valid.all(axis=1)))
     for k in np.flatnonzero(~valid.all(axis=1)):
-        _fill(z, valid, int(k), int(k) - 1 if k > first else first)
+        good, before = valid[k], z[k - 1 if k > first else first]
+        turn = np.sum(z[k, good] * np.conj(before[good]), axis=0) if good.any() else np.ones(z.shape[2])
+        size = np.abs(turn)
+        some = size > np.finfo(np.float32).tiny
+        z[k, ~good] = before[~good] * (np.where(some, turn, 1.0) / np.where(some, size, 1.0))
     return RadarFrames(time_ns, z, valid)
-
-
-def _fill(z: Phasors, valid: NDArray[np.bool_], k: int, before: int) -> None:
-    good = valid[k]
-    turn = np.sum(z[k, good] * np.conj(z[before, good]), axis=0) if good.any() else np.ones(z.shape[2])
-    size = np.abs(turn)
-    some = size > np.finfo(np.float32).tiny
-    turn = np.where(some, turn, 1.0) / np.where(some, size, 1.0)
-    z[k, ~good] = z[before, ~good] * turn

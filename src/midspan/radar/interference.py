@@ -44,16 +44,13 @@ class Interference:
         out, known = np.zeros(len(floor), dtype=np.bool_), np.flatnonzero(np.isfinite(floor))
         begun = min(max(MEMORY_FRAMES - len(self._before), 0), len(known))
         whole = np.concatenate((self._before, floor[known]))
-        usual = [_median(whole[: len(self._before) + k]) for k in range(begun)]
+        # Too few frames before, or no floor at all, say nothing.
+        firsts = [whole[: len(self._before) + k] for k in range(begun)]
+        usual = [float(np.median(first)) if len(first) >= MIN_FRAMES else 0.0 for first in firsts]
+        usual = [floor_before or np.inf for floor_before in usual]
         if begun < len(known):
             windows = np.lib.stride_tricks.sliding_window_view(whole[:-1], MEMORY_FRAMES)
             usual += list(np.median(windows[begun - len(known) :], axis=1))
         out[known] = whole[len(self._before) :] > MIN_RISE * np.array(usual, dtype=np.float64)
         self._before = whole[-MEMORY_FRAMES:]
         return out
-
-
-def _median(floors: Floats) -> float:
-    """The usual floor by the ones before; infinite where they are too few, or there was none."""
-    usual = float(np.median(floors)) if len(floors) >= MIN_FRAMES else 0.0
-    return usual if usual > 0.0 else float("inf")

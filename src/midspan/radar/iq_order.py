@@ -5,7 +5,7 @@ them to negative ones; pairing the wrong words makes ghosts. But positive freque
 are negative ones too: targets in the farther half of the range look like nearer ones with I and Q swapped.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,19 +81,19 @@ def swapped(order: str) -> str:
 
 def weigh_orders(words: Words, layout: Layout) -> OrderEvidence:
     """What whole frames of words (frames · words a frame,) say for each order; complex samples only."""
-    orders = ORDERS if layout.lanes == 2 else ("IIQQ", "QQII")
-    whole = {order: _power(words, Layout(layout.profile, order, layout.lanes), mean=True) for order in orders}
-    power = {order: _power(words, Layout(layout.profile, order, layout.lanes), mean=False) for order in orders}
+    layouts = {order: replace(layout, order=order) for order in (ORDERS if layout.lanes == 2 else ("IIQQ", "QQII"))}
+    power = {order: _power(words, one) for order, one in layouts.items()}
     half, eighth = layout.profile.samples // 2, layout.profile.samples // 8
-    halves_db = {order: _ratio_db(p[1:half], p[half + 1 :]) for order, p in power.items()}
+    halves_db = {order: _ratio_db(p[1:half], p[half + 1 :]) for order, (_, p) in power.items()}
     nearer = [max(pair, key=lambda order: halves_db[order]) for pair in _PAIRINGS if pair[0] in halves_db]
+    none = dict.fromkeys(ORDERS, 0.0)
     return OrderEvidence(
         halves_db=halves_db,
-        eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, p in power.items()},
+        eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, (_, p) in power.items()},
         # What is attached lies near zero. Without its mean its ghost would outweigh it and speak for the wrong pairing.
-        density={order: float(whole[order] @ whole[order]) if order in whole else 0.0 for order in ORDERS},
-        density_beside={order: _density_beside(power[order]) if order in power else 0.0 for order in ORDERS},
-        ghosts=tuple(_ghosts(words, Layout(layout.profile, order, layout.lanes)) for order in nearer),
+        density=none | {order: float(whole @ whole) for order, (whole, _) in power.items()},
+        density_beside=none | {order: _density_beside(p) for order, (_, p) in power.items()},
+        ghosts=tuple(_ghosts(words, layouts[order]) for order in nearer),
     )
 
 
@@ -128,16 +128,16 @@ def _as_clear(evidence: OrderEvidence, order: str) -> str:
     return next((one for one in others if evidence.halves_db.get(one, 0.0) >= MIN_DB), "")
 
 
-def _power(words: Words, layout: Layout, *, mean: bool) -> Floats:
-    """Mean power (samples,) of the windowed chirps as shares of all, with their mean or without it and the zero bin."""
+def _power(words: Words, layout: Layout) -> tuple[Floats, Floats]:
+    """Mean power (samples,) of the windowed chirps as shares of all; the same without their mean and the zero bin."""
     cube = unpack(words, layout).astype(np.complex128)
-    if not mean:
-        cube -= cube.mean(axis=-1, keepdims=True)
-    spectrum = np.fft.fft(cube * np.hanning(cube.shape[-1]), axis=-1)
-    power = np.mean(np.abs(spectrum) ** 2, axis=tuple(range(cube.ndim - 1)))
-    if not mean:
-        power[0] = 0.0
-    return np.asarray(power / max(float(power.sum()), 1e-300))
+    window, axes = np.hanning(cube.shape[-1]), tuple(range(cube.ndim - 1))
+    whole, moving = (
+        np.mean(np.abs(np.fft.fft(part * window, axis=-1)) ** 2, axis=axes)
+        for part in (cube, cube - cube.mean(axis=-1, keepdims=True))
+    )
+    moving[0] = 0.0
+    return whole / max(float(whole.sum()), 1e-300), moving / max(float(moving.sum()), 1e-300)
 
 
 def _ghosts(words: Words, layout: Layout) -> tuple[float, float]:

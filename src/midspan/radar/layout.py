@@ -79,49 +79,25 @@ def sign_extended(words: Words, bits: int) -> Words:
 def unpack(words: Words, layout: Layout) -> Cube:
     """The cube (frames, chirps, receivers, samples), complex64, of whole frames of words (frames · words a frame,)."""
     profile = layout.profile
-    shape = (-1, profile.chirps, layout.stored, profile.samples)
     values = sign_extended(np.ascontiguousarray(words), profile.bits).astype(np.float32)
-    if layout.lanes == 4:
-        grouped = values.reshape(-1, profile.chirps, profile.samples, layout.parts, LANE_RECEIVERS)
-        grouped = np.moveaxis(grouped, 2, 4)[
-            :, :, :, : profile.receivers
-        ]  # (frames, chirps, parts, receivers, samples)
-        real = grouped[:, :, 0]
-        if layout.parts == 1:
-            return np.asarray(real, dtype=np.complex64)
-        other = grouped[:, :, 1]
-        return _joined(other, real) if layout.order[0] == "Q" else _joined(real, other)
-    if layout.parts == 1:
-        return values.reshape(shape).astype(np.complex64)
-    places = _PLACES[layout.order]
-    group = values.reshape(-1, 4)
-    return _joined(group[:, places[:2]].reshape(shape), group[:, places[2:]].reshape(shape))
-
-
-def _joined(real: NDArray[np.float32], imaginary: NDArray[np.float32]) -> Cube:
-    out = np.empty(real.shape, dtype=np.complex64)
-    out.real, out.imag = real, imaginary
+    parts = values.reshape(-1, block_words(layout))[:, word_places(layout)]
+    out = np.zeros(
+        (len(values) // layout.frame_words, profile.chirps, profile.receivers, profile.samples), np.complex64
+    )
+    out.real = parts[:, 0].reshape(out.shape)
+    if layout.parts == 2:
+        out.imag = parts[:, 1].reshape(out.shape)
     return out
 
 
 def pack(cube: NDArray[np.complexfloating], layout: Layout) -> Words:
     """Words (frames · words a frame,) of a cube (frames, chirps, receivers, samples), rounded, within the ADC."""
-    profile = layout.profile
-    highest = 2 ** (profile.bits - 1) - 1
-    parts = np.stack([cube.real, cube.imag][: layout.parts], axis=2)  # (frames, chirps, parts, receivers, samples)
-    whole = np.clip(np.rint(parts), -highest - 1, highest).astype(np.int16)
-    if layout.lanes == 4:
-        lanes = np.zeros((*whole.shape[:3], LANE_RECEIVERS, profile.samples), dtype=np.int16)
-        lanes[:, :, :, : profile.receivers] = whole
-        swapped = lanes[:, :, ::-1] if layout.order[0] == "Q" else lanes
-        return np.ascontiguousarray(np.moveaxis(swapped, 4, 2)).ravel()
-    if layout.parts == 1:
-        return whole.ravel()
-    places = _PLACES[layout.order]
-    group = np.empty((whole[:, :, 0].size // 2, 4), dtype=np.int16)
-    group[:, places[:2]] = whole[:, :, 0].reshape(-1, 2)
-    group[:, places[2:]] = whole[:, :, 1].reshape(-1, 2)
-    return group.ravel()
+    highest = 2 ** (layout.profile.bits - 1) - 1
+    places = word_places(layout)
+    words = np.zeros((len(cube) * layout.frame_words // block_words(layout), block_words(layout)), dtype=np.int16)
+    for part, at in zip((cube.real, cube.imag), places, strict=False):
+        words[:, at] = np.clip(np.rint(part), -highest - 1, highest).reshape(len(words), *at.shape)
+    return words.ravel()
 
 
 def word_places(layout: Layout) -> NDArray[np.int64]:

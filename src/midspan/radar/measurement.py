@@ -7,16 +7,15 @@ from numpy.typing import NDArray
 
 from midspan.checks import refuse, same_length
 from midspan.errors import UntrustedError
-from midspan.radar.aligned import unwrap_aligned
+from midspan.radar.aligned import Unwrapped, unwrap_aligned
 from midspan.radar.blockage import blocked
-from midspan.radar.channels import Phasors, combined, phase_variance
-from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
-from midspan.radar.phase_filter import Unwrapped
-from midspan.radar.target import Target
+from midspan.radar.channels import Phasors, combined, combined_bins, phase_variance
+from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, static_in_bins, tracked_places
+from midspan.radar.target import FOLLOWING_PASSES, Target
 from midspan.records import Floats
 
-# The frames are gone through again until the places change by less than this, at most so often.
-SETTLED_BINS, MAX_PASSES = 0.1, 4
+# The frames are gone through again until the places change by less than this.
+SETTLED_BINS = 0.1
 # A target seen in fewer frames than this share is looked for in the other bins.
 MOSTLY_SEEN = 0.95
 # The prediction of an unseen target is a place to look for it up to this standard deviation, m.
@@ -66,10 +65,13 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
     if frames.bins is None:
         z = combined(frames.phasors, target.weights, frames.valid) - target.leak
         return _series(_unwrapped(z, target, given), target, phase_per_m)
-    bins, seen = _several_bins(frames, target)
+    bins = np.asarray(frames.bins, dtype=np.float64)
+    if frames.phasors.ndim != 3 or frames.phasors.shape[2] != len(bins) or not frames.bin_m > 0:
+        raise refuse("phasors, bins and bin_m", "(n, channels, bins), (bins,) and > 0 m", frames.phasors.shape)
+    seen = combined_bins(frames.phasors, target.weights, frames.valid)
     places = np.full(len(seen), target.place_bin)
     still = target.background.at(bins) if target.background is not None else np.full(len(bins), target.leak)
-    for turn in range(MAX_PASSES):
+    for turn in range(FOLLOWING_PASSES):
         found = _unwrapped(at_places(seen - still, bins, places), target, given)
         if turn == 0 and np.mean(np.isfinite(found.phase_rad)) < MOSTLY_SEEN:
             # It may have left its bin, not be blocked: the strongest bin of each frame tells.
@@ -83,23 +85,12 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
             break
         if target.background is None and np.ptp(places) > 2.0 * MIN_EXCURSION_BINS:
             # The target was not found to go through these bins; it has now turned often enough to tell.
-            still = standing_in_bins(seen, bins, np.where(np.isfinite(found.phase_rad), places, np.nan)).phasors
+            still = static_in_bins(seen, bins, np.where(np.isfinite(found.phase_rad), places, np.nan)).phasors
     return _series(found, target, phase_per_m)
 
 
-def _several_bins(frames: TargetFrames, target: Target) -> tuple[Floats, Phasors]:
-    """Bins (k,) and phasors (n, k), receivers combined."""
-    bins = np.asarray(frames.bins, dtype=np.float64)
-    if frames.phasors.ndim != 3 or frames.phasors.shape[2] != len(bins) or not frames.bin_m > 0:
-        raise refuse("phasors, bins and bin_m", "(n, channels, bins), (bins,) and > 0 m", frames.phasors.shape)
-    seen = [combined(frames.phasors[..., k], target.weights, frames.valid) for k in range(len(bins))]
-    return bins, np.stack(seen, axis=1)
-
-
 def _unwrapped(z: Phasors, target: Target, given: tuple[Floats, Floats, float]) -> Unwrapped:
-    """Phase of phasors (n,), what is static taken out; given: instants on the accelerometer's clock (n,), s,
-    samples, and rad per m of range.
-    """
+    """Phase of phasors (n,) without what is static; given: instants (n,) in s, samples, rad per m of range."""
     frame_s, samples, unit = given
     hidden = blocked(np.abs(z), target.amplitude, target.noise_variance)
     variance = np.where(hidden, np.inf, phase_variance(z, target.noise_variance))

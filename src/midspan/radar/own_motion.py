@@ -5,7 +5,6 @@ its noise is less than they differ. An only target is compared with the accelero
 target of several moves by what the accelerometer would have shown as a difference from it, and does not.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
@@ -18,11 +17,10 @@ from midspan.signals.health import runs
 
 # Edges of the bands, Hz; the accelerometer alone is asked from the third edge on.
 EDGES_HZ = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-MIN_HZ = 0.1
 # Below this frequency the noise of an accelerometer rises, Hz.
 CORNER_HZ = 0.3
-# Stretches without a hole that are used, s.
-MIN_STRETCH_S = 5.0
+# Segments without a hole that are used, s.
+MIN_SEGMENT_S = 5.0
 # Second differences over this time tell accelerometer and radar apart without the drift of a double integral, s.
 LAG_S = 0.07
 # What is found counts as motion beyond this many times what noise makes, and this many of its standard deviations.
@@ -43,7 +41,7 @@ class Shown:
     """What the targets show, on evenly spaced frames.
 
     frame_s (n,): on the accelerometer's clock; value_m, variance_m2 (targets, n): displacement, NaN where not seen;
-    steps (targets, n): frames at which a target's zero is a new one; blind (n,): where no acceleration was measured;
+    steps (targets, n): frames at which a target's zero is a new one;
     relative_std, lasting_m (targets,): of the factors, and error of what else is in the bins.
     """
 
@@ -51,7 +49,6 @@ class Shown:
     value_m: Floats
     variance_m2: Floats
     steps: NDArray[np.bool_]
-    blind: NDArray[np.bool_]
     relative_std: Floats
     lasting_m: Floats
 
@@ -96,7 +93,11 @@ def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
             power, undecided = _of_two(shown, integrals, apart[0, 1])
         else:
             power = _of_several(apart)
-        power = _witnessed(power, [_alone(shown, k, integrals, frequency)[:2] for k in range(targets)])
+        # No target moves by more than the accelerometer leaves of it, where that could tell: differences of pairs hold
+        # by how much two of them happened to move together in a short record.
+        alone = [_alone(shown, k, integrals, frequency) for k in range(targets)]
+        left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
+        power = np.where(power > limit, np.minimum(power, left), power)
         undecided &= (power > MIN_M**2).all(axis=0)
     power = np.where(power > MIN_M**2, power, 0.0)
     return OwnMotions(power, frequency, _left_out(shown, power), undecided)
@@ -109,16 +110,6 @@ def _of_several(apart: Floats) -> Floats:
     # No target moves by more than it differs from any other.
     most = np.where(np.eye(count, dtype=np.bool_)[..., None], np.inf, apart).min(axis=1)
     return np.asarray(np.clip((each - total) / (count - 2), 0.0, most))
-
-
-def _witnessed(power: Floats, alone: Sequence[tuple[Floats, Floats]]) -> Floats:
-    """Powers (targets, bands), each no more than the accelerometer leaves of its target, where that could tell it.
-
-    The sum over three differences of pairs holds by how much two of them happened to move together in a short record.
-    alone: of each target, as `_alone` gives them.
-    """
-    left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
-    return np.where(power > limit, np.minimum(power, left), power)
 
 
 def _left_out(shown: Shown, power: Floats) -> NDArray[np.bool_]:
@@ -185,7 +176,7 @@ def _alone(shown: Shown, target: int, integrals: Integrals, frequency: Floats) -
     found, expected = _power(rest, period) / _transfer(hz, shown), _unexplained(shown, target, integrals, hz)
     lasting = float(shown.lasting_m[target] ** 2)
     power, limits, at = _excess(found, expected, (len(rest), period, lasting), frequency)
-    heard = np.array(EDGES_HZ[:-1]) >= MIN_HZ
+    heard = np.arange(len(frequency)) >= 2
     return np.where(heard, power, 0.0), np.where(heard, limits, np.inf), at
 
 
@@ -258,7 +249,7 @@ def _second(shown: Shown, target: int, integrals: Integrals) -> Floats:
     lag = _lag(shown)
     rest = _bridged(shown.value_m[target] - integrals.displacement(shown.frame_s), lag)
     second = rest[2 * lag :] - 2.0 * rest[lag:-lag] + rest[: -2 * lag]
-    spoilt = near(shown.steps[target] | shown.blind, lag + 1)[lag:-lag]
+    spoilt = near(shown.steps[target], lag + 1)[lag:-lag]
     return np.where(spoilt, np.nan, second)
 
 
@@ -294,13 +285,10 @@ def _bridged(value: Floats, most: int) -> Floats:
 
 
 def _spectrum(value: Floats, period: float) -> NDArray[np.complex128]:
-    """Spectrum (bins,) from the first frequency on; the squares of its sizes add up to the variance.
-
-    Every segment without a hole has a window of its own: a cut in the noise would look like slow motion.
-    """
+    """Spectrum (bins,) from the first frequency on, whose squares add up to the variance; a window a segment."""
     window = np.zeros(len(value))
     for a, b in runs(np.isfinite(value)):
-        if (b - a) * period >= MIN_STRETCH_S:
+        if (b - a) * period >= MIN_SEGMENT_S:
             window[a:b] = np.sin(np.pi * (np.arange(b - a) + 0.5) / (b - a)) ** 2
     used = window > 0.0
     if not used.any():

@@ -18,25 +18,32 @@ from midspan.radar.channels import (
     Phasors,
     channel_weights,
     combined,
+    combined_bins,
     disagreement_rad,
     noise_variance,
     phase_variance,
 )
 from midspan.radar.chirp import RangeAxis
-from midspan.radar.circle import standing_still
-from midspan.radar.evidence import clutter_share, coherence, own_motion
+from midspan.radar.evidence import (
+    clutter_share,
+    coherence,
+    factor_spread,
+    measured_variance,
+    modulation,
+    own_motion,
+    static_centre,
+)
 from midspan.radar.following import (
     MIN_EXCURSION_BINS,
     Background,
     at_places,
     bins_within,
     places_of,
-    standing_in_bins,
+    static_in_bins,
     tracked_places,
 )
-from midspan.radar.peaks import at_place as at_place
-from midspan.radar.peaks import peaks as peaks
-from midspan.radar.phase_noise import factor_spread, measured_variance, modulation
+from midspan.radar.following import at_place as at_place
+from midspan.radar.following import peaks as peaks
 from midspan.records import Floats
 
 # What a target must show to be chosen.
@@ -126,18 +133,12 @@ class Target:
         receiver = 0.5 * 10 ** (-self.snr_db / 10)
         return self.bent_rad * self.noise_m / float(np.sqrt(receiver + self.phase_noise_rad2))
 
-    def bins(self, range_change_m: Floats | float, bin_m: float, count: int | None = None) -> Floats:
+    def bins(self, excursion_m: float, bin_m: float, count: int | None = None) -> Floats:
         """Whole bins (k,) to fetch so that the target can be followed, for `measurement.TargetFrames.bins`.
 
-        range_change_m: of the record, as a first pass at `place_bin` found it (n,), or its largest excursion, m; bin_m:
-        from bin to bin, m; count: bins that there are.
+        excursion_m: largest change of the range in the record; bin_m: from bin to bin, m; count: bins that there are.
         """
-        change = np.atleast_1d(range_change_m)
-        change = change[np.isfinite(change)]
-        excursion = (
-            np.max(np.abs(change - np.median(change))) if len(change) > 1 else np.max(np.abs(change), initial=0.0)
-        )
-        return bins_within(self.place_bin, max(self.reach_bins, float(excursion) / bin_m), count)
+        return bins_within(self.place_bin, max(self.reach_bins, excursion_m / bin_m), count)
 
     @property
     def objection(self) -> str:
@@ -200,8 +201,7 @@ class _Window:
 
     def seen(self, bins: Floats, weights: NDArray[np.complex128]) -> Phasors:
         """Phasors (frames, k) at whole bins (k,), receivers combined; NaN where nothing was received."""
-        some = self.profiles[:, :, bins.astype(np.int64)]
-        return np.stack([combined(some[..., k], weights, self.valid) for k in range(len(bins))], axis=1)
+        return combined_bins(self.profiles[:, :, bins.astype(np.int64)], weights, self.valid)
 
 
 def _examined(window: _Window, place: float) -> Target:
@@ -209,7 +209,7 @@ def _examined(window: _Window, place: float) -> Target:
     channels = at_place(window.profiles, place)
     weights = channel_weights(channels)
     seen = combined(channels, weights, window.valid)
-    leak = standing_still(seen)
+    leak = static_centre(seen)
     plain = Target(
         place_bin=place,
         range_m=window.axis.range_at(place),
@@ -220,18 +220,14 @@ def _examined(window: _Window, place: float) -> Target:
         leak=leak,
     )
     found, change = _compared(plain, seen - leak, window)
-    if np.isfinite(window.bin_m) and _often_faint(seen - leak):
+    # As those of a target that leaves its bin.
+    if np.isfinite(window.bin_m) and np.mean(_faint(seen - leak)) > OFTEN:
         again = _tracked(plain, window)
         found, change = again if again[0].coherence > found.coherence else (found, change)
     reach = float(np.nanmax(np.abs(change - np.nanmedian(change)))) / window.bin_m if len(change) else 0.0
     if found.coherence < FOLLOWED_COHERENCE or not MIN_EXCURSION_BINS < reach < 0.25 * window.profiles.shape[2]:
         return found
     return _followed(found, reach, change, window)
-
-
-def _often_faint(z: Phasors) -> bool:
-    """Whether phasors (n,) are often too faint, as those of a target that leaves its bin."""
-    return bool(np.mean(_faint(z)) > OFTEN)
 
 
 def _faint(z: Phasors) -> NDArray[np.bool_]:
@@ -257,7 +253,7 @@ def _followed(found: Target, reach: float, change_m: Floats, window: _Window) ->
         bins = bins_within(found.place_bin, reach + search, count)
         seen = window.seen(bins, found.weights)
         places = places_of(seen, bins, place_bin=found.place_bin, moved_bins=change_m / window.bin_m, search=search)
-        background = standing_in_bins(seen, bins, places)
+        background = static_in_bins(seen, bins, places)
         place = float(np.median(places))
         met = replace(
             found,
@@ -331,7 +327,20 @@ def ranked(targets: tuple[Target, ...]) -> tuple[Target, ...]:
     usable = [target for target in targets if not target.objection]
     if not usable:
         raise UntrustedError(_no_target(targets))
-    return tuple(sorted(usable, key=lambda target: (_shared(target), _expected_m(target))))
+    return tuple(sorted(usable, key=_order))
+
+
+def _order(target: Target) -> tuple[bool, float]:
+    """Whether the bin holds more than the target; noise and the error that clutter makes, m of displacement."""
+    quiet = 3.0 * 10 ** (-target.snr_db / 20) * np.sqrt(len(target.weights))
+    shared = bool(target.clutter > MAX_CLUTTER or target.disagreement_rad > MAX_DISAGREEMENT_RAD + quiet)
+    # What is static has been taken out. Clutter of a share e turns the phase by up to e rad.
+    clutter = 0.0 if np.isnan(target.clutter) or target.leak else target.clutter
+    left = 0.0 if np.isnan(target.modulation_rad) else target.modulation_rad
+    receiver = 0.5 * 10 ** (-target.snr_db / 10)
+    per_rad = target.noise_m / float(np.sqrt(receiver + target.phase_noise_rad2))
+    # Clutter also shows as a motion of its own: the larger counts.
+    return shared, float(np.hypot(target.noise_m, max(max(clutter, left) * per_rad, target.own_m)))
 
 
 def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
@@ -339,23 +348,6 @@ def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
     return target.reach_bins > 0 and any(
         other.reach_bins > 0 and abs(other.place_bin - target.place_bin) < 0.5 for other in others
     )
-
-
-def _shared(target: Target) -> bool:
-    """Whether the bin holds more than the target: much clutter, or receivers that see different phases."""
-    quiet = 3.0 * 10 ** (-target.snr_db / 20) * np.sqrt(len(target.weights))
-    return bool(target.clutter > MAX_CLUTTER or target.disagreement_rad > MAX_DISAGREEMENT_RAD + quiet)
-
-
-def _expected_m(target: Target) -> float:
-    """Noise and the error that clutter makes, m of displacement."""
-    # What is static has been taken out. Clutter of a share e turns the phase by up to e rad.
-    clutter = 0.0 if np.isnan(target.clutter) or target.leak else target.clutter
-    left = 0.0 if np.isnan(target.modulation_rad) else target.modulation_rad
-    receiver = 0.5 * 10 ** (-target.snr_db / 10)
-    per_rad = target.noise_m / float(np.sqrt(receiver + target.phase_noise_rad2))
-    # Clutter also shows as a motion of its own: the larger counts.
-    return float(np.hypot(target.noise_m, max(max(clutter, left) * per_rad, target.own_m)))
 
 
 def _no_target(targets: tuple[Target, ...]) -> str:

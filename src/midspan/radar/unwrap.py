@@ -18,19 +18,6 @@ def wrapped(angle: Floats) -> Floats:
     return np.asarray(np.remainder(np.asarray(angle) + np.pi, TURN) - np.pi)
 
 
-def unwrap_plain(phase_rad: Floats) -> Floats:
-    """Phase (n,) in rad without jumps of half a turn or more from frame to frame.
-
-    Right while the range changes by less than a quarter of a wavelength a frame (97 mm/s at 77 GHz and 100 Hz); NaN
-    marks missing frames, over which the last phase is held.
-    """
-    phase = np.asarray(phase_rad, dtype=np.float64)
-    out = np.full(len(phase), np.nan)
-    known = np.flatnonzero(np.isfinite(phase))
-    out[known] = np.unwrap(phase[known])
-    return out
-
-
 def unwrap_aided(phase_rad: Floats, acceleration_m_s2: Floats, *, period_s: float, phase_per_m: float) -> Floats:
     """Unwrapped phase (n,) in rad, predicted from the last two phases and the acceleration.
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from midspan.calibration.bias import Bias
 from midspan.calibration.camera.calibrate import CameraFit
 from midspan.calibration.displacement.sensor import DisplacementFit
 from midspan.calibration.radar.calibrate import RadarFit
 from midspan.calibration.scale import uncertain_scale
+from midspan.calibration.sensors.fit import Bias
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
@@ -21,8 +21,8 @@ from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.streams.window import calibration_window, liveliest_minute
+from midspan.settings.messages import in_words_of, renamed
 from midspan.settings.plausible import implausible
-from midspan.settings.sensor_words import in_words_of, renamed
 from midspan.settings.stored.calibration import Calibration, placed
 
 
@@ -56,9 +56,9 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
     if (span := liveliest_minute(recording)) is None:
         return None
     window = recording.settings.calibration.model_copy(update={"window_s": span})
-    livelier = Recording(recording.file, recording.settings.model_copy(update={"calibration": window}))
+    livelier = recording.settings.model_copy(update={"calibration": window})
     try:
-        found, tracking = _calibrate_and_track(livelier, progress)
+        found, tracking = _calibrate_and_track(Recording(recording.file, livelier), progress)
     except MidspanError:
         return None
     text = (
@@ -87,7 +87,10 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         # Its own accelerometer is as good as its tolerance; without one its scale is the main axis's.
         own_gain = (1.0, tolerance) if part.calibration.fused else (gain, gain_std)
         across = _of_axis(view, [part], own_gain, warnings)
-    warnings += [line for one in seen for part in one.parts for line in _uncertain(part, one.tracking, gain_std)]
+    for one in seen:
+        for part in (part for part in one.parts if part.parts):
+            total = float(np.hypot(part.calibration.relative_std, gain_std))
+            warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
     calibration = replace(
         main,
         accelerometer_scale=gain,
@@ -136,14 +139,6 @@ def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], wa
     )
 
 
-def _uncertain(part: CameraFit, tracking: CameraTracking, gain_std: float) -> list[Notice]:
-    """A sentence where the scale factor along an image axis is vague; gain_std: of the accelerometer, relative."""
-    if not part.parts:
-        return []
-    total = float(np.hypot(part.calibration.relative_std, gain_std))
-    return uncertain_scale(tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
-
-
 def usual_in_window(recording: Recording) -> AxisFigures:
     """What is usual of the acceleration in the calibration window."""
     return usual_figures(recording.acceleration.value[calibration_window(recording)], recording.prepared.rate_hz)
@@ -154,11 +149,9 @@ def _white_noise(recording: Recording | None, learnt: float, warnings: list[Noti
     given = None if recording is None else recording.accelerometer.noise_std
     if given is None or learnt <= 2.0 * given:
         return learnt if given is None else given
-    warnings.append(
-        Notice(
-            "accelerometer-noisy",
-            f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were "
-            f"{learnt:.2g} m/s²; the larger one is used. Check the region, the mounting and the axes.",
-        )
+    text = (
+        f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were {learnt:.2g} "
+        "m/s²; the larger one is used. Check the region, the mounting and the axes."
     )
+    warnings.append(Notice("accelerometer-noisy", text))
     return learnt

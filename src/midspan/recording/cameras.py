@@ -8,19 +8,18 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
+from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
-from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.temperatures import IN_GREY, is_grey, range_seen
-from midspan.records import Frame, Source
+from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
+from midspan.records import Source
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.sensor_words import in_words_of, renamed
-from midspan.sources.thermal.pictures import AGC_NOTE
+from midspan.settings.messages import in_words_of, renamed
+from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 
 SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
@@ -94,11 +93,13 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         if tracking.learns_by_acceleration:
             tracking, parts = _taught(view, tracking, parts, progress)
         parts = tuple(_named(view, tracking, part) for part in parts)
-    told = [
-        *(Notice("window-moved", line) for line in moved),
-        *_picture_warnings(view, tracking),
-        *(line for part in parts for line in part.warnings),
-    ]
+    told = [Notice("window-moved", line) for line in moved]
+    if view.kind == "infrared" and is_grey(view):
+        told.append(Notice("thermal", f"infrared: {AGC_NOTE}."))
+    else:
+        # Of these the scale factor suffers.
+        told += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
+    told += [line for part in parts for line in part.warnings]
     return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in told))
 
 
@@ -108,9 +109,13 @@ def _in_best_range(
     """Tracking and calibration anew in the best temperature range; as they were, with a warning, where nothing decides
     on one.
     """
+    camera, first = view.settings.camera, tracking.settings.first
+    divisions = camera.range_divisions if isinstance(camera, InfraredSettings) else DIVISIONS
+    last = int(np.searchsorted(view.frames.times_ns() + view.late_ns, window_ends(view)[1], side="right"))
     try:
-        frames, seen = _frames_compared(view, tracking), seen_targets(view, tracking)
-        surface = best_range(frames, view_of(view), seen, parts[0], divisions_of(view))
+        frames = list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
+        seen = seen_targets(view, tracking)
+        surface = best_range(frames, view_of(view), seen, parts[0], divisions)
     except UntrustedError as error:
         told = (
             f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
@@ -133,33 +138,33 @@ def _taught(
     """
     tracking.close()
     again = open_tracking(view, parts[0].calibration, progress)
-    again.choice = tracking.choice
-    taught = calibrate_camera(view, again)
-    return again, tuple(_at_scale_of(first, own) for first, own in zip(parts, taught, strict=False))
-
-
-def _at_scale_of(first: CameraFit, own: CameraFit) -> CameraFit:
-    """What was estimated along an axis, with the scale factors and the clock offset of `first`."""
-    then, now = first.calibration, own.calibration
-    scales = {target.region: target.scale for target in then.targets}
-    targets = tuple(replace(target, scale=scales.get(target.region, target.scale)) for target in now.targets)
-    beta = now.phase_scale_m_per_rad
-    ratio = then.scale.value_m_per_px / now.scale.value_m_per_px
-    phase_scale = None if beta is None else beta * ratio
-    known = replace(now, scale=then.scale, offset=then.offset, targets=targets, phase_scale_m_per_rad=phase_scale)
-    return replace(own, calibration=known)
+    again.choice, fits = tracking.choice, []
+    for first, own in zip(parts, calibrate_camera(view, again), strict=False):
+        then, now = first.calibration, own.calibration
+        scales = {target.region: target.scale for target in then.targets}
+        targets = tuple(replace(target, scale=scales.get(target.region, target.scale)) for target in now.targets)
+        beta = now.phase_scale_m_per_rad
+        ratio = then.scale.value_m_per_px / now.scale.value_m_per_px
+        phase_scale = None if beta is None else beta * ratio
+        known = replace(now, scale=then.scale, offset=then.offset, targets=targets, phase_scale_m_per_rad=phase_scale)
+        fits.append(replace(own, calibration=known))
+    return again, tuple(fits)
 
 
 def view_of(recording: Recording) -> View:
     """What the axis of a recording is calibrated on."""
-    wanted = recording.settings.calibration
-    window = calibration_window(recording)
-    camera = recording.settings.first_camera
-    scale, printed = None if camera is None else camera.known_scale, wanted.printed(camera)
-    reach_s, band_hz, blur_s = recording.max_offset_s, wanted.band_hz, recording.exposure_s
-    late_ns, clocks_open = recording.late_ns, recording.clocks_open
+    wanted, camera = recording.settings.calibration, recording.settings.first_camera
     return View(
-        recording.axis, recording.prepared, window, reach_s, band_hz, blur_s, scale, printed, late_ns, clocks_open
+        recording.axis,
+        recording.prepared,
+        calibration_window(recording),
+        recording.max_offset_s,
+        wanted.band_hz,
+        recording.exposure_s,
+        None if camera is None else camera.known_scale,
+        wanted.printed(camera),
+        recording.late_ns,
+        recording.clocks_open,
     )
 
 
@@ -194,35 +199,18 @@ def wants_range(view: Recording) -> bool:
     )
 
 
-def divisions_of(view: Recording) -> int:
-    """Into how many parts the temperatures between region and whole view are divided."""
-    camera = view.settings.camera
-    return camera.range_divisions if isinstance(camera, InfraredSettings) else DIVISIONS
-
-
-def _frames_compared(view: Recording, tracking: CameraTracking) -> list[Frame]:
-    """The frames of the calibration that temperature ranges are compared on."""
-    first = tracking.settings.first
-    last = int(np.searchsorted(view.frames.times_ns() + view.late_ns, window_ends(view)[1], side="right"))
-    return list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
-
-
 def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
     """What was estimated along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
     regions = [target.region for target in tracking.targets]
     place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
+    # Temperatures (°C) that the tracker sees; None where it gets pictures.
+    tracker = tracking.targets[place].tracker
+    seen = (tracker.limits.low_c, tracker.limits.high_c) if isinstance(tracker, ThermalTarget) else None
     own = replace(
         part.calibration,
         source=SOURCES[view.kind],
         name=view.own.settings.name,
-        temperature_range_c=range_seen(tracking, place),
+        temperature_range_c=seen,
         diagnostics=part.diagnostics,
     )
     return replace(part, calibration=own)
-
-
-def _picture_warnings(view: Recording, tracking: CameraTracking) -> list[Notice]:
-    """What of the pictures the scale factor suffers from."""
-    if view.kind == "infrared" and is_grey(view):
-        return [Notice("thermal", f"infrared: {AGC_NOTE}.")]
-    return [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]

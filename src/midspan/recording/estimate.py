@@ -1,14 +1,16 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from midspan.calibration.displacement.left_out import MANY_LEFT_OUT
+from midspan.calibration.accelerometer_clock import refuse_forward_step
+from midspan.calibration.displacement.learn import MANY_LEFT_OUT
 from midspan.calibration.displacement.wrong_values import wrong_values
 from midspan.calibration.one_clock import OneClock
+from midspan.calibration.scale_check import Sensed, fitting
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.unfelt import (
     measured_rows,
@@ -19,37 +21,16 @@ from midspan.calibration.unfelt import (
     refuse_wide,
 )
 from midspan.checks import option, path_of
-from midspan.engine.camera_result import CameraResult, camera_result, camera_series
-from midspan.engine.channels import clock_std_s, without_gain
-from midspan.engine.one_series import (
-    literal_warnings,
-    one_series,
-    run_on_series,
-    with_levels_since,
-    with_uncertain,
-)
-from midspan.engine.radar_messages import REPORTED, radar_warnings
-from midspan.engine.row_messages import event_warnings, shares, unmeasured_ends
-from midspan.engine.second_look import (
-    clocks,
-    left_out_event,
-    on_clock,
-    on_its_clock,
-    once_more,
-    ran_apart,
-    scales,
-    with_levels_of,
-    with_scales,
-    without_measured,
-    without_stamps,
-)
-from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
+from midspan.engine.channels import without_gain
+from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
+from midspan.engine.second_look import clocks, left_out_event, on_clock, on_its_clock, once_more, ran_apart, with_scales
+from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_result, camera_series, series_at_instants
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.estimator import Estimator
-from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
-from midspan.fusion.second_pass import Lag, smooth
+from midspan.fusion.blocks import REJECTED
+from midspan.fusion.estimator import Estimator, Lag
+from midspan.fusion.methods import METHODS, Method, Pass, named, no_literal_form
 from midspan.fusion.streams import MethodSettings
 from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
@@ -57,25 +38,19 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
-from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
-from midspan.recording.tracked import (
-    Eye,
-    Side,
-    known_sensors,
-    offsets_of,
-    open_eyes,
-    side_of,
-)
-from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, Source, joined, part
-from midspan.settings.sensor_words import renamed
-from midspan.settings.stored.calibration import Calibration
-from midspan.settings.stored.calibration_file import load_calibration
+from midspan.recording.tracked import Eye, Side, known_sensors, open_eyes, side_of
+from midspan.records import Estimate, Event, Innovation, Nanoseconds, Source, part
+from midspan.settings.messages import renamed
+from midspan.settings.stored.calibration import Calibration, load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
+# What stands in `papers`, above this room: methods over one series of displacements, and the printed radar.
+ON_SERIES = "midspan.papers.printed.one_series:on_series"
+PRINTED_RADAR = "midspan.papers.printed.radar:estimate_printed"
 # Events of a first pass that may come of values that are wrong.
 CONTRADICTS = frozenset({"rejected", "clock", "level_shift", "acceleration", "reacquired", "frozen", "lost", "noise"})
 
@@ -118,7 +93,8 @@ def estimate(
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
-        return estimate_printed(recording, calibration, method, progress)
+        printed: Result = named(PRINTED_RADAR)(recording, calibration, method, progress)
+        return printed
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given
@@ -186,7 +162,10 @@ class FirstPass:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
         are wrong.
         """
-        series = {name: without_stamps(one, self.wrong.get(name)) for name, one in self.series[axis].items()}
+        series = dict(self.series[axis])
+        for name, stamps in self.wrong.items() if axis == 0 else ():
+            one = series[name]
+            series[name] = replace(one, value_m=np.where(np.isin(one.time_ns, stamps), np.nan, one.value_m))
         return series_at_instants(series, self.estimator.settings.channels, axis, self.sides[axis].acceleration)
 
 
@@ -218,15 +197,22 @@ class Found:
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
-    looks = asked.on_series or asked.row.rows is Pass.SMOOTHED
-    main = first.sides[0]
-    ran: dict[str, OneClock] = {}
+    looks, ran = asked.on_series or asked.row.rows is Pass.SMOOTHED, dict[str, OneClock]()
     if looks or asked.given:
-        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
+        main, shared = first.sides[0], clocks_shared(first.sides[0])
+        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, shared)
+    wrong = _wrong(first, ran)
     if looks:
-        first = replace(first, wrong=_wrong(first, ran))
+        first = replace(first, wrong=wrong)
+    else:
+        refuse_followed(first, wrong)
     checked = check(asked, first, ran)
-    found = by_method(asked, first, ran, checked)
+    if asked.on_series:
+        found: Found = named(ON_SERIES)(asked, first, ran, checked)
+    elif asked.row.rows is Pass.SMOOTHED:
+        found = smoothed(first, ran, checked)
+    else:
+        found = _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
     progress(1, 1, "fusing")
     return result_of(asked, first, replace(found, warnings=(*checked.warnings, *found.warnings)), checked)
 
@@ -246,12 +232,21 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
         eye.tracking.close()
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome.measured_ns))
-    events = outcome.events_of
+    events, series = outcome.events_of, []
     cameras = tuple(
         camera_result(eye.tracking, eye.sensor, eye.calibrations, events.get(eye.sensor, ())) for eye in eyes
     )
-    first = FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, ())
-    return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
+    for axis in range(len(sides)):
+        rows = outcome.estimate(axis)
+        series.append({camera.sensor: camera_series(camera, rows, axis) for camera in cameras})
+        for view, known in known_sensors(sides[0]) if axis == 0 else ():
+            log = (outcome.measured_by(view.sensor), point.estimator.settings.channels, rows)
+            series[0][view.sensor] = ROWS[view.kind].series(view, known, log)
+    return FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, tuple(series))
+
+
+# Of the values that are wrong.
+MOST = 0.5
 
 
 def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanoseconds]:
@@ -261,7 +256,7 @@ def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanosecon
         return {}
     main, found = first.sides[0], {}
     for view, known in known_sensors(main):
-        if isinstance(known, DisplacementCalibration) and not ran_apart(ran[view.sensor]):
+        if isinstance(known, DisplacementCalibration) and not (view.sensor in ran and ran_apart(ran[view.sensor])):
             measured = first.series[0][view.sensor].displacement
             if len(stamps := wrong_values(measured, main.acceleration)):
                 found[view.sensor] = stamps
@@ -282,6 +277,21 @@ def refuse_unsettled(first: FirstPass, found: Found) -> None:
             )
 
 
+def refuse_followed(first: FirstPass, wrong: Mapping[str, Nanoseconds]) -> None:
+    """UntrustedError where a causal method has accepted most of very many values that are wrong (k,), by sensor."""
+    for name, stamps in wrong.items():
+        measured = first.outcome.measured_by(name)
+        share = len(stamps) / max(len(measured.time_ns), 1)
+        channels = np.unique(measured.channel)
+        accepted = [one.time_ns[one.verdict != REJECTED] for one in map(first.outcome.innovation, channels.tolist())]
+        if share > MANY_LEFT_OUT and np.mean(np.isin(stamps, np.concatenate(accepted))) > MOST:
+            raise UntrustedError(
+                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and this "
+                "method, which does not know what follows, has taken most of them for right. Use the method smoother, "
+                "or cut the recording to a part in which the sensor follows the structure."
+            )
+
+
 def left_out(side: Side, error: UntrustedError) -> Notice:
     """Why the second axis is left out of the result."""
     return Notice("part-left-out", f"The second axis {side.recording.axis} is left out of the result. {error}")
@@ -299,9 +309,9 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
         own = first.at_instants(axis)
         series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
         along, reach_s = f" along {side.recording.axis}" if axis else "", asked.recording.max_offset_s
-        followed = not asked.on_series
+        sensed = [Sensed(name, one.source, one.displacement, stated[axis][name]) for name, one in series.items()]
         try:
-            fits = scales(series, side.acceleration, stated[axis], along=along, max_offset_s=reach_s, followed=followed)
+            fits = fitting(side.acceleration, sensed, along, max_offset_s=reach_s, followed=not asked.on_series)
         except UntrustedError as error:
             if axis == 0:
                 raise
@@ -321,15 +331,6 @@ def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
     return {name: without_gain(std, own) for name, std in found.items()}
 
 
-def by_method(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
-    """The rows of the method that is asked for; ran: how the sensors' clocks ran, which only the causal ones leave."""
-    if asked.on_series:
-        return on_series(asked, first, ran, checked)
-    if asked.row.rows is Pass.SMOOTHED:
-        return smoothed(first, ran, checked)
-    return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
-
-
 def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *, alone: bool = False) -> Found:
     """The rows smoothed by the whole record, after what it shows of scales and clocks.
 
@@ -337,8 +338,6 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     """
     estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
-    log = estimator.log
-    assert log is not None
     off = {(name, axis): std for axis, one in enumerate(checked.scale_std) for name, std in one.items()}
     settings = with_scales(estimator.settings, off)
     if alone:
@@ -348,65 +347,24 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
         settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, first.sensors, ran))
     if apart or first.wrong or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
-        blocks |= {name: without_measured(blocks[name], stamps) for name, stamps in first.wrong.items()}
+        for name, stamps in first.wrong.items():
+            blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, stamps))
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
-        log, again = once_more(settings, log, tuple(blocks.values()))
+        estimator, again = once_more(settings, estimator, tuple(blocks.values()))
         outcome = Outcome(again)
-    found = _found(first, outcome, smooth(log, settings))
+    found = _found(first, outcome, estimator.smoothed(settings))
     refuse_unsettled(first, found)
-    levels = [level for clock in ran.values() for level in clock.levels]
-    rows = tuple(with_levels_of(one, levels) for one in found.rows)
+    # What the displacement may be off by where the motion does not tell which jump a clock made.
+    levels, rows = [level for clock in ran.values() for level in clock.levels], []
+    for one in found.rows:
+        variance = one.variance_m2
+        for level in levels:
+            variance = variance + np.interp(one.time_ns, level.time_ns, level.std_m) ** 2
+        rows.append(replace(one, variance_m2=variance))
     events = [event for clock in ran.values() for event in clock.events]
     events += [left_out_event(name, stamps) for name, stamps in first.wrong.items()]
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
-    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
-
-
-def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
-    """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
-    known = first.estimator.settings
-    # What nothing measured shows is no reason to take a farther measurement for right: it enters at the end.
-    found, method = smoothed(first, ran, checked, alone=True), asked.by_settings
-    gain = asked.calibration.gain_std(asked.recording.accelerometer.scale_std, given=asked.given)
-    rows, innovations = list(found.rows), list(found.innovations)
-    warnings = list(found.warnings)
-    events: list[Event] = []
-    for axis, side in enumerate(first.sides):
-        tilt_m2 = known.unseen_std_m[axis] ** 2
-        if not side.recording.fused:
-            rows[axis] = replace(rows[axis], variance_m2=rows[axis].variance_m2 + 2.0 * tilt_m2)
-            continue
-        series = first.at_instants(axis)
-        if asked.recording.settings.fusion.switching == "matches":
-            series = {name: taken(one, first.outcome.measured_by(name)) for name, one in series.items()}
-        named = {name: on_clock(one, ran[name]) for name, one in series.items()}
-        # The filter as printed takes every measurement; what it wins by a gate would not be its own.
-        printed = method.literal and asked.row.rows is not None
-        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns, gated=not printed)
-        own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
-        done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
-        scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
-        clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())
-        own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
-        level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
-        own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)
-        own_rows = with_levels_since(own_rows, found.rows[axis], measured, first.outcome.restarts_ns)
-        rows[axis] = part(own_rows, np.isin(own_rows.time_ns, found.rows[axis].time_ns))
-        innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
-        events += done.events
-        found = replace(found, delay_s=max(found.delay_s, done.delay_s))
-        warnings += literal_warnings(measured, done) if method.literal else []
-    return replace(
-        found,
-        rows=tuple(rows),
-        zero_variance_m2=tuple(
-            known.misfit[axis] * zero + (0.0 if known.zero_ns is None else known.unseen_std_m[axis] ** 2)
-            for axis, zero in enumerate(found.zero_variance_m2)
-        ),
-        innovations=tuple(innovations),
-        events=(*found.events, *events),
-        warnings=tuple(warnings),
-    )
+    return replace(found, rows=tuple(rows), events=(*found.events, *events), warnings=warnings)
 
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
@@ -417,7 +375,7 @@ def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Fo
     channels = first.estimator.settings.channels
     return Found(
         rows=tuple(part(one, span) for one in rows),
-        innovations=tuple(innovation_along(outcome, channels, axis) for axis in range(len(rows))),
+        innovations=tuple(outcome.innovation_along(channels, axis) for axis in range(len(rows))),
         zero_variance_m2=outcome.zero_variance_m2[: len(rows)],
         used={name: used_when(outcome, channels, name) for name in first.series[0]},
         events=tuple(event for event in outcome.fusion_events if event.time_ns <= last_ns),
@@ -430,7 +388,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
     if not asked.by_settings.literal:
-        refuse_untrue(first, judged(asked, first, found), found)
+        refuse_untrue(asked, first, found)
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
@@ -481,55 +439,42 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     return replace(result, across=across)
 
 
-def refuse_untrue(first: FirstPass, whole: Estimate, found: Found) -> None:
+def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
     """UntrustedError where the accelerometer contradicts the rows, or a radar has lost its target too often."""
-    main, rows = first.sides[0], measured_rows(whole, found.innovations[0])
+    main, whole, estimator = first.sides[0], found.rows[0], first.estimator
+    if asked.row.rows is Pass.CAUSAL and not asked.on_series and isinstance(estimator, Estimator) and found.events:
+        # The band of a causal method opens for a jump, that of the whole record does not.
+        whole = estimator.smoothed()[0]
+    rows = measured_rows(whole, found.innovations[0])
+    for name, one in first.at_instants(0).items():
+        refuse_forward_step(main.prepared, one.time_ns, one.value_m, name)
     refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
-    settings, usual = first.estimator.settings, figures(main, main.prepared.rate_hz)
-    density = settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
+    usual = figures(main, main.prepared.rate_hz)
+    density = estimator.settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
     steps_ns = [event.time_ns for event in found.events if event.kind == "clock"]
     for view, known in known_sensors(main):
         if view.kind == Source.RADAR.word:
-            unseen_ns = first.outcome.unseen_ns(view.sensor)
+            # Stamps (k,) of frames in which none of its targets was measured.
+            measured = first.outcome.measured_by(view.sensor)
+            unseen_ns = np.setdiff1d(measured.time_ns, measured.time_ns[np.isfinite(measured.value)])
             refuse_contradicted(first.outcome.events_of.get(view.sensor, ()), len(known.used), view.sensor)
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
             refuse_wide(main.prepared, whole)
 
 
-def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:
-    """The rows that are judged: the band of a causal method opens for a jump, that of the whole record does not."""
-    own = first.estimator
-    if asked.row.rows is Pass.SMOOTHED or asked.on_series or not isinstance(own, Estimator) or not found.events:
-        return found.rows[0]
-    assert own.log is not None
-    return smooth(own.log, own.settings)[0]
-
-
 def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[Notice]]:
     """Whether there is a second image axis that can be trusted, and its warnings."""
     if len(first.sides) < 2 or checked.left_out:
         return False, []
-    view, rows, innovation = first.sides[1].recording, found.rows[1], found.innovations[1]
+    view = first.sides[1].recording
     try:
-        refuse_rejections(view, innovation)
+        refuse_rejections(view, found.innovations[1])
     except UntrustedError as error:
         return False, [left_out(first.sides[1], error)]
     told = event_warnings(tuple(event for event in found.events if event.axis == 1))
-    return True, [
-        *(line.worded(f"Along {view.axis}: {line}") for line in told),
-        *shares(innovation, rows, f" along {view.axis}"),
-    ]
-
-
-def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
-    """What each sensor measured along an axis."""
-    rows = first.outcome.estimate(axis)
-    found = {camera.sensor: camera_series(camera, rows, axis) for camera in first.cameras}
-    for view, known in known_sensors(first.sides[axis]) if axis == 0 else ():
-        log = (first.outcome.measured_by(view.sensor), first.estimator.settings.channels, rows)
-        found[view.sensor] = ROWS[view.kind].series(view, known, log)
-    return found
+    told = [line.worded(f"Along {view.axis}: {line}") for line in told]
+    return True, told + shares(found.innovations[1], found.rows[1], f" along {view.axis}")
 
 
 def clocks_shared(main: Side) -> set[str]:
@@ -542,13 +487,6 @@ def clocks_shared(main: Side) -> set[str]:
             if section.estimate_offset is False or (section.estimate_offset is None and one):
                 found.add(view.sensor)
     return found
-
-
-def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:
-    """Innovations of all channels along an axis in the order of time."""
-    numbers = [k for k, channel in enumerate(channels) if channel.axis == axis]
-    found = joined([outcome.innovation(k) for k in numbers])
-    return part(found, np.argsort(found.time_ns, kind="stable"))
 
 
 def _no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:

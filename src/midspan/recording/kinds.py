@@ -14,26 +14,70 @@ from midspan.calibration.displacement.learn import Given
 from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
 from midspan.calibration.noise import USUAL_GAIN_STD
 from midspan.calibration.radar.calibrate import RadarFit, fit_radar
-from midspan.calibration.radar.literal import fit_radar_literal
+from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
-from midspan.engine.channels import Table, interval_s, plain_channel
-from midspan.engine.radar_channels import radar_channels, require_same_radar
+from midspan.engine.channels import Table, interval_s, plain_channel, radar_channels, require_same_radar
 from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import PlainSensor, RadarSensor
-from midspan.errors import UsageError
+from midspan.errors import DataError, UsageError
+from midspan.fusion.methods import named
+from midspan.notices import Notice
 from midspan.progress import Progress
-from midspan.recording.radar_window import opened_window
+from midspan.radar.frames import collected
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import require_overlap, within_window
-from midspan.records import Channel, Estimate, Measured, Source
-from midspan.settings.sensor_words import in_words_of
+from midspan.recording.streams.window import require_overlap, window_ends, within_window
+from midspan.records import NANOSECONDS, Channel, Estimate, Measured, Source
+from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
+from midspan.signals.stamps import inside
 from midspan.signals.stuck import at_limits
 from midspan.sources.accelerometer.units import si_factor
 
+# Complex values of range profiles that are kept of the window at most: 128 MB.
+MAX_VALUES = 1 << 24
+# A larger share of frames with holes is reported.
+WARNED_LOST = 0.02
+# What stands in `papers`, above this room.
+PRINTED_FIT = "midspan.papers.printed.radar_calibration:fit_radar_literal"
+
 Log = tuple[Measured, Sequence[Channel], Estimate]
 """All that a sensor measured, the estimator's channels, the rows along the main axis."""
+
+
+def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
+    """The range profiles of a radar's calibration window, no more of them than memory allows, and the acceleration with
+    a margin for the clock offset.
+    """
+    source, prepared = recording.radar, recording.prepared
+    times, told = source.times_ns(), list[Notice]()
+    if not len(times):
+        raise DataError(f"radar.file = {recording.own.settings.file!r}: holds no frames.")
+    require_overlap(prepared.time_ns, times, "radar")
+    ends = window_ends(recording)
+    # At the largest clock offset the frames must still lie inside the accelerometer's samples.
+    margin = round(recording.max_offset_s * NANOSECONDS)
+    first = max(ends[0], int(prepared.time_ns[0]) + margin)
+    used = inside(times, first, min(ends[1], int(prepared.time_ns[-1]) - margin))
+    if used.stop - used.start < MIN_FRAMES:
+        raise DataError(
+            f"radar: {max(used.stop - used.start, 0)} frames lie in the calibration window (those within "
+            f"calibration.max_offset_s of the accelerometer's ends are left out); at least {MIN_FRAMES} are needed. "
+            "Widen calibration.window_s or bring the clocks together with radar.start_s."
+        )
+    most = MAX_VALUES // max(source.info.channels * source.info.bins, 1)
+    if used.stop - used.start > most:
+        used = slice(used.start, used.start + max(most, MIN_FRAMES))
+        length_s = (int(times[used.stop - 1]) - int(times[used.start])) / NANOSECONDS
+        text = f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory."
+        told.append(Notice("window-moved", text))
+    blocks = source.profiles(used.start, used.stop)
+    frames = collected(blocks, used.stop - used.start, progress, "reading the radar's calibration window")
+    holes = float(np.mean(~frames.valid.all(axis=1)))
+    if holes > WARNED_LOST:
+        text = f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets)."
+        told.append(Notice("radar-data", text))
+    return opened(frames, prepared, ends, recording.max_offset_s, told)
 
 
 def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
@@ -45,16 +89,16 @@ def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
     window = opened_window(view, progress)
     section, info = view.settings.radar, view.radar.info
     assert section is not None
-    if view.settings.fusion.literal:
-        return fit_radar_literal(window, view.prepared, info, target_range_m=section.target_range_m)
     wanted_m = section.target_range_m
+    if view.settings.fusion.literal:
+        fit: RadarFit = named(PRINTED_FIT)(window, view.prepared, info, target_range_m=wanted_m)
+        return fit
     return fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
 
 
 def _known(view: Recording, calibration: Calibration) -> Any:
     """The part of a calibration for a view's sensor; UsageError where it has none."""
-    found = calibration.of_sensor(view.own, view.beside)
-    if found is None:
+    if (found := calibration.of_sensor(view.own, view.beside)) is None:
         raise UsageError(
             f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
         )
@@ -76,11 +120,6 @@ def radar_stage(table: Table, view: Recording, known: RadarCalibration, *, moved
     return radar_channels(
         table, known, view.radar.info, sensor=view.sensor, step_s=step_s, moved_m=moved_m, first=first
     )
-
-
-def radar_series(view: Recording, known: RadarCalibration, log: Log) -> SensorSeries:
-    """What a radar's targets measured together."""
-    return channel_series(log[0], log[1], view.sensor, log[2])
 
 
 def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementFit:
@@ -119,13 +158,6 @@ def displacement_part(view: Recording, calibration: Calibration) -> Displacement
     return known
 
 
-def displacement_stage(
-    table: Table, view: Recording, known: DisplacementCalibration, *, moved_m: float, first: bool
-) -> PlainSensor:
-    """A displacement sensor, and its channel in the table."""
-    return plain_channel(table, known, view.displacement, view.sensor, first=first)
-
-
 def displacement_series(view: Recording, known: DisplacementCalibration, log: Log) -> SensorSeries:
     """The whole channel as it was read, in metres on the accelerometer's clock."""
     found = read_with(view.displacement, known)
@@ -137,9 +169,7 @@ def displacement_series(view: Recording, known: DisplacementCalibration, log: Lo
 @dataclass(frozen=True, slots=True)
 class Kind:
     """calibrate: what is estimated of the sensor; known: its part of a calibration, or a refusal; stage: its part of
-    the
-
-    engine, and its channels in the table; series: what it measured over the record.
+    the engine, and its channels in the table; series: what it measured over the record.
     """
 
     calibrate: Callable[[Recording, Progress], RadarFit | DisplacementFit]
@@ -149,6 +179,19 @@ class Kind:
 
 
 ROWS = {
-    "radar": Kind(calibrate_radar, radar_part, radar_stage, radar_series),
-    "displacement": Kind(calibrate_displacement, displacement_part, displacement_stage, displacement_series),
+    "radar": Kind(
+        calibrate_radar,
+        radar_part,
+        radar_stage,
+        # What its targets measured together.
+        lambda view, known, log: channel_series(log[0], log[1], view.sensor, log[2]),
+    ),
+    "displacement": Kind(
+        calibrate_displacement,
+        displacement_part,
+        lambda table, view, known, *, moved_m, first: plain_channel(
+            table, known, view.displacement, view.sensor, first=first
+        ),
+        displacement_series,
+    ),
 }

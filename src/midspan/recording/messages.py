@@ -14,15 +14,12 @@ MAX_REJECTED = 0.5
 
 def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]:
     """What to tell of a camera that the recording has and the calibration that was given has not."""
-    return [
-        Notice(
-            "part-left-out",
-            f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
-            "`midspan calibrate` on a recording with both cameras.",
-        )
-        for view in recording.cameras
-        if calibration.of_sensor(view.own, view.beside) is None
-    ]
+    text = (
+        "[{0}] is left out of the result: the calibration that was given has no {0} part. Run `midspan calibrate` on a "
+        "recording with both cameras."
+    )
+    missing = [view.sensor for view in recording.cameras if calibration.of_sensor(view.own, view.beside) is None]
+    return [Notice("part-left-out", text.format(name)) for name in missing]
 
 
 def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
@@ -56,18 +53,13 @@ def require_same_cameras(recording: Recording, calibration: Calibration) -> None
 def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
     """UntrustedError when most measurements contradict the prediction."""
     share = rejected_share(innovation)
-    if share > MAX_REJECTED:
-        raise UntrustedError(
-            f"{100 * share:.0f} % of the measurements contradict the acceleration; at most "
-            f"{100 * MAX_REJECTED:g} % may. "
-            "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure "
-            f"the same motion. Calibrate this recording, and look at {_looked_at(recording)}."
-        )
-
-
-def _looked_at(recording: Recording) -> str:
-    """What may be wrong of the sensors that there are, as an instruction's last words."""
-    found = [f"its {view.sensor}.roi" for view in recording.cameras]
-    found += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
-    found += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
-    return " and ".join(found)
+    if share <= MAX_REJECTED:
+        return
+    looked_at = [f"its {view.sensor}.roi" for view in recording.cameras]
+    looked_at += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
+    looked_at += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
+    raise UntrustedError(
+        f"{100 * share:.0f} % of the measurements contradict the acceleration; at most {100 * MAX_REJECTED:g} % may. "
+        "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure the same "
+        f"motion. Calibrate this recording, and look at {' and '.join(looked_at)}."
+    )

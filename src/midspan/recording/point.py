@@ -9,30 +9,28 @@ import numpy as np
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera_channels import camera_channels
-from midspan.engine.channels import Table, interval_s
+from midspan.engine.channels import Table, camera_channels, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
-from midspan.engine.order import FIRST_NS
-from midspan.engine.point import ACCELEROMETER, Point
+from midspan.engine.point import ACCELEROMETER, Point, Switch
 from midspan.engine.sensors import MIN_STD_PX, RadarSensor, Sensor
-from midspan.engine.switching import Switch
-from midspan.engine.twilight import Place
-from midspan.fusion.blocks import VELOCITY_WITHIN
-from midspan.fusion.estimator import Estimator
+from midspan.engine.stream import FIRST_NS
+from midspan.fusion.estimator import Estimator, Lag
+from midspan.fusion.methods import named
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.printed_prediction import PredictedAsPrinted, StartOfPrinted
-from midspan.fusion.second_pass import Lag
 from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, ClockOffset, RangeFrame, Source, Status
-from midspan.settings.band import tilt_std_m
+from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
 
+# What stands in `papers`, above this room: the rule of two cameras, and the estimator with printed predictions.
+SWITCH = "midspan.papers.printed.switching:switch_of"
+PREDICTED = "midspan.papers.printed.prediction:predicted_as_printed"
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
 # A bias that drifts is a random walk that is as far off after the first time, s, of the order of the filter's memory,
@@ -42,24 +40,22 @@ WALK_S, DRIFT_S = 10.0, 60.0
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
     """What is usual of an axis's acceleration: as calibrated, where the calibration tells it."""
-    known = side.calibration.usual or usual_in_window(side.recording)
-    name = f"accelerometer ({side.recording.accelerometer.file})"
     own = side.calibration
     return replace(
-        known,
+        own.usual or usual_in_window(side.recording),
         noise_density=own.noise_density(rate_hz),
         motion_noise_s=own.motion_noise_s,
-        name=name,
+        name=f"accelerometer ({side.recording.accelerometer.file})",
         gain=own.accelerometer_scale,
     )
 
 
 def bias_std(side: Side) -> float:
     """How well the bias is known at the start, m/s²."""
-    known = side.calibration.bias_std_m_s2
-    noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
-    known = known if np.isfinite(known) else UNKNOWN_BIAS_STD
-    return float(np.linalg.norm((noise, MIN_BIAS_STD, DRIFT_S * side.calibration.bias_drift_m_s3, known)))
+    own = side.calibration
+    known = own.bias_std_m_s2 if np.isfinite(own.bias_std_m_s2) else UNKNOWN_BIAS_STD
+    noise, drift = BIAS_SAMPLES * own.noise_std_m_s2, DRIFT_S * own.bias_drift_m_s3
+    return float(np.linalg.norm((noise, MIN_BIAS_STD, drift, known)))
 
 
 def bias_walk(side: Side) -> float:
@@ -76,26 +72,12 @@ def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
     return {name: round(NANOSECONDS * offset.value_s) for name, offset in offsets_of(main, eyes).items()}
 
 
-def radar_frames_used(recording: Recording) -> slice:
-    """The frames of a view's radar that are used."""
-    margin_ns = round(recording.max_offset_s * NANOSECONDS)
-    return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
-
-
 def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
     """A radar's frames in the bins of its stage."""
-    used = radar_frames_used(recording)
+    margin_ns = round(recording.max_offset_s * NANOSECONDS)
+    used = frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
     for block in recording.radar.slow_time(radar.chain.bins, used.start, used.stop):
         yield from block
-
-
-def radar_zero_ns(view: Recording, radar: RadarSensor) -> int | None:
-    """The instant (ns on the radar's clock) of the first frame used, from which the phase counts; None: of none."""
-    before = radar.chain.state
-    found = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
-    first = next((one for one in found if one.status == Status.TRACKING), None)
-    radar.chain.restore(before)
-    return None if first is None else (*first.earlier, first)[0].time_ns
 
 
 def zero_instant(
@@ -112,8 +94,13 @@ def zero_instant(
     if not eyes:
         # The first sensor's zero is that of the displacement.
         view, radar = next((view, sensors[view.sensor]) for view, _ in known_sensors(main))
-        found = radar_zero_ns(view, radar) if isinstance(radar, RadarSensor) else None
-        firsts = [] if found is None else [(view.sensor, found)]
+        if isinstance(radar, RadarSensor):
+            # Its phase counts from the first frame used, which is looked for and given up again.
+            before = radar.chain.state
+            seen = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
+            first = next((one for one in seen if one.status == Status.TRACKING), None)
+            radar.chain.restore(before)
+            firsts = [] if first is None else [(view.sensor, (*first.earlier, first)[0].time_ns)]
     stamps = [
         stamp if ran is None else ran[name].first_ns(stamp)
         for name, stamp in ((name, stamp + offsets_ns[name]) for name, stamp in firsts)
@@ -125,27 +112,23 @@ def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
     """What the tilt of the cameras, their contradiction of the accelerometer and its logger's low-pass make of the
     displacement along an axis, m: of several the most.
     """
-    settings = [(eye.view.settings.camera, eye.calibrations[axis]) for eye in eyes]
-    tilts = (0.0 if camera is None else tilt_std_m(camera, known) for camera, known in settings)
-    seen = [hypot(tilt, known.apart_std_m) for tilt, (_, known) in zip(tilts, settings, strict=True)]
+    seen = []
+    for eye in eyes:
+        camera, known = eye.view.settings.camera, eye.calibrations[axis]
+        seen.append(hypot(0.0 if camera is None else tilt_std_m(camera, known), known.apart_std_m))
     # A displacement sensor's own zero has no part of it, and each row holds it once, not twice.
     lost = [known.apart_std_m / sqrt(2.0) for _, known in known_sensors(main) if known.kind == Source.DISPLACEMENT.word]
     return max((*seen, *(lost if axis == 0 else ())), default=0.0)
-
-
-def unseen_zero_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
-    """What else is in the bin of a radar's best target makes of its phase at the zero, m: it does not average out while
-    the structure is where it was.
-    """
-    known = [one for _, one in known_sensors(main)][:1]
-    counts = not eyes and axis == 0 and bool(known) and known[0].kind == Source.RADAR.word
-    return known[0].used[0].bent_m if counts else 0.0
 
 
 def estimator_settings(
     table: Table, sides: Sequence[Side], eyes: Sequence[Eye], sensors: Mapping[str, Sensor]
 ) -> EstimatorSettings:
     """What the estimator is given of a recording's axes and sensors."""
+    # What else is in the bin of a radar's best target makes an error of its phase at the zero, m: it does not average
+    # out while the structure is where it was.
+    known = [one for _, one in known_sensors(sides[0])][:1]
+    bent_m = known[0].used[0].bent_m if not eyes and known and known[0].kind == Source.RADAR.word else 0.0
     return EstimatorSettings(
         channels=tuple(table.channels),
         axes=len(sides),
@@ -158,7 +141,7 @@ def estimator_settings(
         misfit=tuple(side.calibration.misfit for side in sides),
         lean=tuple(GRAVITY_M_S2 * side.calibration.slope for side in sides),
         unseen_std_m=tuple(unseen_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
-        unseen_zero_std_m=tuple(unseen_zero_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
+        unseen_zero_std_m=(bent_m, *(0.0 for _ in sides[1:])),
     )
 
 
@@ -208,27 +191,11 @@ def measuring_point(
     guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
     unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
-    switch = Switch((eyes[0].sensor, eyes[1].sensor), _place(recording, eyes)) if one_at_a_time else None
+    switch: Switch | None = named(SWITCH)(recording, eyes) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
     estimator: Estimator | Lag
     if printed is not None:
-        estimator = PredictedAsPrinted(settings, start_of_printed(printed, main), log=log)
+        estimator = named(PREDICTED)(settings, printed, main, log=log)
     else:
         estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
-
-
-def start_of_printed(printed: MethodSettings, main: Side) -> StartOfPrinted:
-    """The start of the filter as printed, by what is usual of the acceleration."""
-    moved_m, omega = figures(main, main.prepared.rate_hz).motion
-    kalman = replace(main.kalman, velocity_std=VELOCITY_WITHIN * omega * moved_m)
-    step_s = interval_s(main.recording.acceleration.time_ns)
-    return StartOfPrinted(replace(printed, kalman=kalman), step_s, omega * moved_m)
-
-
-def _place(recording: Recording, eyes: Sequence[Eye]) -> Place | None:
-    """Where day and night decide between vision and infrared as printed; None where they do not."""
-    site, kinds = recording.settings.site, [eye.view.kind for eye in eyes[:2]]
-    if site is None or not recording.settings.fusion.literal or kinds != ["camera", "infrared"]:
-        return None
-    return Place(site.latitude_deg, site.longitude_deg)

@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
-from midspan.checks import instance
-from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
-from midspan.engine.sensor_series import SensorSeries
-from midspan.notebook import table
+from midspan.engine.sensor_series import CameraResult, SensorSeries
+from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
-from midspan.settings.band import not_in_band
+from midspan.settings.plausible import not_in_band
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
-from midspan.signals.thinning import envelope
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
 
@@ -28,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Stretches drawn by `plot`; a longer record is thinned to the extremes of each.
-MAX_STRETCHES = 4000
-FIGURE_INCHES = (9.0, 3.0)
+# What stands in `report`, above this room.
+PLOT, NOTEBOOK = "midspan.report.plot:plot", "midspan.report.plot:notebook_html"
+REPORT = "midspan.report.report:write_report"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +148,8 @@ class Result:
         return {
             "midspan": __version__,
             "method": self.method,
-            "delay_s": self._finite_delay_s,
+            # Where it is the whole record JSON has no number for it.
+            "delay_s": self.delay_s if np.isfinite(self.delay_s) else None,
             "zero_std_mm": 1e3 * self.zero_std_m,
             "not_in_band": list(self.not_in_band),
             **self._axes(),
@@ -162,11 +160,6 @@ class Result:
             "notices": notice_trees(self.warnings),
             "events": _events(self.events),
         }
-
-    @property
-    def _finite_delay_s(self) -> float | None:
-        """The delay, None where it is the whole record, which JSON has no number for."""
-        return self.delay_s if np.isfinite(self.delay_s) else None
 
     def _sensors(self) -> dict[str, Any]:
         """Which sensor stands behind `source` when; nothing where there is one of each kind."""
@@ -206,7 +199,10 @@ class Result:
         """The figures a person asks for first: span, peaks, typical standard deviation with its part that is the zero's
         and common to all rows, and that of a row's own, shares of each status.
         """
-        d, rows = self.displacement_mm, self.estimate
+        d, rows, second = self.displacement_mm, self.estimate, dict[str, Any]()
+        if self.across is not None:
+            found, names = self.across.figures(), ("largest", "smallest", "rms", "median_std")
+            second = {f"{name}_{self.across.axis}_mm": found[f"{name}_mm"] for name in names}
         return {
             "rows": len(d),
             "start_s": float(self.time_s[0]),
@@ -216,19 +212,12 @@ class Result:
             "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
             "median_std_mm": float(np.median(self.displacement_std_mm)),
             "zero_std_mm": 1e3 * self.zero_std_m,
-            "delay_s": self._finite_delay_s,
+            "delay_s": self.delay_s if np.isfinite(self.delay_s) else None,
             "median_own_std_mm": 1e3 * float(np.sqrt(max(np.median(rows.variance_m2) - self.zero_std_m**2, 0.0))),
             "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
             "source": {s.word: float(np.mean(rows.source == s)) for s in Source if np.any(rows.source == s)},
-            **self._second_figures(),
+            **second,
         }
-
-    def _second_figures(self) -> dict[str, Any]:
-        """Peaks and typical standard deviation along the second axis."""
-        if self.across is None:
-            return {}
-        found, names = self.across.figures(), ("largest", "smallest", "rms", "median_std")
-        return {f"{name}_{self.across.axis}_mm": found[f"{name}_mm"] for name in names}
 
     def to_pandas(self) -> "pd.DataFrame":
         """The rows as a data frame indexed by time_s, with words for source and status."""
@@ -243,22 +232,8 @@ class Result:
 
         axes: where to draw; left out: in a new figure of pyplot, which `matplotlib.pyplot.show()` shows in a script.
         """
-        from matplotlib import axes as kinds
-        from matplotlib import pyplot
-
-        if axes is None:
-            figure, axes = pyplot.subplots(figsize=FIGURE_INCHES, layout="constrained")
-            if "inline" in pyplot.get_backend():
-                # A notebook shows the figure that a cell returns; it would show one that is still open once more.
-                pyplot.close(figure)
-        instance("axes", axes, kinds.Axes, "axes of matplotlib", "Leave axes out for a figure of its own.")
-        for one in (self,) if self.across is None else (self, self.across):
-            one._draw(axes, "displacement" if self.across is None else f"displacement along {one.axis}")
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("displacement (mm)")
-        axes.legend(loc="upper right", frameon=False)
-        axes.grid(alpha=0.3)
-        return axes.get_figure(root=True)  # type: ignore[return-value]
+        figure: Figure = named(PLOT)(self, axes)
+        return figure
 
     def report(self, path: str | Path) -> Path:
         """Write a self-contained HTML report, compared with the recording's [reference] where it has one.
@@ -266,10 +241,7 @@ class Result:
         Returns `path`. Raises UsageError where the file cannot be written, DataError where the reference cannot be
         read.
         """
-        # Reports are made in a room above this one, which the package's name leads to.
-        import midspan
-
-        written: Path = midspan.write_report(self, path, *self.references())
+        written: Path = named(REPORT)(self, path, *self.references())
         return written
 
     def references(self) -> tuple[TimeSeries | None, TimeSeries | None]:
@@ -279,27 +251,10 @@ class Result:
             return None, None
         return recording.reference, recording.reference_across
 
-    def _draw(self, axes: "Axes", label: str) -> None:
-        """The displacement with its band."""
-        time_s, value, half = self.time_s, self.displacement_mm, 1.96 * self.displacement_std_mm
-        band = envelope(time_s, value - half, value + half, MAX_STRETCHES)
-        axes.fill_between(band.t, band.low, band.high, alpha=0.3, linewidth=0, label="±1.96 σ")
-        axes.plot(*envelope(time_s, value, value, MAX_STRETCHES).line(), linewidth=0.9, label=label)
-
     def _repr_html_(self) -> str:
         """What a notebook shows: the picture and the first figures."""
-        import base64
-        import io
-
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=FIGURE_INCHES, layout="constrained")
-        self.plot(figure.subplots())
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=96)
-        data = base64.b64encode(picture.getvalue()).decode()
-        rows = [("displacement", self.summary()), *self.calibration.summary()]
-        return f'<img src="data:image/png;base64,{data}"/>{table(self.name, rows, self.warnings)}'
+        html: str = named(NOTEBOOK)(self)
+        return html
 
 
 def _events(events: tuple[Event, ...]) -> list[dict[str, Any]]:

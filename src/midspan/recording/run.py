@@ -32,7 +32,7 @@ from midspan.records import (
     joined,
     part,
 )
-from midspan.settings.sensor_words import in_words_of, worded
+from midspan.settings.messages import in_words_of, worded
 
 NOTHING_SEEN = (
     "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "
@@ -70,11 +70,6 @@ class Outcome:
         return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
 
     @property
-    def restarts_ns(self) -> dict[str, Nanoseconds]:
-        """Instants (k,) from which on the zero of a target of each radar is a new one."""
-        return {name: log.restarts_ns for name, log in self.radars.items()}
-
-    @property
     def fusion_events(self) -> tuple[Event, ...]:
         """What the estimator decided that is worth an event."""
         return tuple(event for rows in self.rows for event in rows.events)
@@ -88,11 +83,6 @@ class Outcome:
         number, time_ns = found.channel[order], found.time_ns[order]
         last = np.append((np.diff(number) != 0) | (np.diff(time_ns) != 0), True)
         return part(found, order[last])
-
-    def unseen_ns(self, sensor: str) -> Nanoseconds:
-        """Stamps (k,) of a sensor's frames in which none of its targets was measured."""
-        found = self.measured_by(sensor)
-        return np.setdiff1d(found.time_ns, found.time_ns[np.isfinite(found.value)])
 
     @property
     def measured_ns(self) -> Nanoseconds:
@@ -108,6 +98,11 @@ class Outcome:
     def innovation(self, channel: int) -> Innovation:
         """The innovations of a channel as one block."""
         return joined([rows.innovations[channel] for rows in self.rows if rows.innovations])
+
+    def innovation_along(self, channels: Sequence[Channel], axis: int) -> Innovation:
+        """Those of all channels along an axis in the order of time."""
+        found = joined([self.innovation(k) for k, channel in enumerate(channels) if channel.axis == axis])
+        return part(found, np.argsort(found.time_ns, kind="stable"))
 
 
 def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> list[tuple[int, int]]:
@@ -161,24 +156,16 @@ def records_of(
             series = view.displacement
             readings[view.sensor] = Readings(known.even(series.time_ns), series.value[:, None])
     offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], eyes)}
-    blocks = blocks_of(readings, offsets_ns, block_s)
-    ahead = next(blocks, None)
-    for name, record in in_time(feeds, offsets_ns):
-        if isinstance(record, Arrival):
-            stamp = _stamp(record) + offsets_ns[name]
-            while ahead is not None and ahead[0] <= stamp:
-                yield ahead[1].stream, ahead[1]
-                ahead = next(blocks, None)
+    blocks, frames = blocks_of(readings, offsets_ns, block_s), in_time(feeds, offsets_ns)
+    # At equal stamps the blocks come first.
+    for _, name, record in heapq.merge(blocks, frames, key=lambda due: due[0]):
         yield name, record
-    while ahead is not None:
-        yield ahead[1].stream, ahead[1]
-        ahead = next(blocks, None)
 
 
 def blocks_of(
     readings: Mapping[str, Readings], offsets_ns: Mapping[str, int], block_s: float
-) -> Iterator[tuple[int, Arrival]]:
-    """Readings of several streams in blocks, by the begin (ns) of each block's span on the common clock."""
+) -> Iterator[tuple[int, str, Arrival | Complete]]:
+    """Readings of several streams in blocks: begin (ns) of each one's span on the common clock, stream and block."""
     first_ns = min((int(one.time_ns[0]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
     last_ns = max((int(one.time_ns[-1]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
     step_ns = min(NANOSECONDS * block_s, last_ns - first_ns + 1)
@@ -190,13 +177,8 @@ def blocks_of(
             end = places[name] + (int(np.argmax(later)) if later.any() else len(later))
             if end > places[name]:
                 part = Readings(one.time_ns[places[name] : end], one.value[places[name] : end])
-                yield first_ns + round(number * step_ns), Arrival(name, counts[name], part)
+                yield first_ns + round(number * step_ns), name, Arrival(name, counts[name], part)
                 places[name], counts[name] = end, counts[name] + 1
-
-
-def _stamp(arrival: Arrival) -> int:
-    assert not isinstance(arrival.record, Readings)
-    return arrival.record.time_ns
 
 
 def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
@@ -211,9 +193,9 @@ def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
 
 def in_time(
     feeds: Mapping[str, Iterator[Tracked | Frame | RangeFrame]], offsets_ns: Mapping[str, int]
-) -> Iterator[tuple[str, Arrival | Complete]]:
+) -> Iterator[tuple[int, str, Arrival | Complete]]:
     """The frames of all streams in the order of the common clock, one of each stream read ahead at most; behind the
-    last one of an instant, that all streams have brought theirs. With each the name of the stream that it is from.
+    last one of an instant, that all streams have brought theirs. With each its stamp and stream.
 
     offsets_ns: what is added to the stamps of each to get that clock.
     """
@@ -229,11 +211,11 @@ def in_time(
         read(name)
     while waiting:
         stamp, _, name, record = heapq.heappop(waiting)
-        yield name, Arrival(name, counts[name], record)
+        yield stamp, name, Arrival(name, counts[name], record)
         counts[name] += 1
         read(name)
         if not waiting or waiting[0][0] > stamp:
-            yield name, Complete(stamp)
+            yield stamp, name, Complete(stamp)
 
 
 def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, int]) -> None:
@@ -247,11 +229,6 @@ def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, 
             if kept[output.sensor] >= 0:
                 continue
             eye = cameras[output.sensor]
-            early_ns = -late_ns(eye)
+            early_ns = -round(NANOSECONDS * eye.calibrations[0].offset.value_s)
             found = [one for one in output.found if isinstance(one, PixelTranslation)]
             eye.tracking.keep([one.later(early_ns) for one in found])
-
-
-def late_ns(eye: Eye) -> int:
-    """What is added to a camera's stamps to get the accelerometer's clock."""
-    return round(NANOSECONDS * eye.calibrations[0].offset.value_s)

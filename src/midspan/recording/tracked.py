@@ -6,17 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from midspan.calibration.camera.one_displacement import filter_settings
+from midspan.calibration.camera.view import filter_settings
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.streams import KalmanSettings
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.opening import open_tracking
+from midspan.recording.tracking.opening import open_tracking, where_it_sees
 from midspan.records import Acceleration, TimeOffset
 from midspan.settings.kinds import CAMERAS
-from midspan.settings.sensor_words import in_words_of
+from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.acceleration import PreparedAcceleration, still
 
@@ -85,12 +84,8 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     density = calibration.noise_density(prepared.rate_hz)
     gain = calibration.accelerometer_scale
     kalman = filter_settings(prepared, density, calibration.bias_m_s2 / gain)
-    acceleration = prepared.with_noise(density, calibration.motion_noise_s)
-    acceleration = replace(
-        acceleration,
-        value_m_s2=acceleration.value_m_s2 / gain,
-        noise_density=acceleration.noise_density / gain**2,
-    )
+    own = prepared.with_noise(density, calibration.motion_noise_s)
+    acceleration = Acceleration(own.time_ns, own.value_m_s2 / gain, own.noise_density / gain**2)
     return Side(recording, calibration, prepared, acceleration, kalman)
 
 
@@ -102,13 +97,10 @@ def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: 
     opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.beside)}
     eyes = []
     for view in sides[0].recording.cameras:
-        known = tuple(
-            camera for side in sides if (camera := side.calibration.of_sensor(view.own, view.beside)) is not None
-        )
-        if not known:
-            continue
-        view, _ = where_it_sees(view.later(known[0].offset.value_s))
-        with in_words_of(view.sensor):
-            own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
-        eyes.append(Eye(view, own, known))
+        parts = (side.calibration.of_sensor(view.own, view.beside) for side in sides)
+        if known := tuple(part for part in parts if part is not None):
+            view, _ = where_it_sees(view.later(known[0].offset.value_s))
+            with in_words_of(view.sensor):
+                own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
+            eyes.append(Eye(view, own, known))
     return tuple(eyes)

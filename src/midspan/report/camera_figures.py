@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.scale import ScaleCalibration
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.records import PixelTrack, Region, Status
-from midspan.report.columns import round_below
 from midspan.report.drawing import (
     BLACK,
     BLUE,
@@ -20,12 +20,15 @@ from midspan.report.drawing import (
     Picture,
     draw_line,
     draw_points,
+    legend,
     picture,
     sheet,
 )
+from midspan.report.history_data import round_below
 from midspan.report.material import Clock
 from midspan.report.tables import partly_static
-from midspan.signals.thinning import envelope
+from midspan.report.thinning import envelope
+from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
 
 if TYPE_CHECKING:
@@ -159,7 +162,7 @@ def _scores(axes: "Axes", found: RegionChoice) -> None:
     (x0, x1), (y0, y1) = _edges(found.score_x), _edges(found.score_y)
     top = min(float(np.nanmax(score)), 5.0 * float(np.nanmin(score)))
     shown = axes.imshow(score, cmap="viridis", vmax=top, extent=(x0, x1, y1, y0), interpolation="nearest")
-    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)")
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)", use_gridspec=False)
 
 
 def _edges(centres: Any) -> tuple[float, float]:
@@ -216,7 +219,7 @@ def _regression(axes: "Axes", found: ScaleCalibration) -> None:
     axes.fill_between(reach, slope * reach - wide, slope * reach + wide, color=SKY, alpha=0.5, linewidth=0)
     axes.set_xlabel("acceleration's response, whitened (mm)")
     axes.set_ylabel("translation in the image, whitened (px)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    legend(axes, 2)
 
 
 def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
@@ -231,7 +234,7 @@ def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
         options: dict[str, Any] = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
         axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
     axes.set_ylabel("log-likelihood below the best scanned")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    legend(axes, 2)
 
 
 def explained(found: ScaleCalibration) -> float:
@@ -239,3 +242,39 @@ def explained(found: ScaleCalibration) -> float:
     fit = found.search.fit
     whole = np.sum(fit.whitened.translation**2 / fit.whitened.variance)
     return float(1.0 - fit.noise * np.sum(fit.residual**2) / whole)
+
+
+TINT = 0.45  # of the colour over an active pixel
+
+
+def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
+    """The region in the `reference` frame (rows, columns), and its active pixels along x and y tinted."""
+    region = found.region
+    pixels = np.asarray(reference, dtype=np.float64)
+    cut = pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+    low, high = np.nanpercentile(cut, (0.5, 99.5))
+    grey = np.clip((cut - low) / max(high - low, 1e-9), 0.0, 1.0)
+    figure = sheet(3.2)
+    whole, *others = figure.subplots(1, 3)
+    whole.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
+    whole.imshow(_tinted(grey, None, ""))
+    for axes, axis, mask, fit, colour in zip(
+        others, "xy", (found.x, found.y), found.r_squared, (ORANGE, SKY), strict=True
+    ):
+        how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
+        axes.set_title(f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})", fontsize=9)
+        axes.imshow(_tinted(grey, mask, colour))
+    for axes in (whole, *others):
+        axes.grid(False)
+        axes.set_xlabel("x in the region (px)")
+    return picture(figure)
+
+
+def _tinted(grey: Any, active: Any, colour: str) -> Any:
+    """An image (rows, columns, 3) from 0 to 1 with the pixels of the mask coloured."""
+    from matplotlib.colors import to_rgb
+
+    out = np.repeat(grey[:, :, None], 3, axis=2)
+    if active is not None:
+        out[active] = (1.0 - TINT) * out[active] + TINT * np.array(to_rgb(colour))
+    return out

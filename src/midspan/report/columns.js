@@ -1,4 +1,4 @@
-// The columns that columns.py packs, and the extremes of ever longer segments of each, so that any zoom draws quickly.
+// The columns that history_data.py packs, and the extremes of ever longer segments of each, so that any zoom draws quickly.
 
 async function unpack(text, columns) {
   const raw = atob(text), packed = new Uint8Array(raw.length);

@@ -6,12 +6,14 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from midspan.records import Floats
-from midspan.signals.thinning import Envelope
+from midspan.report.thinning import Envelope
+from midspan.writing import WRITTEN_BY, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,14 +85,20 @@ def style() -> Iterator[None]:
 
 
 def sheet(height_in: float = 3.0, width_in: float = WIDTH_IN) -> "Figure":
-    """An empty figure across the page."""
+    """An empty figure across the page, whose layout `picture` and `saved` make."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    return Figure(figsize=(width_in, height_in))
 
 
 def picture(figure: "Figure") -> Picture:
     """The figure as lines (SVG) that follow the page's colour scheme, transparent; photographs lie inside."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    FigureCanvasSVG(figure)
+    # A figure that has a layout engine is drawn twice by savefig, the first time for the layout alone.
+    ConstrainedLayoutEngine().execute(figure)
     drawn = _drawing(figure)
     if len(drawn) > MAX_SVG:
         for axes in figure.axes:
@@ -101,7 +109,9 @@ def picture(figure: "Figure") -> Picture:
 
 
 def _drawing(figure: "Figure") -> str:
-    text = saved(figure, "svg", metadata={"Date": None, "Creator": None}, dpi=DOTS_PER_INCH).decode()
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None}, dpi=DOTS_PER_INCH)
+    text = file.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r' d="([^"]*)"', lambda found: f' d="{_shorter(found[1])}"', text)
     text = re.sub(r"data:image/png;base64,([^\"]*)", lambda found: _smaller(found[1]), text)
@@ -148,11 +158,21 @@ def _smaller(data: str) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def saved(figure: "Figure", kind: str, **options: Any) -> bytes:
-    """The figure as the bytes of a file of this kind."""
-    file = io.BytesIO()
-    figure.savefig(file, format=kind, **options)
-    return file.getvalue()
+def write_picture(figure: "Figure", path: Path, dpi: int, **options: Any) -> Path:
+    """Write a figure as a picture file, by its suffix, that says what wrote it."""
+    kind, file = path.suffix.lower().lstrip("."), io.BytesIO()
+    says: dict[str, Any] = {"metadata": {"Software" if kind == "png" else "Creator": WRITTEN_BY}}
+    if kind in ("jpg", "jpeg"):
+        says = {"pil_kwargs": {"comment": WRITTEN_BY}}
+    figure.set_layout_engine("constrained")
+    figure.savefig(file, format=kind, dpi=dpi, **says, **options)
+    write_whole(path, file.getvalue())
+    return path
+
+
+def legend(axes: "Axes", columns: int) -> None:
+    """The legend in a row over the axes."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2)
 
 
 def draw_line(axes: "Axes", drawn: Envelope, colour: str, label: str, **options: Any) -> None:

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.errors import DataError
-from midspan.evaluate.interpolation import step_of
-from midspan.evaluate.metrics import Band, normalised_innovation
-from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, spectrum
+from midspan.evaluate.metrics import Band, normalised_innovation, step_of
+from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, hann, spectrum, welch
 from midspan.fusion.blocks import REJECTED
 from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, Status, TimeSeries, part, seconds
 from midspan.report.drawing import (
@@ -23,12 +22,13 @@ from midspan.report.drawing import (
     Picture,
     draw_line,
     draw_points,
+    legend,
     picture,
     sheet,
 )
 from midspan.report.material import BAND, Material, Measured
+from midspan.report.thinning import envelope, logarithmic_means, spans
 from midspan.signals.stamps import inside
-from midspan.signals.thinning import envelope, logarithmic_means, spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +51,9 @@ def history(material: Material) -> Picture:
     d, s = material.result.displacement_mm, material.result.displacement_std_mm
     band = envelope(material.t, d - BAND * s, d + BAND * s)
     axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
-    _reference(axes, material)
+    reference = _reference_within(material, slice(0, len(material.t)))
+    if reference is not None:
+        draw_line(axes, envelope(*reference, reference[1]), VERMILLION, "reference", linewidth=0.9)
     draw_line(axes, envelope(material.t, d, d), BLUE, "displacement")
     _shade(axes, material)
     _finish(axes, material, "displacement (mm)")
@@ -80,13 +82,6 @@ def error(material: Material) -> Picture:
     return picture(figure)
 
 
-def _reference(axes: "Axes", material: Material) -> None:
-    found = _reference_within(material, slice(0, len(material.t)))
-    if found is not None:
-        drawn = envelope(found[0], found[1], found[1])
-        draw_line(axes, drawn, VERMILLION, "reference", linewidth=0.9)
-
-
 def _shade(axes: "Axes", material: Material) -> None:
     """Coasting and lost segments as coloured grounds over the whole height."""
     status = material.result.estimate.status
@@ -102,7 +97,7 @@ def _finish(axes: "Axes", material: Material, label: str) -> None:
     axes.set_xlabel(material.clock.label)
     axes.set_ylabel(label)
     axes.margins(x=0.005)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, borderaxespad=0.2)
+    legend(axes, 6)
 
 
 def liveliest(material: Material) -> slice:
@@ -135,7 +130,12 @@ def zoom(material: Material) -> Picture:
             axes.plot(reference[0], value, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
     for measured, colour in zip(material.measured, (BLACK, GREEN, PURPLE, ORANGE), strict=False):
         _measurements((upper, lower), material, measured, (which, colour))
-    lower.set_ylim(*_limits(lower, BAND * s))
+    # Nearly all of the band and all lines but a few points, so that one gap hides nothing else.
+    lines = [np.abs(np.asarray(line.get_ydata(), dtype=np.float64)) for line in lower.lines]
+    finite = [line[np.isfinite(line)] for line in lines]
+    reach = [float(np.quantile(line, 0.98)) for line in finite if len(line)]
+    limit = 1.5 * max(*reach, float(np.quantile(BAND * s, 0.9)), 1e-9)
+    lower.set_ylim(-limit, limit)
     upper.set_xlim(t[0], t[-1])
     _finish(upper, material, "displacement (mm)")
     upper.set_xlabel("")
@@ -143,15 +143,6 @@ def zoom(material: Material) -> Picture:
     lower.set_ylabel("minus\ndisplacement (mm)")
     figure.align_ylabels()
     return picture(figure)
-
-
-def _limits(axes: "Axes", half_band: Floats) -> tuple[float, float]:
-    """Limits that show nearly all of the band and all lines but a few points, so that one gap hides nothing else."""
-    values = [np.abs(np.asarray(line.get_ydata(), dtype=np.float64)) for line in axes.lines]
-    known = [value[np.isfinite(value)] for value in values]
-    reach = [float(np.quantile(value, 0.98)) for value in known if len(value)]
-    limit = 1.5 * max(*reach, float(np.quantile(half_band, 0.9)), 1e-9)
-    return -limit, limit
 
 
 def _reference_within(material: Material, which: slice) -> tuple[Floats, Floats] | None:
@@ -187,7 +178,6 @@ def _between(time_ns: Nanoseconds, material: Material, which: slice) -> slice:
 
 def spectra(material: Material, modes: Sequence[Mode]) -> Picture:
     """Amplitude densities of result, reference and the sensors alone over the first natural frequencies, and below how
-
     coherent each sensor is with the acceleration.
     """
     coherent = [(one, found) for one in material.measured if (found := _coherence(material, one)) is not None]
@@ -204,7 +194,7 @@ def spectra(material: Material, modes: Sequence[Mode]) -> Picture:
         axes.text(mode.frequency_hz, 0.99, f" {mode.frequency_hz:.3g} Hz", transform=over, fontsize=7.5, va="top")
     axes.set_xlim(0.0, limit_hz)
     axes.set_ylabel("amplitude density (mm/√Hz)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    legend(axes, 4)
     if coherent:
         _coherences(grid[1, 0], coherent)
     grid[-1, 0].set_xlabel("frequency (Hz)")
@@ -242,15 +232,14 @@ def _coherences(axes: "Axes", coherent: Sequence[tuple[Measured, tuple[Floats, F
     axes.set_ylim(0.0, 1.05)
     axes.set_ylabel("coherence")
     if len(coherent) > 1:
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+        legend(axes, 4)
 
 
 def _coherence(material: Material, measured: Measured) -> tuple[Floats, Floats, float] | None:
     """Frequencies (Hz) up to the sensor's Nyquist frequency, coherence of its measurements with the acceleration, and
-
     what unrelated records stay below in 95 % of the frequencies; None for short records and without an acceleration.
     """
-    from scipy.signal import coherence
+    from matplotlib import mlab
 
     felt, known = material.acceleration, np.isfinite(measured.value_mm)
     if felt is None or np.count_nonzero(known) < MIN_VALUES:
@@ -265,7 +254,9 @@ def _coherence(material: Material, measured: Measured) -> tuple[Floats, Floats, 
     moved = np.interp(even, seconds(felt.time_ns[heard], origin), felt.value[heard])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Nothing moves: no share is defined.
-        frequency, share = coherence(seen, moved, 1.0 / step, nperseg=segment, detrend="linear")
+        window, overlap = hann(segment), segment // 2
+        found = mlab.cohere(seen, moved, segment, 1.0 / step, "linear", window, overlap)
+    share, frequency = (np.asarray(one, dtype=np.float64) for one in found)
     # Half overlapping Hann windows are worth about as many as fit side by side.
     chance = 1.0 - 0.05 ** (1.0 / (len(even) / segment - 1.0))
     usable = (frequency > 0.0) & (frequency < 0.5 * measured.rate_hz) & np.isfinite(share)
@@ -286,8 +277,6 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
 
     Hann windows of an eighth of the record, half overlapping; irregular stamps are brought to an even grid before.
     """
-    from scipy.signal import welch
-
     known = np.isfinite(value)
     if np.count_nonzero(known) < MIN_VALUES:
         return None
@@ -297,7 +286,7 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
     if len(even) < MIN_VALUES:
         return None
     segment = min(max(len(even) // SEGMENTS * 2, MIN_VALUES), MAX_SEGMENT, len(even))
-    frequency, power = welch(np.interp(even, t, value), 1.0 / step, nperseg=segment, detrend="linear")
+    frequency, power = welch(np.interp(even, t, value), 1.0 / step, segment)
     return logarithmic_means(frequency[1:], np.maximum(power[1:], 1e-300))
 
 
@@ -364,4 +353,4 @@ def _distribution(axes: "Axes", normalised: Floats) -> None:
     axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=BLACK, label="expected")
     axes.set_xlabel("innovation / σ")
     axes.set_ylabel("probability density")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    legend(axes, 2)

@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.calibration.camera.view import judged_by
-from midspan.engine.camera_target import Target
+from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress
 from midspan.recording.cameras import view_of
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of
+from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of, where_it_sees
 from midspan.records import NANOSECONDS, Floats, Region
-from midspan.report.drawing import BLACK, ORANGE, SKY, VERMILLION, saved, sheet, style
-from midspan.report.lens import described
+from midspan.report.drawing import BLACK, ORANGE, SKY, VERMILLION, sheet, style, write_picture
 from midspan.settings.load import validate
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
@@ -27,7 +25,6 @@ from midspan.vision.candidates import Candidate
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.region_choice import CHOICE_S
 from midspan.vision.tracker import DEFAULT_TRACKER
-from midspan.writing import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,30 +145,24 @@ def _look(
     if frame is None:
         raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
     chosen = () if choice is None else choice.regions
-    middle = (*(one.region for one in given), *chosen, _whole(frame.pixels))[0]
+    rows, columns = frame.pixels.shape
+    middle = (*(one.region for one in given), *chosen, Region(0, 0, columns, rows))[0]
     strip, strip_s = _strip(source, first, middle, axis)
     places = () if choice is None else choice.candidates[:MAX_LISTED]
     reasons = () if choice is None else choice.reasons
     return FirstLook(frame.pixels, axis, given, places, chosen, strip, strip_s, (*notes, *reasons))
 
 
-def _whole(pixels: Any) -> Region:
-    return Region(0, 0, pixels.shape[1], pixels.shape[0])
-
-
 def _strip(source: FrameSource, first: int, region: Region, axis: str) -> tuple[Floats, Floats]:
     """The image along the axis through the middle of a region (positions, frames), and the frames' times, s."""
     times = source.times_ns()[first:]
     count = min(int(np.searchsorted(times, times[0] + round(CHOICE_S * NANOSECONDS))), MAX_STRIP_FRAMES)
-    columns = slice(region.x, region.x + region.width)
-    rows = slice(region.y, region.y + region.height)
-    if axis == "x":
-        middle = region.y + region.height // 2
-        lines = [frame.pixels[middle, columns] for frame in source.frames(first, first + count)]
-    else:
-        middle = region.x + region.width // 2
-        lines = [frame.pixels[rows, middle] for frame in source.frames(first, first + count)]
-    strip = np.array(lines, dtype=np.float64).T
+    line: tuple[int | slice, int | slice] = (
+        (region.y + region.height // 2, slice(region.x, region.x + region.width))
+        if axis == "x"
+        else (slice(region.y, region.y + region.height), region.x + region.width // 2)
+    )
+    strip = np.array([frame.pixels[line] for frame in source.frames(first, first + count)], dtype=np.float64).T
     return strip, (times[: strip.shape[1]] - times[0]) / NANOSECONDS
 
 
@@ -185,9 +176,7 @@ def draw_first_look(found: FirstLook, path: Path) -> Path:
         _frame(image, found)
         _list(words, found)
         _draw_strip(lower.subplots(), found)
-        content = saved(figure, path.suffix.lower().lstrip("."), dpi=110, **described(path))
-    write_whole(path, content)
-    return path
+        return write_picture(figure, path, 110)
 
 
 def _frame(axes: "Axes", found: FirstLook) -> None:
@@ -219,11 +208,8 @@ def _box(axes: "Axes", region: Region, colour: str, text: str, line: str) -> Non
     from matplotlib.patches import Rectangle
 
     corner = (region.x - 0.5, region.y - 0.5)
-    axes.add_patch(
-        Rectangle(
-            corner, region.width, region.height, fill=False, color=colour, linewidth=1.8, linestyle=line, zorder=3
-        )
-    )
+    options: dict[str, Any] = {"color": colour, "linewidth": 1.8, "linestyle": line, "zorder": 3}
+    axes.add_patch(Rectangle(corner, region.width, region.height, fill=False, **options))
     ground = {"facecolor": BLACK, "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
     axes.text(region.x, region.y, text, color="white", fontsize=8, va="top", zorder=4, clip_on=True, bbox=ground)
 
@@ -231,19 +217,17 @@ def _box(axes: "Axes", region: Region, colour: str, text: str, line: str) -> Non
 def _list(axes: "Axes", found: FirstLook) -> None:
     """The places with their scores and verdicts, and what the choice rests on."""
     axes.axis("off")
-    lines = [line for number, place in enumerate(found.places, start=1) for line in _described_place(number, place)]
+    lines = list[str]()
+    for number, place in enumerate(found.places, start=1):
+        r = place.region
+        text = f"{number}  {r.x},{r.y},{r.width},{r.height}: {place.predicted_std_px:.4f} px; {verdict(place)}"
+        lines += textwrap.wrap(text, 62, subsequent_indent="    ")
     for note in found.notes:
         lines += ["", *textwrap.wrap(note, 62)]
     if not lines:
         lines = ["No place was found."]
     axes.text(0.0, 1.0, "\n".join(lines), va="top", ha="left", fontsize=7, transform=axes.transAxes)
     axes.set_title("solid: tracked; dashed: tried; red: given", fontsize=9, loc="left")
-
-
-def _described_place(number: int, place: Candidate) -> list[str]:
-    r = place.region
-    text = f"{number}  {r.x},{r.y},{r.width},{r.height}: {place.predicted_std_px:.4f} px; {verdict(place)}"
-    return textwrap.wrap(text, 62, subsequent_indent="    ")
 
 
 def _draw_strip(axes: "Axes", found: FirstLook) -> None:

@@ -1,15 +1,63 @@
 """What stands behind the time history that can be zoomed: every row, sensor and reference, as columns."""
 
+import base64
 import json
+import math
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from midspan.evaluate.metrics import step_of
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
-from midspan.report.columns import Column, packed, round_below
 from midspan.report.material import BAND, Material
-from midspan.signals.thinning import PAUSE_STEPS, starts
+from midspan.report.thinning import PAUSE_STEPS, starts
+
+MAX_ORDER = 3
+# Of the multiples: differences of the highest order are 2³ times larger, and JavaScript's numbers hold integers to 2⁵³.
+MAX_MULTIPLE = 2**48
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """Finite values (n,), given to the nearest multiple of `quantum`, in their unit."""
+
+    value: Floats
+    quantum: float
+
+
+def round_below(fine: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above `fine`, which must be above 0."""
+    power = 10.0 ** math.floor(math.log10(fine))
+    return float(max(k for k in (1.0, 2.0, 5.0) if k * power <= fine * (1.0 + 1e-9)) * power)
+
+
+def packed(columns: Sequence[Column]) -> tuple[list[dict[str, Any]], str]:
+    """How each column is to be read (quantum, count, order of the differences, bytes a value), and all data as text.
+
+    A column is rounded to whole multiples of its quantum. Differences of the order that makes them smallest, coded
+    without sign (0, −1, 1, −2, … as 0, 1, 2, 3, …) and split into bytes of equal weight, are deflated (RFC 1950).
+    """
+    layout, data = list[dict[str, Any]](), list[bytes]()
+    for column in columns:
+        multiple = np.clip(np.rint(column.value / column.quantum), -MAX_MULTIPLE, MAX_MULTIPLE).astype(np.int64)
+        order, code = min(_codes(multiple), key=lambda found: float(np.sum(np.log2(found[1] + 1.0))))
+        width = max(1, (int(code.max(initial=0)).bit_length() + 7) // 8)
+        data += [((code >> np.uint64(8 * k)) & np.uint64(255)).astype(np.uint8).tobytes() for k in range(width)]
+        layout.append({"quantum": column.quantum, "count": len(code), "order": order, "width": width})
+    return layout, base64.b64encode(zlib.compress(b"".join(data), 9)).decode()
+
+
+def _codes(multiple: Any) -> list[tuple[int, Any]]:
+    """Order and codes (n,) without sign of the differences of each order."""
+    found = []
+    for order in range(MAX_ORDER + 1):
+        step = np.diff(multiple, order, prepend=np.zeros(order, dtype=np.int64)) if order else multiple
+        found.append((order, ((step << 1) ^ (step >> 63)).astype(np.uint64)))
+    return found
+
 
 # Longer records (an hour at 200 Hz is 720 000 rows) keep the extremes of half as many segments.
 MAX_ROWS = 800_000
@@ -44,7 +92,6 @@ class Packing:
 
     def series(self, time_ns: Nanoseconds, value: Floats, fine: float, std: Floats | None = None) -> dict[str, Any]:
         """The columns of a series: times, values to `fine` or finer, standard deviations; what is not finite is left
-
         out, and more than MAX_ROWS are thinned.
         """
         known = np.isfinite(value) & (True if std is None else np.isfinite(std))
@@ -82,6 +129,8 @@ def chart_of(material: Material) -> tuple[dict[str, str], str]:
     rows, std = result.estimate, result.displacement_std_mm
     own = 1e3 * float(np.sqrt(max(float(np.median(rows.variance_m2)) - result.zero_std_m**2, 0.0)))
     fine = QUANTUM_STD * (own or float(np.median(std)))
+    # Half of what the noise of one sample of the acceleration changes the velocity by, mm/s.
+    velocity_fine = 0.5 * 1e3 * result.calibration.noise_std_m_s2 * step_of(rows.time_ns)
     main = packing.series(rows.time_ns, result.displacement_mm, fine, std)
     known = np.isfinite(result.displacement_mm) & np.isfinite(std)
     status = rows.status[known].astype(np.float64)
@@ -92,7 +141,7 @@ def chart_of(material: Material) -> tuple[dict[str, str], str]:
         *_reference(packing, fine),
         *_measured(packing),
         {"name": "velocity", "unit": "mm/s", "panel": "velocity", "shape": "line"}
-        | packing.series(rows.time_ns, result.velocity_mm_s, _velocity_fine(material)),
+        | packing.series(rows.time_ns, result.velocity_mm_s, velocity_fine),
         *_acceleration(packing),
     ]
     # One value is no line.
@@ -113,8 +162,7 @@ def _reference(packing: Packing, fine: float) -> list[dict[str, Any]]:
     reference = packing.material.reference
     if reference is None:
         return []
-    value = reference.value + packing.material.reference_moved_mm
-    found = packing.series(reference.time_ns, value, fine)
+    found = packing.series(reference.time_ns, reference.value + packing.material.reference_moved_mm, fine)
     return [{"name": "reference", "unit": "mm", "panel": "displacement", "shape": "under"} | found]
 
 
@@ -126,12 +174,6 @@ def _measured(packing: Packing) -> list[dict[str, Any]]:
         for one in packing.material.measured
         if np.isfinite(one.value_mm).any()
     ]
-
-
-def _velocity_fine(material: Material) -> float:
-    """Half of what the noise of one sample of the acceleration changes the velocity by, mm/s."""
-    step_s = float(np.median(np.diff(material.result.estimate.time_ns))) / NANOSECONDS
-    return 0.5 * 1e3 * material.result.calibration.noise_std_m_s2 * step_s
 
 
 def _acceleration(packing: Packing) -> list[dict[str, Any]]:

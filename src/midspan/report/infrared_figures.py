@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.engine.camera_result import CameraResult
+from midspan.engine.sensor_series import CameraResult
 from midspan.records import Event, Floats, Source
 from midspan.report.drawing import (
     BLACK,
@@ -16,11 +16,12 @@ from midspan.report.drawing import (
     VERMILLION,
     Picture,
     draw_line,
+    legend,
     picture,
     sheet,
 )
 from midspan.report.material import Material
-from midspan.signals.thinning import envelope, spans
+from midspan.report.thinning import envelope, spans
 from midspan.thermal.temperature_range import RangeSurface
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def worth_showing(material: Material) -> bool:
 def over_time(material: Material) -> Picture:
     """Strength and standard deviation of each camera, its reference changes and shutters, the rows' source."""
     cameras = material.result.cameras
+    switches = places(material, [event for event in material.result.events if event.kind == "switch"])
     figure = sheet(1.5 + 1.3 * (len(cameras) + 1))
     *strengths, deviation, strip = figure.subplots(
         len(cameras) + 2, 1, sharex=True, height_ratios=(*(1.0 for _ in cameras), 1.4, 0.35)
@@ -60,8 +62,16 @@ def over_time(material: Material) -> Picture:
     _deviations(deviation, material)
     _strip(strip, material)
     for axes in (*strengths, deviation):
-        _sources(axes, material)
-        _switches(axes, material, axes is strengths[0])
+        if len(cameras) > 1:
+            # The ground in the colour of the camera that the rows rest on.
+            for code, held in source_spans(material).items():
+                if code in CAMERAS:
+                    over = axes.get_xaxis_transform()
+                    axes.broken_barh(held, (0, 1), transform=over, color=COLOURS[code], alpha=0.09, linewidth=0.0)
+        for number, place in enumerate(switches):
+            # A line from where on the other camera measures.
+            label = "switch" if axes is strengths[0] and number == 0 else None
+            axes.axvline(float(place), color=GREEN, linewidth=1.1, linestyle="--", label=label)
     drawn = {
         label: handle for axes in strengths for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
@@ -82,7 +92,8 @@ def colour_of(material: Material, camera: CameraResult) -> str:
 
 def _strength(axes: "Axes", material: Material, camera: CameraResult) -> None:
     """Matches or quality of the best target; zero where it was lost."""
-    t, value = _stamps(material, camera), camera.targets[camera.best].strength
+    late_ns = np.int64(round(1e9 * camera.calibrations[0].offset.value_s))
+    t, value = material.clock.at(camera.track.time_ns + late_ns), camera.targets[camera.best].strength
     matching = material.section_of(camera).tracker in MATCHING
     draw_line(axes, envelope(t, value, value), colour_of(material, camera), "", linewidth=0.8)
     axes.set_title(camera.sensor, fontsize=9, loc="left", color=colour_of(material, camera))
@@ -131,7 +142,7 @@ def _deviations(axes: "Axes", material: Material) -> None:
     draw_line(axes, envelope(material.t, std, std), BLACK, "result", linewidth=1.2)
     axes.set_yscale("log")
     axes.set_ylabel("σ (mm)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    legend(axes, 4)
     for number, camera in enumerate(material.result.cameras[::-1]):
         low, high = MARK_HEIGHT * number, MARK_HEIGHT * (number + 0.8)
         _marks(axes, material, camera, (low, high))
@@ -164,24 +175,6 @@ def shares(source: NDArray[np.uint8]) -> list[tuple[Source, float]]:
     return [(Source(int(code)), float(np.mean(source == code))) for code in np.unique(source)]
 
 
-def _switches(axes: "Axes", material: Material, labelled: bool) -> None:
-    """A line from where on the other camera measures."""
-    found = places(material, [event for event in material.result.events if event.kind == "switch"])
-    for number, place in enumerate(found):
-        label = "switch" if labelled and number == 0 else None
-        axes.axvline(float(place), color=GREEN, linewidth=1.1, linestyle="--", label=label)
-
-
-def _sources(axes: "Axes", material: Material) -> None:
-    """The ground in the colour of the camera that the rows rest on; none where there is one camera."""
-    if len(material.result.cameras) < 2:
-        return
-    over = axes.get_xaxis_transform()
-    for code, held in source_spans(material).items():
-        if code in CAMERAS:
-            axes.broken_barh(held, (0, 1), transform=over, color=COLOURS[code], alpha=0.09, linewidth=0.0)
-
-
 def chosen_place(found: RangeSurface) -> tuple[int, int]:
     """Row and column of the range chosen, where rows and columns go from cold to warm."""
     row = int(np.argmin(np.abs(found.low_c[::-1] - found.best.low_c)))
@@ -206,7 +199,7 @@ def surface(found: RangeSurface) -> Picture:
     axes.set_facecolor("#dddddd")
     axes.grid(False)
     shown = axes.imshow(error, cmap="viridis", origin="lower", aspect="auto", interpolation="nearest")
-    figure.colorbar(shown, ax=axes, label="error in the band (px)")
+    figure.colorbar(shown, ax=axes, label="error in the band (px)", use_gridspec=False)
     for row, column in np.argwhere(np.isnan(error)):
         axes.text(column, row, "lost", ha="center", va="center", fontsize=7, color=BLACK)
     row, column = chosen_place(found)
@@ -216,11 +209,6 @@ def surface(found: RangeSurface) -> Picture:
     axes.set_xlabel("upper limit (°C): of the region … of the whole view")
     axes.set_ylabel("lower limit (°C)")
     return picture(figure)
-
-
-def _stamps(material: Material, camera: CameraResult) -> Floats:
-    late_ns = round(1e9 * camera.calibrations[0].offset.value_s)
-    return material.clock.at(camera.track.time_ns + np.int64(late_ns))
 
 
 def places(material: Material, events: list[Event]) -> Floats:

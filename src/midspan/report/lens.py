@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.report.drawing import BLUE, GREY, VERMILLION, saved, style
+from midspan.report.drawing import BLUE, GREY, VERMILLION, sheet, style, write_picture
 from midspan.vision.checkerboard import LensFit
 from midspan.vision.lens import straight
-from midspan.writing import WRITTEN_BY, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,23 +19,12 @@ LONGER = 200.0
 
 def draw_lens(fit: LensFit, picture: NDArray[Any], path: Path) -> Path:
     """Write a picture file: a photograph (rows, columns) with the corners used and their misfits, the correction."""
-    from matplotlib.figure import Figure
-
     with style():
-        figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+        figure = sheet(4.4, 11.0)
         left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
         _coverage(left, fit, picture)
         _correction(right, fit)
-        content = saved(figure, path.suffix.lower().lstrip("."), dpi=110, facecolor="white", **described(path))
-    write_whole(path, content)
-    return path
-
-
-def described(path: Path) -> dict[str, Any]:
-    """Where a picture of this suffix says what wrote it."""
-    if path.suffix.lower() in (".jpg", ".jpeg"):
-        return {"pil_kwargs": {"comment": WRITTEN_BY}}
-    return {"metadata": {"Software" if path.suffix.lower() == ".png" else "Creator": WRITTEN_BY}}
+        return write_picture(figure, path, 110, facecolor="white")
 
 
 def _coverage(axes: "Axes", fit: LensFit, picture: NDArray[Any]) -> None:

@@ -8,11 +8,9 @@ import numpy as np
 from midspan.calibration.camera.view import camera_pair, scale_of
 from midspan.calibration.scale import ScaleCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.engine.camera_result import CameraResult
-from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.sensor_series import CameraResult, SensorSeries
 from midspan.errors import DataError, MidspanError
-from midspan.evaluate.interpolation import step_of
-from midspan.evaluate.metrics import Band, Comparison, compare
+from midspan.evaluate.metrics import Band, Comparison, compare, step_of
 from midspan.recording.cameras import view_of
 from midspan.recording.result import Result
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries, seconds
@@ -40,7 +38,6 @@ class Clock:
 @dataclass(frozen=True, slots=True)
 class Measured:
     """What a displacement sensor said: value_mm (n,) at time_ns (n,) on the accelerometer's clock, brought to the
-
     result's zero; std_mm (n,); NaN where it was lost. rate_hz: its mean rate.
     """
 
@@ -162,9 +159,6 @@ def _aligned(result: Result, series: SensorSeries) -> Measured:
     difference = value - 1e3 * fused
     known = np.isfinite(difference)
     moved = float(np.median(difference[known])) if known.any() else 0.0
-    return Measured(_shown(series), time_ns, value - moved, 1e3 * series.std_m[which])
-
-
-def _shown(series: SensorSeries) -> str:
-    """What a sensor is called: "displacement" alone could be the result's."""
-    return "displacement sensor" if series.sensor == "displacement" else series.sensor
+    # "displacement" alone could be the result's.
+    name = "displacement sensor" if series.sensor == "displacement" else series.sensor
+    return Measured(name, time_ns, value - moved, 1e3 * series.std_m[which])

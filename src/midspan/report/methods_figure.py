@@ -11,10 +11,20 @@ from midspan.evaluate.methods import MethodRun
 from midspan.evaluate.result_file import of_result
 from midspan.recording.result import Result
 from midspan.records import Floats, TimeSeries
-from midspan.report.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, saved, sheet, style
-from midspan.report.lens import described
-from midspan.signals.thinning import envelope
-from midspan.writing import write_whole
+from midspan.report.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    sheet,
+    style,
+    write_picture,
+)
+from midspan.report.thinning import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,9 +57,7 @@ def draw_methods(runs: Sequence[MethodRun], reference: TimeSeries | None, path: 
         _differences(apart, runs, reference)
         apart.set_xlabel("time (s)")
         figure.align_ylabels()
-        content = saved(figure, path.suffix.lower().lstrip("."), dpi=130, **described(path))
-    write_whole(path, content)
-    return path
+        return write_picture(figure, path, 130)
 
 
 def _line(axes: "Axes", series: tuple[Floats, Floats], span: tuple[float, float], look: tuple[str, str, float]) -> None:

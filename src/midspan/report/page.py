@@ -78,13 +78,13 @@ def paragraph(text: str, kind: str = "") -> str:
 
 def bullets(lines: Iterable[str], kind: str) -> str:
     """A list of plain texts; notices with their severity as class, and their code."""
-    return f"<ul{_kind(kind)}>{''.join(map(_bullet, lines))}</ul>"
-
-
-def _bullet(line: str) -> str:
-    if not isinstance(line, Notice):
-        return f"<li>{escape(line)}</li>"
-    return f"<li class={line.severity}>{escape(line)} <code>{line.code}</code></li>"
+    found = ""
+    for line in lines:
+        if isinstance(line, Notice):
+            found += f"<li class={line.severity}>{escape(line)} <code>{line.code}</code></li>"
+        else:
+            found += f"<li>{escape(line)}</li>"
+    return f"<ul{_kind(kind)}>{found}</ul>"
 
 
 def cards(rows: Iterable[tuple[str, str, str]]) -> str:

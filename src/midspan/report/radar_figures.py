@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics
-from midspan.engine.radar_trace import PhaseExcerpt, RadarTrace, TargetTrace
+from midspan.engine.radar_trace import RadarTrace, TargetTrace
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.channels import MIN_BINS
 from midspan.radar.unwrap import TURN
@@ -21,11 +21,12 @@ from midspan.report.drawing import (
     Picture,
     draw_line,
     draw_points,
+    legend,
     picture,
     sheet,
 )
 from midspan.report.material import Clock
-from midspan.signals.thinning import Envelope, spans
+from midspan.report.thinning import Envelope, spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,8 @@ def profile(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     """Power over range with the targets that are used and those that were refused."""
     figure = sheet(3.2)
     axes = figure.subplots()
-    x = _places(found)
+    known = np.isfinite(found.range_m).all()
+    x = found.range_m if known else np.arange(len(found.range_m), dtype=np.float64)
     if len(x) < MIN_BINS:
         axes.vlines(x, 0.0, found.power_db, color=BLUE, linewidth=3.0, label="power of the stored targets")
     else:
@@ -49,17 +51,11 @@ def profile(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     _marks(axes, radar, found, x)
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -12.0), high + 0.14 * (high - low))
-    axes.set_xlabel("range (m)" if np.isfinite(found.range_m).all() else "bin")
+    axes.set_xlabel("range (m)" if known else "bin")
     axes.set_ylabel("power over the noise (dB)")
     axes.margins(x=0.02 if len(x) >= MIN_BINS else 0.1)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
+    legend(axes, 5)
     return picture(figure)
-
-
-def _places(found: RadarDiagnostics) -> Floats:
-    """Where each bin is drawn: at its range, or its number where the range is not known."""
-    known = np.isfinite(found.range_m).all()
-    return found.range_m if known else np.arange(len(found.range_m), dtype=np.float64)
 
 
 def _marks(axes: "Axes", radar: RadarCalibration, found: RadarDiagnostics, x: Floats) -> None:
@@ -93,7 +89,7 @@ def circle(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     left.set_aspect("equal", adjustable="datalim")
     left.set_xlabel("I (ADC counts)")
     left.set_ylabel("Q (ADC counts)")
-    left.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
+    legend(left, 3)
     _radius(right, raw / size, found.leak / size)
     return picture(figure)
 
@@ -110,7 +106,7 @@ def _radius(axes: "Axes", share: NDArray[np.complex128], leak: complex) -> None:
     axes.set_ylim(0.0, max(1.6, 1.1 * float(np.quantile(np.abs(share), 0.99))))
     axes.set_xlabel("phase (rad)")
     axes.set_ylabel("amplitude / calibrated")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+    legend(axes, 2)
 
 
 def phase(trace: RadarTrace, clock: Clock) -> Picture:
@@ -124,9 +120,12 @@ def phase(trace: RadarTrace, clock: Clock) -> Picture:
     upper.plot(t, found.unwrapped / TURN, color=BLUE, linewidth=1.4, label="as used")
     draw_points(upper, t, found.wrapped / TURN, marker=".", markersize=3.0, color=BLACK, label="as measured")
     upper.set_ylabel("phase (cycles)")
-    upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
-    per_cycle, rate = _speed(trace, found)
-    lower.plot(0.5 * (t[1:] + t[:-1]), 1e3 * per_cycle * rate, color=BLUE, label="speed in the line of sight")
+    legend(upper, 3)
+    # Half a cycle of range from frame to frame is the limit.
+    own_s = seconds(found.time_ns, int(found.time_ns[0]))
+    per_cycle = 2.0 * trace.limit_speed_m_s * float(np.median(np.diff(own_s)))
+    speed = 1e3 * per_cycle * (np.diff(found.unwrapped) / TURN / np.diff(own_s))
+    lower.plot(0.5 * (t[1:] + t[:-1]), speed, color=BLUE, label="speed in the line of sight")
     for sign in (-1.0, 1.0):
         label = f"limit of plain unwrapping, ±{1e3 * trace.limit_speed_m_s:.3g} mm/s" if sign > 0 else None
         lower.axhline(sign * 1e3 * trace.limit_speed_m_s, color=VERMILLION, linewidth=1.0, linestyle="--", label=label)
@@ -138,14 +137,6 @@ def phase(trace: RadarTrace, clock: Clock) -> Picture:
     lower.legend(loc="upper left", ncols=2)
     figure.align_ylabels()
     return picture(figure)
-
-
-def _speed(trace: RadarTrace, found: PhaseExcerpt) -> tuple[float, Floats]:
-    """Metres of range in a cycle, and the rate of the unwrapped phase (n − 1,) in cycles a second."""
-    t = seconds(found.time_ns, int(found.time_ns[0]))
-    # Half a cycle from frame to frame is the limit.
-    per_cycle = 2.0 * trace.limit_speed_m_s * float(np.median(np.diff(t)))
-    return per_cycle, np.diff(found.unwrapped) / TURN / np.diff(t)
 
 
 def amplitudes(trace: RadarTrace, clock: Clock) -> Picture:

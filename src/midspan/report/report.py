@@ -7,7 +7,7 @@ from midspan._version import __version__
 from midspan.checks import instance, path_of
 from midspan.recording.result import Result
 from midspan.records import TimeSeries
-from midspan.report import camera_sections, page, sections, tables
+from midspan.report import page, sections, tables
 from midspan.report.drawing import style
 from midspan.report.material import Material, gather
 from midspan.signals.stamps import shown
@@ -37,7 +37,7 @@ def report_html(result: Result, reference: TimeSeries | None = None, across: Tim
     material = gather(result, reference, across)
     with style():
         body = _sections(material)
-    top = [page.heading(material.name, _lines(material)), page.contents(body), sections.summary(material)]
+    top = [page.heading(material.name, _lines(material)), page.contents(body), page.cards(tables.summary(material))]
     return page.document(f"{material.name} – midspan report", [*top, *body])
 
 
@@ -50,8 +50,8 @@ def _sections(material: Material) -> list[str]:
         sections.spectra(material),
         sections.calibration(material),
         sections.innovations(material),
-        camera_sections.camera(material),
-        camera_sections.cameras(material),
+        sections.camera(material),
+        sections.cameras(material),
         sections.radar(material),
         sections.numbers(material),
         sections.footer(material),

@@ -6,17 +6,13 @@ from midspan._version import __version__
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.radar_trace import RadarTrace
-from midspan.records import NANOSECONDS
-from midspan.report import camera_figures, figures, page, radar_figures, tables
+from midspan.engine.sensor_series import CameraResult
+from midspan.records import NANOSECONDS, Source
+from midspan.report import camera_figures, figures, infrared_figures, page, radar_figures, tables
 from midspan.report.history_data import chart_of
 from midspan.report.material import Material, shown_here
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable, metadata_json
-
-
-def summary(material: Material) -> str:
-    """The cards."""
-    return page.cards(tables.summary(material))
 
 
 def warnings(material: Material) -> str:
@@ -39,12 +35,10 @@ def _events(material: Material) -> list[str]:
     if len(found) <= tables.FEW_EVENTS:
         return [page.table(tables.events(material, found), header)]
     pieces = [page.paragraph(f"{len(found)} events; a click opens those of a kind.", "note")]
-    for kind, own in tables.by_kind(found):
-        pieces.append(
-            page.folded(
-                tables.kind_line(material, kind, own), page.table(tables.events(material, own), header), "events"
-            )
-        )
+    for kind in dict.fromkeys(event.kind for event in found):
+        rows = tables.events(material, [event for event in found if event.kind == kind])
+        when = f"at {rows[0][0]} s" if len(rows) == 1 else f"from {rows[0][0]} to {rows[-1][0]} s"
+        pieces.append(page.folded(f"{kind}: {len(rows)}, {when}", page.table(rows, header), "events"))
     whole = page.table(tables.events(material, found), header)
     return [*pieces, page.folded(f"all {len(found)} in the order of time", whole, "events")]
 
@@ -272,3 +266,88 @@ def footer(material: Material) -> str:
     )
     written = page.verbatim(json.dumps(json.loads(text), indent=2))
     return page.folded("Settings, calibration and events as JSON", written) + page.footer(lines)
+
+
+def camera(material: Material) -> str:
+    """Each camera in a section of its own; empty without one."""
+    return "\n".join(_one(material, found) for found in material.result.cameras)
+
+
+def _one(material: Material, found: CameraResult) -> str:
+    """Frame, region, path, choice and quality of the tracking."""
+    learnt = found.calibrations[0]
+    caption = (
+        "The first frame used with the region of interest; below, the region enlarged, and the target's translation in "
+        "the image since then (dot: start). The path should be long in the measured direction "
+        f"({learnt.direction}) and short across it."
+    )
+    if found.source is Source.INFRARED:
+        caption += " Grey levels are temperatures: brighter is warmer."
+    pieces = [page.figure(camera_figures.frame(found), "Region of interest", caption)]
+    if len(learnt.targets) > 1:
+        pieces += ["<h3>Targets</h3>", page.table(tables.targets(learnt), tables.TARGETS_HEADER)]
+    pieces.append(_choice(material, found))
+    active = found.targets[0].active_pixels
+    if active is not None:
+        caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."
+        drawn = camera_figures.active_pixels(active, found.reference)
+        pieces.append(page.figure(drawn, "Active pixels", caption))
+    caption = (
+        "Quality, how well the target of the first frame is found again, from 0 (not at all) to 1 (as it was), and the "
+        "standard deviation of each frame's translation. Drops show fog, glare, something in front of the target or "
+        "blur; these measurements count for less."
+    )
+    pieces.append(page.figure(camera_figures.tracker(found, material.clock), "Tracking", caption))
+    return page.section(found.sensor, found.sensor.capitalize(), *pieces)
+
+
+def _choice(material: Material, found: CameraResult) -> str:
+    if found.choice is None:
+        own = material.section_of(found)
+        where = (
+            "the settings" if own.roi is not None or own.target else "the calibration file, without how it was chosen"
+        )
+        return page.paragraph(f"The region was given by {where}.", "note")
+    caption = (
+        "Numbered boxes were tracked for some seconds. Red: selected. Solid: fits the accelerometer or, where that "
+        "does not decide, moves like most of the image. Dashed: does not, or was not compared with the accelerometer; "
+        "the table below says why."
+    )
+    if camera_figures.has_map(found.choice):
+        caption += (
+            " Right: the standard deviation with which a region centred there could be tracked; darker is better, grey "
+            "was ruled out or lies too near the border."
+        )
+    drawn = camera_figures.choice(found.choice, found.reference)
+    return "".join(
+        [
+            page.figure(drawn, "Choice of the region", caption),
+            page.table(tables.candidates(found.choice), tables.CANDIDATES_HEADER),
+            page.bullets(found.choice.reasons, "plain"),
+        ]
+    )
+
+
+def cameras(material: Material) -> str:
+    """Each camera over the record, which one the rows rest on, the temperature range; empty for one camera of light."""
+    if not infrared_figures.worth_showing(material):
+        return ""
+    caption = (
+        "Matches or quality of each camera's best target (zero: lost), marked below where its reference frame changed, "
+        "its shutter closed or something stood in front. Then the standard deviations of single frames and of the "
+        "result, what the reference frames may be off by included, with the same marks (the colour at their left tells "
+        "whose), and the source of each row."
+    )
+    if len(material.result.cameras) > 1:
+        caption += " The ground has the colour of the rows' source; dashed: the other camera measures from there on."
+    pieces = [page.figure(infrared_figures.over_time(material), "Cameras over the record", caption)]
+    for camera in material.result.cameras:
+        surface = camera.range_surface
+        if surface is not None:
+            caption = (
+                f"Error of the {camera.sensor} translation against the accelerometer, by the two limits of the "
+                f"temperatures shown. Square: the range chosen, {surface.best.low_c:.2f} to {surface.best.high_c:.2f} "
+                "°C. A flat floor is usual: many ranges are as good. “lost”: the target was, in too many frames."
+            )
+            pieces.append(page.figure(infrared_figures.surface(surface), "Temperature range", caption))
+    return page.section("cameras", "Cameras over the record", *pieces)

@@ -10,13 +10,13 @@ import numpy as np
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
-from midspan.engine.camera_result import CameraResult
-from midspan.evaluate.metrics import Agreement, Comparison, normalised_innovation
+from midspan.engine.sensor_series import CameraResult
+from midspan.evaluate.metrics import Agreement, Comparison, normalised_innovation, step_of
 from midspan.evaluate.spectrum import Mode
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.methods import METHODS
 from midspan.radar.target import Target
-from midspan.records import NANOSECONDS, Event, Region, TimeOffset
+from midspan.records import Event, Region, TimeOffset
 from midspan.report.material import BAND, Material
 from midspan.settings.camera import CameraSettings
 from midspan.settings.plausible import GRAVITY_M_S2, expected_m_per_px
@@ -36,6 +36,7 @@ def summary(material: Material) -> list[Card]:
     f = material.result.figures()
     length_s = f["end_s"] - f["start_s"]
     status, value = f["status"], material.result.displacement_mm
+    rate_hz = 1.0 / step_of(material.result.estimate.time_ns)
     shares = (f"{percent(status['coasting'])} coasting", f"{percent(status['lost'])} lost")
     return [
         ("Maximum", f"{f['largest_mm']:+.4g} mm", f"at {material.t[int(value.argmax())]:.3f} s"),
@@ -50,7 +51,7 @@ def summary(material: Material) -> list[Card]:
         ("Direction", *_direction_words(material)),
         *_peak(material),
         *_sensor_cards(material),
-        ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz(material):.5g} Hz".replace(",", " ")),
+        ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz:.5g} Hz".replace(",", " ")),
         ("Tracking", percent(status["tracking"]), ", ".join(shares)),
         *_against(material.comparison),
     ]
@@ -121,11 +122,6 @@ def agreements(found: Comparison) -> list[tuple[str, Agreement]]:
     return [(label, one) for label, one in ways if one is not None]
 
 
-def rate_hz(material: Material) -> float:
-    """Usual rate of the rows, Hz."""
-    return NANOSECONDS / float(np.median(np.diff(material.result.estimate.time_ns)))
-
-
 def percent(share: float) -> str:
     """A share as a percentage that never rounds to 0 or 100 what is not."""
     value = 100.0 * share
@@ -171,20 +167,19 @@ def method_words(method: str) -> str:
 def comparison(found: Comparison) -> list[Row]:
     """The figures against the reference."""
     lag = "not determined" if found.lag_s is None else f"{1e3 * found.lag_s:+.3f} ms (+: the result is later)"
+    rows = [("compared", f"{found.count} rows from {found.start_s:.3f} to {found.end_s:.3f} s")]
+    for label, one in agreements(found):
+        share = one.coverage_95
+        covered = "" if share is None else f"; {percent(share)} inside ±{BAND} σ (95 % is honest)"
+        rows.append((f"RMSE {label}", f"{one.rmse_mm:.5g} mm{covered}"))
     return [
-        ("compared", f"{found.count} rows from {found.start_s:.3f} to {found.end_s:.3f} s"),
-        *((f"RMSE {label}", _error(one)) for label, one in agreements(found)),
+        *rows,
         ("bias (result − reference)", f"{found.bias_mm:+.5g} mm"),
         ("largest error", f"{found.largest_error_mm:.5g} mm at {found.largest_error_at_s:.3f} s"),
         ("correlation", "not defined" if found.correlation is None else f"{found.correlation:.6f}"),
         ("lag", lag),
         ("peak to peak", f"{found.peak_to_peak_mm:.5g} mm; reference {found.reference_peak_to_peak_mm:.5g} mm"),
     ]
-
-
-def _error(found: Agreement) -> str:
-    covered = "" if found.coverage_95 is None else f"; {percent(found.coverage_95)} inside ±{BAND} σ (95 % is honest)"
-    return f"{found.rmse_mm:.5g} mm{covered}"
 
 
 MODES_HEADER = ("frequency", "damping ratio", "rms in it")
@@ -206,49 +201,29 @@ def modes(found: Sequence[Mode]) -> list[tuple[str, ...]]:
 
 def calibrated(found: Calibration) -> list[Row]:
     """A calibration's values with their standard deviations."""
-    rows, motion_s = list[Row](), found.motion_noise_s
+    rows, motion_s, std, axis = list[Row](), found.motion_noise_s, found.accelerometer_scale_std, found.sensor_axis
     for name, kind, sensor in found.sensors:
         rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
+    if std > 0.0:
+        rows.append(("accelerometer: gain", f"{found.accelerometer_scale:.5g} ± {std:.2g}"))
+    if axis is not None:
+        parts = ", ".join(f"{s:+.4f} ± {std:.2g}" for s, std in zip(axis.components, axis.std, strict=True))
+        label = "accelerometer: the sensors' axis along cross_values"
+        rows.append((label, f"{parts} ({axis.angle_deg:.2g}° off its own)"))
+    bias_std = f" ± {1e3 * found.bias_std_m_s2:.2g}" if math.isfinite(found.bias_std_m_s2) else ""
+    with_motion = f"{motion_s:.2g} s times its mean square" if motion_s else "none found"
     rows += [
-        *_gain(found),
-        *_direction(found),
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
-        (
-            "accelerometer: noise with the motion",
-            f"{motion_s:.2g} s times its mean square" if motion_s else "none found",
-        ),
-        ("accelerometer: bias", _bias(found)),
-        *_motion(found),
-        ("made", f"{found.created} by midspan {found.version}"),
+        ("accelerometer: noise with the motion", with_motion),
+        ("accelerometer: bias", f"{1e3 * found.bias_m_s2:.4g}{bias_std} mm/s²"),
     ]
-    return rows
-
-
-def _gain(found: Calibration) -> list[Row]:
-    std = found.accelerometer_scale_std
-    return [("accelerometer: gain", f"{found.accelerometer_scale:.5g} ± {std:.2g}")] if std > 0.0 else []
-
-
-def _direction(found: Calibration) -> list[Row]:
-    axis = found.sensor_axis
-    if axis is None:
-        return []
-    parts = ", ".join(f"{s:+.4f} ± {std:.2g}" for s, std in zip(axis.components, axis.std, strict=True))
-    return [("accelerometer: the sensors' axis along cross_values", f"{parts} ({axis.angle_deg:.2g}° off its own)")]
-
-
-def _bias(found: Calibration) -> str:
-    std = f" ± {1e3 * found.bias_std_m_s2:.2g}" if math.isfinite(found.bias_std_m_s2) else ""
-    return f"{1e3 * found.bias_m_s2:.4g}{std} mm/s²"
-
-
-def _motion(found: Calibration) -> list[Row]:
-    """How lively the calibration was, in units in which a wrong one shows."""
     usual = found.usual
-    if usual is None or not math.isfinite(usual.low_m_s2) or usual.moved_m <= 0.0:
-        return []
-    peak = max(usual.high_m_s2 - usual.mean_m_s2, usual.mean_m_s2 - usual.low_m_s2) / GRAVITY_M_S2
-    return [("accelerometer: motion calibrated on", f"up to {peak:.2g} g; {1e3 * usual.moved_m:.3g} mm rms")]
+    if usual is not None and math.isfinite(usual.low_m_s2) and usual.moved_m > 0.0:
+        # How lively the calibration was, in units in which a wrong one shows.
+        peak = max(usual.high_m_s2 - usual.mean_m_s2, usual.mean_m_s2 - usual.low_m_s2) / GRAVITY_M_S2
+        value = f"up to {peak:.2g} g; {1e3 * usual.moved_m:.3g} mm rms"
+        rows.append(("accelerometer: motion calibrated on", value))
+    return [*rows, ("made", f"{found.created} by midspan {found.version}")]
 
 
 def _camera(camera: CameraCalibration) -> list[Row]:
@@ -266,6 +241,10 @@ def _camera(camera: CameraCalibration) -> list[Row]:
 
 
 TARGETS_HEADER = ("target", "region (px)", "scale factor (mm/px)", "noise (px)", "noise (mm)", "used")
+
+
+def _place(region: Region) -> str:
+    return f"{region.x}, {region.y}, {region.width} × {region.height}"
 
 
 def targets(camera: CameraCalibration) -> list[tuple[str, ...]]:
@@ -354,10 +333,6 @@ def partly_static(found: Candidate, choice: RegionChoice) -> bool:
     return any(abs(found.scale_m_per_px) > FAR_OFF * scale for scale in taken)
 
 
-def _place(region: Region) -> str:
-    return f"{region.x}, {region.y}, {region.width} × {region.height}"
-
-
 def _displacement(sensor: DisplacementCalibration) -> list[Row]:
     scale = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), estimated"
     return [
@@ -412,20 +387,5 @@ def _taken(camera: CameraResult, settings: CameraSettings) -> dict[str, str]:
 
 def events(material: Material, found: Sequence[Event]) -> list[tuple[str, ...]]:
     """Events as rows: time, kind, text."""
-    return [(at, event.kind, event.text) for at, event in zip(_instants(material, found), found, strict=True)]
-
-
-def by_kind(found: Sequence[Event]) -> list[tuple[str, list[Event]]]:
-    """Events by their kinds, in the order in which the kinds occur first."""
-    kinds = dict.fromkeys(event.kind for event in found)
-    return [(kind, [event for event in found if event.kind == kind]) for kind in kinds]
-
-
-def kind_line(material: Material, kind: str, found: Sequence[Event]) -> str:
-    """How many events of a kind there are, and when."""
-    first, last = _instants(material, (found[0], found[-1]))
-    return f"{kind}: {len(found)}, {f'at {first} s' if len(found) == 1 else f'from {first} to {last} s'}"
-
-
-def _instants(material: Material, found: Sequence[Event]) -> list[str]:
-    return [f"{at:.3f}" for at in material.clock.at(np.array([event.time_ns for event in found], dtype=np.int64))]
+    times = material.clock.at(np.array([event.time_ns for event in found], dtype=np.int64))
+    return [(f"{at:.3f}", event.kind, event.text) for at, event in zip(times, found, strict=True)]

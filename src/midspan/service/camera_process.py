@@ -1,5 +1,6 @@
-"""A camera in a process of its own: it decodes, cuts the region out and stamps; the engine's process takes what it can.
+"""Sources that are opened again when they fail: lines and radars in threads, each camera in a process of its own.
 
+A camera's process decodes, cuts the region out and stamps; the engine's process takes what it can.
 Frames wait in the camera's process, a few at most: where the engine does not keep up the oldest is skipped and counted.
 """
 
@@ -8,7 +9,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -19,9 +20,68 @@ import numpy as np
 from midspan.errors import MidspanError
 from midspan.records import Frame, Region
 from midspan.service.cutting import part_of, whole_frame
-from midspan.service.pauses import Pauses
 from midspan.sources.live.camera import Stamped, StampKind, frames
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
+
+# The shortest and the longest pause, s.
+SHORTEST_S, LONGEST_S = 1.0, 30.0
+# A pause is this part of the time that the source has been away: one that is back is opened soon after a short
+# absence, and seldom asked for in a long one.
+PART = 0.25
+
+
+class Pauses:
+    """`worked` whenever the source gave something, `next_s` after each failure; clock_s: a monotonic clock, s."""
+
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock_s = clock_s
+        self._away_s: float | None = None
+
+    def worked(self) -> None:
+        """The source gave something."""
+        self._away_s = None
+
+    def next_s(self) -> float:
+        """How long to wait now, s."""
+        now_s = self._clock_s()
+        if self._away_s is None:
+            self._away_s = now_s
+        return min(max(PART * (now_s - self._away_s), SHORTEST_S), LONGEST_S)
+
+
+class ReadingThread:
+    """read: opens the source and gives what it brings, until it raises SourceFault.
+
+    taken: called from the thread for each thing that it brings, and for each fault.
+    """
+
+    def __init__(self, name: str, read: Callable[[], Iterable[Any]], taken: Callable[[Any], None]) -> None:
+        self._read, self._taken = read, taken
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._reading, daemon=True, name=name)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a source that is being waited for ends with the process."""
+        self._ending.set()
+        self._thread.join(timeout=0.5)
+
+    def _reading(self) -> None:
+        pauses = Pauses()
+        while not self._ending.is_set():
+            try:
+                for item in self._read():
+                    if self._ending.is_set():
+                        return
+                    pauses.worked()
+                    self._taken(item)
+            except SourceFault as fault:
+                self._taken(fault)
+            self._ending.wait(pauses.next_s())
+
 
 # A process that sends nothing for so long, not even why, hangs: it is ended and started again, s.
 HUNG_S = 60.0
@@ -78,15 +138,13 @@ class CameraProcess:
     def cut(self, region: Region | None) -> None:
         """From now on only this part of each frame is needed; None: whole frames."""
         self._region = region
-        self._send()
+        self._send(region)
 
     def stop(self) -> None:
         """End the process, by force after a second."""
         self._ending.set()
         self._taking.set()
-        if self._pipe is not None:
-            with suppress(OSError):
-                self._pipe.send("end")
+        self._send("end")
         self._thread.join(timeout=5.0)
 
     @property
@@ -94,10 +152,10 @@ class CameraProcess:
         """The process's number."""
         return None if self._process is None else self._process.pid
 
-    def _send(self) -> None:
+    def _send(self, message: Region | str | None) -> None:
         if self._pipe is not None:
             with suppress(OSError):
-                self._pipe.send(self._region)
+                self._pipe.send(message)
 
     def _watch(self) -> None:
         while not self._ending.is_set():
@@ -107,17 +165,13 @@ class CameraProcess:
             self._taken(Failed("process_ended", "the camera's process ended; it is started again"))
             self._ending.wait(self._pauses.next_s())
 
-    def _is_over(self, item: Delivered | Failed) -> bool:
-        """Whether a recording that is replayed has ended, which nothing brings back."""
-        return self.address.startswith("replay:") and isinstance(item, Failed) and item.code == "ended"
-
     def _run_once(self) -> None:
         """One life of the process."""
         self._pipe, child = self._context.Pipe()
         self._process = self._context.Process(target=serve, args=(self.address, child, self._stamps), daemon=True)
         self._process.start()
         child.close()
-        self._send()
+        self._send(self._region)
         self._taking.wait()
         heard_s = time.monotonic()
         try:
@@ -128,7 +182,8 @@ class CameraProcess:
                     self._taken(item)
                     self._pauses.worked()
                     heard_s = time.monotonic()
-                    if self._is_over(item):
+                    if self.address.startswith("replay:") and isinstance(item, Failed) and item.code == "ended":
+                        # Nothing brings a recording back that has been replayed.
                         self._ending.wait()
                 elif not self._process.is_alive() or time.monotonic() - heard_s > HUNG_S:
                     return
@@ -147,11 +202,10 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
 
     stamps: how the frames of an earlier process were dated.
     """
-    sender = _Sender(pipe)
-    pauses = Pauses()
+    sender, pauses, replayed = _Sender(pipe), Pauses(), address.startswith("replay:")
     while not sender.ended:
         try:
-            for stamped in _frames(address, stamps):
+            for stamped in _replayed(address) if replayed else frames(address, earlier=stamps):
                 if sender.ended:
                     return
                 sender.give(stamped)
@@ -159,21 +213,18 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
                 pauses.worked()
         except SourceFault as fault:
             sender.say(Failed(fault.code, str(fault)))
-            if fault.code == "ended" and address.startswith("replay:"):
+            if fault.code == "ended" and replayed:
                 sender.wait(math.inf)
         except MidspanError as error:
             sender.say(Failed("damaged", str(error)))
         sender.wait(pauses.next_s())
 
 
-def _frames(address: str, stamps: StampKind | None) -> Iterator[Stamped]:
-    """The frames of an address, at the pace that they are taken at."""
-    if not address.startswith("replay:"):
-        yield from frames(address, earlier=stamps)
-        return
+def _replayed(address: str) -> Iterator[Stamped]:
+    # What reads recordings is imported where one is replayed alone.
     from midspan.service.replayed import film
 
-    yield from film(address)
+    return film(address)
 
 
 class _Sender:

@@ -7,15 +7,16 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.radar.chirp import profile_to_json
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
-from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.recording import RecordingSettings
+from midspan.settings.kinds import ACCELEROMETER, KINDS
+from midspan.settings.recording import RecordingSettings, Sensor
+from midspan.settings.sensors import DisplacementSettings
 from midspan.writing import write_whole
 
 # Profiles are written together, so many at a time.
 FRAMES_AT_A_TIME = 64
+READINGS = {"time": "time_ns", "value": "value"}
 
 
 class Capture:
@@ -50,16 +51,19 @@ class Capture:
     @property
     def length_s(self) -> float:
         """How long all streams have recorded together, s."""
-        spans = [_span(blocks) for blocks in self._readings.values()] + [one.span for one in self._pictures]
-        if any(span is None for span in spans):
+        streams = [one.stamps for one in self._pictures]
+        streams += [
+            [int(blocks[0].time_ns[0]), int(blocks[-1].time_ns[-1])] if blocks else []
+            for blocks in self._readings.values()
+        ]
+        if not all(streams):
             return 0.0
-        known = [span for span in spans if span is not None]
-        return max((min(last for _, last in known) - max(first for first, _ in known)) / NANOSECONDS, 0.0)
+        return max((min(one[-1] for one in streams) - max(one[0] for one in streams)) / NANOSECONDS, 0.0)
 
     @property
     def frames(self) -> int | None:
         """How many frames the camera or radar with the fewest has brought; None without one."""
-        return min((one.count for one in self._pictures), default=None)
+        return min((len(one.stamps) for one in self._pictures), default=None)
 
     @property
     def _pictures(self) -> list["_Film | _Profiles"]:
@@ -69,11 +73,14 @@ class Capture:
         """Finish the files and write the recording.toml; returns the folder."""
         import tomli_w
 
+        files = {sensor.name: sensor.settings.file for sensor in self.settings.sensors}
+        files[ACCELEROMETER] = self.settings.accelerometer.file if self.settings.accelerometer else ""
         for name, blocks in self._readings.items():
-            time_ns, value = _joined(blocks)
-            np.savez(self.folder / self._file(name), time_ns=time_ns, value=value)
-        for one in self._pictures:
-            one.close()
+            time_ns = np.concatenate([one.time_ns for one in blocks])
+            value = np.concatenate([one.value.reshape(len(one.time_ns), -1)[:, 0] for one in blocks])
+            new = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[0] - 1) > 0
+            np.savez(self.folder / files[name], time_ns=time_ns[new], value=value[new])
+        self.discard()
         tree = self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)
         write_whole(self.folder / "recording.toml", tomli_w.dumps(tree).encode())
         return self.folder
@@ -83,36 +90,12 @@ class Capture:
         for one in self._pictures:
             one.close()
 
-    def _file(self, name: str) -> str:
-        if name == ACCELEROMETER:
-            assert self.settings.accelerometer is not None
-            return self.settings.accelerometer.file
-        return next(sensor.settings.file for sensor in self.settings.sensors if sensor.name == name)
 
-
-class _Stamped:
-    """What is known of frames by their stamps (ns)."""
-
-    def __init__(self) -> None:
-        self._stamps: list[int] = []
-
-    @property
-    def count(self) -> int:
-        """How many frames there are."""
-        return len(self._stamps)
-
-    @property
-    def span(self) -> tuple[int, int] | None:
-        """Stamps (ns) of the first and last frame."""
-        return (self._stamps[0], self._stamps[-1]) if self._stamps else None
-
-
-class _Film(_Stamped):
+class _Film:
     """Frames of one size as a NumPy stack, and their stamps in a second file."""
 
     def __init__(self, file: Path) -> None:
-        super().__init__()
-        self._file = file
+        self._file, self.stamps = file, list[int]()
         self._open: BinaryIO | None = None
         self._shape: tuple[int, ...] = ()
         self._dtype: np.dtype[Any] = np.dtype(np.uint8)
@@ -123,10 +106,10 @@ class _Film(_Stamped):
             self._shape, self._dtype = frame.pixels.shape, frame.pixels.dtype
             self._open = self._file.open("wb")
             self._head()
-        if frame.pixels.shape != self._shape or (self._stamps and frame.time_ns <= self._stamps[-1]):
+        if frame.pixels.shape != self._shape or (self.stamps and frame.time_ns <= self.stamps[-1]):
             return
         self._open.write(np.ascontiguousarray(frame.pixels).data)
-        self._stamps.append(frame.time_ns)
+        self.stamps.append(frame.time_ns)
 
     def close(self) -> None:
         """Write how many frames there are, and their stamps."""
@@ -136,45 +119,44 @@ class _Film(_Stamped):
         self._head()
         self._open.close()
         self._open = None
-        np.savez(times_file(self._file), time_s=np.array(self._stamps, dtype=np.int64))
+        np.savez(times_file(self._file), time_s=np.array(self.stamps, dtype=np.int64))
 
     def _head(self) -> None:
         """The header, which has room for any number of frames."""
         assert self._open is not None
-        description = {"descr": self._dtype.str, "fortran_order": False, "shape": (len(self._stamps), *self._shape)}
+        description = {"descr": self._dtype.str, "fortran_order": False, "shape": (len(self.stamps), *self._shape)}
         np.lib.format.write_array_header_1_0(self._open, description)
 
 
-class _Profiles(_Stamped):
+class _Profiles:
     """Range profiles of a radar as slow-time I/Q; channels with a hole are NaN."""
 
     def __init__(self, file: Path, info: RadarInfo) -> None:
-        super().__init__()
-        self._file, self._info = file, info
+        self._file, self._info, self.stamps = file, info, list[int]()
         self._open: Any = None
         self._waiting: list[NDArray[np.complex64]] = []
 
     def add(self, frame: RangeFrame) -> None:
         """Append a frame; one whose stamp is not later is left out."""
-        if self._stamps and frame.time_ns <= self._stamps[-1]:
+        if self.stamps and frame.time_ns <= self.stamps[-1]:
             return
-        self._stamps.append(frame.time_ns)
+        self.stamps.append(frame.time_ns)
         self._waiting.append(np.where(frame.valid[:, None], frame.phasors, np.complex64(np.nan)))
         if len(self._waiting) >= FRAMES_AT_A_TIME:
             self._write()
 
     def close(self) -> None:
         """Write what waits, and the stamps."""
-        if not self._stamps:
+        if not self.stamps:
             return
         self._write()
-        self._open["time_ns"] = np.array(self._stamps, dtype=np.int64)
+        self._open["time_ns"] = np.array(self.stamps, dtype=np.int64)
         self._open["range_m"] = self._info.range_m
         self._open.attrs["carrier_hz"] = self._info.carrier_hz
         if self._info.profile is not None:
             self._open.attrs["chirp"] = profile_to_json(self._info.profile)
         self._open.close()
-        self._open, self._stamps = None, []
+        self._open, self.stamps = None, []
 
     def _write(self) -> None:
         import h5py
@@ -201,45 +183,26 @@ def capture_settings(settings: RecordingSettings, factors: dict[str, float]) -> 
     factors: SI units in one unit of each channel's readings, by the sensor's name.
     """
     assert settings.accelerometer is not None
-    own = {"unit": "m/s^2", "sensitivity": 0.0, "time": "time_ns", "value": "value"}
+    own = {**READINGS, "unit": "m/s^2", "sensitivity": 0.0}
     # Stamps are UTC: a clock that is farther off than the range has to be set, and is no offset to live with.
     range_s = {"max_offset_s": settings.calibration.max_offset_s}
     changed: dict[str, Any] = {
         "accelerometer": settings.accelerometer.model_copy(update=own),
         "calibration": settings.calibration.model_copy(update=range_s),
     }
-    films: dict[str, list[Any]] = {kind: [] for kind in ("cameras", "infrareds", "radars")}
-    plain = []
-    for sensor in settings.sensors:
-        if sensor.kind in ("camera", "infrared"):
-            name = f"{Path(sensor.settings.file).name}.npy"
-            files = {"file": name, "times": times_file(Path(name)).name}
-            films[f"{sensor.kind}s"].append(sensor.settings.model_copy(update=files))
-        elif sensor.kind == "radar":
-            own_files = {"file": f"{Path(sensor.settings.file).name}.h5", "config": None}
-            films["radars"].append(sensor.settings.model_copy(update=own_files))
-        elif sensor.kind == "displacement":
-            noise: float | None = getattr(sensor.settings, "noise_std", None)
-            scaled = None if noise is None else noise * factors[sensor.name]
-            # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
-            is_sought = bool(getattr(sensor.settings, "estimate_offset", False))
-            plain.append(sensor.settings.model_copy(
-                update={
-                    "unit": "m", "time": "time_ns", "value": "value", "noise_std": scaled, "estimate_offset": is_sought
-                }
-            ))  # fmt: skip
-    changed |= {kind: tuple(listed) for kind, listed in films.items()} | {"displacements": tuple(plain)}
+    for kind in KINDS:
+        listed = [(sensor, _captured(sensor, factors)) for sensor in settings.sensors if sensor.kind == kind]
+        changed[f"{kind}s"] = tuple(sensor.settings.model_copy(update=files) for sensor, files in listed)
     return settings.model_copy(update=changed)
 
 
-def _span(blocks: list[Readings]) -> tuple[int, int] | None:
-    return (int(blocks[0].time_ns[0]), int(blocks[-1].time_ns[-1])) if blocks else None
-
-
-def _joined(blocks: list[Readings]) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (n,) and values (n,) with increasing stamps."""
-    time_ns = np.concatenate([one.time_ns for one in blocks])
-    value = np.concatenate([one.value.reshape(len(one.time_ns), -1)[:, 0] for one in blocks])
-    newest = np.maximum.accumulate(time_ns)
-    new = np.concatenate(([True], time_ns[1:] > newest[:-1]))
-    return time_ns[new], value[new]
+def _captured(sensor: Sensor, factors: dict[str, float]) -> dict[str, Any]:
+    """What a captured recording says of a sensor besides."""
+    name, own = Path(sensor.settings.file).name, sensor.settings
+    if isinstance(own, DisplacementSettings):
+        noise_std = None if own.noise_std is None else own.noise_std * factors[sensor.name]
+        # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
+        return {**READINGS, "unit": "m", "noise_std": noise_std, "estimate_offset": bool(own.estimate_offset)}
+    if sensor.kind == "radar":
+        return {"file": f"{name}.h5", "config": None}
+    return {"file": f"{name}.npy", "times": times_file(Path(f"{name}.npy")).name}

@@ -1,13 +1,153 @@
 """How an opened point gets its records: at once, or later those that came while it could not take them."""
 
+import errno
+import os
+import tempfile
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from midspan.errors import MidspanError
-from midspan.records import NANOSECONDS, Arrival, Event, RangeFrame, Readings, Tick
+from midspan.records import NANOSECONDS, Arrival, Event, Frame, RangeFrame, Readings, Region, Tick
+from midspan.service.cutting import part_of, whole_frame
 from midspan.service.opening import Opened
-from midspan.service.waiting import Waiting, stamp_of
 from midspan.sources.radar.radar_source import at_bins
+
+# Records wait for at most so long: the points of a site are calibrated and opened one after another.
+MAX_WAIT_S = 600.0
+# The frames of a point that wait take so many bytes of the disk at most; the oldest are dropped then. Regions of
+# 256 x 256 px at 25 frames a second, with what is around them, reach it after 160 s, those of 128 x 128 px after 600 s.
+MAX_BYTES = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInFile:
+    """A frame of which a part of `part_shape` at (x, y) is in the file, from `offset` on; frame: without its pixels."""
+
+    stream: str
+    sequence: int
+    frame: Frame
+    shape: tuple[int, int]
+    place: tuple[int, int]
+    part_shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """How many bytes it takes."""
+        return int(np.prod(self.part_shape)) * self.dtype.itemsize
+
+
+class Waiting:
+    """A queue of arrivals. folder: where the file of the frames is made; regions: the part of each camera's that waits.
+
+    dropped: how many frames were dropped because they waited for too long, or took too much room.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.regions: Mapping[str, Region] = {}
+        self._records: deque[Arrival | FrameInFile] = deque()
+        self._file: Any = None
+        # Room in the file that is free again, by size.
+        self._free: dict[int, list[int]] = {}
+        self._end = 0
+        self.dropped = 0
+
+    def __len__(self) -> int:
+        return len(self._records)
+
+    def __iter__(self) -> Iterator[Arrival | FrameInFile]:
+        return iter(self._records)
+
+    def append(self, arrival: Arrival) -> None:
+        """Let a record wait. Raises OSError where its frame cannot be written."""
+        frame = arrival.record
+        self._records.append(self._written(arrival, frame) if isinstance(frame, Frame) else arrival)
+        newest_ns = _stamp(self._records[-1])
+        while newest_ns - _stamp(self._records[0]) > MAX_WAIT_S * NANOSECONDS:
+            self._drop(0)
+
+    def popleft(self) -> Arrival:
+        """The record that waits longest. Raises OSError where its frame cannot be read."""
+        first = self._records.popleft()
+        arrival = first if isinstance(first, Arrival) else self._read(first)
+        if not self._records:
+            self.close()
+        return arrival
+
+    def close(self) -> None:
+        """Drop everything; the file's room is free again."""
+        self._records.clear()
+        self._free.clear()
+        self._end = 0
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+            self._file = None
+
+    def _read(self, one: FrameInFile) -> Arrival:
+        self._file.seek(one.offset)
+        data = bytearray(self._file.read(one.size))
+        self._free.setdefault(one.size, []).append(one.offset)
+        part = np.frombuffer(data, dtype=one.dtype).reshape(one.part_shape)
+        frame = replace(one.frame, pixels=whole_frame(part, one.place, one.shape))
+        return Arrival(one.stream, one.sequence, frame)
+
+    def _written(self, arrival: Arrival, frame: Frame) -> FrameInFile:
+        part, place = part_of(frame.pixels, self.regions.get(arrival.stream))
+        offset = self._room(part.nbytes)
+        if self._file is None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            # It has no name: nothing of it is left, however the process ends.
+            # Without a buffer a full disk shows where it is written to.
+            self._file = tempfile.TemporaryFile(dir=self._folder, buffering=0)  # noqa: SIM115
+        self._file.seek(offset)
+        try:
+            if self._file.write(part.tobytes()) < part.nbytes:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            self._free.setdefault(part.nbytes, []).append(offset)
+            raise
+        rows, columns = frame.pixels.shape
+        bare = replace(frame, pixels=np.empty((0, 0), dtype=part.dtype))
+        shape = (int(part.shape[0]), int(part.shape[1]))
+        return FrameInFile(
+            arrival.stream, arrival.sequence, bare, (rows, columns), place, shape, part.dtype, offset
+        )  # fmt: skip
+
+    def _room(self, size: int) -> int:
+        """Where so many bytes can be written; frames that wait longest make room for them."""
+        while not self._free.get(size) and self._end + size > MAX_BYTES:
+            oldest = next((k for k, one in enumerate(self._records) if isinstance(one, FrameInFile)), None)
+            if oldest is None:
+                # What is free is of other sizes.
+                self._free.clear()
+                self._end = 0
+                break
+            self._drop(oldest)
+        if self._free.get(size):
+            return self._free[size].pop()
+        offset, self._end = self._end, self._end + size
+        return offset
+
+    def _drop(self, number: int) -> None:
+        one = self._records[number]
+        del self._records[number]
+        if isinstance(one, FrameInFile):
+            self._free.setdefault(one.size, []).append(one.offset)
+            self.dropped += 1
+
+
+def _stamp(one: Arrival | FrameInFile) -> int:
+    return one.frame.time_ns if isinstance(one, FrameInFile) else one.newest_ns
+
 
 # So many of the records that wait are given to the point at once, at least: a tenth of a second of work, after which
 # the service answers again. And twice as many as came since the last time, so that the queue becomes shorter.
@@ -21,11 +161,14 @@ MIN_RETURN_S, MAX_RETURN_S = 5.0, 120.0
 class Feeding:
     """Gives records to an opened point; they wait while `hold` is asked for, and behind others that wait.
 
-    waiting: those that came before it was opened are among them, and are kept already.
+    waiting: those that came before it was opened are among them, and are kept already. folder: the captured recording
+    that it was opened from; since_ns: the newest stamp when that was.
     """
 
     opened: Opened
     waiting: Waiting
+    folder: Path
+    since_ns: int
     _from_ns: dict[str, int] = field(default_factory=dict)
     # Whether the engine knows how late it is before it gets what waited.
     _released: bool = True
@@ -66,36 +209,33 @@ class Feeding:
             try:
                 arrival = self.waiting.popleft()
             except OSError as error:
-                self._refuse(Event(self._newest_ns, "damaged", f"A frame that waited cannot be read: {error}."))
+                newest_ns = max(self.opened.newest_ns.values(), default=0)
+                self._refuse(Event(newest_ns, "damaged", f"A frame that waited cannot be read: {error}."))
                 continue
-            if stamp_of(arrival) > self._from_ns.get(arrival.stream, -(2**62)):
-                self._run_late(arrival)
+            try:
+                if arrival.newest_ns > self._from_ns.get(arrival.stream, -(2**62)):
+                    self._run(arrival)
+            except MidspanError as error:
+                self._refuse(Event(arrival.newest_ns, "damaged", f"{arrival.stream}: {error}"))
         self._refused = self._refused and len(self.waiting) > 0
 
-    def _run_late(self, arrival: Arrival) -> None:
-        """One that cannot be used leaves the others alone; the first of those that wait together is an event."""
-        try:
-            self._run(arrival)
-        except MidspanError as error:
-            self._refuse(Event(stamp_of(arrival), "damaged", f"{arrival.stream}: {error}"))
-
     def _refuse(self, event: Event) -> None:
+        """One that cannot be used leaves the others alone; the first of those that wait together is an event."""
         if not self._refused:
             self._refused = True
             self.opened.journal.given([event])
 
-    @property
-    def _newest_ns(self) -> int:
-        return max(self.opened.newest_ns.values(), default=0)
-
     def _run(self, arrival: Arrival) -> None:
-        found = self.opened
+        found, record = self.opened, arrival.record
+        if isinstance(record, RangeFrame):
+            # Of a radar's profile only the bins of its targets.
+            record = replace(record, phasors=at_bins(record.phasors[None], found.bins[arrival.stream])[0])
         sequence = found.counts.get(arrival.stream, -1) + 1
         found.counts[arrival.stream] = sequence
-        if not isinstance(arrival.record, Event):
-            found.newest_ns[arrival.stream] = max(stamp_of(arrival), found.newest_ns.get(arrival.stream, -(2**62)))
-        numbered = Arrival(arrival.stream, sequence, at_targets(arrival, found))
-        if not isinstance(arrival.record, Readings):
+        if not isinstance(record, Event):
+            found.newest_ns[arrival.stream] = max(arrival.newest_ns, found.newest_ns.get(arrival.stream, -(2**62)))
+        numbered = Arrival(arrival.stream, sequence, record)
+        if not isinstance(record, Readings):
             found.journal.arrived(numbered)
         self._give(numbered)
 
@@ -134,11 +274,3 @@ class Absence:
     def reason(self) -> str:
         """Why it is waited for, as a code; empty where it is not."""
         return "broker_gone" if self.since_ns is not None else "silent" if self.waits else ""
-
-
-def at_targets(arrival: Arrival, found: Opened) -> Any:
-    """A record as the point takes it: of a radar's profile only the bins of its targets."""
-    record = arrival.record
-    if not isinstance(record, RangeFrame):
-        return record
-    return replace(record, phasors=at_bins(record.phasors[None], found.bins[arrival.stream])[0])

@@ -16,20 +16,19 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
-from midspan.service.camera_process import CameraProcess, Delivered, Failed, pasted
+from midspan.service.camera_process import CameraProcess, Delivered, Failed, ReadingThread, pasted
 from midspan.service.cutting import around, wider
 from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
-from midspan.service.reading_thread import ReadingThread
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running, Stream
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
 from midspan.sources.live.serial_line import blocks
-from midspan.sources.thermal.request import ThermalRequest, count_scale
+from midspan.sources.thermal.temperatures import ThermalRequest, count_scale
 from midspan.thermal.radiometry import ICE_K
 
 # Stamps that far ahead of this machine's clock are refused, s: twice the clock offset that a calibration looks for.
@@ -63,7 +62,9 @@ class Intake:
         for one in self._points:
             for name, address in one.live.plan.sources.items():
                 if one.kind(name) in PICTURES:
-                    self._start_camera(one, name, address)
+                    place = self._replay_address(address, name) if address.startswith(REPLAY) else address
+                    one.cameras[name] = CameraProcess(place, self._handed(self._pictured, one, name))
+                    one.cameras[name].start()
 
     def begin(self) -> list[asyncio.Task[None]]:
         """Let records come; returns the tasks that replay recordings. Called in the service's loop."""
@@ -110,8 +111,12 @@ class Intake:
         stream = one.streams[name]
         if self._is_ahead(one, name, block.t0_ns + block.dt_ns * max(len(block.values) - 1, 0)):
             return
-        again = stream.sequence is None and self._was_kept(one, name, block)
-        if again or not stream.is_new(block):
+        if stream.sequence is None and one.live.opened is not None and len(block.values):
+            # The broker brings again what was not acknowledged: the point that goes on may have it already.
+            newest_ns = one.live.opened.newest_ns.get(name, 0)
+            if newest_ns - SESSION_S * NANOSECONDS < int(block.time_ns[-1]) <= newest_ns:
+                return
+        if not stream.is_new(block):
             return
         if lost := stream.lost_to_say(time.time()):
             self._tell(one, "lost_records", f"{name}: blocks were lost on their way: {lost}.")
@@ -123,14 +128,6 @@ class Intake:
         stream.dt_ns = block.dt_ns
         value = one.factors[name] * block.values[:, None]
         self._heard(one, name, Arrival(name, 0, Readings(block.time_ns, value)))
-
-    @staticmethod
-    def _was_kept(one: Running, name: str, block: Block) -> bool:
-        """Whether a point that goes on has a block already: the broker brings again what was not acknowledged."""
-        if one.live.opened is None or not len(block.values):
-            return False
-        newest_ns = one.live.opened.newest_ns.get(name, 0)
-        return newest_ns - SESSION_S * NANOSECONDS < int(block.time_ns[-1]) <= newest_ns
 
     def _is_ahead(self, one: Running, name: str, newest_ns: int) -> bool:
         """Whether stamps are of the future, which is a fault."""
@@ -145,12 +142,6 @@ class Intake:
         text = fault.text if isinstance(fault, Failed) else str(fault)
         if one.streams[name].refused(fault.code, text, time.time()):
             self._tell(one, fault.code, f"{name}: {text}")
-
-    def _start_camera(self, one: Running, name: str, address: str) -> None:
-        if address.startswith(REPLAY):
-            address = self._replay_address(address, name)
-        one.cameras[name] = CameraProcess(address, self._handed(self._pictured, one, name))
-        one.cameras[name].start()
 
     def _pictured(self, one: Running, name: str, item: Delivered | Failed) -> None:
         stream = one.streams[name]
@@ -173,16 +164,15 @@ class Intake:
             return
         frame = pasted(item)
         try:
-            frame = self._in_degrees(one, name, frame) if one.kind(name) == "infrared" else frame
+            if one.kind(name) == "infrared" and frame.pixels.dtype == np.uint16:
+                frame = self._in_degrees(one, name, frame)
         except MidspanError as error:
             self._refused(one, name, SourceFault("damaged", str(error)))
             return
         self._heard(one, name, Arrival(name, 0, frame))
 
     def _in_degrees(self, one: Running, name: str, frame: Frame) -> Frame:
-        """An infrared camera's frame in °C, where it is one of counts; their scale is what fits the first frame."""
-        if frame.pixels.dtype != np.uint16:
-            return frame
+        """An infrared camera's frame of counts in °C; their scale is what fits the first frame."""
         if name not in one.scales:
             one.scales[name] = count_scale(float(np.median(frame.pixels.astype(np.float64))), ThermalRequest(), name)
         kelvin_per_count, zero_k = one.scales[name]
@@ -240,9 +230,10 @@ class Intake:
             stream.reason, stream.text = "damaged", str(error)
 
     def _heard(self, one: Running, name: str, arrival: Arrival) -> None:
-        stream = one.streams[name]
+        stream, record = one.streams[name], arrival.record
         stream.heard(time.time())
-        if stream.reason and not _is_empty(arrival):
+        # A block without any value tells nothing of the sensor.
+        if stream.reason and not (isinstance(record, Readings) and not np.isfinite(record.value).any()):
             if stream.told:
                 self._tell(one, "returned", f"{name}: records come again.")
             stream.reason, stream.text, stream.told = "", "", False
@@ -257,9 +248,3 @@ class Intake:
             text = f"{sentence('capture_failed')} {one.live.folder}: {error.strerror}."
             self._refused(one, name, SourceFault("capture_failed", text))
         self._taken(one)
-
-
-def _is_empty(arrival: Arrival) -> bool:
-    """Whether a record has no value at all."""
-    record = arrival.record
-    return isinstance(record, Readings) and not np.isfinite(record.value).any()

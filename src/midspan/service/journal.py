@@ -28,10 +28,109 @@ from midspan.records import (
     joined,
     part,
 )
-from midspan.service.row_health import RowHealth
-from midspan.service.zero import Zero
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch
+
+# The usual deviation is the geometric mean over about so many of the newest rows that rest on measurements.
+USUAL_ROWS = 60_000
+# While rows are less certain than usual by this factor after a clock stepped, the clock is why.
+WIDENED = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class RowHealth:
+    """newest_ns: stamp of the newest row, None before the first; std_m: its standard deviation; usual_m: the usual one
+    of rows that rest on measurements, NaN before the first; count: of these, up to USUAL_ROWS; stepped: a clock
+    stepped, and the rows are less certain since.
+    """
+
+    newest_ns: int | None = None
+    std_m: float = math.nan
+    usual_m: float = math.nan
+    count: int = 0
+    stepped: bool = False
+
+    def after_events(self, events: Sequence[Event]) -> "RowHealth":
+        """After events of the engine."""
+        return replace(self, stepped=True) if any(event.kind == "clock" for event in events) else self
+
+    def after_rows(self, rows: Estimate) -> "RowHealth":
+        """After rows (n,) of the main axis."""
+        if not len(rows.time_ns):
+            return self
+        std_m = np.sqrt(rows.variance_m2)
+        good = std_m[(rows.status == Status.TRACKING) & (std_m > 0.0) & np.isfinite(std_m)]
+        newest_m = float(std_m[-1])
+        now = replace(self, newest_ns=int(rows.time_ns[-1]), std_m=newest_m)
+        if self.stepped and newest_m > WIDENED * self.usual_m:
+            return now
+        if not len(good):
+            return replace(now, stepped=False)
+        count = self.count + len(good)
+        usual = math.log(self.usual_m) if self.count else 0.0
+        usual += (float(np.mean(np.log(good))) - usual) * len(good) / count
+        return replace(now, stepped=False, usual_m=math.exp(usual), count=min(count, USUAL_ROWS))
+
+
+# The mean's variance is that of the means of so many segments: errors of rows are correlated over the filter's memory,
+# which is below an eighth of what is compared. Of so few it is Student's, whose variance is (n - 1)/(n - 3) times it.
+SEGMENTS = 8
+# Rows that both must have: a tenth of a second a segment at 100 Hz.
+MIN_COMMON_ROWS = 10 * SEGMENTS
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """What is added to rows (m) so that they count from an earlier zero, and the variance (m²) of that zero in them."""
+
+    offset_m: float
+    variance_m2: float
+
+    def shift(self, rows: Estimate, own_m2: float) -> Estimate:
+        """Rows that count from this zero; own_m2: variance of the zero that they counted from, which is in theirs."""
+        variance_m2 = np.maximum(rows.variance_m2 - own_m2, 0.0) + self.variance_m2
+        return Estimate(
+            rows.time_ns, rows.displacement_m + self.offset_m, variance_m2, rows.velocity_m_s, rows.source, rows.status
+        )
+
+
+def carried(older: Estimate, newer: Estimate, zero: Zero, scale_std: float) -> Zero | None:
+    """The zero in force for the rows of the new opening; None where too few rows of both rest on measurements.
+
+    Rows of both openings, before the change: a(t) counts from the zero in force, b(t) from the new one. Both have the
+    same errors of the sensors, so that d = mean(a - b) over the common rows is the distance of the zeros. Then b(t) + d
+    counts from the zero in force: the error of the new zero cancels, and what is left is that of the zero in force, of
+    d, and of the scale in force over the way from its zero to where the structure is.
+
+    older: rows that count from the zero in force; newer: of the new opening, as it counts them. zero: in force, with
+    what was added to the older rows. scale_std: relative standard deviation of the scale in force.
+    """
+    before, after = supported(older), supported(newer)
+    _, of_older, of_newer = np.intersect1d(before.time_ns, after.time_ns, assume_unique=True, return_indices=True)
+    if len(of_older) < MIN_COMMON_ROWS:
+        return None
+    apart = before.displacement_m[of_older] - after.displacement_m[of_newer]
+    # The first rows of an opening are less certain than those after them.
+    weight = 1.0 / (before.variance_m2[of_older] + after.variance_m2[of_newer])
+    offset_m, mean_m2 = weighted_mean(apart, weight)
+    way_m = float(np.average(before.displacement_m[of_older], weights=weight)) - zero.offset_m
+    return Zero(offset_m, zero.variance_m2 + mean_m2 + (scale_std * way_m) ** 2)
+
+
+def weighted_mean(values: Floats, weight: Floats) -> tuple[float, float]:
+    """The mean of correlated values (n,) by their weights (n,), and its variance."""
+    mean, whole = float(np.average(values, weights=weight)), float(np.sum(weight))
+    parts = zip(np.array_split(values, SEGMENTS), np.array_split(weight, SEGMENTS), strict=True)
+    shares = [(float(np.sum(w)) / whole, float(np.average(v, weights=w))) for v, w in parts]
+    scatter = sum(share * (of_part - mean) ** 2 for share, of_part in shares) / (SEGMENTS - 1)
+    return mean, scatter * (SEGMENTS - 1) / (SEGMENTS - 3)
+
+
+def supported(rows: Estimate) -> Estimate:
+    """The rows that rest on measurements."""
+    good = (rows.status == Status.TRACKING) & np.isfinite(rows.displacement_m)
+    return Estimate(*[getattr(rows, name)[good] for name in Estimate.__slots__])
+
 
 ROWS, SHOWN = "rows", "displacement_m"
 # Deviations and velocities of rows are kept in steps of 0.12 nm (and nm/s), far below any noise: with all bits a
@@ -216,7 +315,13 @@ class Journal:
 
     def batch(self) -> Batch:
         """Everything since the last time, to be written at once."""
-        chunks = [*self._raw_chunks(), *self._found_chunks(), *self._row_chunks()]
+        streams: dict[str, list[Readings | RangeFrame]] = {}
+        for arrival in self._raw:
+            assert isinstance(arrival.record, Readings | RangeFrame)
+            streams.setdefault(arrival.stream, []).append(arrival.record)
+        chunks = [self._chunk(stream, *raw_columns(records)) for stream, records in streams.items()]
+        rows = [self._rows_along(number, axis, self._rows) for number, axis in enumerate(self._axes)]
+        chunks += [*self._found_chunks(), *(one for one in rows if one is not None)]
         events = [(self.point, event) for event in self._events]
         self._raw, self._found, self._rows, self._events, self._given = [], {}, [], [], 0
         return Batch(chunks, events)
@@ -225,13 +330,6 @@ class Journal:
         """The rows along the main axis since the last time, which are kept all the same; None without any."""
         new, self._given = self._rows[self._given :], len(self._rows)
         return self._rows_along(0, "", new)
-
-    def _raw_chunks(self) -> list[Chunk]:
-        streams: dict[str, list[Readings | RangeFrame]] = {}
-        for arrival in self._raw:
-            assert isinstance(arrival.record, Readings | RangeFrame)
-            streams.setdefault(arrival.stream, []).append(arrival.record)
-        return [self._chunk(stream, *raw_columns(records)) for stream, records in streams.items()]
 
     def _found_chunks(self) -> list[Chunk]:
         chunks = []
@@ -243,10 +341,6 @@ class Journal:
                 time_ns = np.array([row.time_ns for row in rows], dtype=np.int64)
                 chunks.append(self._chunk(target_stream(sensor, target), time_ns, columns))
         return chunks
-
-    def _row_chunks(self) -> list[Chunk]:
-        found = [self._rows_along(number, axis, self._rows) for number, axis in enumerate(self._axes)]
-        return [one for one in found if one is not None]
 
     def _rows_along(self, number: int, axis: str, given: Sequence[KeptRows]) -> Chunk | None:
         """Rows along one axis as a chunk."""

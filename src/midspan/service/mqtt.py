@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from midspan.records import Event
-from midspan.service.journal import ROWS
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
 from midspan.store.chunk import Chunk
@@ -131,14 +130,11 @@ class Broker:
             client.ack(number, qos)
             # At the first connection it is a process that ended, most likely our own before a restart.
             if message.retain and message.payload != self._own and self._connections > 1:
-                self._name_is_taken()
+                # Another service had the site's name since our last connection: it is given more time with each one.
+                client.reconnect_delay_set(self._pause_s, self._pause_s)
+                self._reason, self._pause_s = "name_taken", min(2 * self._pause_s, MAX_NAME_TAKEN_S)
             return
         self._taken(message.topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
-
-    def _name_is_taken(self) -> None:
-        """Another service had the site's name since our last connection: it is given more time with each one."""
-        self._client.reconnect_delay_set(self._pause_s, self._pause_s)
-        self._reason, self._pause_s = "name_taken", min(2 * self._pause_s, MAX_NAME_TAKEN_S)
 
 
 def even_parts(rows: Chunk) -> list[Chunk]:
@@ -180,8 +176,3 @@ def summary(rows: Chunk, status: str) -> str:
 def event_tree(event: Event) -> dict[str, Any]:
     """An event as it is published and logged."""
     return {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text}
-
-
-def rows_of(chunks: Any) -> list[Chunk]:
-    """Those of the main axis's rows among chunks."""
-    return [chunk for chunk in chunks if chunk.stream == ROWS]

@@ -14,6 +14,7 @@ from midspan.engine.point import ACCELEROMETER, Point, PointState
 from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
 from midspan.errors import DataError
 from midspan.fusion.methods import METHODS, Pass
+from midspan.progress import silent
 from midspan.recording.estimate import Asked
 from midspan.recording.messages import require_same_cameras
 from midspan.recording.point import clock_offsets_ns, measuring_point
@@ -81,7 +82,7 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     method = recording.settings.fusion.method
     require_same_cameras(recording, calibration)
     sides = Asked(recording, calibration, method, given=True).sides
-    eyes = open_eyes(sides, None, _silent)
+    eyes = open_eyes(sides, None, silent)
     lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
     point = measuring_point(sides, eyes, lag_s=lag_s, given=True, log=False, wait_s=(LATENESS_S, SILENT_S))
     motion_m = point.estimator.settings.motion[0][0]
@@ -93,7 +94,7 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
         for stream, record in records_of(point, sides, eyes, block_s=BLOCK_S):
             if isinstance(record, Arrival):
                 found.counts[stream] = found.counts.get(stream, -1) + 1
-                found.newest_ns[stream] = _newest(record)
+                found.newest_ns[stream] = record.newest_ns
             journal.given(point.push(record))
     for eye in eyes:
         eye.tracking.close()
@@ -133,7 +134,7 @@ def resumed(found: Opened, kept: bytes, store: Store) -> None:
     found.journal.remember(head.get("rows", {}))
     for arrival in kept_since(found, store):
         found.counts[arrival.stream] = arrival.sequence
-        found.newest_ns[arrival.stream] = _newest(arrival)
+        found.newest_ns[arrival.stream] = arrival.newest_ns
         found.journal.given(found.point.push(arrival))
 
 
@@ -191,12 +192,3 @@ def translation(chunk: Chunk, row: int) -> PixelTranslation:
     """A row of a kept track as it came from the tracker."""
     own: Mapping[str, Any] = {name: chunk.columns[name][row].item() for name in TRANSLATION}
     return PixelTranslation(time_ns=int(chunk.time_ns[row]), **{**own, "status": Status(own["status"])})
-
-
-def _newest(arrival: Arrival) -> int:
-    record = arrival.record
-    return int(record.time_ns[-1]) if isinstance(record, Readings) else int(record.time_ns)
-
-
-def _silent(done: int, total: int, what: str) -> None:
-    """Nobody watches."""

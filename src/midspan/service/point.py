@@ -4,24 +4,21 @@ No thread, clock or network is in here: records and ticks are pushed in, work th
 whose result is handed back.
 """
 
+import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from midspan.engine.support import PointStatus
-from midspan.radar.info import RadarInfo
+from midspan.engine.point import PointStatus
+from midspan.radar.chirp import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
 from midspan.service.capture import Capture
-from midspan.service.captures import forget
 from midspan.service.cutting import wider
-from midspan.service.feeding import Absence, Feeding
-from midspan.service.journal import Journal
+from midspan.service.feeding import Absence, Feeding, Waiting
+from midspan.service.journal import Journal, RowHealth, carried
 from midspan.service.opening import Opened, checkpoint
-from midspan.service.row_health import RowHealth
-from midspan.service.waiting import Waiting, stamp_of
-from midspan.service.zero import carried
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
 from midspan.store.chunk import Chunk, join
@@ -38,16 +35,31 @@ CARRY_S = 30.0
 SCALE_OFF, SCALE_SURE = 0.02, 4.0
 # After a refused calibration the next one waits so long, s.
 AGAIN_S = 60.0
+# Of a point's calibrations the recordings that are kept: the one in force, and one that is offered.
+KEPT_CALIBRATIONS = 2
 
 
 class Phase(Enum):
-    """What a point does with its records."""
+    """What a point prepares; its rows go on meanwhile, if it is open.
 
-    CAPTURING = "capturing"
+    STARTING: nothing came yet; it opens with the calibration in force, else calibrates. CAPTURING_…: a recording is
+    captured for that. CALIBRATING, OPENING: a job is done. OFFERED: a calibration waits to be accepted, and there are
+    no rows. CHANGING_OVER: it is open anew, and the zero has to be carried over. RUNNING: nothing is prepared.
+    """
+
+    STARTING = "starting"
+    CAPTURING_TO_CALIBRATE = "capturing to calibrate"
     CALIBRATING = "calibrating"
     OFFERED = "offered"
+    CAPTURING_TO_OPEN = "capturing to open"
     OPENING = "opening"
+    CHANGING_OVER = "changing over"
     RUNNING = "running"
+
+
+# After a refused job, without rows, a recording is captured for the same again.
+AGAIN = {Phase.CALIBRATING: Phase.CAPTURING_TO_CALIBRATE, Phase.OPENING: Phase.CAPTURING_TO_OPEN}
+CAPTURING = (Phase.STARTING, *AGAIN.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +83,17 @@ class LivePoint:
     folder: Path
     radars: Mapping[str, RadarInfo] = field(default_factory=dict)
     number: int = 0
-    phase: Phase = Phase.CAPTURING
+    phase: Phase = Phase.STARTING
     reason: str = ""
     job: Job | None = None
     follows: bool = False
+    newest_ns: int = 0
+    """The newest stamp of the acceleration."""
     _capture: Capture | None = None
-    _journal: Journal | None = None
+    _journal: Journal = field(init=False)
     # What gives the rows, and what was opened anew and runs next to it until the zero is carried over.
     _feeding: Feeding | None = None
     _next: Feeding | None = None
-    _next_ns: int = 0
     # What came since the capture that a point is being opened from.
     _waiting: Waiting | None = None
     _absence: Absence = field(default_factory=Absence)
@@ -88,16 +101,10 @@ class LivePoint:
     _last: list[Batch] = field(default_factory=list)
     _unpublished: Chunk | None = None
     _events: list[Event] = field(default_factory=list)
-    _newest_ns: int = 0
     _kept_ns: int = 0
     _again_ns: int = 0
-    # The calibration whose scale was found to be off.
+    # The calibration whose scale was estimated to be off.
     _doubted: int = 0
-    # What is captured for while the point runs: "calibrate", "open" or nothing.
-    _wanted: str = ""
-    # The folder that the point in use was opened from.
-    _opened_in: Path | None = None
-    _opening_in: Path | None = None
 
     def __post_init__(self) -> None:
         self._journal = Journal(self.plan.name, {})
@@ -113,11 +120,6 @@ class LivePoint:
         return self.opened.point.status if self.opened is not None else PointStatus.CALIBRATING
 
     @property
-    def newest_ns(self) -> int:
-        """The newest stamp of the acceleration."""
-        return self._newest_ns
-
-    @property
     def opened(self) -> Opened | None:
         """What gives the rows."""
         return None if self._feeding is None else self._feeding.opened
@@ -125,12 +127,12 @@ class LivePoint:
     @property
     def row_health(self) -> RowHealth:
         """How the rows stand."""
-        return RowHealth() if self._feeding is None else self._feeding.opened.journal.health
+        return RowHealth() if self.opened is None else self.opened.journal.health
 
     @property
     def disordered(self) -> int:
         """How many readings of the accelerometer were left out since their stamps were wrong."""
-        return 0 if self.opened is None else self.opened.point.merge.health[0].disordered
+        return 0 if self.opened is None else self.opened.point.merge.state.streams[0].disordered
 
     @property
     def held_up(self) -> str:
@@ -138,128 +140,132 @@ class LivePoint:
         waits = self._feeding is not None and len(self._feeding.waiting) > 0
         return self._absence.reason or "opening" if waits else ""
 
+    @property
+    def busy(self) -> bool:
+        """Whether a recording is captured or a job is done."""
+        return self._capture is not None or self.job is not None
+
+    @property
+    def settled_in(self) -> Path:
+        """The folder that the point was opened from last."""
+        return self.folder if self._feeding is None else self._feeding.folder
+
     def push(self, arrival: Arrival) -> None:
         """Take a record of one of the point's sensors, its stamps in UTC."""
-        record = arrival.record
-        assert self._journal is not None
-        if isinstance(record, Readings) and not len(record.time_ns):
-            return
-        if arrival.stream == "accelerometer" and isinstance(record, Readings):
-            self._newest_ns = max(self._newest_ns, int(record.time_ns[-1]))
-            self._absence = self._absence.heard()
-        waiting = self._waiting
+        record, waiting = arrival.record, self._waiting
+        if isinstance(record, Readings):
+            if not len(record.time_ns):
+                return
+            if arrival.stream == "accelerometer":
+                self.newest_ns = max(self.newest_ns, int(record.time_ns[-1]))
+                self._absence = self._absence.heard()
         if self._feeding is None:
             self._journal.arrived(arrival)
-            if self.phase is Phase.CAPTURING:
-                self._captured(arrival)
-        else:
-            for one in (self._feeding, self._next):
-                if one is not None:
-                    one.push(arrival, hold=self._absence.waits)
-            self._change_over()
-            if self._wanted and self.job is None:
-                self._captured(arrival)
+        for one in (self._feeding, self._next):
+            if one is not None:
+                one.push(arrival, hold=self._absence.waits)
+        self._change_over()
+        if self.phase in CAPTURING:
+            self._captured(arrival)
         if waiting is not None and waiting is self._waiting:
             waiting.append(arrival)
 
     def tick(self, now_ns: int, *, away: bool = False) -> None:
         """The shell's time; away: whether the broker that brings the acceleration is known to be away."""
         self._absence = self._absence.after(now_ns, away=away)
-        if self._feeding is None or self._absence.waits:
-            return
-        self._feeding.tick(now_ns)
-        if self._next is not None:
-            self._next.tick(now_ns)
+        if not self._absence.waits:
+            for one in (self._feeding, self._next):
+                if one is not None:
+                    one.tick(now_ns)
             self._change_over()
+
+    def _captured(self, arrival: Arrival) -> None:
+        """Capture until there is enough, then ask for the job."""
+        if self.newest_ns < self._again_ns:
+            return
+        if self.phase is Phase.STARTING:
+            self.phase = Phase.CAPTURING_TO_OPEN if self.number else Phase.CAPTURING_TO_CALIBRATE
+        opens = self.phase is Phase.CAPTURING_TO_OPEN
+        if self._capture is None:
+            stamp_s = max(arrival.newest_ns, 0) // NANOSECONDS
+            folder = self.folder / f"{'opening' if opens else 'calibration'}-{stamp_s}"
+            self._capture = Capture(folder, self.settings, self.radars)
+        self._capture.push(arrival)
+        length_s, frames = self._capture.length_s, self._capture.frames
+        if opens and length_s >= OPENING_S and (frames is None or frames >= OPENING_FRAMES):
+            self.job, self._waiting = Job("open", self._capture.close()), Waiting(self.folder)
+            self._capture, self.phase = None, Phase.OPENING
+        elif not opens and length_s >= self.plan.settings.calibration_s:
+            self.job = Job("calibrate", self._capture.close())
+            self._capture, self.phase = None, Phase.CALIBRATING
 
     def calibrate(self) -> str:
         """Begin a new calibration, or say why not; the rows go on with the one in force until another is accepted."""
-        if self.busy or self._next is not None or (self._wanted and self.opened is not None):
+        if self.busy or self._next is not None or (self.opened is not None and self.phase is not Phase.RUNNING):
             return f"{self.name}: is being calibrated or opened already; the command is left out."
-        self._wanted = "calibrate"
-        if self.opened is None:
-            self.phase, self._again_ns = Phase.CAPTURING, self._newest_ns
+        self.phase, self._again_ns = Phase.CAPTURING_TO_CALIBRATE, self.newest_ns
         return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
-
-    def close(self) -> None:
-        """End what is being captured, without a result."""
-        if self._capture is not None:
-            with suppress(OSError):
-                self._capture.discard()
-            self._capture = None
-
-    def end(self) -> None:
-        """End what is captured, and drop what waits."""
-        self.close()
-        fed = [one.waiting for one in (self._feeding, self._next) if one is not None]
-        for waiting in [*fed, *([] if self._waiting is None else [self._waiting])]:
-            waiting.close()
-
-    def drop(self) -> None:
-        """Let the point be opened anew: what it was resumed from cannot be used."""
-        self._feeding = None
-
-    @property
-    def busy(self) -> bool:
-        """Whether a recording is captured or a job is done."""
-        return self._capture is not None or self.job is not None
 
     def calibrated(self, number: int) -> None:
         """A calibration came into force: the point opens anew with it."""
-        self.number, self.job, self._wanted = number, None, "open"
-        if self.opened is None:
-            self.phase = Phase.CAPTURING
+        self.number, self.job, self.phase = number, None, Phase.CAPTURING_TO_OPEN
         self._tell("calibrated", f"{self.name}: calibration {number} is in force.")
 
     def offered(self, number: int) -> None:
         """A calibration was made that someone has to accept."""
-        self.job, self.reason, self._wanted = None, "calibration_offered", ""
-        if self.opened is None:
-            self.phase = Phase.OFFERED
+        self.job, self.reason = None, "calibration_offered"
+        self.phase = Phase.OFFERED if self.opened is None else Phase.RUNNING
         self._tell("calibration_offered", f"{self.name}: calibration {number} waits to be accepted.")
+
+    def refused(self, why: str) -> None:
+        """A calibration or an opening failed: without rows it is tried again after a while."""
+        self.job, self.reason = None, "calibration_refused"
+        if self._waiting is not None:
+            self._waiting.close()
+            self._waiting = None
+        if self.opened is None:
+            self.phase = AGAIN.get(self.phase, self.phase)
+            self._again_ns = self.newest_ns + round(AGAIN_S * NANOSECONDS)
+        else:
+            self.phase = Phase.RUNNING
+        self._tell("calibration_refused", f"{self.name}: {why}")
 
     def narrow(self, regions: Mapping[str, Region]) -> None:
         """While the point is opened, only these parts of its cameras' frames wait."""
         if self._waiting is not None:
             self._waiting.regions = regions
 
-    def is_opened(self, found: Opened) -> None:
-        """The point is open: what waited meanwhile is pushed. One that runs goes on until the zero is carried over."""
-        folder = self._opened_in if self.job is None else self.job.folder
-        self.job, self.phase, self.reason, self._wanted = None, Phase.RUNNING, "", ""
-        fed = Feeding(found, Waiting(self.folder) if self._waiting is None else self._waiting)
-        fed.waiting.regions = {name: wider(region) for name, region in found.regions.items()}
-        self._waiting = None
+    def is_opened(self, found: Opened, folder: Path | None = None) -> None:
+        """The point is open: what waited meanwhile is pushed. One that runs goes on until the zero is carried over.
+
+        folder: that it was opened from; left out: the job's.
+        """
+        folder = folder or (self.settled_in if self.job is None else self.job.folder)
+        waiting = Waiting(self.folder) if self._waiting is None else self._waiting
+        waiting.regions = {name: wider(region) for name, region in found.regions.items()}
+        fed = Feeding(found, waiting, folder, self.newest_ns)
+        self.job, self.reason, self._waiting = None, "", None
         if self._feeding is None:
-            self._feeding, self._opened_in = fed, folder
+            self._feeding, self.phase = fed, Phase.RUNNING
             if self.follows and not found.has_own_zero:
                 found.journal.announce_new_datum("the state that held the one before could not be used.")
         else:
-            self._next, self._next_ns, self._opening_in = fed, self._newest_ns, folder
+            self._next, self.phase = fed, Phase.CHANGING_OVER
         fed.catch_up()
         self._change_over()
-
-    def refused(self, why: str) -> None:
-        """A calibration or an opening failed: it is tried again after a while."""
-        self.job, self.reason = None, "calibration_refused"
-        if self._waiting is not None:
-            self._waiting.close()
-            self._waiting = None
-        if self.opened is None:
-            self.phase = Phase.CAPTURING
-            self._again_ns = self._newest_ns + round(AGAIN_S * NANOSECONDS)
-        else:
-            self._wanted, self.phase = "", Phase.RUNNING
-        self._tell("calibration_refused", f"{self.name}: {why}")
 
     def resumed(self, found: Opened, folder: Path) -> None:
         """The point is open again, from its checkpoint and the folder that it was opened from then; it is opened anew
         where another calibration came into force since.
         """
-        self._opened_in, self.follows = folder, False
-        self.is_opened(found)
+        self.follows = False
+        self.is_opened(found, folder)
         if found.journal.calibration != self.number:
-            self._wanted = "open"
+            self.phase = Phase.CAPTURING_TO_OPEN
+
+    def drop(self) -> None:
+        """Let the point be opened anew: what it was resumed from cannot be used."""
+        self._feeding, self.phase = None, Phase.STARTING
 
     def _change_over(self) -> None:
         """Let the rows come from the point that was opened anew, as soon as the zero can be carried over."""
@@ -269,7 +275,7 @@ class LivePoint:
         rows, fresh, zero = older.journal.recent, newer.journal.recent, None
         if rows is not None and fresh is not None and not newer.has_own_zero:
             zero = carried(rows, fresh, older.journal.zero, older.scale_std)
-        late = self._newest_ns - self._next_ns > CARRY_S * NANOSECONDS
+        late = self.newest_ns - self._next.since_ns > CARRY_S * NANOSECONDS
         if zero is None and not (newer.has_own_zero or late or older.point.status is PointStatus.LOST):
             return
         last_ns = older.journal.health.newest_ns
@@ -281,7 +287,9 @@ class LivePoint:
             newer.journal.announce_new_datum("too few rows with measurements were common with the opening before.")
         self._unpublished = older.journal.fresh()
         self._last.append(older.journal.batch())
-        self._feeding, self._next, self._opened_in = self._next, None, self._opening_in
+        self._feeding, self._next = self._next, None
+        if self.phase is Phase.CHANGING_OVER:
+            self.phase = Phase.RUNNING
         # The store must not go back to the opening before.
         self._kept_ns = 0
 
@@ -291,28 +299,26 @@ class LivePoint:
 
     def fresh(self) -> Chunk | None:
         """The rows since the last time, to be published; `batch` keeps them."""
-        before, self._unpublished = self._unpublished, None
-        now = None if self.opened is None else self.opened.journal.fresh()
-        both = [one for one in (before, now) if one is not None]
-        return join(both) if both else None
+        both = [self._unpublished, None if self.opened is None else self.opened.journal.fresh()]
+        self._unpublished = None
+        chunks = [one for one in both if one is not None]
+        return join(chunks) if chunks else None
 
     def batch(self, *, last: bool = False) -> Batch:
         """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""
-        assert self._journal is not None
         batches, self._last = [self._journal.batch(), *self._last], []
         kept: dict[str, tuple[int, bytes]] = {}
         if self.opened is not None:
             batches.append(self.opened.journal.batch())
-            if self.phase is Phase.RUNNING and (last or self._newest_ns - self._kept_ns >= CHECKPOINT_S * NANOSECONDS):
-                kept[self.name] = (self._newest_ns, checkpoint(self.opened, self.settled_in))
-                self._kept_ns = self._newest_ns
+            if last or self.newest_ns - self._kept_ns >= CHECKPOINT_S * NANOSECONDS:
+                kept[self.name] = (self.newest_ns, checkpoint(self.opened, self.settled_in))
+                self._kept_ns = self.newest_ns
                 if not self.busy:
                     forget(self.folder, self.settled_in)
                 self._doubt(self.opened)
-        events = [(self.name, event) for event in self._events]
+        events = [*(event for one in batches for event in one.events), *((self.name, event) for event in self._events)]
         self._events = []
-        chunks = [chunk for one in batches for chunk in one.chunks]
-        return Batch(chunks, [*(event for one in batches for event in one.events), *events], kept)
+        return Batch([chunk for one in batches for chunk in one.chunks], events, kept)
 
     def _doubt(self, found: Opened) -> None:
         """Calibrate anew, once, where the motion shows that a scale has changed."""
@@ -329,36 +335,28 @@ class LivePoint:
                 self._tell("scale", line)
             self.calibrate()
 
-    @property
-    def settled_in(self) -> Path:
-        """The folder that the point was opened from last."""
-        return self._opened_in or self.folder
-
-    def _captured(self, arrival: Arrival) -> None:
-        """Capture until there is enough, then ask for the job."""
-        if self._newest_ns < self._again_ns:
-            return
-        if self._capture is None:
-            stamp_s = max(stamp_of(arrival), 0) // NANOSECONDS
-            self._capture = Capture(
-                self.folder / f"{'opening' if self._opens else 'calibration'}-{stamp_s}", self.settings, self.radars
-            )
-        self._capture.push(arrival)
-        length_s, frames = self._capture.length_s, self._capture.frames
-        if self._opens and length_s >= OPENING_S and (frames is None or frames >= OPENING_FRAMES):
-            self.job, self._waiting = Job("open", self._capture.close()), Waiting(self.folder)
-            self.phase = Phase.OPENING if self.opened is None else Phase.RUNNING
-        elif not self._opens and length_s >= self.plan.settings.calibration_s:
-            self.job = Job("calibrate", self._capture.close())
-            if self.opened is None:
-                self.phase = Phase.CALIBRATING
-        if self.job is not None:
+    def close(self) -> None:
+        """End what is being captured, without a result."""
+        if self._capture is not None:
+            with suppress(OSError):
+                self._capture.discard()
             self._capture = None
 
-    @property
-    def _opens(self) -> bool:
-        """Whether what is captured is for opening the point, not for calibrating it."""
-        return self._wanted == "open" or (self.number > 0 and self._wanted != "calibrate")
+    def end(self) -> None:
+        """End what is captured, and drop what waits."""
+        self.close()
+        for waiting in (self._waiting, *(one.waiting for one in (self._feeding, self._next) if one is not None)):
+            if waiting is not None:
+                waiting.close()
 
     def _tell(self, kind: str, text: str) -> None:
-        self._events.append(Event(self._newest_ns, kind, text))
+        self._events.append(Event(self.newest_ns, kind, text))
+
+
+def forget(folder: Path, settled_in: Path) -> None:
+    """Remove a point's captured recordings from before the one it was opened from, but for the newest calibrations'."""
+    before = settled_in.name.partition("-")[2]
+    for kind, kept in (("opening", 0), ("calibration", KEPT_CALIBRATIONS)):
+        older = sorted(one for one in folder.glob(f"{kind}-*") if one.name.partition("-")[2] < before)
+        for one in older[: max(len(older) - kept, 0)]:
+            shutil.rmtree(one, ignore_errors=True)

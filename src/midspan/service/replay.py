@@ -24,7 +24,7 @@ from midspan.recording.tracked import open_eyes
 from midspan.records import NANOSECONDS, Arrival, Complete, Readings
 from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
-from midspan.service.stored_rows import FIRST_NS, LAST_NS
+from midspan.service.stored_recording import FIRST_NS, LAST_NS
 from midspan.settings.site import is_a_point
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
@@ -64,7 +64,12 @@ def replay(
     """
     option("method", method, LIVE)
     name = point_called(name, recording)
-    require_free(store, name, recording)
+    newest_ns = store.newest_ns(name, "rows")
+    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
+        raise UsageError(
+            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
+            "another name (--point), or another store (-o)."
+        )
     given = calibration is not None
     tracking = None
     if calibration is None:
@@ -179,13 +184,3 @@ def point_called(given: str | None, recording: Recording) -> str:
         return point_name(recording.name) if given is None else is_a_point(given)
     except ValueError as error:
         raise UsageError(f"--point {error}; received {given!r}. Give another name.") from None
-
-
-def require_free(store: Store, name: str, recording: Recording) -> None:
-    """UsageError where the store has rows of the point that are as new as the recording's."""
-    newest_ns = store.newest_ns(name, "rows")
-    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
-        raise UsageError(
-            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
-            "another name (--point), or another store (-o)."
-        )

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from midspan.errors import DataError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
 from midspan.sources.live.camera import Stamped, StampKind
@@ -62,7 +62,7 @@ def radar_info(address: str, sensor: str) -> RadarInfo:
 
 def film(address: str) -> Iterator[Stamped]:
     """The frames of a camera, each when it is due; the end is a fault."""
-    from midspan.sources.live.fault import SourceFault
+    from midspan.sources.live.instants import SourceFault
 
     recording, sensor, start_ns = parts(address)
     view = next((view for view in recording.views if view.sensor == sensor), None)

@@ -7,7 +7,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +15,22 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
-from midspan.service.calibrations import accepted, added, loaded, number_in_force, of_a_thread
+from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
 from midspan.service.cutting import needed
-from midspan.service.figures import figures
 from midspan.service.intake import MQTT, Intake
-from midspan.service.jobs import calibrated_folder
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
-from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, rows_of, summary
+from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
 from midspan.service.notify import notify
 from midspan.service.opening import head_of, opened, resumed
-from midspan.service.point import Job
+from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, running
-from midspan.service.web import application, listening, server
+from midspan.service.web import application, figures, listening, server
 from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.site import Site
-from midspan.settings.site_folders import captures_of
-from midspan.settings.stored.calibration import Calibration
+from midspan.settings.site import Site, captures_of
 from midspan.store.archive import archive
-from midspan.store.store import Batch, Store
+from midspan.store.store import Batch, Store, open_store
 
 TICK_S, WRITE_S, LOG_S = 0.05, 1.0, 60.0
 # Days are archived, and removed once they are too old, so often.
@@ -90,8 +86,7 @@ class Service:
             raise
         replays = self._intake.begin()
         self._begin_broker()
-        listen = self.site.settings.service.listen
-        web = server(application(self.standing, self._figures))
+        web = server(application(self.standing, lambda: figures(self._points, self._keeper, time.time())))
         serving = asyncio.create_task(web.serve(sockets=[listener]))
         tasks = [
             asyncio.create_task(self._every(TICK_S, self._tick)),
@@ -100,7 +95,7 @@ class Service:
             serving,
             *replays,
         ]
-        self._say(f"{self.site.name}: {len(self._points)} points, http://{listen}/readyz")
+        self._say(f"{self.site.name}: {len(self._points)} points, http://{self.site.settings.service.listen}/readyz")
         notify("READY=1")
         failed = await self._until_stopped(tasks, for_s)
         notify("STOPPING=1")
@@ -207,7 +202,7 @@ class Service:
         live = one.live
         try:
             if job.kind == "open":
-                live.narrow(needed(await asyncio.to_thread(self._calibration, one)))
+                live.narrow(needed(await asyncio.to_thread(self._with_store, loaded, live)))
             async with self._one_at_a_time[job.kind]:
                 await (self._calibrate(one, job) if job.kind == "calibrate" else self._open(one, job))
         except Exception as error:
@@ -217,28 +212,24 @@ class Service:
             one.busy = False
 
     async def _calibrate(self, one: Running, job: Job) -> None:
-        live = one.live
+        live, accept = one.live, one.live.plan.settings.accept == "auto"
         self._say(f"{live.name}: calibrating on {job.folder.name}.")
         body = await calibrated_folder(job.folder)
-        accept = live.plan.settings.accept == "auto"
-        number = await asyncio.to_thread(self._add_calibration, one, body, accept)
+        number = await asyncio.to_thread(self._with_store, added, live, body, accept=accept)
         live.calibrated(number) if accept else live.offered(number)
 
     async def _open(self, one: Running, job: Job) -> None:
         live = one.live
-        calibration = await asyncio.to_thread(self._calibration, one)
+        calibration = await asyncio.to_thread(self._with_store, loaded, live)
         found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
         self._intake.cut(one, *(other for other in (live.opened, found) if other is not None))
         live.is_opened(found)
         self._say(f"{live.name}: runs.")
 
-    def _calibration(self, one: Running) -> Calibration:
-        with of_a_thread(self.site.store) as store:
-            return loaded(one.live, store)
-
-    def _add_calibration(self, one: Running, body: str, accept: bool) -> int:
-        with of_a_thread(self.site.store) as store:
-            return added(one.live, store, body, accept=accept)
+    def _with_store(self, work: Callable[..., Any], live: LivePoint, *arguments: Any, **options: Any) -> Any:
+        """What work of a thread of its own gives for a point, with a store that is open for it alone."""
+        with closing(open_store(self.site.store)) as store:
+            return work(live, store, *arguments, **options)
 
     # In
 
@@ -288,15 +279,11 @@ class Service:
             self._event(one, "command", f"{name}: cmd/{command} is no command. Commands: {', '.join(COMMANDS)}.")
 
     async def _accept(self, one: Running, wanted: str) -> None:
-        number = await asyncio.to_thread(self._put_in_force, one, wanted)
+        number = await asyncio.to_thread(self._with_store, accepted, one.live, wanted)
         if number is None:
             self._event(one, "command", f"{one.name}: no calibration {wanted} is offered.".replace("  ", " "))
         else:
             one.live.calibrated(number)
-
-    def _put_in_force(self, one: Running, wanted: str) -> int | None:
-        with of_a_thread(self.site.store) as store:
-            return accepted(one.live, store, wanted)
 
     def _event(self, one: Running, kind: str, text: str) -> None:
         now = Event(time.time_ns(), kind, text)
@@ -329,7 +316,7 @@ class Service:
             notify("WATCHDOG=1")
             if time.time() - self._swept_s > SWEEP_S:
                 self._swept_s = time.time()
-                self._begin(self._sweep())
+                self._begin(asyncio.to_thread(self._sweep))
             if self._old_ns is not None:
                 await asyncio.to_thread(self._keeper.forget_before, self._old_ns)
                 self._old_ns = None
@@ -337,7 +324,13 @@ class Service:
                 self._dropped = self._keeper.dropped
                 for one in self._points:
                     self._event(one, "rows_dropped", f"store: {sentence('rows_dropped')}")
-            self._tell_changes()
+            # Store and broker that are away, or back, are an event of every point.
+            for name, reason in (("store", self._keeper.reason), ("mqtt", self._broker.reason if self._broker else "")):
+                if reason != self._away.get(name, "") and reason != "starting":
+                    text = f"{name}: {sentence(reason) if reason else 'is there again.'}"
+                    for one in self._points:
+                        self._event(one, reason or "returned", text)
+                    self._away[name] = reason
             # While the store is away the broker would hold back all that comes after a few messages without an
             # acknowledgement: live goes on with what is held in memory.
             if not self._keeper.waiting or self._keeper.reason:
@@ -346,31 +339,18 @@ class Service:
             else:
                 self._acknowledge.extendleft(reversed(done))
 
-    def _tell_changes(self) -> None:
-        """Store and broker that are away, or back, are an event of every point."""
-        for name, reason in (("store", self._keeper.reason), ("mqtt", self._broker.reason if self._broker else "")):
-            if reason != self._away.get(name, "") and reason != "starting":
-                text = f"{name}: {sentence(reason) if reason else 'is there again.'}"
-                for one in self._points:
-                    self._event(one, reason or "returned", text)
-                self._away[name] = reason
-
-    async def _sweep(self) -> None:
+    def _sweep(self) -> None:
         """Archive the days that are over; then those that are too old may be removed."""
+        folder = self.site.settings.store.archive
         try:
-            await asyncio.to_thread(self._archive)
+            if folder is not None:
+                with closing(open_store(self.site.store)) as store:
+                    for place in archive(store, self.site.file.parent / folder, time.time_ns()):
+                        self._say(f"archive: {place.parent.name}, {place.name}.")
         except (MidspanError, OSError) as error:
             self._say(f"archive: {error}; it is tried again in an hour.")
             return
-        before_s = time.time() - DAY_S * self.site.settings.store.keep_days
-        self._old_ns = round(before_s * NANOSECONDS)
-
-    def _archive(self) -> None:
-        folder = self.site.settings.store.archive
-        if folder is not None:
-            with of_a_thread(self.site.store) as store:
-                for place in archive(store, self.site.file.parent / folder, time.time_ns()):
-                    self._say(f"archive: {place.parent.name}, {place.name}.")
+        self._old_ns = round((time.time() - DAY_S * self.site.settings.store.keep_days) * NANOSECONDS)
 
     def _collect(self, *, last: bool = False) -> list[Callable[[], None]]:
         """What every point has to keep, to the store and the broker; returns what is acknowledged once it is kept."""
@@ -399,7 +379,7 @@ class Service:
             self._publish_event(one, event)
         if self._broker is None:
             return
-        for rows in rows_of(batch.chunks):
+        for rows in [chunk for chunk in batch.chunks if chunk.stream == ROWS]:
             self._broker.publish(f"{one.name}/summary", summary(rows, one.live.status.name.lower()))
         self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), qos=1, retain=True)
 
@@ -426,9 +406,6 @@ class Service:
             if by_broker and self._broker is not None and self._broker.reason and source["reason"]:
                 source["reason"], source["text"] = self._broker.reason, sentence(self._broker.reason)
         return found
-
-    def _figures(self) -> str:
-        return figures(self._points, self._keeper, time.time())
 
     def _log(self) -> None:
         """One line a minute."""

@@ -6,19 +6,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from midspan.engine.support import PointStatus
+from midspan.engine.point import PointStatus
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.service.camera_process import CameraProcess
 from midspan.service.capture import capture_settings
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
-from midspan.settings.addresses import without_secrets
 from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.site import PointPlan
+from midspan.settings.site import PointPlan, without_secrets
 from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
-from midspan.sources.live.radar import live_info, live_layout
+from midspan.sources.live.radar import live_info
+from midspan.sources.radar.ti_config import read_settings
 
 # A stream that brings nothing for so long, and for so many of its usual intervals, is not fresh.
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
@@ -157,27 +158,26 @@ class Running:
 
     def no_rows(self, now_s: float) -> str:
         """Why the point gives no rows now that can be relied on, empty where it does."""
-        reason = self._no_rows() or ("clock" if self.live.row_health.stepped else "")
-        fusion = self.live.plan.recording.fusion
+        live, status = self.live, self.live.status
+        if live.opened is None:
+            reason = live.reason or ("opening" if live.number else "calibrating")
+        elif status is PointStatus.WARMING:
+            reason = "opening"
+        else:
+            reason = live.held_up or ("lost" if status is PointStatus.LOST else "")
+        reason = reason or ("clock" if live.row_health.stepped else "")
+        fusion = live.plan.recording.fusion
         fresh_s = FRESH_S + (fusion.lag_s if fusion.method == "lag" else 0.0)
         if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
             return reason
         if all(stream.reason == "ended" for stream in self.streams.values()):
             return "ended"
-        return "clock" if self.live.disordered > self._disordered else "no_rows"
+        return "clock" if live.disordered > self._disordered else "no_rows"
 
     def status(self, now_s: float) -> str:
         """How the point stands: as its newest row says, and lost once there are none."""
         has_none = self.live.opened is not None and self.no_rows(now_s) in ("no_rows", "ended")
         return "lost" if has_none else self.live.status.name.lower()
-
-    def _no_rows(self) -> str:
-        status = self.live.status
-        if self.live.opened is None:
-            return self.live.reason or ("opening" if self.live.number else "calibrating")
-        if status is PointStatus.WARMING:
-            return "opening"
-        return self.live.held_up or ("lost" if status is PointStatus.LOST else "")
 
     def kind(self, sensor: str) -> str:
         """The kind of one of the point's sensors."""
@@ -215,29 +215,20 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
 
     Raises what reading a radar's settings, or a recording that is replayed, does.
     """
-    factors = {}
-    sections: dict[str, Any] = {ACCELEROMETER: plan.recording.accelerometer}
-    kinds = {ACCELEROMETER: ACCELEROMETER}
-    for sensor in plan.recording.sensors:
-        sections[sensor.name], kinds[sensor.name] = sensor.settings, sensor.kind
-    for name, kind in kinds.items():
+    factors, layouts, radars = dict[str, float](), dict[str, Layout](), dict[str, RadarInfo]()
+    sections: list[tuple[str, str, Any]] = [(ACCELEROMETER, ACCELEROMETER, plan.recording.accelerometer)]
+    sections += [(sensor.name, sensor.kind, sensor.settings) for sensor in plan.recording.sensors]
+    for name, kind, section in sections:
+        replayed, address = plan.sources[name].startswith("replay:"), plan.sources[name]
         if kind in SI:
             quantity, unit = SI[kind]
-            sensitivity = getattr(sections[name], "sensitivity", 0.0) or None
-            replayed = plan.sources[name].startswith("replay:")
-            factors[name] = 1.0 if replayed else si_factor(sections[name].unit or unit, quantity, sensitivity)
-    layouts = {
-        name: live_layout(site / plan.configs[name], sections[name].iq_order)
-        for name, kind in kinds.items()
-        if kind == "radar" and plan.sources[name].startswith("udp:")
-    }
-    radars = {
-        name: live_info(layouts[name])
-        if name in layouts
-        else radar_info(str(site / plan.sources[name].removeprefix("replay:")), name)
-        for name, kind in kinds.items()
-        if kind == "radar"
-    }
+            sensitivity = getattr(section, "sensitivity", 0.0) or None
+            factors[name] = 1.0 if replayed else si_factor(section.unit or unit, quantity, sensitivity)
+        elif kind == "radar" and replayed:
+            radars[name] = radar_info(str(site / address.removeprefix("replay:")), name)
+        elif kind == "radar":
+            layouts[name] = read_settings(site / plan.configs[name]).layout(site / plan.configs[name], section.iq_order)
+            radars[name] = live_info(layouts[name])
     live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)
     streams = {name: Stream(plan.name, name, without_secrets(at)) for name, at in plan.sources.items()}
     return Running(live, streams, factors, layouts)

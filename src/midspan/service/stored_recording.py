@@ -1,31 +1,145 @@
-"""A stretch of a store as a recording: raw acceleration, readings and tracks, to be computed again by any method."""
+"""A segment of a store: its rows as a result table, its raw records as a recording that any method computes again."""
 
 import json
+import re
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan._version import __version__
 from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.checks import nearest
 from midspan.engine.radar_target import FollowedTarget
-from midspan.errors import DataError
-from midspan.radar.chirp import ChirpProfile, profile_from_json, profile_to_json
+from midspan.errors import DataError, UsageError
+from midspan.radar.chirp import ChirpProfile, RadarInfo, profile_from_json, profile_to_json
 from midspan.radar.frames import bin_m_of
-from midspan.radar.info import RadarInfo
-from midspan.records import NANOSECONDS
+from midspan.records import NANOSECONDS, seconds
 from midspan.service.calibrations import CHIRPS
-from midspan.service.journal import target_stream
-from midspan.service.stored_rows import stored_rows
+from midspan.service.journal import NEW_DATUM, rows_stream, target_stream
+from midspan.settings.kinds import KINDS
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.stored.calibration import Calibration
-from midspan.settings.stored.calibration_file import calibration_from_dict
-from midspan.store.chunk import Chunk
-from midspan.store.store import Store, StoredCalibration, is_address
+from midspan.settings.stored.calibration import Calibration, calibration_from_dict
+from midspan.sinks.table import ResultTable
+from midspan.store.chunk import Chunk, join
+from midspan.store.store import Store, is_address
 from midspan.trees import TreeError, json_tree
 
+FIRST_NS, LAST_NS = -(2**62), 2**62
+
+
+def instant(text: str | None, option: str) -> int | None:
+    """An instant in ns UTC of ISO 8601 (without a zone: UTC) or of seconds since 1970; None where it is left out."""
+    if text is None:
+        return None
+    if re.fullmatch(r"[+-]?\d+(\.\d*)?", text.strip()):
+        seconds_text, _, rest = text.strip().partition(".")
+        sign = -1 if seconds_text.startswith("-") else 1
+        return int(seconds_text) * NANOSECONDS + sign * int(rest[:9].ljust(9, "0") or 0)
+    try:
+        found = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise UsageError(
+            f"{option}: must be an instant like 2026-11-22T10:00:00Z or seconds since 1970; received {text!r}."
+        ) from None
+    zoned = found if found.tzinfo else found.replace(tzinfo=UTC)
+    whole = zoned.replace(microsecond=0)
+    return round(whole.timestamp()) * NANOSECONDS + zoned.microsecond * 1000
+
+
+def chosen_point(store: Store, name: str | None) -> str:
+    """The point that is meant: the named one, or the only one. Raises UsageError, DataError for a store without any."""
+    known = store.points
+    if not known:
+        raise DataError("The store has no rows yet.")
+    if name is None:
+        if len(known) > 1:
+            raise UsageError(f"--point must be one of {', '.join(known)}; the store has several points. Name one.")
+        return known[0]
+    if name not in known:
+        raise UsageError(f"--point must be one of {', '.join(known)}; received {name!r}. {nearest(name, known)}")
+    return name
+
+
+def stored_rows(
+    store: Store, point: str, stream: str, first_ns: int | None, last_ns: int | None, calibration: int | None = None
+) -> Chunk | None:
+    """A stream's rows from `first_ns` to `last_ns` as one block, None where there are none.
+
+    calibration: only those of this one; None: of all.
+    """
+    newest_ns = store.newest_ns(point, stream)
+    if newest_ns is None:
+        return None
+    found = list(
+        store.chunks(point, stream, FIRST_NS if first_ns is None else first_ns, min(last_ns or LAST_NS, newest_ns))
+    )
+    found = [one for one in found if calibration in (None, one.calibration)]
+    return join(found) if found else None
+
+
+def stored_table(store: Store, point: str, first_ns: int | None, last_ns: int | None) -> ResultTable:
+    """The rows of a point in the columns of a result, with the calibrations and events that belong to them.
+
+    Where the zero is another one from some row on there is a column `datum`, which counts the zeros. Raises DataError
+    where there are no rows.
+    """
+    rows = stored_rows(store, point, rows_stream(), first_ns, last_ns)
+    if rows is None or not len(rows.time_ns):
+        raise DataError(f"The store has no rows of {point!r} in that time.")
+    columns: dict[str, Any] = {
+        "time_s": seconds(rows.time_ns, 0),
+        **_columns(rows, ""),
+        "source": rows.columns["source"],
+    }
+    columns["status"] = rows.columns["status"]
+    for axis in "xy":
+        second = stored_rows(store, point, rows_stream(axis), int(rows.time_ns[0]), int(rows.time_ns[-1]))
+        if second is not None and np.array_equal(second.time_ns, rows.time_ns):
+            columns |= {**_columns(second, f"_{axis}"), f"status_{axis}": second.columns["status"]}
+    datums = np.array(store.event_times(point, NEW_DATUM, int(rows.time_ns[-1])), dtype=np.int64)
+    number = np.searchsorted(datums, rows.time_ns, side="right")
+    if number[-1] > number[0]:
+        columns["datum"] = number
+    span = (int(rows.time_ns[0]), int(rows.time_ns[-1]))
+    return ResultTable(columns=columns, time_ns=rows.time_ns, metadata=_metadata(store, point, rows, span))
+
+
+def _columns(rows: Chunk, axis: str) -> dict[str, Any]:
+    return {
+        f"displacement{axis}_mm": 1e3 * rows.columns["displacement_m"],
+        f"displacement_std{axis}_mm": 1e3 * rows.columns["std_m"].astype(np.float64),
+        f"velocity{axis}_mm_s": 1e3 * rows.columns["velocity_m_s"].astype(np.float64),
+    }
+
+
+def _metadata(store: Store, point: str, rows: Chunk, span: tuple[int, int]) -> dict[str, object]:
+    """Calibrations of the rows' time and events, as plain values; the zero's deviation is that of the last row."""
+    return {
+        "midspan": __version__,
+        "point": point,
+        "zero_std_mm": 1e3 * float(rows.columns["zero_std_m"][-1]),
+        "calibrations": [
+            {"number": one.number, "made_s": one.made_ns / NANOSECONDS, "state": one.state, **json.loads(one.body)}
+            for one in store.calibrations(point)
+        ],
+        "events": [
+            {"time_s": event.time_ns / NANOSECONDS, "kind": event.kind, "text": event.text}
+            for event in store.events(point, *span)
+        ],
+    }
+
+
 ACCELERATION_FILE = "acceleration.npz"
+# Keys of a section that say where the file of a recording is, and what only its frames need: the regions stand in the
+# calibration, a track has them no more.
+_FILE = ("file", "times", "rate_hz", "start_s", "every")
+_FRAMES = (*_FILE, "roi", "target", "automatic_targets", "temperature_range_c")
+_RADAR = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
+OF_FILES = {"camera": _FRAMES, "infrared": _FRAMES, "displacement": _FILE, "radar": _RADAR}
 # A radar's frames that are written together.
 FRAMES_AT_A_TIME = 1024
 # What messages advise for files, and for a store in its place.
@@ -41,12 +155,52 @@ ADVICE = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Own:
-    """The calibration that chose a radar's bins, its number in the store, and the chirps of the point's radars."""
+class _Segment:
+    """A point's records of a span (ns) that go into a folder; calibration: that chose the radars' bins, with its number
+    in the store; chirps: of the radars.
+    """
 
+    store: Store
+    point: str
+    folder: Path
+    span: tuple[int, int]
     calibration: Calibration
     number: int
     chirps: dict[str, Any]
+
+    def section(self, kind: str, settings: dict[str, Any]) -> dict[str, Any]:
+        """A sensor's section with its file written."""
+        name = settings.get("name") or kind
+        kept = {key: value for key, value in settings.items() if key not in OF_FILES[kind]}
+        if kind == "radar":
+            return {**kept, "file": self._radar(name)}
+        columns: dict[str, NDArray[Any]] = {}
+        if kind == "displacement":
+            found = self._rows(name, f"raw records of {name}")
+            columns = {"time_ns": found.time_ns, "value": found.columns["value"]}
+            kept |= {"unit": "m", "time": "time_ns", "value": "value"}
+        else:
+            streams = self.store.streams(self.point)
+            for k in [k for k in range(len(streams)) if target_stream(name, k) in streams]:
+                columns |= _track(self._rows(target_stream(name, k), f"track of {name}"), f"_{k + 1}" if k else "")
+        np.savez(self.folder / f"{name}.npz", **columns)  # type: ignore[arg-type]
+        return {**kept, "file": f"{name}.npz"}
+
+    def _radar(self, name: str) -> str:
+        """A radar's phasors written as slow-time I/Q."""
+        radar, chirp, what = self.calibration.of(name), self.chirps.get(name), f"phasors of {name} by calibration"
+        found = self._rows(name, f"{what} {self.number}", self.number)
+        if not isinstance(radar, RadarCalibration):
+            raise DataError(f"The store has no {what} {self.number} in that time.")
+        profile = None if chirp is None else profile_from_json(json.dumps(chirp))
+        _save_slow_time(self.folder / f"{name}.h5", found, radar, profile)
+        return f"{name}.h5"
+
+    def _rows(self, stream: str, what: str, calibration: int | None = None) -> Chunk:
+        found = stored_rows(self.store, self.point, stream, *self.span, calibration)
+        if found is None:
+            raise DataError(f"The store has no {what} in that time.")
+        return found
 
 
 def in_words_of_a_store(text: str, folder: Path, where: str, point: str) -> str:
@@ -72,45 +226,31 @@ def stored_recording(
     known = store.calibration(point) or next(reversed(store.calibrations(point)), None)
     if known is None:
         raise DataError(f"The store has no calibration of {point!r}.")
+    try:
+        calibration = calibration_from_dict(json_tree(known.body), f"calibration {known.number} of the store")
+    except TreeError as error:
+        raise DataError(f"Calibration {known.number} of the store {error}.") from None
     # What is stored is along the calibrated axis already.
-    calibration = replace(_calibration(known), sensor_axis=None)
+    calibration = replace(calibration, sensor_axis=None)
     settings = json_tree(known.settings)
     acceleration = stored_rows(store, point, "accelerometer", first_ns, last_ns)
     if acceleration is None or not len(acceleration.time_ns):
         raise DataError(f"The store has no acceleration of {point!r} in that time.")
     tree: dict[str, Any] = {key: value for key, value in settings.items() if key in ("name", "calibration", "fusion")}
-    _save(folder / ACCELERATION_FILE, {"time_ns": acceleration.time_ns, **_values(acceleration)})
+    value = acceleration.columns["value"]
+    values = {"value": value} if value.ndim == 1 else {f"value_{k}": value[:, k] for k in range(value.shape[1])}
+    np.savez(folder / ACCELERATION_FILE, time_ns=acceleration.time_ns, **values)  # type: ignore[arg-type]
     tree["accelerometer"] = _accelerometer(settings["accelerometer"], acceleration)
     # Sensors' own clocks may be apart by what the calibration says.
     span = (int(acceleration.time_ns[0]) - 2 * NANOSECONDS, int(acceleration.time_ns[-1]) + 2 * NANOSECONDS)
-    for kind in ("camera", "infrared", "displacement", "radar"):
+    segment = _Segment(store, point, folder, span, calibration, known.number, settings.get(CHIRPS, {}))
+    for kind in KINDS:
         sections = settings.get(kind, [])
-        sections = sections if isinstance(sections, list) else [sections]
-        if kind == "radar":
-            own = _Own(calibration, known.number, settings.get(CHIRPS, {}))
-            written = [_radar_section(store, point, section, folder, span, own) for section in sections]
-        else:
-            written = [_section(store, point, kind, section, folder, span) for section in sections]
+        written = [segment.section(kind, one) for one in (sections if isinstance(sections, list) else [sections])]
         if written:
             tree[kind] = written if len(written) > 1 else written[0]
     (folder / RECORDING_FILE).write_text(tomli_w.dumps(tree), encoding="utf-8")
     return folder, calibration
-
-
-def _save(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    np.savez(file, **arrays)  # type: ignore[arg-type]
-
-
-def _calibration(known: StoredCalibration) -> Calibration:
-    try:
-        return calibration_from_dict(json_tree(known.body), f"calibration {known.number} of the store")
-    except TreeError as error:
-        raise DataError(f"Calibration {known.number} of the store {error}.") from None
-
-
-def _values(acceleration: Chunk) -> dict[str, NDArray[Any]]:
-    value = acceleration.columns["value"]
-    return {"value": value} if value.ndim == 1 else {f"value_{k}": value[:, k] for k in range(value.shape[1])}
 
 
 def _accelerometer(section: dict[str, Any], acceleration: Chunk) -> dict[str, Any]:
@@ -124,49 +264,6 @@ def _accelerometer(section: dict[str, Any], acceleration: Chunk) -> dict[str, An
     order = ["value_y", "value_x"] if "value_y" in section else ["value_x", "value_y"]
     own.update({key: f"value_{k}" for k, key in enumerate(order)})
     return own
-
-
-def _section(
-    store: Store, point: str, kind: str, section: dict[str, Any], folder: Path, span: tuple[int, int]
-) -> dict[str, Any]:
-    """A sensor's section with its files written."""
-    name = section.get("name") or kind
-    kept = {key: value for key, value in section.items() if key not in ("file", "times", "rate_hz", "start_s", "every")}
-    if kind == "displacement":
-        found = stored_rows(store, point, name, *span)
-        if found is None:
-            raise DataError(f"The store has no raw records of {name} in that time.")
-        _save(folder / f"{name}.npz", {"time_ns": found.time_ns, "value": found.columns["value"]})
-        unit = {"unit": "m", "time": "time_ns", "value": "value"}
-        return {**kept, "file": f"{name}.npz", **unit}
-    streams = store.streams(point)
-    targets = [k for k in range(len(streams)) if target_stream(name, k) in streams]
-    columns: dict[str, NDArray[Any]] = {}
-    for k in targets:
-        found = stored_rows(store, point, target_stream(name, k), *span)
-        if found is None:
-            raise DataError(f"The store has no track of {name} in that time.")
-        columns |= _track(found, f"_{k + 1}" if k else "")
-    _save(folder / f"{name}.npz", columns)
-    # The regions stand in the calibration; a track has them no more.
-    for key in ("roi", "target", "automatic_targets", "temperature_range_c"):
-        kept.pop(key, None)
-    return {**kept, "file": f"{name}.npz"}
-
-
-def _radar_section(
-    store: Store, point: str, section: dict[str, Any], folder: Path, span: tuple[int, int], own: _Own
-) -> dict[str, Any]:
-    """A radar's section with its phasors written as slow-time I/Q."""
-    name = section.get("name") or "radar"
-    radar, chirp = own.calibration.of(name), own.chirps.get(name)
-    found = stored_rows(store, point, name, *span, own.number)
-    if found is None or not isinstance(radar, RadarCalibration):
-        raise DataError(f"The store has no phasors of {name} by calibration {own.number} in that time.")
-    profile = None if chirp is None else profile_from_json(json.dumps(chirp))
-    _save_slow_time(folder / f"{name}.h5", found, radar, profile)
-    of_files = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
-    return {**{key: value for key, value in section.items() if key not in of_files}, "file": f"{name}.h5"}
 
 
 def _save_slow_time(file: Path, found: Chunk, radar: RadarCalibration, profile: ChirpProfile | None) -> None:

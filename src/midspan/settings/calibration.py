@@ -87,7 +87,7 @@ Yes = Annotated[bool, Field(strict=True)]
 class Stored(BaseModel):
     """A part of the file."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True, defer_build=True)
 
 
 class StoredUsual(Stored):

@@ -148,56 +148,34 @@ class CameraSettings(Section):
         return self.reference or "first"
 
     @model_validator(mode="after")
-    def _targets_are_told_apart(self) -> "CameraSettings":
+    def _is_whole(self) -> "CameraSettings":
+        names, rois = self.target_names, [target.roi for target in self.target]
         if self.roi is not None and self.target:
             raise ValueError("must have roi for one target or [[camera.target]] for several, not both")
         if self.automatic_targets > 1 and (self.roi is not None or self.target):
             raise ValueError("must leave automatic_targets out where roi or [[camera.target]] says what to track")
-        names = self.target_names
         if len(set(names)) < len(names):
             raise ValueError(f"must give each [[camera.target]] its own name; received {', '.join(names)}")
-        rois = [target.roi for target in self.target]
         if len(set(rois)) < len(rois):
             raise ValueError("must give each [[camera.target]] its own roi; two are the same")
-        return self
-
-    @model_validator(mode="after")
-    def _optics_are_whole(self) -> "CameraSettings":
         optics = (self.focal_length_mm, self.pixel_pitch_um)
         if any(optics) and not (all(optics) and self.distance_m):
             raise ValueError("must have focal_length_mm, pixel_pitch_um and distance_m together: they give mm/px")
-        return self
-
-    @model_validator(mode="after")
-    def _scale_is_of_one_target(self) -> "CameraSettings":
         if self.scale_mm_per_px is None and self.scale_std_mm_per_px > 0.0:
             raise ValueError("must have scale_mm_per_px together with scale_std_mm_per_px")
-        if self.scale_mm_per_px is None:
-            return self
         if self.scale_mm_per_px == 0.0:
             raise ValueError("must have a scale_mm_per_px other than 0")
-        if self.direction == "xy" or len(self.target) > 1 or self.automatic_targets > 1:
+        one_axis = self.direction != "xy" and len(self.target) <= 1 and self.automatic_targets == 1
+        if self.scale_mm_per_px is not None and not one_axis:
             raise ValueError('must have one target and direction = "x" or "y" together with scale_mm_per_px')
-        return self
-
-    @model_validator(mode="after")
-    def _tilt_has_a_distance(self) -> "CameraSettings":
         if self.tilt_std_mdeg > 0.0 and self.distance_m is None and self.lens is None:
             raise ValueError(
                 "must have distance_m, the metres from camera to target, or a section lens with the focal length, "
                 "together with tilt_std_mdeg: what a tilt makes of the displacement grows with the distance"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _tracker_knows_its_settings(self) -> "CameraSettings":
         if self.tracker_settings:
             with _in_words_of("tracker_settings", self.tracker_settings):
                 tracker_settings(self.tracker, **self.tracker_settings)
-        return self
-
-    @model_validator(mode="after")
-    def _reference_knows_its_settings(self) -> "CameraSettings":
         if self.reference_settings:
             if self.reference_rule != "updating":
                 raise ValueError('must have reference = "updating" together with reference_settings')

@@ -102,4 +102,4 @@ def known(table: dict[str, Any], kind: str) -> AfterValidator:
 class Section(BaseModel):
     """A section of the tree: unknown keys are errors, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)

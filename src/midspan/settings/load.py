@@ -1,9 +1,9 @@
 """Reading and validating a `recording.toml`."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from midspan.checks import instance, option, path_of
 from midspan.errors import DataError, UsageError
@@ -12,6 +12,7 @@ from midspan.settings.recording import RecordingSettings
 from midspan.trees import TreeError, read_toml
 
 RECORDING_FILE = "recording.toml"
+Model = TypeVar("Model", bound=BaseModel)
 # Sections that every recording has, written or not.
 OPTIONAL_SECTIONS = ("calibration", "fusion")
 
@@ -78,10 +79,10 @@ def _changed(section: Any, keys: dict[str, Any]) -> Any:
     return {**section, **keys}
 
 
-def validate(tree: dict[str, Any], where: str) -> RecordingSettings:
+def validate(tree: dict[str, Any], where: str, model: type[Model] = RecordingSettings) -> Model:  # type: ignore[assignment]
     """The settings of a tree of plain values; `where` names it in messages."""
     try:
-        return RecordingSettings.model_validate(tree)
+        return model.model_validate(tree)
     except ValidationError as error:
-        lines = [explain(item, tree, RecordingSettings) for item in error.errors()]
+        lines = [explain(item, tree, model) for item in error.errors()]
         raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None

@@ -1,11 +1,18 @@
 """What is wrong with a tree of settings, in words: the key, the rule with its unit, the value received, the remedy."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from pydantic import BaseModel
 
 from midspan.checks import nearest, shown
+from midspan.errors import MidspanError
+from midspan.notices import Notice
+from midspan.settings.camera import InfraredSettings
+from midspan.settings.kinds import KINDS
+from midspan.settings.sensors import DisplacementSettings, RadarSettings
 
 # The validation library's words, and what stands for them.
 PLAIN = {
@@ -19,13 +26,21 @@ PLAIN = {
 
 def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
     """One sentence for one of pydantic's errors about `tree`, which `model` validated."""
-    place, kind, value = _place(item["loc"], tree), item["type"], item["input"]
+    place, kind, value = list(item["loc"]), item["type"], item["input"]
+    if len(place) > 1 and isinstance(place[1], int) and isinstance(tree.get(place[0]), dict):
+        # A section that is not written as a list has no number.
+        del place[1]
     last = place[-1] if place else None
     if isinstance(last, int) and kind in ("missing", "int_type", "float_type"):
         place = place[:-1]
-    key = _key(place)
+    # Of a list the entry's number, counted from 1.
+    key = ".".join(f"[{part + 1}]" if isinstance(part, int) else str(part) for part in place).replace(".[", "[")
+    key = key or "settings"
     if kind == "extra_forbidden":
-        return _unknown(key, [str(part) for part in place if not isinstance(part, int)], value, model)
+        known = _keys_at([str(part) for part in place[:-1] if not isinstance(part, int)], model)
+        if len(place) == 1:
+            known = [name for name in known if name != "name"] if _is_section(value) else ["name"]
+        return unknown(key, value, known)
     if kind == "too_long" or (kind == "missing" and isinstance(last, int)):
         return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {shown(list(value))}."
     if kind == "missing":
@@ -45,35 +60,10 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
         return f"{text}."
     if place[0] == "infrared":
         text = text.replace("[[camera.", "[[infrared.")
-    return (
-        f"{key}: {text}."
-        if isinstance(value, dict)
-        else f"{key} = {_plain(value)}: {text}.".replace("..", ".").replace("?.", "?")
-    )
-
-
-def _place(loc: tuple[Any, ...], tree: dict[str, Any]) -> list[Any]:
-    """The place of an error as the file has it: a section that is not written as a list has no number."""
-    if len(loc) > 1 and isinstance(loc[1], int) and isinstance(tree.get(loc[0]), dict):
-        return [loc[0], *loc[2:]]
-    return list(loc)
-
-
-def _key(place: list[Any]) -> str:
-    """A place of the tree as it is written; of a list the entry's number, counted from 1."""
-    text = ".".join(f"[{part + 1}]" if isinstance(part, int) else str(part) for part in place)
-    return text.replace(".[", "[") or "settings"
-
-
-def _plain(value: Any) -> str:
-    return shown(list(value)) if isinstance(value, tuple) else shown(value)
-
-
-def _unknown(key: str, place: list[str], value: Any, model: type[BaseModel]) -> str:
-    known = _keys_at(place[:-1], model)
-    if len(place) == 1:
-        known = [name for name in known if name != "name"] if _is_section(value) else ["name"]
-    return unknown(key, value, known)
+    if isinstance(value, dict):
+        return f"{key}: {text}."
+    received = shown(list(value) if isinstance(value, tuple) else value)
+    return f"{key} = {received}: {text}.".replace("..", ".").replace("?.", "?")
 
 
 def unknown(key: str, value: Any, known: Sequence[str]) -> str:
@@ -94,3 +84,32 @@ def _keys_at(place: list[str], model: Any) -> list[str]:
         options = [annotation, *getattr(annotation, "__args__", ())]
         model = next(option for option in options if hasattr(option, "model_fields"))
     return [field.alias or key for key, field in model.model_fields.items()]
+
+
+_FIELDS = {key for one in (InfraredSettings, RadarSettings, DisplacementSettings) for key in one.model_fields}
+_KEYS = "|".join(sorted(_FIELDS, key=len, reverse=True))
+_PLACE = rf"(?=(\.({_KEYS})\b|:|\]| \([^()]*\):|'s clock\b))"
+_BEFORE = r"(?<![\w/\\.'\"])"
+_CAMERA, _ANY = (re.compile(f"{_BEFORE}({words}){_PLACE}") for words in ("camera", "|".join(KINDS)))
+
+
+def worded(text: str, sensor: str) -> str:
+    """A message about a sensor of a kind, as it reads for the one called `sensor`; in those of a thermal camera too."""
+    if sensor in KINDS and sensor != "infrared":
+        return text
+    return (_CAMERA if sensor == "infrared" else _ANY).sub(sensor, text)
+
+
+def renamed(notice: Notice, sensor: str) -> Notice:
+    """A notice as it reads for the sensor of this name."""
+    return notice.worded(worded(notice, sensor))
+
+
+@contextmanager
+def in_words_of(sensor: str) -> Iterator[None]:
+    """Let the messages of errors raised inside name the sensor by its name."""
+    try:
+        yield
+    except MidspanError as error:
+        error.args = (worded(str(error), sensor),)
+        raise

@@ -1,27 +1,18 @@
 """The whole tree of `recording.toml`: its sensors, the calibration and the fusion."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializationInfo, model_serializer, model_validator
 
-from midspan.calibration.printed import PrintedSteps
+from midspan.calibration.camera.view import PrintedSteps
 from midspan.checks import RATE_HZ
-from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
-from midspan.settings.fields import (
-    IsNumber,
-    Section,
-    Time,
-    known,
-    limited,
-    second_is_larger,
-)
+from midspan.settings.fields import IsNumber, Section, Time, known, limited, second_is_larger
 from midspan.settings.kinds import KINDS, Listed, sensor_names
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
-from midspan.signals.fir import MAX_TAPS, MIN_TAPS
-from midspan.signals.resample import SIDE
 
 if TYPE_CHECKING:
     from midspan.fusion.streams import KalmanSettings, MethodSettings
@@ -120,39 +111,27 @@ class FusionSettings(Section):
     anti_alias_taps: Annotated[int, IsNumber, AfterValidator(_is_a_length)] | None = Field(
         None, description="`two-stage-fir`: length of its anti-aliasing filter, odd; left out: by a ripple of 0.001"
     )
-    spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SIDE)] = Field(
-        SIDE,
+    spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SPLINE_FRAMES)] = Field(
+        SPLINE_FRAMES,
         description="`fir`, `two-stage-fir`: displacements ahead that the spline through them uses; fewer shortens the "
         "delay",
     )
 
     @model_validator(mode="after")
-    def _has_a_literal_form(self) -> "FusionSettings":
+    def _is_whole(self) -> "FusionSettings":
         if self.literal and not METHODS[self.method].literal:
             raise ValueError(no_literal_form(self.method))
         return self
 
     def of_method(self, kalman: "KalmanSettings | None" = None) -> "MethodSettings":
         """What a method is run with; kalman: what is known of the axis, the usual where it is left out."""
-        from midspan.fusion.streams import MethodSettings
+        from midspan.fusion.streams import KalmanSettings, MethodSettings
 
-        own = MethodSettings(
-            lag_s=self.lag_s,
-            literal=self.literal,
-            forgetting=self.forgetting,
-            first_frames=self.first_frames,
-            input_noise_m_s2=self.input_noise_m_s2,
-            start_noise_m=None if self.start_noise_mm is None else 1e-3 * self.start_noise_mm,
-            start_velocity_m_s=None if self.start_velocity_mm_s is None else 1e-3 * self.start_velocity_mm_s,
-            half_window=self.half_window,
-            cut_off_hz=self.cut_off_hz,
-            accuracy=self.accuracy,
-            transition_hz=self.transition_hz,
-            taps=self.taps,
-            anti_alias_taps=self.anti_alias_taps,
-            spline_frames=self.spline_frames,
-        )
-        return own if kalman is None else replace(own, kalman=kalman)
+        own: dict[str, Any] = {one.name: getattr(self, one.name, None) for one in fields(MethodSettings)}
+        own["start_noise_m"] = None if self.start_noise_mm is None else 1e-3 * self.start_noise_mm
+        own["start_velocity_m_s"] = None if self.start_velocity_mm_s is None else 1e-3 * self.start_velocity_mm_s
+        own["kalman"] = kalman or KalmanSettings()
+        return MethodSettings(**own)
 
 
 class SiteSettings(Section):
@@ -189,66 +168,39 @@ class RecordingSettings(Section):
     site: SiteSettings | None = None
 
     @model_validator(mode="after")
-    def _has_displacement(self) -> "RecordingSettings":
-        if self.accelerometer is None:
-            # A camera alone can be tracked and looked at.
-            if self.first_camera is None:
-                raise ValueError(
-                    "has no [accelerometer]. Add the section; only [camera] and [infrared] can do without it, for "
-                    "`midspan track`"
-                )
-            return self
-        if self.first_camera is None and self.radar is None and self.displacement is None:
+    def _is_whole(self) -> "RecordingSettings":
+        own, camera = self.accelerometer, self.first_camera
+        both = camera is not None and camera.direction == "xy"
+        if own is None and camera is None:
+            raise ValueError(
+                "has no [accelerometer]. Add the section; only [camera] and [infrared] can do without it, for "
+                "`midspan track`"
+            )
+        if camera is None and self.radar is None and self.displacement is None:
             raise ValueError(
                 "has [accelerometer] only. Add the section of a sensor that measures displacement: [camera], "
                 "[infrared], [radar] or [displacement]"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _both_axes_have_columns(self) -> "RecordingSettings":
-        both = self.first_camera is not None and self.first_camera.direction == "xy"
-        if self.accelerometer is None:
-            return self
-        named = self.accelerometer.value_x or self.accelerometer.value_y
-        if both and not named:
+        if own is not None and both and not (own.value_x or own.value_y):
             raise ValueError(
                 'must name accelerometer.value_x, accelerometer.value_y or both with camera.direction = "xy": the '
                 "columns along the image's axes"
             )
-        if named and not both:
+        if own is not None and not both and (own.value_x or own.value_y):
             raise ValueError(
                 'must have camera.direction = "xy" with accelerometer.value_x or value_y; for one axis give '
                 "accelerometer.value"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _direction_can_be_estimated(self) -> "RecordingSettings":
-        if self.accelerometer is None or not self.accelerometer.cross_values:
-            return self
-        if self.fusion.literal or self.calibration.band_hz is not None:
+        if own is not None and own.cross_values and (self.fusion.literal or self.calibration.band_hz is not None):
             key = "fusion.literal" if self.fusion.literal else "calibration.band_hz"
             raise ValueError(f"must not have accelerometer.cross_values with {key}: leave one of them out")
-        return self
-
-    @model_validator(mode="after")
-    def _several_cameras_measure_one_axis(self) -> "RecordingSettings":
         cameras = (*self.cameras, *self.infrareds)
-        if len(cameras) > 1 and "xy" in (camera.direction for camera in cameras):
+        if len(cameras) > 1 and "xy" in [one.direction for one in cameras]:
             raise ValueError(
                 'must have direction = "x" or "y" in each [camera] and [infrared] where there are several; "xy" is for '
                 "one of them alone"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _sensors_are_told_apart(self) -> "RecordingSettings":
         sensor_names({kind: [section.name for section in self.of_kind(kind)] for kind in KINDS})
-        return self
-
-    @model_validator(mode="after")
-    def _printed_methods_take_one_of_a_kind(self) -> "RecordingSettings":
         for kind in KINDS if self.fusion.literal else ():
             if len(listed := self.of_kind(kind)) > 1:
                 raise ValueError(
@@ -280,13 +232,7 @@ class RecordingSettings(Section):
 
     def of_kind(self, kind: str) -> tuple[SensorSettings, ...]:
         """The sections of one of KINDS."""
-        kinds: dict[str, tuple[SensorSettings, ...]] = {
-            "camera": self.cameras,
-            "infrared": self.infrareds,
-            "radar": self.radars,
-            "displacement": self.displacements,
-        }
-        return kinds[kind]
+        return getattr(self, f"{kind}s")  # type: ignore[no-any-return]
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

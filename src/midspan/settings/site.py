@@ -2,24 +2,65 @@
 
 import os
 import re
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, SecretStr, ValidationError, model_validator
+from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.addresses import address_of
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.load import RECORDING_FILE
-from midspan.settings.messages import explain, unknown
+from midspan.settings.load import RECORDING_FILE, validate
+from midspan.settings.messages import unknown
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
+from midspan.sources.live.radar import host_and_port
+from midspan.sources.live.serial_line import device_and_baud
 from midspan.trees import TreeError, read_toml
+
+ADDRESSES = {
+    ACCELEROMETER: ("mqtt:", "serial:", "replay:"),
+    "camera": ("rtsp://", "usb:", "replay:"),
+    "infrared": ("rtsp://", "usb:", "replay:"),
+    "radar": ("udp:", "replay:"),
+    "displacement": ("mqtt:", "serial:", "replay:"),
+}
+
+
+def address_of(kind: str, section: dict[str, Any], where: str) -> str:
+    """The `source` of a sensor's section; `where` names the section in UsageError."""
+    value = section.get("source")
+    known = ADDRESSES[kind]
+    if not isinstance(value, str) or not value.startswith(known) or value in known:
+        listed = ", ".join(f"{one}…" for one in known)
+        raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
+                         f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
+    scheme = next(one for one in known if value.startswith(one))
+    place = value.removeprefix(scheme)
+    try:
+        if scheme == "serial:":
+            device_and_baud(place)
+        elif scheme == "udp:":
+            host_and_port(place)
+        elif scheme == "usb:" and not (place.isascii() and place.isdecimal()):
+            raise ValueError("must be usb: and the number of a camera, as usb:0 for /dev/video0")
+        elif scheme == "mqtt:" and any(sign in place for sign in "+#"):
+            raise ValueError("must be one topic, without the wildcards + and #; write one source for each topic")
+    except ValueError as error:
+        raise UsageError(f"{where}.source: {error}; received {without_secrets(value)!r}.") from None
+    return value
+
+
+def without_secrets(address: str) -> str:
+    """An address without user and password."""
+    scheme, at, rest = address.partition("://")
+    return f"{scheme}://{rest.rpartition('@')[2]}" if at else address
+
 
 SITE_FILE = "SITE.toml"
 SENSORS: dict[str, type[Section]] = {
@@ -204,7 +245,7 @@ def load_site(path: str | Path) -> Site:
         raise UsageError(f"{file}: point: is missing. Add one [[point]] for each measuring point.")
     if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
-    settings = _validated(SiteFile, tree, str(file))
+    settings = validate(tree, str(file), SiteFile)
     plans = tuple(_plan(point, f"{file}: {point_at(number, point)}") for number, point in enumerate(points, start=1))
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
@@ -282,9 +323,9 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     """One point of plain values; `where` names it in messages."""
     _require_known(tree, PointSettings, tuple(SENSORS), f"{where}: ")
     own = {key: value for key, value in tree.items() if key not in SENSORS}
-    settings = _validated(PointSettings, own, where)
+    settings = validate(own, where, PointSettings)
     sections: dict[str, Any] = {}
-    addresses: dict[str, list[str]] = {}
+    addresses: dict[str, Iterator[str]] = {}
     for kind in SENSORS:
         if kind not in tree:
             continue
@@ -294,35 +335,22 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
         if kind == ACCELEROMETER and len(given) > 1:
             raise UsageError(f"{where}: {kind}: must be one section.")
         sections[kind] = [_captured(kind, number, one, where) for number, one in enumerate(given)]
-        addresses[kind] = [address_of(kind, one, f"{where}: {kind}") for one in given]
+        addresses[kind] = iter([address_of(kind, one, f"{where}: {kind}") for one in given])
     fusion = {"method": settings.method, "lag_s": settings.lag_s}
     plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
     if ACCELEROMETER not in plain:
         raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
-    recording = _validated(RecordingSettings, {"name": settings.name, "fusion": fusion, **plain}, where)
-    named = {sensor.name: (sensor.kind, k) for k, sensor in enumerate(recording.sensors)}
-    counts: Counter[str] = Counter()
-    sources = {ACCELEROMETER: addresses[ACCELEROMETER][0]}
-    for name, (kind, _) in named.items():
-        sources[name] = addresses[kind][counts[kind]]
-        counts[kind] += 1
-    configs = {
-        sensor.name: sensor.settings.config
-        for sensor in recording.sensors
-        if sensor.kind == "radar" and sensor.settings.config is not None
-    }
-    if missing := [
-        name for name, (kind, _) in named.items() if kind == "radar" and _needs(sources[name], configs, name)
-    ]:
-        raise UsageError(
-            f"{where}: radar.config: is missing for {missing[0]!r}. Add the .cfg or .json that the radar runs with."
-        )
+    recording = validate({"name": settings.name, "fusion": fusion, **plain}, where, RecordingSettings)
+    sources = {ACCELEROMETER: next(addresses[ACCELEROMETER])}
+    sources |= {sensor.name: next(addresses[sensor.kind]) for sensor in recording.sensors}
+    radars = {one.name: one.settings for one in recording.sensors if isinstance(one.settings, RadarSettings)}
+    configs = {name: radar.config for name, radar in radars.items() if radar.config is not None}
+    for name in radars:
+        if name not in configs and sources[name].startswith("udp:"):
+            raise UsageError(
+                f"{where}: radar.config: is missing for {name!r}. Add the .cfg or .json that the radar runs with."
+            )
     return PointPlan(settings, recording, sources, configs)
-
-
-def _needs(address: str, configs: dict[str, str], name: str) -> bool:
-    """Whether a radar's settings are needed, and not there."""
-    return address.startswith("udp:") and name not in configs
 
 
 def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> dict[str, Any]:
@@ -344,9 +372,40 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
     return {**{key: value for key, value in section.items() if key != "source"}, **own}
 
 
-def _validated(model: Any, tree: dict[str, Any], where: str) -> Any:
+def captures_of(site: Site) -> Path:
+    """The folder below which each point has its captured recordings."""
+    own = site.settings.store.captures
+    if own is not None:
+        return site.file.parent / own
+    return Path(site.store) / "captures" if site.settings.store.path else site.file.parent / f"{site.name}-captures"
+
+
+def require_folders(site: Site) -> None:
+    """Raises UsageError with the key for a store, an archive or captures in a folder that is a file or cannot be made.
+
+    A folder that this user may not write is refused too: the service's user has to be the one who asks.
+    """
+    store = site.settings.store
+    captures = store.captures or (None if store.path else str(captures_of(site)))
+    for key, given in (("path", store.path), ("archive", store.archive), ("captures", captures)):
+        if given is not None and (wrong := _why_not(site.file.parent / given)):
+            raise UsageError(
+                f"{site.file}: store.{key} = {given!r}: must be a folder that can be made and written; {wrong}. "
+                "Give another folder, or let the user of midspan write this one."
+            )
+
+
+def _why_not(folder: Path) -> str:
+    """Why files cannot be written into a folder, which is not made; empty where they can."""
+    there = folder.absolute()
     try:
-        return model.model_validate(tree)
-    except ValidationError as error:
-        lines = [explain(item, tree, model) for item in error.errors()]
-        raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None
+        there = next(place for place in (there, *there.parents) if place.exists())
+        if not there.is_dir():
+            return f"{there} is a file"
+        if there == folder.absolute():
+            # Another process may write into it: nothing is touched.
+            return "" if os.access(there, os.W_OK | os.X_OK) else f"{there} may not be written"
+        tempfile.TemporaryDirectory(prefix=".midspan-", dir=there).cleanup()
+    except OSError as error:
+        return f"{there}: {error.strerror}"
+    return ""

@@ -113,21 +113,18 @@ def _chosen(path: Path, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Ch
             f"{path}: {len(found)} channels could be meant: {', '.join(map(repr, names))}{said}. Name the one "
             f"along the measured motion, for example --value {names[-1]!r}."
         )
-    upright = [one for one in found if _is_upright(one)]
-    chosen = upright[0] if len(upright) == 1 else found[0]
-    return chosen, tuple(name for name in names if name != chosen.name)
-
-
-def _is_upright(channel: "Channel") -> bool:
-    """Whether a channel reads gravity."""
     import numpy as np
 
     from midspan.sources.accelerometer.units import measures, si_factor
 
-    if not measures(channel.unit, "acceleration"):
-        return False
-    mean = float(np.nanmean(channel.values)) * si_factor(str(channel.unit), "acceleration", None)
-    return abs(abs(mean) / GRAVITY_M_S2 - 1.0) < UPRIGHT
+    upright = []
+    for one in found:
+        # A channel that reads gravity.
+        if measures(one.unit, "acceleration"):
+            mean = float(np.nanmean(one.values)) * si_factor(str(one.unit), "acceleration", None)
+            upright += [one] if abs(abs(mean) / GRAVITY_M_S2 - 1.0) < UPRIGHT else []
+    chosen = upright[0] if len(upright) == 1 else found[0]
+    return chosen, tuple(name for name in names if name != chosen.name)
 
 
 def _channel(
@@ -163,7 +160,7 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direct
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
     from midspan.sources.thermal.formats import is_thermal, open_thermal
-    from midspan.sources.thermal.request import ThermalRequest
+    from midspan.sources.thermal.temperatures import ThermalRequest
 
     thermal = is_thermal(video)
     section = "infrared" if thermal else "camera"

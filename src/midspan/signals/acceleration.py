@@ -8,20 +8,11 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.notices import Notice
-from midspan.records import (
-    NANOSECONDS,
-    Acceleration,
-    Displacement,
-    Event,
-    Floats,
-    Nanoseconds,
-    TimeSeries,
-    joined,
-    part,
-    seconds,
-)
-from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, MIN_HZ, missed_share, unknown_density
+from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
 from midspan.signals.health import (
+    GAP_STEPS,
+    LONG_SHARE,
+    MIN_HZ,
     Clock,
     Mask,
     bridged,
@@ -30,10 +21,12 @@ from midspan.signals.health import (
     dominant_frequency,
     frozen,
     lone_spikes,
+    mean_square,
+    missed_share,
     runs,
+    unknown_density,
     with_crests,
 )
-from midspan.signals.lively import mean_square
 from midspan.signals.stamps import inside, shown
 
 # Standard gravity, m/s².
@@ -113,11 +106,11 @@ class PreparedAcceleration:
 
     def rows(self, origin_ns: int, which: slice) -> Floats:
         """Rows (n, 3) for calibration: time (s), acceleration without its `level`, relative noise density."""
-        usual = 1e-4 * float(np.var(self.value_m_s2[which])) / self.rate_hz
-        block = self.with_noise(max(usual, 1e-12))
-        block = part(block, inside(block.time_ns, int(self.time_ns[which.start]), int(self.time_ns[which.stop - 1])))
-        relative = block.noise_density / max(usual, 1e-12)
-        return np.column_stack((seconds(block.time_ns, origin_ns), block.value_m_s2 - self.level(which), relative))
+        usual = max(1e-4 * float(np.var(self.value_m_s2[which])) / self.rate_hz, 1e-12)
+        block, ends = self.with_noise(usual), self.time_ns[which][[0, -1]].tolist()
+        block = part(block, inside(block.time_ns, *ends))
+        value = block.value_m_s2 - self.level(which)
+        return np.column_stack((seconds(block.time_ns, origin_ns), value, block.noise_density / usual))
 
     def cross_rows(self, which: slice) -> tuple[Floats, Floats] | None:
         """Acceleration (m, k) along the other axes at the rows of `rows`, without its means (k,), and these."""
@@ -173,45 +166,40 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     straight = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     value = np.where(held, with_crests(series.value, held), straight)
     density = _bridging_density(value, missing, usual)
-    warnings = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
-    warnings += [one.worded(f"{where}: {one}.") for one in series.notices]
-    warnings += [
-        Notice("samples-bridged", f"{where}: {line}; they were bridged and marked.")
-        for line in unusable_samples(series)
-    ]
+    told = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
+    told += [one.worded(f"{where}: {one}.") for one in series.notices]
+    bridged_texts = [f"{line}; they were bridged and marked." for line in unusable_samples(series)]
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
-        warnings.append(
-            Notice(
-                "samples-bridged",
-                f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.",
-            )
-        )
-    fastest = dominant_frequency(value, usual.rate_hz)
-    if fastest > FASTEST_SHARE * usual.rate_hz and _correlated(value):
-        warnings.append(
-            Notice(
-                "rate-too-low",
-                f"{where}: most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of "
-                f"{usual.rate_hz:.4g} Hz: "
-                "integration then errs by more than 1 %. Record at ten times the highest frequency or more.",
-            )
-        )
-    if (step := held_samples(series.value)) > 1:
-        warnings.append(
-            Notice(
-                "rate-too-low",
-                f"{where}: its values change with every {step}th sample only: it was recorded or sent at "
-                f"{usual.rate_hz / step:.4g} Hz and filled up by holding, which delays and bends fast motion. Export "
-                "it at the rate at which it was sampled.",
-            )
-        )
+        bridged_texts.append(f"gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
+    told += [Notice("samples-bridged", f"{where}: {text}") for text in bridged_texts]
+    told += [Notice("rate-too-low", f"{where}: {text}") for text in _slow_sampling(value, series.value, usual.rate_hz)]
     events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
     events += [
         Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")
         for i, s in zip(usual.gaps, usual.gap_s, strict=True)
     ]
-    return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
+    return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(told))
+
+
+def _slow_sampling(value: Floats, read: Floats, rate_hz: float) -> list[str]:
+    """What shows in values (n,), bridged and as read, that they were sampled too slowly for their motion."""
+    found, fastest, left = [], dominant_frequency(value, rate_hz), value - np.mean(value)
+    power = max(float(np.sum(left**2)), 1e-300)
+    # No white noise, by the correlation of samples with the next one and the next but one.
+    correlated = max(abs(float(np.sum(left[k:] * left[:-k]))) for k in (1, 2)) > MIN_CORRELATED * power
+    if fastest > FASTEST_SHARE * rate_hz and correlated:
+        found.append(
+            f"most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of {rate_hz:.4g} Hz: "
+            "integration then errs by more than 1 %. Record at ten times the highest frequency or more."
+        )
+    if (step := held_samples(read)) > 1:
+        found.append(
+            f"its values change with every {step}th sample only: it was recorded or sent at {rate_hz / step:.4g} Hz "
+            "and filled up by holding, which delays and bends fast motion. Export it at the rate at which it was "
+            "sampled."
+        )
+    return found
 
 
 def held_samples(value: Floats) -> int:
@@ -235,18 +223,14 @@ def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask, Mask]:
 def unusable_samples(series: TimeSeries) -> list[str]:
     """How many samples of a channel are no numbers, frozen, clipped or spikes, and where the longest block lies."""
     kinds = ("are not numbers", "are frozen", "are clipped", "are spikes far beyond all others")
-    found = [(mask, what) for mask, what in zip(_unusable(series), kinds, strict=True) if mask.any()]
-    return [
-        f"{np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}{_longest_block(series.time_ns, mask)}"
-        for mask, what in found
-    ]
-
-
-def _longest_block(time_ns: Nanoseconds, mask: Mask) -> str:
-    blocks = runs(mask)
-    first, end = blocks[np.argmax(blocks[:, 1] - blocks[:, 0])]
-    length_s = (end - first) / clock(time_ns, GAP_STEPS).rate_hz
-    return f", the longest block for {length_s:.3g} s from {shown(int(time_ns[first]))} on"
+    rate_hz, found = clock(series.time_ns, GAP_STEPS).rate_hz, []
+    for mask, what in zip(_unusable(series), kinds, strict=True):
+        if mask.any():
+            first, end = max(runs(mask).tolist(), key=lambda block: block[1] - block[0])
+            longest = f"for {(end - first) / rate_hz:.3g} s from {shown(int(series.time_ns[first]))} on"
+            share = f"{np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %)"
+            found.append(f"{share} {what}, the longest block {longest}")
+    return found
 
 
 def still(like: PreparedAcceleration) -> PreparedAcceleration:
@@ -258,11 +242,11 @@ def still(like: PreparedAcceleration) -> PreparedAcceleration:
 
 
 def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
-    share = float(np.mean(mask))
-    if share > rule[0]:
+    share, most = float(np.mean(mask)), rule[0]
+    if share > most:
         raise DataError(
-            f"{where}: {100 * share:.1f} % of the samples are {kind} (the channel {rule[1]}); at most "
-            f"{100 * rule[0]:g} % can be bridged. Check the sensor, its range and its cable, or choose another channel."
+            f"{where}: {100 * share:.1f} % of the samples are {kind} (the channel {rule[1]}); at most {100 * most:g} % "
+            "can be bridged. Check the sensor, its range and its cable, or choose another channel."
         )
 
 
@@ -279,41 +263,15 @@ def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
     return drawn
 
 
-def _correlated(value: Floats) -> bool:
-    """Whether samples (n,) are no white noise, by their correlation with the next one and the next but one."""
-    left = value - np.mean(value)
-    power = max(float(np.sum(left**2)), 1e-300)
-    return max(abs(float(np.sum(left[k:] * left[:-k]))) for k in (1, 2)) > MIN_CORRELATED * power
-
-
 def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
     """Noise density (n,) that stands for the motion that was not seen: its variance spread over its bandwidth."""
     density = np.zeros(len(value))
     if not missing.any() and not len(gaps.gaps):
         return density
     seen, rate_hz = value[~missing], gaps.rate_hz
-    frequency = max(dominant_frequency(seen, rate_hz), MIN_HZ)
-    unknown = unknown_density(seen, rate_hz)
-
-    def unseen(length_s: float) -> float:
-        return unknown * missed_share(length_s, frequency) ** 2
-
+    frequency, unknown = max(dominant_frequency(seen, rate_hz), MIN_HZ), unknown_density(seen, rate_hz)
     for start, end in runs(missing):
-        density[start : end + 1] = unseen((end - start + 1) / rate_hz)
+        density[start : end + 1] = unknown * missed_share((end - start + 1) / rate_hz, frequency) ** 2
     for index, length_s in zip(gaps.gaps, gaps.gap_s, strict=True):
-        density[index + 1] = max(density[index + 1], unseen(float(length_s)))
+        density[index + 1] = max(density[index + 1], unknown * missed_share(float(length_s), frequency) ** 2)
     return density
-
-
-def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
-    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
-    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
-    if first >= start or start - first > 2 * NANOSECONDS:
-        return acceleration
-    value = float(np.mean(acceleration.value_m_s2[:100]))
-    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
-    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
-    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
-    widened = acceleration.noise_density.copy()
-    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
-    return joined([before, replace(acceleration, noise_density=widened)])

@@ -1,5 +1,11 @@
-"""What is wrong with a channel: gaps, missing values, frozen segments, clipping, jitter of its clock."""
+"""What is wrong with a channel (gaps, missing values, frozen segments, clipping, jitter of its clock), what is not
+known of a motion while it is not seen, and how lively it is.
 
+Gain, cross axis sensitivity, attitude and lever arm all make an error in proportion to the motion itself, so that the
+noise of an accelerometer is taken as q(t) = q0 + kappa <a²>(t), with the mean square `mean_square`.
+"""
+
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +17,7 @@ from midspan.records import NANOSECONDS, Floats, Nanoseconds
 Mask = NDArray[np.bool_]
 
 # A step in time is a gap when it is longer than this many usual steps.
-GAP_STEPS = 1.5
+MISSED_STEPS = 1.5
 # Equal values count as frozen where chance hardly makes such a run (see the core's `equal_runs`), by the share of equal
 # neighbours over this time, s, which holds some periods of a motion; at first a share that takes a second at 200 Hz.
 EQUAL_MEMORY_S = 5.0
@@ -34,6 +40,14 @@ CLIPPED_RUN = 3
 CREST_STEPS = 3.0
 # A run is cut off where the slopes carry the signal beyond it by this factor more than a rounded parabola's.
 CREST = 2.0
+# Steps up to this many usual ones are jitter or a single lost sample, which the filter takes as they are.
+GAP_STEPS = 2.5
+# A gap is long when its density is above this share of that of a wholly unknown motion.
+LONG_SHARE = 0.1
+# Motion is not taken to be slower than this when something has to be bridged.
+MIN_HZ = 0.2
+# The mean is over about a second: exponential, of this time constant. On real records 0.1 s to 2 s are alike.
+MEMORY_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +60,7 @@ class Clock:
     gap_s: Floats
 
 
-def clock(time_ns: Nanoseconds, gap_steps: float = GAP_STEPS) -> Clock:
+def clock(time_ns: Nanoseconds, gap_steps: float = MISSED_STEPS) -> Clock:
     """Rate, jitter and gaps of increasing time stamps (n,), n at least 2.
 
     gap_steps: a step longer than this many usual ones is a gap.
@@ -150,12 +164,10 @@ def is_clipped(value: Floats, run: tuple[int, int], mean: float, std: float, res
     above = value[start] > mean
     came = start == 0 or (value[start - 1] < value[start]) == above
     went = end == len(value) or (value[end] < value[start]) == above
-    return bool(came and went) and overshoot(value, start, end) > CREST * crest_steps(end - start) * resolution
-
-
-def crest_steps(count: int) -> float:
-    """How many steps beyond it the slopes carry a parabola of which `count` samples are rounded to one value."""
-    return (count + 1) * (count + 2) / (count - 1) ** 2
+    # How many steps beyond it the slopes carry a parabola of which so many samples are rounded to one value.
+    count = end - start
+    steps = (count + 1) * (count + 2) / (count - 1) ** 2
+    return bool(came and went) and overshoot(value, start, end) > CREST * steps * resolution
 
 
 def overshoot(value: Floats, start: int, end: int) -> float:
@@ -235,3 +247,22 @@ def dominant_frequency(value: Floats, rate_hz: float) -> float:
     centred = value - np.mean(value)
     crossings = np.count_nonzero(np.diff(np.signbit(centred)))
     return 0.5 * crossings * rate_hz / max(len(value), 1)
+
+
+def missed_share(length_s: float, frequency_hz: float) -> float:
+    """Share of a motion's amplitude that a straight line over `length_s` misses, (2 pi f T)²/8, at most 1."""
+    return min(1.0, (2.0 * np.pi * frequency_hz * length_s) ** 2 / 8.0)
+
+
+def unknown_density(value: Floats, rate_hz: float) -> float:
+    """Noise density, (m/s²)²/Hz, for a motion like `value` (n,) that was not seen: its variance over its bandwidth."""
+    return float(np.var(value)) / max(dominant_frequency(value, rate_hz), MIN_HZ)
+
+
+def mean_square(value: Floats, mean: float, before: float, rate_hz: float) -> Floats:
+    """Mean square (n,) of an acceleration (n,) without its `mean`, over what came up to each sample, m²/s⁴.
+
+    before: the mean square at the sample before the first one. Any cutting of the samples gives the same.
+    """
+    kept = math.exp(-1.0 / (MEMORY_S * rate_hz))
+    return _core.mean_square(np.ascontiguousarray(value, dtype=np.float64), mean, before, kept)

@@ -1,17 +1,17 @@
-"""CSV; the JSON file of its metadata is written with it, see `sinks/pair.py`."""
+"""CSV; the JSON file of its metadata is written with it, see `sinks/metadata.py`."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from midspan.sinks.arrow import word_column
-from midspan.sinks.table import ResultTable, codes, is_text
+from midspan.sinks.table import ResultTable, codes, is_text, words_of
 
 _ROWS_AT_ONCE = 200_000
 # Decimals of the numbers: a picometre for mm, far below any sensor; without them 17 digits would be written.
 _DECIMALS = 9
-# Arrow writes decimal numbers below a microsecond with an exponent.
+# Arrow writes decimal numbers below a microsecond with an exponent (0E-9): such stamps are written as texts.
 _SMALL_NS = 1000
 
 
@@ -38,7 +38,9 @@ def _column(name: str, values: Any, coded: Any, rows: slice, table: ResultTable)
 
     if name == "time_s":
         stamps = table.time_ns[rows]
-        return _small_seconds(stamps) if np.any(np.abs(stamps) < _SMALL_NS) else _decimal_seconds(stamps)
+        if np.all(np.abs(stamps) >= _SMALL_NS):
+            return _decimal_seconds(stamps)
+        return pa.array([f"{'-' if t < 0 else ''}{abs(t) // 10**9}.{abs(t) % 10**9:09d}" for t in stamps.tolist()])
     if coded is not None:
         return word_column(name, coded[rows]).dictionary_decode()
     if is_text(values):
@@ -50,11 +52,11 @@ def _column(name: str, values: Any, coded: Any, rows: slice, table: ResultTable)
     return pa.array(np.round(part.astype(np.float64), _DECIMALS) + 0.0, from_pandas=True)
 
 
-def _small_seconds(time_ns: Any) -> Any:
-    """The same as text, for stamps that Arrow would write with an exponent (0E-9)."""
+def word_column(name: str, coded: NDArray[np.uint8]) -> Any:
+    """Codes (n,) of `source` or `status` as a dictionary array of their words."""
     import pyarrow as pa
 
-    return pa.array([f"{'-' if t < 0 else ''}{abs(t) // 10**9}.{abs(t) % 10**9:09d}" for t in time_ns.tolist()])
+    return pa.DictionaryArray.from_arrays(pa.array(coded.astype(np.int8)), pa.array(list(words_of(name) or ())))
 
 
 def _decimal_seconds(time_ns: Any) -> Any:

@@ -4,9 +4,7 @@ import io
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
-from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, words_of
+from midspan.sinks.table import ResultTable, metadata_json, words_or_numbers
 from midspan.writing import WRITTEN_BY
 
 _TEXT_BYTES = 116  # of the header, for any text; source: MATLAB, MAT-file format, "MAT-file header"
@@ -16,15 +14,8 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     """Column vectors named like the columns; words as character matrices; the metadata as JSON text in `midspan`."""
     from scipy.io import savemat
 
-    variables: dict[str, Any] = {"midspan": metadata_json(table)}
-    for name, values in table.columns.items():
-        coded = codes(name, values)
-        if coded is not None:
-            variables[name] = np.array(words_of(name))[coded]
-        elif is_text(values):
-            variables[name] = np.asarray(values).astype(str)
-        else:
-            variables[name] = np.asarray(values)
+    variables: dict[str, Any] = {name: words_or_numbers(name, values) for name, values in table.columns.items()}
+    variables = {"midspan": metadata_json(table)} | variables
     stream = io.BytesIO()
     savemat(stream, variables, oned_as="column", do_compression=True)
     stream.seek(0)

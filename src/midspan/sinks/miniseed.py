@@ -14,13 +14,7 @@ from midspan.sinks.table import ResultTable
 _CHANNELS = {"displacement_mm": "DSP", "displacement_std_mm": "STD", "velocity_mm_s": "VEL"}
 # Along a second image axis: its letter in the last place.
 _CHANNELS |= {
-    name: code
-    for axis in "xy"
-    for name, code in (
-        (f"displacement_{axis}_mm", f"DS{axis.upper()}"),
-        (f"displacement_std_{axis}_mm", f"ST{axis.upper()}"),
-        (f"velocity_{axis}_mm_s", f"VE{axis.upper()}"),
-    )
+    name.replace("_mm", f"_{axis}_mm", 1): code[:2] + axis.upper() for axis in "xy" for name, code in _CHANNELS.items()
 }
 _SOURCE = "FDSN:XX_MIDSP__{0}_{1}_{2}"
 
@@ -41,7 +35,10 @@ def encode(table: ResultTable) -> Iterator[bytes]:
             f"miniSEED holds {', '.join(_CHANNELS)} of two rows or more; received {table.time_ns.size} rows of "
             f"{', '.join(table.columns)}. Choose .csv, .parquet, .h5 or .mat."
         )
-    step_ns = _step_ns(table.time_ns)
+    # The median interval, sharpened by the mean of those near it: a rounded one alone drifts over a long record.
+    steps = np.diff(table.time_ns)
+    median = float(np.median(steps))
+    step_ns = float(steps[np.abs(steps - median) < 0.5 * median].mean())
     traces = MS3TraceList()
     edges = segments(table.time_ns, step_ns)
     for name, code in present.items():
@@ -50,13 +47,6 @@ def encode(table: ResultTable) -> Iterator[bytes]:
             start_ns = int(table.time_ns[first])
             traces.add_data(_SOURCE.format(*code), values[first:last], "d", 1e9 / step_ns, starttime=start_ns)
     yield b"".join(traces.generate(encoding=DataEncoding.FLOAT64, format_version=2))
-
-
-def _step_ns(time_ns: Nanoseconds) -> float:
-    """The median interval, sharpened by the mean of those near it: a rounded one alone drifts over a long record."""
-    steps = np.diff(time_ns)
-    median = float(np.median(steps))
-    return float(steps[np.abs(steps - median) < 0.5 * median].mean())
 
 
 def segments(time_ns: Nanoseconds, step_ns: float) -> NDArray[np.int64]:

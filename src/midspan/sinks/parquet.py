@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from midspan.sinks.arrow import arrow_column
-from midspan.sinks.table import ResultTable, metadata_json, unit_of
+from midspan.sinks.csv import word_column
+from midspan.sinks.table import ResultTable, codes, metadata_json, unit_of, words_or_numbers
 
 
 def encode(table: ResultTable) -> Iterator[bytes]:
@@ -11,7 +11,11 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    arrays = {name: arrow_column(name, values) for name, values in table.columns.items()}
+    arrays = {}
+    for name, values in table.columns.items():
+        coded, array = codes(name, values), words_or_numbers(name, values)
+        plain = array.tolist() if array.dtype.kind == "U" else array
+        arrays[name] = pa.array(plain) if coded is None else word_column(name, coded)
     fields = [
         pa.field(name, array.type, metadata={b"unit": unit.encode()} if (unit := unit_of(name)) else None)
         for name, array in arrays.items()

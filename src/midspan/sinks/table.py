@@ -20,16 +20,9 @@ WORDS = {"source": tuple(member.word for member in Source), "status": tuple(memb
 """Words of the columns that hold codes, in the order of their codes."""
 
 UNITS = {
-    "time_s": "s",
-    "displacement_mm": "mm",
-    "displacement_std_mm": "mm",
-    "velocity_mm_s": "mm/s",
-    "x_px": "px",
-    "y_px": "px",
-    "std_x_px": "px",
-    "std_y_px": "px",
+    **{"time_s": "s", "displacement_mm": "mm", "displacement_std_mm": "mm", "velocity_mm_s": "mm/s"},
+    **dict.fromkeys(("x_px", "y_px", "std_x_px", "std_y_px"), "px"),
 }
-
 
 # An image axis in the middle of a column's name, or the name of a target at its end.
 _AXIS, _TARGET = re.compile(r"_[xy](?=_mm)"), re.compile(r"^((?:std_)?[xy]_px)_.+$")
@@ -91,6 +84,15 @@ def codes(name: str, values: Column) -> NDArray[np.uint8] | None:
     if unknown:
         raise refuse(name, f"one of {', '.join(words)}", unknown[0])
     return np.array([words.index(str(word)) for word in known], dtype=np.uint8)[places]
+
+
+def words_or_numbers(name: str, values: Column) -> NDArray[np.generic]:
+    """A column as an array (n,): codes as their words, other words as texts, numbers as they are."""
+    coded = codes(name, values)
+    if coded is not None:
+        return np.array(words_of(name))[coded]
+    array = np.asarray(values)
+    return array.astype(str) if is_text(array) else array
 
 
 def is_text(values: Column) -> bool:

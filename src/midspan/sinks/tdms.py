@@ -3,9 +3,7 @@
 import io
 from collections.abc import Iterator
 
-import numpy as np
-
-from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, unit_of, words_of
+from midspan.sinks.table import ResultTable, is_text, metadata_json, unit_of, words_or_numbers
 from midspan.writing import WRITTEN_BY
 
 GROUP = "midspan"
@@ -20,11 +18,8 @@ def encode(table: ResultTable) -> Iterator[bytes]:
 
     channels = []
     for name, values in table.columns.items():
-        coded, unit = codes(name, values), unit_of(name)
-        if coded is not None:
-            data = np.array(words_of(name))[coded].tolist()
-        else:
-            data = np.asarray(values).astype(str).tolist() if is_text(values) else np.asarray(values)
+        data, unit = words_or_numbers(name, values), unit_of(name)
+        data = data.tolist() if is_text(data) else data
         channels.append(ChannelObject(GROUP, name, data, {} if unit is None else {"unit_string": unit}))
     root = RootObject({"description": WRITTEN_BY, "midspan": metadata_json(table)})
     stream = io.BytesIO()

@@ -2,57 +2,47 @@
 
 import importlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from midspan.checks import path_of
 from midspan.errors import UsageError
-from midspan.sinks.pair import write_pair
+from midspan.sinks.metadata import write_pair
 from midspan.sinks.table import ResultTable
 from midspan.writing import cannot_be_written, replacing
 
-
-@dataclass(frozen=True, slots=True)
-class _Format:
-    name: str
-    suffixes: tuple[str, ...]
-    writer: str
-    module: str
-
-
-_FORMATS = (
-    _Format("CSV, with metadata in a .json beside it", (".csv",), "pyarrow", "csv"),
-    _Format("Parquet", (".parquet",), "pyarrow", "parquet"),
-    _Format("HDF5", (".h5", ".hdf5"), "h5py", "hdf5"),
-    _Format("MATLAB 5", (".mat",), "scipy", "matlab"),
-    _Format("Excel workbook", (".xlsx",), "openpyxl", "xlsx"),
-    _Format("TDMS", (".tdms",), "npTDMS", "tdms"),
-    _Format("miniSEED 2", (".mseed",), "pymseed", "miniseed"),
-    _Format("Universal file, dataset 58", (".uff",), "midspan", "uff"),
+# Name, suffixes, what it is written with, and the module that writes it.
+_WRITERS = (
+    ("CSV, with metadata in a .json beside it", (".csv",), "pyarrow", "csv"),
+    ("Parquet", (".parquet",), "pyarrow", "parquet"),
+    ("HDF5", (".h5", ".hdf5"), "h5py", "hdf5"),
+    ("MATLAB 5", (".mat",), "scipy", "matlab"),
+    ("Excel workbook", (".xlsx",), "openpyxl", "xlsx"),
+    ("TDMS", (".tdms",), "npTDMS", "tdms"),
+    ("miniSEED 2", (".mseed",), "pymseed", "miniseed"),
+    ("Universal file, dataset 58", (".uff",), "midspan", "uff"),
 )
-
-FORMATS = tuple((row.name, row.suffixes, row.writer) for row in _FORMATS)
+FORMATS = tuple(row[:3] for row in _WRITERS)
 """Rows of (name, suffixes, what it is written with)."""
 
-_BY_SUFFIX = {suffix: row for row in _FORMATS for suffix in row.suffixes}
+_MODULES = {suffix: module for _, suffixes, _, module in _WRITERS for suffix in suffixes}
 
 
 def check_target(path: Path) -> None:
     """Raise UsageError if `write_result` could not write there: unknown suffix, or a folder that is missing."""
-    _format(path)
+    _module(path)
     if not path.parent.is_dir():
         raise UsageError(
             f"{path} cannot be written: the folder {path.parent} does not exist. Make it or choose another."
         )
 
 
-def _format(path: Path) -> _Format:
-    row = _BY_SUFFIX.get(path.suffix.lower())
-    if row is None:
+def _module(path: Path) -> str:
+    module = _MODULES.get(path.suffix.lower())
+    if module is None:
         raise UsageError(
-            f"{path}: the suffix must be one of {', '.join(_BY_SUFFIX)}; received {path.suffix!r}. Give one of them."
+            f"{path}: the suffix must be one of {', '.join(_MODULES)}; received {path.suffix!r}. Give one of them."
         )
-    return row
+    return module
 
 
 def write_result(path: str | Path, table: ResultTable) -> Path:
@@ -62,9 +52,9 @@ def write_result(path: str | Path, table: ResultTable) -> Path:
     missing or cannot be written, and a table that the format cannot hold.
     """
     path = path_of("path", path)
-    row = _format(path)
-    encoded: Iterator[bytes] = importlib.import_module(f"midspan.sinks.{row.module}").encode(table)
-    if row.module == "csv":
+    module = _module(path)
+    encoded: Iterator[bytes] = importlib.import_module(f"midspan.sinks.{module}").encode(table)
+    if module == "csv":
         write_pair(path, encoded, table)
         return path
     with replacing(path) as (file,), cannot_be_written(path):

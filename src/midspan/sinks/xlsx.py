@@ -13,7 +13,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 import numpy as np
 
 from midspan.errors import UsageError
-from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, words_of
+from midspan.sinks.table import ResultTable, is_text, metadata_json, words_or_numbers
 from midspan.writing import WRITTEN_BY
 
 ROWS_SHEET, METADATA_SHEET = "result", "midspan"
@@ -66,7 +66,10 @@ def encode(table: ResultTable) -> Iterator[bytes]:
             ExcelWriter(book, archive).save()
     except Exception as error:
         # The library keeps sheets in temporary files, which would complain of a full disk once more, later.
-        _let_go(rows, metadata)
+        for sheet in (rows, metadata):
+            for writing in filter(None, (sheet._rows, getattr(sheet._writer, "xf", None))):
+                with suppress(Exception):
+                    writing.close()
         # Where lxml is installed it writes them, and has errors of its own: IO_ENOSPC.
         code = getattr(errno, str(error).removeprefix("IO_"), None)
         if code is None:
@@ -75,22 +78,9 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     yield stream.getvalue()
 
 
-def _let_go(*sheets: Any) -> None:
-    """Close what writes sheets, whatever it says."""
-    for sheet in sheets:
-        for writing in (sheet._rows, getattr(sheet._writer, "xf", None)):
-            if writing is not None:
-                with suppress(Exception):
-                    writing.close()
-
-
 def _cells(name: str, values: Any) -> list[Any]:
-    coded = codes(name, values)
-    if coded is not None:
-        return list(np.array(words_of(name))[coded].tolist())
-    if is_text(values):
-        return list(np.asarray(values).astype(str).tolist())
-    array = np.asarray(values)
-    found = array.astype(object)
-    found[~np.isfinite(array)] = None
-    return list(found)
+    array = words_or_numbers(name, values)
+    cells = array.astype(object)
+    if not is_text(array):
+        cells[~np.isfinite(array)] = None
+    return list(cells)

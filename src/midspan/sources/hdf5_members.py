@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError
+from midspan.sources.boundary import require_memory
 
 # Where a file's head may begin, by the format: after a block of the user's of this many bytes.
 HEADS = (0, *(512 << k for k in range(12)))
@@ -67,3 +68,27 @@ def member(group: Any, key: str) -> Any:
         if found.is_virtual:
             raise ElsewhereError("its values lie in other datasets (virtual dataset)")
     return found
+
+
+def dataset(path: Path, file: Any, name: str) -> Any:
+    """The dataset `name` of an open file or group. Raises KeyError where there is none, DataError for one elsewhere."""
+    import h5py
+
+    found = file
+    for part in name.split("/"):
+        try:
+            found = member(found, part)
+        except ElsewhereError as error:
+            raise DataError(f"{path}: {name} cannot be read: {error}. Copy the values into this file.") from None
+        if found is None:
+            raise KeyError(f"{name} is missing")
+    if not isinstance(found, h5py.Dataset):
+        raise DataError(f"{path}: {name} must be a dataset; it is a group. Check the file.")
+    return found
+
+
+def values(path: Path, file: Any, name: str) -> Any:
+    """All values of a dataset, if they fit into memory."""
+    found = dataset(path, file, name)
+    require_memory(path, found.nbytes, name)
+    return found[()]

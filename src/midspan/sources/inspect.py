@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from midspan import _core
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress, silent
-from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.radar.channels import noise_variance
+from midspan.radar.following import peaks
+from midspan.radar.frames import RadarFrames, collected, without_holes
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
 from midspan.signals.acceleration import unusable_samples
 from midspan.signals.health import clipped, clock, frozen
 from midspan.signals.stamps import shown
@@ -16,23 +20,28 @@ from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
-from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
+from midspan.sources.boundary import available_bytes, shown_bytes
+from midspan.sources.camera.formats import IMAGES, is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
-from midspan.sources.declared_size import available_bytes, shown_bytes
-from midspan.sources.radar.inspect import LOOKED_AT, inspect_radar
 from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.light import is_dark
 
 # Numbers alone, in an order that only the settings of the sensor tell.
 RAW = (".bin",)
-# Files that are no table, by their names; in some of these pictures of 16 bits may be counts of temperature.
-PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+# Files of these names may hold pictures of 16 bits that are counts of temperature.
 COUNTED = (".tif", ".tiff", ".png", ".npy", ".npz")
 
+# Frames looked at unless all are asked for, and peaks of a radar that are reported.
+LOOKED_AT, MAX_PEAKS = 600, 12
+
 Tree = dict[str, Any]
+# What is reported of a chirp.
+CHIRP = (
+    *("start_frequency_hz", "bandwidth_hz", "slope_hz_s", "samples", "sample_rate_hz", "chirps", "receivers", "bits"),
+    "complex_samples",
+)
 NOTHING: Tree = {"smallest": None, "largest": None}
 
 
@@ -46,7 +55,7 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
             "with; inspect that recording."
         )
     try:
-        if is_thermal(path) or path.suffix.lower() in PICTURES or is_stack(path):
+        if is_thermal(path) or path.suffix.lower() in IMAGES or is_stack(path):
             raise UsageError(f"{path} holds frames.")
         found = list_channels(path)
     except MidspanError as first:
@@ -56,25 +65,15 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
         try:
             return {"file": str(path), "frames": _file_of_frames(path, progress)}
         except MidspanError as second:
-            if path.suffix.lower() in PICTURES:
+            if path.suffix.lower() in IMAGES:
                 raise
             # No table by its name, and a video that cannot be used: what is wrong with the video counts.
             raise (second if isinstance(first, UsageError) and isinstance(second, DataError) else first) from None
-    return {
-        "file": str(path),
-        "notes": list(found.notes),
-        "warnings": list(found.damage),
-        "channels": [
-            {
-                "name": channel.name,
-                "unit": channel.unit,
-                "rate_hz": channel.rate_hz,
-                "samples": channel.size,
-                **found_range,
-            }
-            for channel, found_range in zip(found.channels, _ranges(found.channels), strict=True)
-        ],
-    }
+    channels = [
+        {"name": one.name, "unit": one.unit, "rate_hz": one.rate_hz, "samples": one.size, **values_range}
+        for one, values_range in zip(found.channels, _ranges(found.channels), strict=True)
+    ]
+    return {"file": str(path), "notes": list(found.notes), "warnings": list(found.damage), "channels": channels}
 
 
 def _file_of_frames(path: Path, progress: Progress) -> Tree:
@@ -125,26 +124,24 @@ def _range(channel: Channel) -> Tree:
     missing = {"missing": channel.size - len(known)}
     if not len(known):
         return NOTHING | missing
+    smallest, largest = known.min(), known.max()
     if channel.unit == "ns":
-        return {"smallest": shown(int(known.min())), "largest": shown(int(known.max())), **missing}
-    return {"smallest": float(known.min()), "largest": float(known.max()), **missing}
+        return {"smallest": shown(int(smallest)), "largest": shown(int(largest)), **missing}
+    return {"smallest": float(smallest), "largest": float(largest), **missing}
 
 
 def _clock(time_ns: Nanoseconds) -> Tree:
+    start = {"start": shown(int(time_ns[0])), "start_s": time_ns[0] / NANOSECONDS}
     if len(time_ns) < 2:
-        start = {"start": shown(int(time_ns[0])), "start_s": time_ns[0] / NANOSECONDS}
         return {**start, "duration_s": 0.0, "rate_hz": None, "jitter_ms": None, "gaps": []}
     found = clock(time_ns)
+    gaps = zip(found.gaps, found.gap_s, strict=True)
     return {
-        "start": shown(int(time_ns[0])),
-        "start_s": time_ns[0] / NANOSECONDS,
+        **start,
         "duration_s": (time_ns[-1] - time_ns[0]) / NANOSECONDS,
         "rate_hz": found.rate_hz,
         "jitter_ms": 1e3 * found.jitter_s,
-        "gaps": [
-            {"at_s": time_ns[i] / NANOSECONDS, "length_s": float(length)}
-            for i, length in zip(found.gaps, found.gap_s, strict=True)
-        ],
+        "gaps": [{"at_s": time_ns[k] / NANOSECONDS, "length_s": float(length)} for k, length in gaps],
     }
 
 
@@ -153,6 +150,9 @@ def series_tree(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
     value = series.value
     finite = value[np.isfinite(value)]
     rate = clock(series.time_ns).rate_hz
+    # What one of the file's unit is in SI; None where that takes a sensitivity.
+    quantity = next(name for name, si in SI_UNITS.items() if si == unit)
+    in_si = si_factor(series.unit, quantity, None) if measures(series.unit, quantity) else None
     branch = {
         "channel": series.name,
         "unit": series.unit,
@@ -163,7 +163,7 @@ def series_tree(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
         "smallest": float(finite.min()),
         "largest": float(finite.max()),
         "value_unit": unit,
-        "unit_in_si": _si_or_none(series.unit, unit),
+        "unit_in_si": in_si,
         "missing_samples": int(len(value) - len(finite)),
         "frozen_samples": int(np.count_nonzero(frozen(value, rate))),
         "clipped_samples": int(np.count_nonzero(clipped(value))),
@@ -171,12 +171,6 @@ def series_tree(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
         "warnings": list(series.damage),
     }
     return branch, series.time_ns
-
-
-def _si_or_none(unit: str, si: str) -> float | None:
-    """What one of a file's unit is in `si`; None where that takes a sensitivity."""
-    quantity = next(name for name, own in SI_UNITS.items() if own == si)
-    return si_factor(unit, quantity, None) if measures(unit, quantity) else None
 
 
 def acceleration_tree(series: TimeSeries) -> tuple[Tree, Nanoseconds]:
@@ -200,7 +194,7 @@ def frames_tree(
         progress(seen, count, "looking at frames")
         picture = np.asarray(frame.pixels, dtype=frame.pixels.dtype.type)
         same += before is not None and np.array_equal(before, picture)
-        dark += is_dark(picture)
+        dark += _core.is_dark(picture, 1)
         bright += float(np.mean(picture >= top)) > 0.2
         if picture.dtype.kind == "f":
             low_c, high_c = min(low_c, float(np.nanmin(picture))), max(high_c, float(np.nanmax(picture)))
@@ -227,9 +221,63 @@ def frames_tree(
 
 
 def radar_tree(source: RadarSource, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
-    """What is in a radar's file, and the stamps of its frames; every_frame: look for holes in all of them."""
-    branch, times = inspect_radar(source, every_frame, progress)
-    return {**branch, **_clock(times)}, times
+    """What is in a radar's file, and the stamps of its frames; every_frame: look for holes in all of them.
+
+    Raises DataError where the file holds no frames.
+    """
+    info, times = source.info, source.times_ns()
+    if not len(times):
+        raise DataError("radar.file: holds no frames.")
+    count = min(len(times), LOOKED_AT)
+    frames = collected(source.profiles(0, count), count, progress, "looking at radar frames")
+    holes, looked = int(np.count_nonzero(~frames.valid.all(axis=1))), count
+    if every_frame and len(times) > count:
+        for block in source.slow_time(np.zeros(1), count):
+            holes += int(np.count_nonzero(~block.valid.all(axis=1)))
+            looked += len(block.time_ns)
+            progress(looked, len(times), "looking at radar frames")
+    # Bins of single targets are no grid.
+    steps = np.diff(info.range_m)
+    branch = {
+        "kind": info.kind,
+        "frames": len(times),
+        "channels": info.channels,
+        "bins": info.bins,
+        "carrier_hz": info.carrier_hz,
+        "cycle_mm": 1e3 * info.cycle_m,
+        "limit_speed_mm_s": 1e3 * info.limit_speed_m_s,
+        "range_resolution_m": float(steps[0]) if len(steps) and np.allclose(steps, steps[0]) else None,
+        "largest_range_m": float(np.nanmax(info.range_m)) if np.isfinite(info.range_m).any() else None,
+        "iq_order": info.iq_order,
+        "chirp": None if info.profile is None else {key: getattr(info.profile, key) for key in CHIRP},
+        "frames_looked_at": looked,
+        "frames_with_holes": holes,
+        "peaks": _peaks(frames, info.range_m),
+        "notes": list(info.notes),
+        "warnings": list(info.warnings),
+        **_clock(times),
+    }
+    return branch, times
+
+
+def _peaks(frames: RadarFrames, range_m: Floats) -> list[Tree]:
+    """The strongest peaks of the mean profile, the strongest first, in dB over the noise of one frame and channel."""
+    if not frames.valid.any() or len(frames.time_ns) < 2:
+        return []
+    z = without_holes(frames).phasors
+    noise = noise_variance(z)
+    power = np.mean(np.abs(z) ** 2, axis=(0, 1))
+    if not noise > 0.0:
+        return []
+    found = sorted(peaks(z, noise), key=lambda place: -power[round(place)])[:MAX_PEAKS]
+    return [
+        {
+            "bin": place,
+            "range_m": float(np.interp(place, np.arange(len(range_m)), range_m)),
+            "level_db": float(10.0 * np.log10(max(power[round(place)] / noise, 1e-6))),
+        }
+        for place in found
+    ]
 
 
 def overlap(spans: dict[str, tuple[int, int]]) -> Tree:

@@ -2,7 +2,8 @@
 
 import shutil
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from contextlib import ExitStack
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def archive(store: Store, folder: Path, now_ns: int) -> Iterator[Path]:
     """
     for point in store.points:
         for day in sorted({day for stream in store.streams(point) for day in store.days(point, stream)}):
-            place = folder / point / _named(day)
+            place = folder / point / str(date(1970, 1, 1) + timedelta(day))
             if day < now_ns // DAY_NS and not place.exists():
                 _write(store, point, day, place)
                 yield place
@@ -38,15 +39,13 @@ def _write(store: Store, point: str, day: int, place: Path) -> None:
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     for stream in store.streams(point):
-        writer: Any = None
-        try:
+        with ExitStack() as opened:
+            writer: Any = None
             for table in _tables(store.chunks(point, stream, day * DAY_NS, (day + 1) * DAY_NS - 1)):
                 if writer is None:
-                    writer = pq.ParquetWriter(part / f"{stream.replace(':', '-')}.parquet", table.schema)
+                    file = part / f"{stream.replace(':', '-')}.parquet"
+                    writer = opened.enter_context(pq.ParquetWriter(file, table.schema))
                 writer.write_table(table)
-        finally:
-            if writer is not None:
-                writer.close()
     part.rename(place)
 
 
@@ -68,8 +67,3 @@ def _tables(chunks: Iterator[Chunk]) -> Iterator[Any]:
         waiting.append(pa.table(columns))
     if waiting:
         yield pa.concat_tables(waiting, promote_options="default")
-
-
-def _named(day: int) -> str:
-    """The date of a day since 1970."""
-    return datetime.fromtimestamp(day * DAY_NS / NANOSECONDS, UTC).date().isoformat()

@@ -71,11 +71,12 @@ def encode(chunk: Chunk) -> bytes:
     """The chunk's stamps and columns as an Arrow stream, compressed."""
     import pyarrow as pa
 
-    begin_ns, step_ns = _even(chunk.time_ns)
-    late_ns = chunk.time_ns - (begin_ns + step_ns * np.arange(len(chunk.time_ns)))
+    # The even series that the stamps are near.
+    count, begin_ns = len(chunk.time_ns), int(chunk.time_ns[0])
+    step_ns = round(int(chunk.time_ns[-1] - chunk.time_ns[0]) / (count - 1)) if count > 1 else 0
+    late_ns = chunk.time_ns - (begin_ns + step_ns * np.arange(count))
     arrays = {LATE_COLUMN: pa.array(late_ns)}
-    for name, values in chunk.columns.items():
-        arrays[name] = arrow_column(values)
+    arrays |= {name: arrow_column(values) for name, values in chunk.columns.items()}
     metadata = {b"begin_ns": str(begin_ns).encode(), b"step_ns": str(step_ns).encode()}
     table = pa.record_batch(arrays).replace_schema_metadata(metadata)
     sink = pa.BufferOutputStream()
@@ -99,12 +100,6 @@ def decode(data: bytes, point: str, stream: str, calibration: int = 0, shown: st
     return Chunk(point, stream, time_ns, columns, calibration, shown)
 
 
-def _even(time_ns: Nanoseconds) -> tuple[int, int]:
-    """Begin and step (ns) of the even series that stamps (n,) are near."""
-    count = len(time_ns)
-    return int(time_ns[0]), round(int(time_ns[-1] - time_ns[0]) / (count - 1)) if count > 1 else 0
-
-
 def arrow_column(values: NDArray[Any]) -> Any:
     """Values (n,) or (n, k) as an Arrow array."""
     import pyarrow as pa
@@ -114,9 +109,8 @@ def arrow_column(values: NDArray[Any]) -> Any:
     # Complex numbers as pairs, further axes as lists of fixed length; the pair says so by its own field's name.
     real = values.view(values.real.dtype) if values.dtype.kind == "c" else values
     flat = np.ascontiguousarray(real).reshape(len(values), -1)
-    kind = pa.list_(
-        pa.field("complex" if values.dtype.kind == "c" else "item", pa.from_numpy_dtype(flat.dtype)), flat.shape[1]
-    )
+    name = "complex" if values.dtype.kind == "c" else "item"
+    kind = pa.list_(pa.field(name, pa.from_numpy_dtype(flat.dtype)), flat.shape[1])
     return pa.FixedSizeListArray.from_arrays(pa.array(flat.reshape(-1)), type=kind)
 
 

@@ -1,15 +1,24 @@
-"""SQLite files and PostgreSQL behind one interface: SQL with `?` for values, `{blob}` for the type of bytes."""
+"""SQLite files and PostgreSQL behind one interface: SQL with `?` for values, `{blob}` for the type of bytes.
 
+One process at a time writes a point of a store: the locks end with their process, however it ends. A database is used
+by one thread at a time.
+"""
+
+import hashlib
 import sqlite3
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any
 
-from midspan.errors import DataError, MidspanError
+from midspan.errors import DataError, MidspanError, UsageError
 
 # A reader waits so long for a writer's transaction, and a network connection for its server.
 WAIT_S = 5.0
+LOCKS = "locks"
+# A server that hears nothing of a client's machine for 25 s ends its session, which lets its points go.
+KEEP_ALIVE = "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3"
 
 Row = tuple[Any, ...]
 
@@ -22,22 +31,6 @@ class StoreFault(MidspanError):
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)
         self.code = code
-
-
-class Database(Protocol):
-    """One SQLite file or one PostgreSQL database; used by one thread at a time."""
-
-    def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
-        """Run one statement; returns its rows. Raises StoreFault."""
-        ...
-
-    def transaction(self) -> Any:
-        """A block whose statements take effect together, or not at all."""
-        ...
-
-    def close(self) -> None:
-        """Let the file or the connection go."""
-        ...
 
 
 class SqliteDatabase:
@@ -164,3 +157,58 @@ def _unavailable(error: Exception) -> StoreFault:
     line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
     code = "store_full" if "No space left" in line else "store_unavailable"
     return StoreFault(code, f"PostgreSQL: the store cannot be used ({line}).")
+
+
+Database = SqliteDatabase | PostgresDatabase
+
+
+class FileLocks:
+    """Locks of points on files in the store's folder. Raises UsageError for a point that another process writes."""
+
+    def __init__(self, folder: Path, points: Sequence[str]) -> None:
+        self._files = ExitStack()
+        with ExitStack() as undone:
+            undone.callback(self.close)
+            for point in points:
+                file = folder / LOCKS / f"{point}.lock"
+                with sqlite_faults(file):
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    if not _locked(self._files.enter_context(file.open("ab"))):
+                        raise _is_written(str(folder), point)
+            undone.pop_all()
+
+    def close(self) -> None:
+        """Let the points go."""
+        self._files.close()
+
+
+def _locked(file: IO[bytes]) -> bool:
+    """Lock a file until it is closed; whether nobody else has. Where a system has no such locks, nobody has."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def lock_in_session(connection: Any, points: Sequence[str]) -> None:
+    """Lock points for as long as a connection to PostgreSQL lasts. Raises UsageError as `FileLocks` does."""
+    if points:
+        connection.execute(KEEP_ALIVE)
+    for point in points:
+        # Advisory locks are 64-bit numbers.
+        number = int.from_bytes(hashlib.blake2b(f"midspan {point}".encode(), digest_size=8).digest(), signed=True)
+        if not connection.execute("SELECT pg_try_advisory_lock(%s)", (number,)).fetchone()[0]:
+            raise _is_written("the PostgreSQL store", point)
+
+
+def _is_written(store: str, point: str) -> UsageError:
+    """The error for a point that another process writes."""
+    return UsageError(
+        f"{store}: another process writes the point {point!r} (`midspan run` or `midspan replay`); nothing was "
+        "touched. Stop that one first, or give another point or store."
+    )

@@ -8,17 +8,16 @@ number read.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from midspan.errors import DataError, UsageError
-from midspan.records import NANOSECONDS, Event, Floats
+from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
 from midspan.store.chunk import Chunk, decode, encode, join
-from midspan.store.database import Database, PostgresDatabase, SqliteDatabase
-from midspan.store.lock import FileLocks, lock_in_session
+from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
 
 SCHEMA = 1
 SITE_FILE, DAYS = "site.sqlite", "days"
@@ -76,7 +75,7 @@ class StoredCalibration:
 class Buckets:
     """Least and largest value of equal spans: begin_ns (n,) and low, high (n,), NaN where nothing is kept."""
 
-    begin_ns: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+    begin_ns: Nanoseconds
     low: Floats
     high: Floats
 
@@ -167,18 +166,13 @@ class Store:
         for level, length_s in enumerate(LEVELS_S):
             begin_ns = _floor(slot_ns, length_s)
             place = (point, stream, begin_ns, begin_ns + round(length_s * NANOSECONDS))
-            if level == 0:
-                sql = (
-                    "SELECT SUM(n), MIN(low), MAX(high) FROM chunk WHERE point = ? AND stream = ? AND t0_ns >= ? "
-                    "AND t0_ns < ?"
-                )
-                found = database.execute(sql, place)
-            else:
-                sql = (
-                    "SELECT SUM(n), MIN(low), MAX(high) FROM pyramid WHERE point = ? AND stream = ? AND t0_ns >= ? "
-                    "AND t0_ns < ? AND level = ?"
-                )
-                found = self._site.execute(sql, (*place, level - 1))
+            # The lowest level stands on the chunks, each other one on that below it.
+            below, table, where = (database, "chunk", "") if level == 0 else (self._site, "pyramid", " AND level = ?")
+            sql = (
+                f"SELECT SUM(n), MIN(low), MAX(high) FROM {table} WHERE point = ? AND stream = ? AND t0_ns >= ? "
+                f"AND t0_ns < ?{where}"
+            )
+            found = below.execute(sql, place if level == 0 else (*place, level - 1))
             if found[0][0] is not None:
                 self._site.execute(
                     "INSERT INTO pyramid VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (point, stream, level, t0_ns) "
@@ -212,9 +206,7 @@ class Store:
 
     def forget_since(self, point: str, time_ns: int, calibration: int) -> None:
         """Remove what a point has from a time on, and a calibration that was made for it."""
-        shown = [
-            str(row[0]) for row in self._site.execute("SELECT DISTINCT stream FROM pyramid WHERE point = ?", (point,))
-        ]
+        shown = self._site.execute("SELECT DISTINCT stream FROM pyramid WHERE point = ?", (point,))
         for database in self._days.all():
             database.execute("DELETE FROM chunk WHERE point = ? AND t0_ns >= ?", (point, time_ns))
         self._newest.clear()
@@ -224,17 +216,18 @@ class Store:
             for level, length_s in enumerate(LEVELS_S):
                 sql = "DELETE FROM pyramid WHERE point = ? AND level = ? AND t0_ns >= ?"
                 self._site.execute(sql, (point, level, _floor(time_ns, length_s)))
-        for stream in shown:
-            self._raise(self._days.of(time_ns // DAY_NS), point, stream, _floor(time_ns, CHUNK_S))
+        for row in shown:
+            self._raise(self._days.of(time_ns // DAY_NS), point, str(row[0]), _floor(time_ns, CHUNK_S))
 
     # What is read
 
     @property
     def points(self) -> list[str]:
         """The names of the points of which rows are kept, sorted."""
-        return sorted({str(row[0]) for row in self._site.execute("SELECT DISTINCT point FROM pyramid")} | {
-            str(row[0]) for database in self._days.all() for row in database.execute("SELECT DISTINCT point FROM chunk")
-        })  # fmt: skip
+        rows = self._site.execute("SELECT DISTINCT point FROM pyramid")
+        for database in self._days.all():
+            rows += database.execute("SELECT DISTINCT point FROM chunk")
+        return sorted({str(row[0]) for row in rows})
 
     def streams(self, point: str) -> list[str]:
         """The names of a point's streams, sorted."""
@@ -277,7 +270,9 @@ class Store:
         low, high = np.full(count, np.inf), np.full(count, -np.inf)
         finer = [k for k, length_s in enumerate(LEVELS_S) if length_s * NANOSECONDS <= step_ns]
         if step_ns < CHUNK_S * NANOSECONDS:
-            places, lows, highs = self._samples(point, stream, first_ns, last_ns)
+            drawn = [one.drawn(next(iter(one.columns))) for one in self.chunks(point, stream, first_ns, last_ns)]
+            places = np.concatenate([np.empty(0, np.int64), *(time_ns for time_ns, _ in drawn)])
+            lows = highs = np.concatenate([np.empty(0), *(values for _, values in drawn)])
         else:
             places, lows, highs = self._spans(point, stream, first_ns, last_ns, finer[-1] if finer else None)
         # A chunk belongs to the bucket that its begin is in.
@@ -288,7 +283,8 @@ class Store:
 
     def _spans(
         self, point: str, stream: str, first_ns: int, last_ns: int, level: int | None
-    ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Floats, Floats]:
+    ) -> tuple[Nanoseconds, Floats, Floats]:
+        """Begins, least and largest values of the spans of a level; None: of the chunks."""
         place = (point, stream, first_ns, last_ns)
         where = "WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns < ? AND low IS NOT NULL"
         if level is None:
@@ -300,23 +296,10 @@ class Store:
         found = np.array(rows, dtype=np.float64).reshape(-1, 3)
         return np.array([row[0] for row in rows], dtype=np.int64), found[:, 1], found[:, 2]
 
-    def _samples(
-        self, point: str, stream: str, first_ns: int, last_ns: int
-    ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Floats, Floats]:
-        chunks = list(self.chunks(point, stream, first_ns, last_ns))
-        if not chunks:
-            return np.empty(0, np.int64), np.empty(0), np.empty(0)
-        shown = next(iter(chunks[0].columns))
-        drawn = [one.drawn(shown) for one in chunks]
-        values = np.concatenate([value for _, value in drawn])
-        return np.concatenate([time_ns for time_ns, _ in drawn]), values, values
-
     def events(self, point: str, first_ns: int, last_ns: int) -> list[Event]:
         """A point's events, in the order of time."""
         sql = "SELECT time_ns, kind, text, axis FROM event WHERE point = ? AND time_ns BETWEEN ? AND ? ORDER BY time_ns"
-        return [
-            Event(int(t), str(k), str(w), int(a)) for t, k, w, a in self._site.execute(sql, (point, first_ns, last_ns))
-        ]
+        return [Event(*row) for row in self._site.execute(sql, (point, first_ns, last_ns))]
 
     def event_times(self, point: str, kind: str, last_ns: int) -> list[int]:
         """The instants (ns) of a point's events of one kind up to `last_ns`, in the order of time."""
@@ -330,10 +313,10 @@ class Store:
 
     def calibration(self, point: str, number: int | None = None) -> StoredCalibration | None:
         """A point's calibration of this number; left out: the one in force."""
-        found = self.calibrations(point)
-        return next(
-            (one for one in found if (one.state == "in force" if number is None else one.number == number)), None
-        )
+        for one in self.calibrations(point):
+            if one.number == number or (number is None and one.state == "in force"):
+                return one
+        return None
 
     def checkpoint(self, point: str) -> tuple[int, bytes] | None:
         """A point's newest checkpoint and its instant (ns)."""
@@ -347,12 +330,9 @@ def _floor(time_ns: int, length_s: float) -> int:
 
 
 def _insert(database: Database, chunk: Chunk, *, joined: bool) -> None:
-    low, high, body = *chunk.limits, encode(chunk)
-    stamps = (int(chunk.time_ns[0]), int(chunk.time_ns[-1]))
-    database.execute(
-        "INSERT INTO chunk VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (chunk.point, chunk.stream, *stamps, len(chunk.time_ns), int(joined), low, high, chunk.calibration, body),
-    )  # fmt: skip
+    stamps = (int(chunk.time_ns[0]), int(chunk.time_ns[-1]), len(chunk.time_ns))
+    values = (chunk.point, chunk.stream, *stamps, int(joined), *chunk.limits, chunk.calibration, encode(chunk))
+    database.execute("INSERT INTO chunk VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", values)
 
 
 class Days:
@@ -397,14 +377,11 @@ class Days:
         self._open.clear()
 
     def _file(self, day: int) -> Path:
-        return self._folder / f"{datetime.fromtimestamp(day * 86_400, UTC):%Y-%m-%d}.sqlite"
+        return self._folder / f"{date(1970, 1, 1) + timedelta(day)}.sqlite"
 
     def _numbers(self) -> list[int]:
-        found = []
-        for file in self._folder.glob("????-??-??.sqlite"):
-            begun = datetime.strptime(file.stem, "%Y-%m-%d").replace(tzinfo=UTC)
-            found.append(round(begun.timestamp()) // 86_400)
-        return found
+        names = (file.stem for file in self._folder.glob("????-??-??.sqlite"))
+        return [(date.fromisoformat(name) - date(1970, 1, 1)).days for name in names]
 
 
 class OneDatabase(Days):

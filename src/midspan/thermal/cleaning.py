@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
-from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, foreign_share, is_foreign
+from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, is_foreign
 from midspan.thermal.pattern import FixedPattern, estimate_pattern
 from midspan.thermal.shutter import ShutterState, ShutterWatch
 
@@ -86,9 +86,8 @@ class ThermalCleaner:
     @property
     def state(self) -> CleaningState:
         """Everything that changes from frame to frame, between `tracked` and the next `push`."""
-        kept = tuple(self._kept)
-        shutter, limits = self._watch.state, self._follower.state
-        return CleaningState(shutter, limits, self._pattern, kept, self._kept_ns, self._tries, self._closed)
+        watched = (self._watch.state, self._follower.state, self._pattern, tuple(self._kept))
+        return CleaningState(*watched, self._kept_ns, self._tries, self._closed)
 
     def restore(self, state: CleaningState) -> None:
         """Continue from a `state` taken earlier, with the same reference frame and region."""
@@ -116,13 +115,14 @@ class ThermalCleaner:
         if verdict.step_k:
             self._follower.jump(verdict.step_k)
         if verdict.reopened:
-            self._forget()
+            self._pattern, self._tries, self._closed = None, 0, True
+            self._kept.clear()
         target = _part(frame.pixels, region_now or self._region)
         limits = self._follower.push(target, frame.time_ns)
         self._last = frame
         pixels = frame.pixels if self.pattern is None else self.pattern.removed(frame.pixels)
         clean = Frame(frame.time_ns, folded(pixels, limits), frame.index)
-        return Cleaned(clean, verdict.events, foreign_share(target, limits))
+        return Cleaned(clean, verdict.events, float(np.mean(is_foreign(target, limits))))
 
     def tracked(self, found: PixelTranslation) -> bool:
         """Learn the fixed pattern from what the tracker found in the frame that was pushed last.
@@ -139,10 +139,10 @@ class ThermalCleaner:
         self._tries += 1
         # Where the scene has not moved enough, another try comes when all frames are others.
         if len(self._kept) == PATTERN_FRAMES and self._tries % PATTERN_FRAMES == 0:
-            self._pattern = self._estimated()
+            self._pattern = self._estimate()
         return self.pattern is not None and not self._closed
 
-    def _estimated(self) -> FixedPattern:
+    def _estimate(self) -> FixedPattern:
         """The pattern of the frames kept, on the target as these show it and around it; 0 elsewhere."""
         moved: Floats = np.array([(x, y) for _, x, y in self._kept])
         middle = np.round(moved.mean(axis=0))
@@ -154,10 +154,6 @@ class ThermalCleaner:
         values = np.zeros(self._shape)
         values[place] = found.values_k
         return replace(found, values_k=values)
-
-    def _forget(self) -> None:
-        self._pattern, self._tries, self._closed = None, 0, True
-        self._kept.clear()
 
 
 def _part(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:

@@ -36,21 +36,16 @@ def filled(image: NDArray[np.generic], dead: Mask) -> Floats32:
     held = np.full((image.shape[0] + 2 * _EDGE, image.shape[1] + 2 * _EDGE), np.nan, dtype=np.float32)
     held[_EDGE:-_EDGE, _EDGE:-_EDGE] = np.where(dead, np.nan, image)
     places = np.argwhere(dead) + _EDGE
-    found = _by_cubics(held, places)
+    # By cubics along rows and columns, their mean where both are known.
+    down, along = (
+        _CUBIC @ np.stack([held[places[:, 0] + k * y, places[:, 1] + k * x] for k in (-2, -1, 1, 2)])
+        for y, x in ((1, 0), (0, 1))
+    )
+    both = np.where(np.isfinite(down) & np.isfinite(along), 0.5 * (down + along), down)
+    found = np.where(np.isfinite(both), both, along).astype(np.float32)
     held[places[:, 0], places[:, 1]] = found
     _fill_by_means(held, places[~np.isfinite(found)])
     return np.ascontiguousarray(held[_EDGE:-_EDGE, _EDGE:-_EDGE])
-
-
-def _by_cubics(held: Floats32, places: NDArray[np.int64]) -> Floats32:
-    """Values (n,) at places (n, 2) by cubics along rows and columns, their mean where both are known; else NaN."""
-    lines = [
-        _CUBIC @ np.stack([held[places[:, 0] + k * y, places[:, 1] + k * x] for k in (-2, -1, 1, 2)])
-        for y, x in ((1, 0), (0, 1))
-    ]
-    down, along = lines
-    both = np.where(np.isfinite(down) & np.isfinite(along), 0.5 * (down + along), down)
-    return np.asarray(np.where(np.isfinite(both), both, along), dtype=np.float32)
 
 
 def _fill_by_means(held: Floats32, left: NDArray[np.int64]) -> None:
@@ -81,7 +76,11 @@ def stuck_pixels(stack: Floats32) -> Mask:
         return nothing
     low, high = stack.min(axis=0), stack.max(axis=0)
     known = np.isfinite(low) & np.isfinite(high)
-    lively = known & (high - low > 0.0) & (high - low >= _MIN_STEPS * _step(stack))
+    # The usual distance between neighbouring numbers, K: their digits, or a camera's counts.
+    sample = stack[:, :: max(stack.shape[1] // 32, 1), :: max(stack.shape[2] // 32, 1)]
+    numbers = np.unique(sample[np.isfinite(sample)])
+    step = float(np.median(np.diff(numbers))) if len(numbers) > 1 else 0.0
+    lively = known & (high - low > 0.0) & (high - low >= _MIN_STEPS * step)
     neighbours = np.sum([_moved(known, y, x) for y, x in _AROUND], axis=0)
     moving = np.sum([_moved(lively, y, x) for y, x in _AROUND], axis=0)
     still = known & (high == low) & (neighbours > 0) & (moving >= _LIVELY_SHARE * neighbours)
@@ -103,13 +102,6 @@ def _standing_out(picture: Floats32, known: Mask) -> Mask:
         return known
     usual = SIGMA_OF_MEDIAN * float(np.median(apart[known]))
     return np.asarray(known & (apart > max(_STANDS_OUT_K, _STANDS_OUT_STDS * usual)))
-
-
-def _step(stack: Floats32) -> float:
-    """The usual distance between neighbouring numbers in the frames, K: their digits, or a camera's counts."""
-    sample = stack[:, :: max(stack.shape[1] // 32, 1), :: max(stack.shape[2] // 32, 1)]
-    numbers = np.unique(sample[np.isfinite(sample)])
-    return float(np.median(np.diff(numbers))) if len(numbers) > 1 else 0.0
 
 
 def _moved(mask: Mask, y: int, x: int) -> NDArray[np.int64]:

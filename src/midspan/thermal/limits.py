@@ -58,11 +58,6 @@ def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = MARGIN)
     return np.asarray(np.float32(limits.middle_c) + np.float32(limits.half_k) * np.copysign(kept, place))
 
 
-def foreign_share(celsius: NDArray[np.generic], limits: Limits) -> float:
-    """Share of the pixels of a picture, 0 to 1, that are folded: what is warmer or colder than all of the target."""
-    return float(np.mean(is_foreign(celsius, limits)))
-
-
 def is_foreign(celsius: NDArray[np.generic], limits: Limits) -> NDArray[np.bool_]:
     """Which pixels of a picture (any shape) in °C are warmer or colder than all of the target."""
     place = np.abs(np.asarray(celsius, dtype=np.float32) - np.float32(limits.middle_c))
@@ -90,44 +85,38 @@ class LimitFollower:
         low, first, middle, third, high = _shares(region)
         self._below = (middle - low) / max(middle - first, _MIN_K)
         self._above = (high - middle) / max(third - middle, _MIN_K)
-        self._state = LimitState((first, middle, third), time_ns)
-
-    @property
-    def state(self) -> LimitState:
-        """Everything that changes from frame to frame."""
-        return self._state
+        # Everything that changes from frame to frame.
+        self.state = LimitState((first, middle, third), time_ns)
 
     def restore(self, state: LimitState) -> None:
         """Continue from a `state` taken earlier."""
-        self._state = state
+        self.state = state
 
     @property
     def limits(self) -> Limits:
         """The limits of the moment."""
-        first, middle, third = self._state.quartiles_c
+        first, middle, third = self.state.quartiles_c
         low = middle - self._below * max(middle - first, _MIN_K)
         return Limits(low, middle + self._above * max(third - middle, _MIN_K))
 
     def push(self, region: NDArray[np.generic], time_ns: int) -> Limits:
         """Follow the temperatures (rows, columns), °C, of where the target is at `time_ns`; return the limits."""
-        share = max(time_ns - self._state.time_ns, 0) / NANOSECONDS / FOLLOW_S
-        first, middle, third = self._state.quartiles_c
+        share = max(time_ns - self.state.time_ns, 0) / NANOSECONDS / FOLLOW_S
+        first, middle, third = self.state.quartiles_c
         low, now, high = _shares(region)[1:4]
         moved = middle + _within(now - middle, share * self.limits.half_k)
+        widths = ((middle - first, now - low), (third - middle, high - now))
         below, above = (
             before * float(np.exp(_within(float(np.log(width / before)), share / _SLOWER)))
-            for before, width in (
-                (max(middle - first, _MIN_K), max(now - low, _MIN_K)),
-                (max(third - middle, _MIN_K), max(high - now, _MIN_K)),
-            )
+            for before, width in ((max(a, _MIN_K), max(b, _MIN_K)) for a, b in widths)
         )
-        self._state = LimitState((moved - below, moved, moved + above), time_ns)
+        self.state = LimitState((moved - below, moved, moved + above), time_ns)
         return self.limits
 
     def jump(self, step_k: float) -> None:
         """Move the limits by a step of the camera's level, in K."""
-        first, middle, third = (q + step_k for q in self._state.quartiles_c)
-        self._state = LimitState((first, middle, third), self._state.time_ns)
+        first, middle, third = (q + step_k for q in self.state.quartiles_c)
+        self.state = LimitState((first, middle, third), self.state.time_ns)
 
 
 def _within(value: float, most: float) -> float:

@@ -66,8 +66,16 @@ def estimate_pattern(frames: Floats, translation_px: Floats) -> FixedPattern:
     # A frame's level is what it has in common with the others after the scene was moved back; its median will do.
     stack = stack - np.median(stack, axis=(1, 2), keepdims=True)
     if float(np.sqrt(np.sum(np.var(moved, axis=0)))) < MIN_TRAVEL_PX:
-        return _not_told_apart(stack, moved)
-    return _told_apart(stack, moved)
+        return _unknown_pattern(stack, moved)
+    pattern, known = np.zeros(stack.shape[1:]), Pictured(np.zeros(stack.shape[1:]), moved, 0.0, math.inf)
+    share_std = 0.0
+    for turn in range(TURNS):
+        pattern, known = _improved(stack, pattern, known)
+        if (turn + 1) % SHARED_EVERY == 0:
+            share, share_std = share_left(stack, known)
+            centre = np.mean(known.moved_px, axis=0)
+            known = replace(known, moved_px=known.moved_px + share * (known.moved_px - centre))
+    return FixedPattern(pattern, share_std, max(kept_share(known), share_std), known)
 
 
 def shifted_scene(scene: Floats, moved_px: Floats) -> list[Floats]:
@@ -76,7 +84,7 @@ def shifted_scene(scene: Floats, moved_px: Floats) -> list[Floats]:
     return [_shifted(grid, x, y) for x, y in moved_px]
 
 
-def _not_told_apart(stack: Floats, moved: Floats) -> FixedPattern:
+def _unknown_pattern(stack: Floats, moved: Floats) -> FixedPattern:
     """No pattern, and what it does at most to a tracker of least squares."""
     scene = np.mean(stack, axis=0)
     noise = _grain(stack[1:] - stack[:-1]) / math.sqrt(2.0)
@@ -101,25 +109,9 @@ def _roughness(pattern: Floats) -> float:
     return max(float(np.median(one)) / MEDIAN_DEVIATION if len(one) else 0.0 for one in known)
 
 
-def _told_apart(stack: Floats, moved: Floats) -> FixedPattern:
-    """Scene, pattern and translations improved in turn; pixels that the scene's known part does not reach have the
-    pattern 0.
-    """
-    pattern, known = np.zeros(stack.shape[1:]), Pictured(np.zeros(stack.shape[1:]), moved, 0.0, math.inf)
-    share_std = 0.0
-    for turn in range(TURNS):
-        pattern, known = _improved(stack, pattern, known)
-        if (turn + 1) % SHARED_EVERY == 0:
-            share, share_std = share_left(stack, known)
-            centre = np.mean(known.moved_px, axis=0)
-            known = replace(known, moved_px=known.moved_px + share * (known.moved_px - centre))
-    return FixedPattern(pattern, share_std, max(kept_share(known), share_std), known)
-
-
 def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, Pictured]:
-    """One turn: the scene that the pattern leaves, the pattern that the scene leaves, and the translations.
-
-    A scene that warms or cools has another contrast in each frame; what its mean leaves of it would pass for pattern.
+    """One turn: the scene that the pattern leaves, the pattern that the scene leaves (0 where it does not reach), and
+    the translations. A scene that warms or cools has another contrast in each frame, which would pass for pattern.
     """
     moved, shape = known.moved_px, pattern.shape
     free = stack - pattern
@@ -151,10 +143,8 @@ def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, 
 
 
 def _scene(free: Floats, inside: list[NDArray[np.bool_]], moved: Floats, before: Floats) -> Floats:
-    """The mean (rows, columns) of frames (n, rows, columns) moved back; 0 where none reaches.
-
-    before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
-    """
+    """The mean (rows, columns) of frames (n, rows, columns) moved back; 0 where none reaches."""
+    # before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
     total, weight = np.zeros_like(before), np.zeros_like(before)
     back = [_shifted(_spline(f), -x, -y) for f, (x, y) in zip(free, moved, strict=True)]
     shares = (
@@ -204,17 +194,14 @@ def _shifted(grid: Floats, x_px: float, y_px: float) -> Floats:
 
     whole_x, whole_y = round(x_px), round(y_px)
     for axis, (whole, exact) in enumerate(((whole_y, y_px), (whole_x, x_px))):
-        grid = correlate1d(grid, _spline_weights(exact - whole), axis=axis, mode="nearest")
+        # Weights (7,) of the coefficients around a pixel for the value at a fraction of a pixel before it.
+        distance = np.abs(np.arange(-3, 4) + (exact - whole))
+        powers = _BINOMIALS[:, None] * np.maximum(_KNOTS[:, None] - distance, 0.0) ** _ORDER
+        weights = np.sum(powers, axis=0) / math.factorial(_ORDER)
+        grid = correlate1d(grid, weights, axis=axis, mode="nearest")
         places = np.clip(np.arange(grid.shape[axis]) - whole, 0, grid.shape[axis] - 1)
         grid = np.take(grid, places, axis=axis)
     return np.asarray(grid, dtype=np.float64)
-
-
-def _spline_weights(fraction: float) -> Floats:
-    """Weights (7,) of the coefficients around a pixel for the value `fraction` px before it."""
-    distance = np.abs(np.arange(-3, 4) + fraction)
-    powers = _BINOMIALS[:, None] * np.maximum(_KNOTS[:, None] - distance, 0.0) ** _ORDER
-    return np.asarray(np.sum(powers, axis=0) / math.factorial(_ORDER), dtype=np.float64)
 
 
 def _covered(shape: tuple[int, ...], x_px: float, y_px: float) -> NDArray[np.bool_]:

@@ -42,11 +42,13 @@ def share_left(frames: Floats, known: Pictured) -> tuple[float, float]:
     taper = _taper(known)
     down, right = (taper * part for part in np.gradient(known.scene))
     level = np.mean(known.moved_px, axis=0)
+    frequencies = [np.fft.fftfreq(side) for side in known.scene.shape]
     turns, of_scene, of_pattern = (np.zeros(known.scene.shape, dtype=np.complex128) for _ in range(3))
     seen_scene, seen_pattern = np.zeros_like(turns), np.zeros_like(turns)
     power = seen = 0.0
     for frame, (x, y) in zip(frames, known.moved_px, strict=True):
-        turn = _turned(known, x, y)
+        # The factor that a shift is in frequencies.
+        turn = np.exp(-2j * np.pi * np.add.outer(frequencies[0] * y, frequencies[1] * x))
         change = -np.fft.fft2((x - level[0]) * right + (y - level[1]) * down) * turn
         shown = np.fft.fft2(frame)
         turns += turn
@@ -85,8 +87,11 @@ def kept_share(known: Pictured) -> float:
     along = np.sum(away**2, axis=0)
     power = float(np.sum(along * steep) / np.sum(along)) if np.any(along) else float(np.mean(steep))
     pattern = GRADIENT * known.spread_k**2
+    # How much of the pattern's pull on small motion is left at these distances from the middle, 0 to 1.
+    distance2 = np.sum(away**2, axis=1)
+    total = float(np.sum(distance2))
+    near = float(np.sum(distance2 * np.exp(-0.5 * distance2 / WIDTH_PX**2))) / total if total > 0.0 else 1.0
     # The scene's mean holds the pattern as well.
-    near = _near(away)
     return near * pattern / max(power, pattern, 1e-12)
 
 
@@ -103,11 +108,8 @@ def pattern_spread(frames: Floats, moved_px: Floats, noise_k: float, largest_k: 
     down, right = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(columns)
     fine = np.hypot(down, right) > FINEST
     shown = np.fft.fft2(frames * taper)[:, fine]
-    turns = np.exp(
-        -2j
-        * np.pi
-        * (moved_px[:, 1, None] * (down + 0.0 * right)[fine] + moved_px[:, 0, None] * (right + 0.0 * down)[fine])
-    )
+    along_y, along_x = (axis[fine] for axis in np.broadcast_arrays(down, right))
+    turns = np.exp(-2j * np.pi * (moved_px[:, 1, None] * along_y + moved_px[:, 0, None] * along_x))
     mean = np.mean(turns, axis=0)
     power = np.maximum(np.sum(np.abs(turns - mean) ** 2, axis=0), LEAST_DETERMINED)
     scene = np.sum(np.conj(turns - mean) * shown, axis=0) / power
@@ -122,13 +124,6 @@ def pattern_spread(frames: Floats, moved_px: Floats, noise_k: float, largest_k: 
     return float(np.sqrt(min(spread2 + scatter, largest_k**2)))
 
 
-def _near(away: Floats) -> float:
-    """How much of a pattern's pull on small motion is left at deviations (n, 2) px from the middle, 0 to 1."""
-    distance2 = np.sum(away**2, axis=1)
-    total = float(np.sum(distance2))
-    return float(np.sum(distance2 * np.exp(-0.5 * distance2 / WIDTH_PX**2))) / total if total > 0.0 else 1.0
-
-
 def _taper(known: Pictured) -> Floats:
     """Weights (rows, columns): 0 where a shifted scene would come from beyond the edge, 1 in the middle."""
     from scipy.signal.windows import tukey
@@ -141,13 +136,6 @@ def _taper(known: Pictured) -> Floats:
         side[edge : size - edge] = tukey(size - 2 * edge, 2.0 * TAPERED)
         sides.append(side)
     return np.outer(*sides)
-
-
-def _turned(known: Pictured, x_px: float, y_px: float) -> NDArray[np.complex128]:
-    """The factor (rows, columns) that a shift is in frequencies."""
-    rows, columns = known.scene.shape
-    down, right = np.fft.fftfreq(rows), np.fft.fftfreq(columns)
-    return np.asarray(np.exp(-2j * np.pi * np.add.outer(down * y_px, right * x_px)))
 
 
 def _product(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:

@@ -7,7 +7,6 @@ others. Such frames must not be tracked: a frozen one says that the structure is
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.records import NANOSECONDS, Event, Floats, Frame
 
@@ -15,6 +14,7 @@ _STEP_FACTOR = 8.0  # times the usual change of the level from frame to frame
 _LEARNING = 0.05  # weight of a frame in what is usual
 _RISING_S = 30.0  # time constant by which the usual contrast rises: a body that passes does not become usual
 _TAILS = 2.44  # from 5 to 95 % it is this many times as far as from quartile to quartile of a normal variable
+_QUARTER = 25.0  # percent: from quartile to quartile, what covers less than a quarter of the picture changes it little
 _MIN_FRAMES = 2  # frozen frames that make an event: a recorder may write one picture twice
 # Contrast below this share of the usual one is the shutter's.
 FLAT_SHARE = 0.35
@@ -53,34 +53,33 @@ class ShutterWatch:
     """Tells frames that were taken with the shutter closed."""
 
     def __init__(self) -> None:
-        self._state = ShutterState()
-
-    @property
-    def state(self) -> ShutterState:
-        """Everything that changes from frame to frame."""
-        return self._state
+        # Everything that changes from frame to frame.
+        self.state = ShutterState()
 
     def restore(self, state: ShutterState) -> None:
         """Continue from a `state` taken earlier."""
-        self._state = state
+        self.state = state
 
     def push(self, frame: Frame) -> ShutterVerdict:
         """Judge a frame (rows, columns) in °C; frames come in the order of their times."""
-        state, now = self._state, _thinned(frame.pixels)
+        # Some thousand pixels of the picture show it as well as all.
+        step = max(min(frame.pixels.shape) // 60, 1)
+        thinned = np.asarray(frame.pixels[::step, ::step], dtype=np.float64)
+        state, now = self.state, np.where(np.isfinite(thinned), thinned, 0.0)
         if state.last is None:
-            self._state = replace(state, last=now, last_ns=frame.time_ns, contrast_k=_contrast(now))
+            self.state = replace(state, last=now, last_ns=frame.time_ns, contrast_k=_spread(now, _QUARTER))
             return ShutterVerdict(True)
         frozen = bool(np.array_equal(now, state.last))
         since = state.since_ns if state.closed else frame.time_ns
         long = frame.time_ns - since > MAX_CLOSED_S * NANOSECONDS
         # A warm body that leaves takes contrast away too, but never all that there is between 5 and 95 %.
         if frozen or (not long and _spread(now, 5.0) / _TAILS < FLAT_SHARE * state.contrast_k):
-            self._state = replace(state, closed=state.closed + 1, since_ns=since, frozen=frozen)
+            self.state = replace(state, closed=state.closed + 1, since_ns=since, frozen=frozen)
             return ShutterVerdict(False)
         return self._open(frame, now)
 
     def _open(self, frame: Frame, now: Floats) -> ShutterVerdict:
-        state = self._state
+        state = self.state
         assert state.last is not None
         change = float(np.median(now - state.last))
         limit = max(MIN_STEP_K, _STEP_FACTOR * state.usual_step_k)
@@ -90,8 +89,8 @@ class ShutterWatch:
         usual = state.usual_step_k
         if not (stepped or reopened):
             usual += _LEARNING * (abs(change) - usual)
-        contrast = self._usual_contrast(frame, _contrast(now))
-        self._state = ShutterState(now, frame.time_ns, contrast, usual)
+        contrast = self._usual_contrast(frame, _spread(now, _QUARTER))
+        self.state = ShutterState(now, frame.time_ns, contrast, usual)
         told = []
         if reopened:
             text = (
@@ -106,7 +105,7 @@ class ShutterWatch:
 
     def _usual_contrast(self, frame: Frame, now_k: float) -> float:
         """The usual contrast (K) after a frame of `now_k`: falls quickly, rises slowly, is new in a new scene."""
-        state = self._state
+        state = self.state
         if state.closed and frame.time_ns - state.since_ns > MAX_CLOSED_S * NANOSECONDS:
             return now_k
         usual = state.contrast_k
@@ -114,18 +113,6 @@ class ShutterWatch:
             return usual + _LEARNING * (now_k - usual)
         elapsed_s = max(frame.time_ns - state.last_ns, 0) / NANOSECONDS
         return usual + (1.0 - float(np.exp(-elapsed_s / _RISING_S))) * (min(now_k, 2.0 * usual) - usual)
-
-
-def _thinned(pixels: NDArray[np.generic]) -> Floats:
-    """Some thousand pixels of the picture, every so many rows and columns."""
-    step = max(min(pixels.shape) // 60, 1)
-    values = np.asarray(pixels[::step, ::step], dtype=np.float64)
-    return np.where(np.isfinite(values), values, 0.0)
-
-
-def _contrast(values: Floats) -> float:
-    """From quartile to quartile, K: what covers less than a quarter of the picture changes it little."""
-    return _spread(values, 25.0)
 
 
 def _spread(values: Floats, percent: float) -> float:

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats, Region
+from midspan.records import Floats, Floats32, Region
 from midspan.signals.health import Mask
-from midspan.vision.spline import Floats32
 
 STRONGEST = 30
 AMPLITUDE_SHARE = 0.2

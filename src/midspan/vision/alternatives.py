@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats, Prediction, Region
+from midspan import _core
+from midspan.records import Floats, Floats32, Prediction, Region
 from midspan.vision.search import Span, coarse_factor, coarse_span, cut, peaks
-from midspan.vision.spline import Floats32
-from midspan.vision.zncc import shrink, zncc_map
 
 # Correlation, over what noise allows, from which on a poorer frame may mistake one place for the other; the automatic
 # choice of regions has the same limit. Along a texture of one direction the correlation never falls below it.
@@ -67,7 +66,9 @@ class Alternatives:
         if not inside or y + size[0] > image.shape[0] - self.factor:
             return float("nan")
         raw = cut(image, span, size, self.factor, self.offset)
-        return float("nan") if raw is None else float(zncc_map(shrink(raw, self.factor), self.pattern).max())
+        return (
+            float("nan") if raw is None else float(_core.zncc_map(_core.shrink(raw, self.factor), self.pattern).max())
+        )
 
 
 def find_alternatives(
@@ -85,10 +86,10 @@ def find_alternatives(
     # The decimated positions hold the target's own.
     span = Span(window.x - (window.x - span.x0) // factor * factor, span.x1, span.y0, span.y1)
     span = Span(span.x0, span.x1, window.y - (window.y - span.y0) // factor * factor, span.y1)
-    small = shrink(template, factor)
+    small = _core.shrink(template, factor)
     small = (small - small.mean()).astype(np.float32)
     raw = cut(image, span, template.shape, 0, offset)
-    surface = np.zeros((1, 1)) if raw is None else zncc_map(shrink(raw, factor), small)
+    surface = np.zeros((1, 1)) if raw is None else _core.zncc_map(_core.shrink(raw, factor), small)
     corner = np.array([span.x0 - window.x, span.y0 - window.y], dtype=np.float64)
     found = Alternatives(np.zeros((0, 2)), window, small, factor, offset, surface, corner)
     if raw is None:
@@ -110,7 +111,7 @@ def _refined(raw: Floats32, template: Floats32, at: tuple[int, int], reach: int)
     height, width = template.shape
     left, top = max(at[0] - reach, 0), max(at[1] - reach, 0)
     part = np.ascontiguousarray(raw[top : at[1] + reach + height, left : at[0] + reach + width])
-    surface = zncc_map(part, template)
+    surface = _core.zncc_map(part, template)
     y, x = divmod(int(surface.argmax()), surface.shape[1])
     return (left + x, top + y), float(surface[y, x])
 

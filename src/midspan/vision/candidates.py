@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.errors import MidspanError
 from midspan.records import Floats, Frame, PixelTrack, Region, Status
 from midspan.vision.search import Span, fine_patch
 from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import gaussian_taps
-from midspan.vision.zncc import shrink, zncc_map
 
 REPEAT_RANGE_PX = 40
 REPEAT_CORRELATION = 0.8  # a second peak above this could be taken for the first in a poorer frame
@@ -60,8 +60,8 @@ def repeats(image: NDArray[np.generic], region: Region) -> bool:
     top, left = min(max(region.y, span.y0), span.y1) - span.y0, min(max(region.x, span.x0), span.x1) - span.x0
     own = patch.pixels[top : top + size[0], left : left + size[1]]
     factor = max(region.width // 48, 1)
-    target = shrink(np.ascontiguousarray(own), factor)
-    surface = zncc_map(shrink(patch.pixels, factor), (target - target.mean()).astype(np.float32))
+    target = _core.shrink(np.ascontiguousarray(own), factor)
+    surface = _core.zncc_map(_core.shrink(patch.pixels, factor), (target - target.mean()).astype(np.float32))
     others = [
         p for p in _local_maxima(surface) if max(abs(p[0] * factor - left), abs(p[1] * factor - top)) > 2 * factor
     ]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, MidspanError, UsageError
-from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints
+from midspan.records import Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints, SurfSettings
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.rejection import (
     consensus,
@@ -29,8 +29,6 @@ from midspan.vision.rejection import (
     within_largest,
 )
 from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_span
-from midspan.vision.spline import Floats32
-from midspan.vision.surf import SurfSettings
 from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, lost
 from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import check_texture, full_scale, noise_std, values
@@ -59,7 +57,7 @@ class FeatureSettings:
     a frame may lie `MARGIN_PX` outside it; they match mutually; and fewer than three matches count as lost, since they
     do not tell the variance of their mean.
     max_features: the strongest so many in the region, 10 to 5000; more is slower and a little quieter.
-    threshold, octaves, upright: of SURF, see `midspan.vision.surf.SurfSettings`.
+    threshold, octaves, upright: of SURF, see `midspan.vision.keypoints.SurfSettings`.
     epsilon_px: discretisation error of a coordinate in rejection I and II, above 0 to 5 px; more rejects less.
     search_px: how far the target is looked for when it is not near its last place and there is no prediction.
     seed: of the random pairing in rejection I; one seed gives the same result in every run.

@@ -20,16 +20,19 @@ from numpy.typing import NDArray
 from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
-from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import NANOSECONDS, Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.active_pixels import ActivePixels
-from midspan.vision.phase_flow import SMALLEST_SLOPE, gradient_form, phase_change, phase_slopes
 from midspan.vision.phase_model import (
     INSET_PX,
+    SMALLEST_SLOPE,
     SPLIT_FRAMES,
     Learning,
     PhaseModel,
     first_model,
+    gradient_form,
     learnt_model,
+    phase_change,
+    phase_slopes,
     reference_field,
     region_patch,
     target_of,
@@ -37,7 +40,6 @@ from midspan.vision.phase_model import (
 )
 from midspan.vision.printed_phase import PrintedRule, printed_model
 from midspan.vision.region import SMALLEST_SIDE_PX, check_size
-from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, quadrature
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values

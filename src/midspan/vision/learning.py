@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan import _core
-from midspan.records import Floats, Region
+from midspan.records import Floats, Floats32, Region
 from midspan.vision.plane import PER_PX, Plane
-from midspan.vision.spline import Floats32
 from midspan.vision.texture import values
 
 PAD_PX = 8  # around the window: what low-pass and spline reach for

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from midspan import _core
 from midspan._core import Fix
 from midspan.errors import DataError, UsageError
-from midspan.records import Floats, Region
+from midspan.records import Floats, Floats32, Region
 from midspan.vision.region import SMALLEST_SIDE_PX
 from midspan.vision.search import coarse_factor
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
 from midspan.vision.texture import (
+    REACH,
     check_texture,
     full_scale,
     lowpass_taps,
@@ -21,7 +21,6 @@ from midspan.vision.texture import (
     noise_std,
     values,
 )
-from midspan.vision.zncc import smooth
 
 INSET_PX = 8  # the template's spline needs this much image around the window
 CONTEXT_PX = 20  # the spline is fitted with this much around it, so that the mirror at its edge is not felt
@@ -79,7 +78,7 @@ def make_template(image: NDArray[np.generic], region: Region, matching: Matching
         taps=taps,
         grid=grid,
         basis=basis,
-        information=np.stack([fisher, _outer(np.stack([smooth(np.pad(g, margin), taps) for g in gradient]))]),
+        information=np.stack([fisher, _outer(np.stack([_core.smooth(np.pad(g, margin), taps) for g in gradient]))]),
         gains=(gains[0], pixels.size * gains[1], pixels.size * gains[2]),
         threshold=threshold,
     )
@@ -121,7 +120,7 @@ def without_values(region: Region) -> DataError:
 def _grid(raw: Floats32, taps: Floats32, window: Region, origin: tuple[int, int]) -> Floats32:
     """Spline coefficients of the smoothed image over the window and 3 px around it."""
     margin = len(taps) // 2
-    spline = coefficients(smooth(raw, taps).astype(np.float64))
+    spline = _core.spline_coefficients(_core.smooth(raw, taps).astype(np.float64))
     top, left = window.y - origin[1] - margin - REACH, window.x - origin[0] - margin - REACH
     part = spline[top : top + window.height + 2 * REACH, left : left + window.width + 2 * REACH]
     return np.ascontiguousarray(part, dtype=np.float32)
@@ -129,9 +128,9 @@ def _grid(raw: Floats32, taps: Floats32, window: Region, origin: tuple[int, int]
 
 def _basis(grid: Floats32) -> Floats32:
     """The template (h, w) with zero mean and its gradients along x and y: (3, h, w)."""
-    value, slope = weights(0.0, 0), weights(0.0, 1)
-    pixels = combine(grid, value, value).astype(np.float64)
-    gradients = [combine(grid, value, slope), combine(grid, slope, value)]
+    value, slope = _core.spline_weights(0.0, 0), _core.spline_weights(0.0, 1)
+    pixels = _core.combine(grid, value, value).astype(np.float64)
+    gradients = [_core.combine(grid, value, slope), _core.combine(grid, slope, value)]
     return np.stack([pixels - pixels.mean(), *gradients]).astype(np.float32)
 
 

@@ -4,7 +4,13 @@ import math
 from dataclasses import dataclass, field
 
 from midspan import _core
+from midspan._core import SATURATED_SHARE
+from midspan.notices import Notice
 
+TELLING_STD_PX = 0.003  # below this, compression does less than the noise of a usual frame
+SWALLOWED = 3.0  # motion below so many standard deviations of the codec loses half of its size, or all
+TOLD_SHARE, TOLD_FRAMES = 0.02, 3  # of the frames; and not less than so many
+MOST_FRAMES = 0.5
 SCALE_LOSS = 0.6  # of the scale, for a codec's standard deviation as large as the motion's
 
 
@@ -80,3 +86,90 @@ def picture_report(chain: _core.TargetChain) -> PictureReport | None:
         return None
     x, y = (AxisCounts(*axis) for axis in counts[5:])
     return PictureReport(Compression(*compression), PictureCounts(*counts[:5], x, y), saturated_share)
+
+
+@dataclass(frozen=True, slots=True)
+class LightReport:
+    """How far changed light may have moved a target with a fixed reference: the largest variance so far (px²), and the
+    stamp of the first that is worth reporting; see `core/src/track/light_watch.rs`.
+    """
+
+    largest_px2: float = 0.0
+    notable_ns: int | None = None
+
+
+def picture_warnings(report: PictureReport, axes: str) -> list[Notice]:
+    """What `report` says in the frames so far, measured along the image axes "x", "y" or "xy"."""
+    along = [report.counts.x if axis == "x" else report.counts.y for axis in axes]
+    found = {
+        "video-compressed": _compression(report, along),
+        "frames-blurred": _blur(report),
+        "region-exposure": _saturation(report),
+        "region-texture": _texture(along),
+    }
+    return [Notice(code, text) for code, text in found.items() if text]
+
+
+def _compression(report: PictureReport, along: list[AxisCounts]) -> str:
+    found = report.compression
+    if found.std_px < TELLING_STD_PX:
+        return ""
+    moved, limit = max(one.moved_px for one in along), SWALLOWED * found.std_px
+    scale = 100.0 * found.relative_scale_std(moved)
+    small = (
+        f"The motion measured here, {moved:.2g} px rms, is not larger: much of it may be missing."
+        if moved < limit
+        else f"The scale factor can be off by {scale:.2g} %."
+    )
+    shares = [f"a frame inherits {100.0 * found.inherited_share:.0f} % of the one before"]
+    if found.frozen_share > 0.005:
+        shares.append(f"{100.0 * found.frozen_share:.0f} % of the texture stands still")
+    return (
+        f"camera: the frames are compressed ({', '.join(shares)}). A standard deviation of {found.std_px:.2g} px is "
+        f"added to each, and motion below about {limit:.2g} px can be lost. {small} Record raw or lossless, or at "
+        "the best quality that the camera has."
+    )
+
+
+def _blur(report: PictureReport) -> str:
+    count, blurred, sharper = report.counts.frames, report.counts.blurred, report.counts.sharper
+    least = max(TOLD_SHARE * count, TOLD_FRAMES)
+    # One frame out of focus at the start leaves all others sharper; a few sharper ones are brighter, or covered.
+    if sharper > MOST_FRAMES * count:
+        return (
+            f"camera: {sharper} of {count} frames show more than twice the detail of the first one, which is out of "
+            "focus or was taken in motion. Start at a sharp frame."
+        )
+    if blurred > least:
+        return (
+            f"camera: {blurred} of {count} frames show less than half the detail of the first one (motion blur or "
+            "focus); their standard deviations are widened. Shorten the exposure or fix the focus."
+        )
+    return ""
+
+
+def _saturation(report: PictureReport) -> str:
+    share, count, some = report.saturated_share, report.counts.frames, report.counts.saturated
+    if share <= SATURATED_SHARE and some > max(TOLD_SHARE * count, TOLD_FRAMES):
+        most = 100.0 * report.counts.most_saturated / (1.0 + report.counts.most_saturated)
+        return (
+            f"camera: in {some} of {count} frames pixels of the region are at the end of the scale, up to "
+            f"{most:.0f} % of them; their standard deviations are widened. Fix the exposure, and keep glare out."
+        )
+    if share <= SATURATED_SHARE:
+        return ""
+    return (
+        f"camera: {100.0 * share:.0f} % of the region's pixels are at the end of the scale (too bright or too dark). "
+        "They show no motion, and the edges between them err. Change the exposure, or choose another region."
+    )
+
+
+def _texture(along: list[AxisCounts]) -> str:
+    coarse = [one.variance_px2 for one in along if one.coarse > MOST_FRAMES * one.seen]
+    if not coarse:
+        return ""
+    return (
+        "camera: the region has little texture for its noise: a frame is known to "
+        f"±{math.sqrt(max(coarse)):.2g} px (one standard deviation). Choose a larger region or one with more edges, or "
+        "give it more light."
+    )

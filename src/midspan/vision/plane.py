@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan import _core
-from midspan.records import Floats, Region
+from midspan.records import Floats, Floats32, Region
 from midspan.vision.matching import CONTEXT_PX
-from midspan.vision.spline import Floats32
 from midspan.vision.texture import gaussian_taps, lowpass_taps, noise_stds, values
 
 PER_PX = 2  # coefficients a pixel

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from midspan._core import Fix
 from midspan.records import Floats, Region
 from midspan.vision.matching import without_values
-from midspan.vision.search import Span, cut
-from midspan.vision.zncc import zncc_matrix
+from midspan.vision.search import Span, cut, zncc_matrix
 
 # The spline is laid through the entries within this of the largest: one farther away counts by 0.268 to that power.
 SPLINE_PX = 20

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Floats
 from midspan.vision.texture import gaussian_taps, noise_std, values
-from midspan.vision.zncc import smooth
 
 SMOOTHING_PX = 0.8
 CROSS_SHARE = 0.1  # what the variance across the measured direction counts
@@ -57,7 +57,7 @@ def _variance(
     m = len(taps) // 2
     level = float(plain.mean())
     raw = values(np.pad(plain, m, mode="edge"), level)
-    smoothed = smooth(raw, taps).astype(np.float64) if raw is not None else np.zeros_like(plain)
+    smoothed = _core.smooth(raw, taps).astype(np.float64) if raw is not None else np.zeros_like(plain)
     gy, gx = np.asarray(np.gradient(smoothed), dtype=np.float64)
     y, x = places
     # The noise's own gradients: central difference of the smoothed noise along one axis.

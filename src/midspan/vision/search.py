@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats
-from midspan.vision.spline import Floats32
+from midspan import _core
+from midspan.records import Floats, Floats32
 from midspan.vision.texture import values
-from midspan.vision.zncc import shrink, smooth, zncc_map
 
 COARSE_COST = 40_000_000  # multiplications of one coarse search, at most: some 20 ms
 COARSE_SIDE_PX = 10  # a decimated template keeps at least this many pixels on a side
@@ -63,14 +62,14 @@ def fine_patch(
 ) -> Patch | None:
     """The smoothed cut for a whole-pixel search over `span`."""
     raw = cut(image, span, size, len(taps) // 2, offset)
-    return None if raw is None else Patch(smooth(raw, taps), span.x0, span.y0)
+    return None if raw is None else Patch(_core.smooth(raw, taps), span.x0, span.y0)
 
 
 def coarse_factor(template: Floats32) -> int:
     """By how much (8, 4, 2 or 1) the template may be decimated and keep its texture."""
     variance = float(template.var())
     for factor in (8, 4, 2):
-        small = shrink(template, factor)
+        small = _core.shrink(template, factor)
         if min(small.shape) >= COARSE_SIDE_PX and float(small.var()) >= COARSE_CONTRAST * variance:
             return factor
     return 1
@@ -95,10 +94,10 @@ def coarse_positions(
     raw = cut(image, span, template.shape, 0, offset)
     if raw is None:
         return []
-    small, target = shrink(raw, factor), shrink(template, factor)
+    small, target = _core.shrink(raw, factor), _core.shrink(template, factor)
     if small.shape[0] < target.shape[0] or small.shape[1] < target.shape[1]:
         return []
-    surface = zncc_map(small, (target - target.mean()).astype(np.float32))
+    surface = _core.zncc_map(small, (target - target.mean()).astype(np.float32))
     return [(span.x0 + x * factor, span.y0 + y * factor) for x, y in peaks(surface, 3, 3)]
 
 
@@ -113,3 +112,20 @@ def peaks(surface: Floats, count: int, separation: int) -> list[tuple[int, int]]
         found.append((x, y))
         left[max(y - separation, 0) : y + separation + 1, max(x - separation, 0) : x + separation + 1] = -1.0
     return found
+
+
+def zncc_matrix(patch: Floats, template: Floats) -> Floats:
+    """ZNCC (-1 to 1) of `template` (h, w) at every whole-pixel position in `patch` by the Fourier transform.
+
+    Equation 2 of the two-stage paper. Returns (rows - h + 1, columns - w + 1); 0 where a window is constant.
+    """
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    rows, columns = template.shape
+    size = [next_fast_len(length, real=True) for length in patch.shape]
+    product = irfft2(rfft2(patch, size) * np.conj(rfft2(template, size)), size)
+    energy = _core.window_energies(patch, rows, columns)
+    product = product[: energy.shape[0], : energy.shape[1]]
+    seen = energy > 1e-12 * (np.max(energy) + 1e-30)
+    norm = np.sqrt(np.where(seen, energy, 1.0) * np.sum(template**2))
+    return np.where(seen, product / norm, 0.0)

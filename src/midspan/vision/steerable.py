@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan import _core
-from midspan.records import Floats
-from midspan.vision.spline import Floats32
+from midspan.records import Floats, Floats32
 
 Complex64 = NDArray[np.complex64]
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.errors import UsageError
-from midspan.records import Floats
+from midspan.records import Floats, Floats32
 from midspan.signals.medians import MEDIAN_DEVIATION
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
-from midspan.vision.zncc import smooth
 
+# The quintic B-spline reaches 3 px to either side; a shift of up to 1 px needs the coefficients at -3 … 3.
+REACH = 3
 TEXTURE_SMOOTHING_PX = 1.5  # noise has mostly gone here, texture that can be tracked has not
 PLAUSIBLE_NOISE = 0.03  # "noise" above this share of full scale is fine texture
 
@@ -83,18 +83,20 @@ def _slope_response() -> Floats:
 
     impulse = np.zeros(57)
     impulse[28] = 1.0
-    return np.convolve(spline_filter1d(impulse, order=5), weights(0.0, 1)[::-1])
+    return np.convolve(spline_filter1d(impulse, order=5), _core.spline_weights(0.0, 1)[::-1])
 
 
 def gradient_square(raw: Floats32, smoothing_px: float) -> Floats:
     """Mean of g gᵀ (2, 2) over `raw` (rows, columns) after `lowpass_taps`; axes x, y."""
-    grid = coefficients(smooth(raw, lowpass_taps(smoothing_px).astype(np.float32)).astype(np.float64)).astype(
-        np.float32
-    )
+    grid = _core.spline_coefficients(
+        _core.smooth(raw, lowpass_taps(smoothing_px).astype(np.float32)).astype(np.float64)
+    ).astype(np.float32)
     if min(grid.shape) <= 2 * REACH:
         return np.zeros((2, 2))
-    value, slope = weights(0.0, 0), weights(0.0, 1)
-    g = np.stack([combine(grid, value, slope).ravel(), combine(grid, slope, value).ravel()]).astype(np.float64)
+    value, slope = _core.spline_weights(0.0, 0), _core.spline_weights(0.0, 1)
+    g = np.stack([_core.combine(grid, value, slope).ravel(), _core.combine(grid, slope, value).ravel()]).astype(
+        np.float64
+    )
     return np.asarray(g @ g.T / g.shape[1], dtype=np.float64)
 
 

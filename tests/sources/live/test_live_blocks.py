@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, HEAD, RESULT, Block, pack, parse
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 
 T0_NS = 1_790_000_000_000_000_000
 

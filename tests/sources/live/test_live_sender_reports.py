@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.records import NANOSECONDS
-from midspan.sources.live.sender_reports import SenderReports
+from midspan.sources.live.instants import SenderReports
 
 BEGIN_NS = 1_790_000_000 * NANOSECONDS
 RATE_HZ = 20

@@ -11,7 +11,7 @@ import pytest
 
 from midspan.records import NANOSECONDS
 from midspan.sources.live.blocks import ACCELERATION
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.serial_line import Dating, block_of, blocks, device_and_baud
 
 T0_NS = 1_790_000_000 * NANOSECONDS

@@ -7,23 +7,15 @@ import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import misfit
-from midspan.calibration.bias import bias_of
-from midspan.calibration.camera.disagreement import Agreed, agreed, m_per_px
+from midspan.calibration.camera.disagreement import agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
-from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
-from midspan.calibration.fit import MIN_FRAMES, Pair
-from midspan.calibration.measured import measured_rows
+from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
+from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.own_noise import contradiction, strange_noise
-from midspan.calibration.scale import (
-    PARTS,
-    REFUSED_ABOVE,
-    ScaleCalibration,
-    start_noise,
-)
-from midspan.calibration.scale_range import of_no_camera
+from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of_no_camera, start_noise
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
-from midspan.calibration.sensors.fit import SensorFit
+from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, InputNoise, ScaleFactor, TimeOffset
@@ -65,30 +57,24 @@ def fit_camera(
     if len(fits) == 2 and not fits[1].used:
         refused = f"Along {second} the target is only tracked: {' '.join(fits[1].reasons)}"
         fits = fits[:1]
-    offset = main.offset(common_offset(fits))
+    offset = main.offset(fits[0].used[0].search.offset)
     axes = list(zip(views, fits, strict=False))
     judged = [_judged(view, targets, fit, offset) for view, fit in axes]
-    cameras = used_along_both([one.camera for one in judged])
+    cameras = used_along_both([camera for camera, _ in judged])
     if len(cameras) < len(axes):
         refused = f"Along {second} the target is only tracked: no target is of use along both axes."
     parts = [
-        _given(view, targets, _fit_of(targets, camera, fit)) for camera, (view, fit) in zip(cameras, axes, strict=False)
+        _given(view, targets, _fit_of(targets, camera, fit, notices))
+        for camera, (view, fit), (_, notices) in zip(cameras, axes, judged, strict=False)
     ]
-    parts = [replace(part, warnings=(*one.warnings, *part.warnings)) for part, one in zip(parts, judged, strict=False)]
-    if _is_estimated(main):
+    if main.scale is None and main.printed is None:
         _refuse_vague(parts[0])
     if second and len(parts) == 1:
         return _with_tracked(main, targets, parts[0], refused)
     return tuple(parts)
 
 
-def _is_estimated(view: View) -> bool:
-    """Whether the scale factor along an axis is estimated by likelihood, not known beforehand or as printed."""
-    return view.scale is None and view.printed is None
-
-
 def _refuse_vague(fit: CameraFit) -> None:
-    """UntrustedError where a scale factor is too vague to be given out, whatever makes it so."""
     total, scale = fit.calibration.relative_std, fit.calibration.scale
     if total <= REFUSED_ABOVE:
         return
@@ -114,7 +100,11 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
         scale = view.scale
         if view.printed is not None:
             scale, own = printed_along(view, seen[k], target.scale)
-            scale = view.scale or wider_by(scale, target.scale)
+            if view.scale is None and target.scale is not None:
+                # No fit knows its own error: the distance from the likelihood's is in the variance.
+                off = scale.value_m_per_px - target.scale.value_m_per_px
+                scale = replace(scale, variance=scale.variance + off**2)
+            scale = view.scale or scale
             offset = replace(own, variance=own.variance + (own.value_s - offset.value_s) ** 2) if k == best else offset
         known[k] = replace(target, scale=scale)
     scale = known[best].scale
@@ -133,12 +123,6 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
     notices = (Notice("literal", PRINTED),) if view.printed is not None else ()
     parts = dict(fit.parts) if view.printed is None else {**fit.parts, "printed": abs(share - 1.0)}
     return replace(fit, calibration=camera, warnings=(*fit.warnings, *notices), parts=parts)
-
-
-def wider_by(printed: ScaleFactor, likely: ScaleFactor | None) -> ScaleFactor:
-    """A printed scale factor with its distance from the likelihood's in the variance: no fit knows its own error."""
-    off = 0.0 if likely is None else printed.value_m_per_px - likely.value_m_per_px
-    return replace(printed, variance=printed.variance + off**2)
 
 
 def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
@@ -178,7 +162,6 @@ def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, re
 
 
 def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]]) -> Fitted:
-    """Each target's own calibration along an axis; UntrustedError where all are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     apart_s: list[float] = []
@@ -229,27 +212,33 @@ def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
     )
 
 
-def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset) -> Agreed:
+def _judged(
+    view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset
+) -> tuple[CameraCalibration, tuple[Notice, ...]]:
     """All targets along one axis as one calibration; those that do not agree with the others are not used."""
-    known = _without_useless(
-        [
-            _target(target, found, reason, view.axis)
-            for target, found, reason in zip(targets, fit.found, fit.reasons, strict=True)
-        ]
-    )
+    known = []
+    for target, found, why in zip(targets, fit.found, fit.reasons, strict=True):
+        if found is None:
+            known.append(TargetCalibration(target.region, target.name, None, used=False, reason=why))
+            continue
+        scale = target.with_picture_error(found.scale, view.axis).wider(found.response.relative_std)
+        figures = (scale, found.noise.std, found.variance_factor)
+        known.append(TargetCalibration(target.region, target.name, *figures, not why, why))
+    known = _without_useless(known)
     found = fit.found[_best(known)]
     assert found is not None
     camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
     return agreed(view, targets, camera, fit)
 
 
-def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> CameraFit:
+def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, notices: Sequence[Notice]) -> CameraFit:
     """One axis whose targets have been judged: the values of the best one, and what is worth telling."""
     found = fit.found[_best(camera.targets)]
     assert found is not None
     used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
     several = len(camera.targets) > 1
-    warnings = [
+    warnings = [*notices]
+    warnings += [
         Notice("part-left-out", f"Target {target.name} is left out along {camera.direction}: {target.reason}")
         for target in camera.targets
         if not target.used
@@ -270,44 +259,38 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
-    if start_m > 0.0:
-        warnings.append(
-            Notice(
-                "zero-uncertain",
-                "camera: its first frames are far noisier than the others; the zero is known to "
-                f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none.",
-            )
-        )
+    warnings += _zero_warnings(start_m)
     if apart_m > 0.0:
         warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m)))
     else:
         warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera")
-    parts = _parts(seen[_best(camera.targets)], found, camera.direction)
-    parts["misfit"] = float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std
-    camera = camera.without_gain(1.0, parts["misfit"])
-    slope = found.response.slope
-    axis = found.direction
+    best = seen[_best(camera.targets)]
+    parts = {
+        "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
+        "compression": best.codec_std(camera.direction),
+        "pattern": best.tracker.scale_share_std,
+        "response": found.response.relative_std,
+        "misfit": float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std,
+    }
     return CameraFit(
-        camera,
+        camera.without_gain(1.0, parts["misfit"]),
         found.input_noise,
         bias,
         tuple(warnings),
         plain,
         misfit=coloured,
-        slope=slope,
-        direction=axis,
+        slope=found.response.slope,
+        direction=found.direction,
         parts=parts,
     )
 
 
-def _parts(seen: SeenTarget, found: ScaleCalibration, axis: str) -> dict[str, float]:
-    """What the relative standard deviation of a target's scale factor is made of."""
-    return {
-        "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
-        "compression": seen.codec_std(axis),
-        "pattern": seen.tracker.scale_share_std,
-        "response": found.response.relative_std,
-    }
+def _zero_warnings(start_m: float) -> list[Notice]:
+    text = (
+        "camera: its first frames are far noisier than the others; the zero is known to "
+        f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none."
+    )
+    return [Notice("zero-uncertain", text)] if start_m > 0.0 else []
 
 
 def _contradiction_text(apart_m: float) -> str:
@@ -316,15 +299,6 @@ def _contradiction_text(apart_m: float) -> str:
         f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
         "Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that it shows "
         "as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
-    )
-
-
-def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
-    if found is None:
-        return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
-    scale = target.with_picture_error(found.scale, axis).wider(found.response.relative_std)
-    return TargetCalibration(
-        target.region, target.name, scale, found.noise.std, found.variance_factor, not reason, reason
     )
 
 
@@ -339,26 +313,20 @@ def _best(targets: Sequence[TargetCalibration]) -> int:
 
 def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration]:
     best = min(noise_m(target) for target in targets)
-    return [
-        target
-        if not target.used or noise_m(target) <= USELESS * best
-        else replace(
-            target,
-            used=False,
-            reason=(
-                f"it differs from the acceleration by {1e3 * noise_m(target):.2g} mm a frame, "
-                f"{noise_m(target) / best:.0f} times as much as the best target: it moves by itself or is too poor to "
-                "help."
-            ),
-        )
-        for target in targets
-    ]
+    for k, target in enumerate(targets):
+        noise = noise_m(target)
+        if target.used and not noise <= USELESS * best:
+            reason = (
+                f"it differs from the acceleration by {1e3 * noise:.2g} mm a frame, {noise / best:.0f} times as much "
+                "as the best target: it moves by itself or is too poor to help."
+            )
+            targets[k] = replace(target, used=False, reason=reason)
+    return targets
 
 
 def _camera(
     seen: Sequence[SeenTarget], direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
 ) -> CameraCalibration:
-    """The record of one axis: the best target's values, and all targets."""
     place = _best(targets)
     best = targets[place]
     assert best.scale is not None
@@ -395,11 +363,7 @@ def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[Tar
 
 
 def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibration) -> CameraFit:
-    """The axis without an accelerometer: pixels are square, and how the structure is shaken is estimated from images.
-
-    Its sign: positive where the structure moves to the right or down in the image, so that the picture goes the other
-    way.
-    """
+    """The axis without an accelerometer, in square pixels; positive where the structure moves right or down."""
     axis = "x" if main.direction == "y" else "y"
     targets, densities = [], []
     tracked_of = [one for one, known in zip(seen, main.targets, strict=True) if known.used]

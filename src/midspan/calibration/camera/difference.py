@@ -5,13 +5,25 @@ whatever its size. The spectrum of their difference tells that noise and what ex
 one mean in all bands (M. S. Bartlett, Properties of sufficiency and statistical tests, Proc. R. Soc. A 160 (1937)
 268-282, doi 10.1098/rspa.1937.0109). Neither the acceleration nor any estimated noise takes part, both of which a tilt
 of the camera would be taken for.
+
+Which share q of that difference d, known with noise η only, is in one target's translation p is a regression:
+
+    p(t) = s · (D(t) + x) + q · (d(t) − η(t)) + n
+
+of innovations of both columns through the filter of `whitening`. Noise in the regressor draws it to zero (W. A. Fuller,
+Measurement error models, Wiley 1987, chapter 1, doi 10.1002/9780470316665); its expected part in the sums is known from
+draws of white noise that go the same way, and is taken out of them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.agreement import misfit
+from midspan.calibration.fit import Fit, Pair, aligned
+from midspan.fusion.targets import AGREE_STD
 from midspan.records import Floats
 
 # Bands are octaves up to this many cosines, and as wide as that above: a slow tilt fills few of them, a bracket's
@@ -27,6 +39,8 @@ FAR_STD, JUMP_STD, MAX_OUTLIERS = 8.0, 4.0, 0.08
 ROUNDS = 4
 # Fewer frames tell nothing.
 MIN_FRAMES = 20
+# Draws of noise: their mean is known to a third of one draw's scatter, and the same ones are used each time.
+DRAWS, SEED = 12, 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +79,9 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
         return nothing
     left = np.where(usable, value, np.nan)
     left = left - np.nanmedian(left)
-    own = _step_std(left)
-    usable &= ~_outliers(left, own)
+    # Robust, by the steps from each usable value to the next.
+    steps = np.diff(left[np.isfinite(left)])
+    usable &= ~_outliers(left, float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) + 1e-15)
     bands = _bands(len(value))
     if len(bands) < 3:
         return nothing
@@ -76,7 +91,9 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
     for _ in range(2):
         power = _cosines(filled) ** 2
         noise, exceeding = _floor(power, bands)
-        gains = _gains(power, exceeding, noise)
+        gains = np.zeros(len(power))
+        for band in exceeding:
+            gains[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)
         course = _shaped(filled, gains)
         filled = np.where(usable, left, course)
     std = float(np.sqrt(noise * len(usable) / np.count_nonzero(usable)))
@@ -87,23 +104,15 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
 
 
 def _cosines(value: Floats) -> Floats:
-    """Amplitudes of a series' cosines (n,), with the series' power in all."""
     from scipy.fft import dct
 
     return np.asarray(dct(value, norm="ortho"))
 
 
 def _shaped(value: Floats, gains: Floats) -> Floats:
-    """A series (n,) with its cosines times gains."""
     from scipy.fft import idct
 
     return np.asarray(idct(_cosines(value) * gains, norm="ortho"))
-
-
-def _step_std(value: Floats) -> float:
-    """Robust standard deviation of white noise by the steps from each usable value to the next."""
-    steps = np.diff(value[np.isfinite(value)])
-    return float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) + 1e-15
 
 
 def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
@@ -122,18 +131,13 @@ def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
 
 
 def _filled(value: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """A series (n,) with straight lines across what is not usable."""
     return np.interp(np.arange(len(value)), np.flatnonzero(usable), value[usable])
 
 
 def _without_motion(
     value: Floats, motion: Floats, usable: NDArray[np.bool_], known: tuple[list[slice], float]
 ) -> Floats:
-    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by.
-
-    known: the bands, and that ratio's relative standard deviation. Each band counts by what is left in it: a path that
-    follows a slow tilt must not draw the share along, which fast motion tells.
-    """
+    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by."""
     bands, scale_std = known
     left = value - np.mean(value[usable])
     whole, moved = _cosines(_filled(left, usable)), _cosines(motion)
@@ -148,7 +152,6 @@ def _without_motion(
 
 
 def _bands(count: int) -> list[slice]:
-    """The bands of the cosines of so many frames, without the mean: octaves, then even ones."""
     begin, width, out = 1, 2, list[slice]()
     while begin + width <= count:
         out.append(slice(begin, begin + width))
@@ -178,9 +181,60 @@ def _differ(means: Floats, counts: Floats) -> bool:
     return bool(gain / correction > gammainccinv(0.5 * free, COLOURED_BY_CHANCE))
 
 
-def _gains(power: Floats, bands: list[slice], noise: float) -> Floats:
-    """The share of signal in each of these bands, 0 in the others, of a spectrum with white noise of this level."""
-    share = np.zeros(len(power))
-    for band in bands:
-        share[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)
-    return share
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """A course: time_s (n,) on the translation's clock, value_px (n,).
+
+    shaped: what became of a series (n,) of white noise in it; noise_px: standard deviation of that series;
+    part_of_noise: share of its variance that is the translation's own noise.
+    """
+
+    time_s: Floats
+    value_px: Floats
+    shaped: Callable[[Floats], Floats]
+    noise_px: float
+    part_of_noise: float
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A share with its standard deviation: std + growth · |share|; infinite where nothing tells it."""
+
+    value: float
+    std: float
+    growth: float
+
+    def allows(self, share: float) -> bool:
+        """Whether it may be this one."""
+        return not abs(self.value - share) > AGREE_STD * np.hypot(self.std, self.growth * share)
+
+
+def share_in(pair: Pair, fit: Fit, course: Course) -> Share:
+    """The share of a course in a translation whose fit is given."""
+    rng = np.random.default_rng(SEED)
+    noise = course.noise_px * rng.normal(0.0, 1.0, (DRAWS, len(course.time_s)))
+    columns = [course.value_px, *(course.shaped(one) for one in noise), *noise]
+
+    def at(values: Floats) -> Callable[[Floats], Floats]:
+        return lambda time_s: np.interp(time_s - fit.offset_s, course.time_s, values)
+
+    w = aligned(pair, fit.offset_s, *(at(one) for one in columns)).whitened(fit.corner)
+    own, added = w.columns[:, 0], w.columns[:, -len(columns) :]
+    power = max(w.product(w.response, w.response), 1e-300)
+
+    def without_motion(column: Floats) -> Floats:
+        return np.asarray(column - w.product(column, w.response) / power * w.response)
+
+    own = without_motion(own)
+    known, *drawn = (without_motion(added[:, k]) for k in range(len(columns)))
+    shaped, raw = drawn[:DRAWS], drawn[DRAWS:]
+    squares = np.array([w.product(one, one) for one in shaped])
+    products = np.array([w.product(one, other) for one, other in zip(shaped, raw, strict=True)])
+    left = w.product(known, known) - float(np.mean(squares))
+    scatter = float(np.std(squares))
+    if left <= AGREE_STD * scatter:
+        return Share(0.0, np.inf, 0.0)
+    value = (w.product(own, known) - course.part_of_noise * float(np.mean(products))) / left
+    white = fit.noise * misfit(pair, fit).factor
+    std = np.sqrt(white * w.product(known, known) + (course.part_of_noise * float(np.std(products))) ** 2) / left
+    return Share(value, float(std), scatter / left)

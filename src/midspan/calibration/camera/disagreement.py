@@ -9,25 +9,23 @@ open is held by the error band, or refused where it is too much of the motion.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from math import degrees
 
 import numpy as np
-from numpy.typing import NDArray
 
-from midspan.calibration.camera.difference import Difference, difference
-from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, target_block
-from midspan.calibration.camera.share import Course, Share, share_in
-from midspan.calibration.camera.tilt import SAME_DISTANCE, moved_text, tilt_text
-from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.camera.difference import MIN_FRAMES, Course, Difference, Share, difference, share_in
+from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.scale import REFUSED_ABOVE
-from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
-from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.calibration.sensors.camera import CameraCalibration, CameraScale, TargetCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice
-from midspan.records import NANOSECONDS, Acceleration, Displacement, part
+from midspan.records import NANOSECONDS, Displacement, part
 
+# Scale factors nearer to each other than this share belong to targets at one distance.
+SAME_DISTANCE = 0.1
 # A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
 DISAGREES = 2.5
 # Less than this is of no weight: no tracker is right to the last digit.
@@ -36,20 +34,43 @@ MIN_APART_M = 1e-5
 MAX_RATIO = 30.0
 
 
+def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
+    """What a tilt makes of two targets, by their names and scale factors (m/px), and what to do about it.
+
+    error_m: what it makes of the displacement of the one that is kept, rms. With displacements d + θ D of targets at
+    the distances D that is D / |D - D'| of what they are apart. decided: whether the accelerometer excludes all other
+    causes.
+    """
+    per = error_m / abs(kept[1])
+    (near, near_m), (far, far_m) = sorted(
+        ((name, per * abs(scale)) for name, scale in (kept, other)), key=lambda named: named[1]
+    )
+    makes = (
+        f"which makes the displacement of {near} wrong by {1e3 * near_m:.2g} mm rms and that of {far} by "
+        f"{1e3 * far_m:.2g} mm"
+    )
+    use = (
+        f"use {near} alone with camera.distance_m and with camera.tilt_std_mdeg = {1e3 * degrees(near_m):.2g} divided "
+        "by that distance, which puts it into the band"
+    )
+    ratio = f"Their distances are as 1 to {far_m / near_m:.2g}: "
+    if decided:
+        return (
+            f"{ratio}the camera tilts, {makes}, and the accelerometer excludes that one of them moves by itself. Mount "
+            f"the camera more stiffly, measure its tilt, or {use}."
+        )
+    return (
+        f"{ratio}either the camera tilts, {makes}, or one of them moves by itself. Where it is tilt, {use}; where one "
+        "may not stand still, leave that one out of camera.target, or add a third."
+    )
+
+
 class Cause(Enum):
     """Why two targets differ: the other one moves by itself, this one does, or the camera tilts."""
 
     OTHER = "other"
     THIS = "this"
     TILT = "tilt"
-
-
-@dataclass(frozen=True, slots=True)
-class Agreed:
-    """The calibration of targets that agree, or whose disagreement the band holds, and what is worth telling."""
-
-    camera: CameraCalibration
-    warnings: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +116,16 @@ def m_per_px(target: TargetCalibration) -> float:
     return np.nan if target.scale is None else abs(target.scale.value_m_per_px)
 
 
-def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> Agreed:
-    """The calibration along one axis without the targets that move on their own, with what the others differ by.
+def agreed(
+    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted
+) -> tuple[CameraCalibration, tuple[Notice, ...]]:
+    """The calibration along one axis without the targets that move on their own, with what the others differ by, and
+    sentences on it.
 
     Raises UntrustedError where the accelerometer does not tell which target is right and too much depends on it.
     """
     if len(targets) < 2:
-        return Agreed(camera)
+        return camera, ()
     held: dict[frozenset[int], Verdict] = {}
     while len(camera.used) > 1:
         compared = _Compared(view, targets, camera, fit)
@@ -109,14 +133,16 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
         if verdict is None:
             break
         if verdict.open in (frozenset({Cause.OTHER}), frozenset({Cause.THIS})):
-            mover, beside = (
-                (verdict.other, verdict.kept) if Cause.OTHER in verdict.open else (verdict.kept, verdict.other)
-            )
+            mover, fixed = verdict.other, verdict.kept
+            if Cause.THIS in verdict.open:
+                mover, fixed = fixed, mover
             reason = (
-                f"it moves by itself: it differs from {beside.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
+                f"it moves by itself: it differs from {fixed.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
                 "its noise and scale factor explain."
             )
-            camera = _left_out(camera, mover.place, reason)
+            left = list(camera.targets)
+            left[mover.place] = replace(left[mover.place], used=False, reason=reason)
+            camera = replace(camera, targets=tuple(left))
             held = {places: one for places, one in held.items() if mover.place not in places}
         else:
             held[frozenset((verdict.kept.place, verdict.other.place))] = compared.accepted(verdict)
@@ -125,10 +151,15 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
     small = last.slight(held)
     shared_m = last.shared()
     error_m = max((shared_m, *(one.error_m for one in (*judged, *small)), *(one.either_m for one in held.values())))
-    told = [_notice(one) for one in (*held.values(), *judged)]
+    texts = [
+        f"Targets {one.kept.name} and {one.other.name} differ by {1e3 * one.size_m:.2g} mm rms, more than their noise "
+        f"and scale factors explain; the error band holds {1e3 * one.either_m:.2g} mm for it. {_cause_text(one)}"
+        for one in (*held.values(), *judged)
+    ]
     if shared_m > 0.0:
-        told.append(Notice("motion-not-shared", f"{_shared_text(shared_m)} The error band holds it."))
-    return Agreed(replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told))
+        texts.append(f"{_shared_text(shared_m)} The error band holds it.")
+    camera = replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m)))
+    return camera, tuple(Notice("motion-not-shared", text) for text in texts)
 
 
 class _Compared:
@@ -142,7 +173,11 @@ class _Compared:
         noise = best.input_noise
         acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
         blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
-        self._acceleration = _around(acceleration, blocks)
+        # Frames of a minute need no day of it.
+        first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
+        last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
+        first, last = (int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))
+        self._acceleration = part(acceleration, slice(first, last))
         self.members = [
             Member(k, targets[k].name, mapping.scale_m_per_px, mapping.relative_std, block)
             for k, mapping, block in zip(used, camera.mappings(), blocks, strict=True)
@@ -150,7 +185,8 @@ class _Compared:
         self._sharpest = min(self.members, key=lambda member: member.noise_m2)
         kalman = filter_settings(view.prepared, noise.density)
         self._path = smooth(self._acceleration, self._sharpest.block, kalman).estimate
-        self._window = _window(blocks[0], view.window_ns)
+        first, last = (int(i) for i in np.searchsorted(blocks[0].time_ns, view.window_ns))
+        self._window = slice(first, last) if last - first >= MIN_FRAMES else slice(0, len(blocks[0].time_ns))
         self._motion = at(self._path, blocks[0].time_ns)[0][self._window]
         self._found: dict[tuple[int, int], Difference] = {}
 
@@ -176,7 +212,10 @@ class _Compared:
         others = np.flatnonzero(moved[best])
         fewest = others[agreeing[others] == agreeing[others].min()]
         worst = int(fewest[np.argmax(apart[best, fewest])])
-        return self._verdict(members[best], members[worst], _group(members, moved, best, worst))
+        # Those that agree with the best one, where they are a majority against the worst one.
+        group = [member for k, member in enumerate(members) if k != best and not moved[best, k]]
+        majority = np.sum(~moved[best]) > np.sum(~moved[worst])
+        return self._verdict(members[best], members[worst], group if majority else [])
 
     def refused(self) -> list[Verdict]:
         """Targets without a scale factor, compared with the best one, where that one may be wrong as well."""
@@ -216,7 +255,10 @@ class _Compared:
         for k, one in enumerate(self.members):
             for other in self.members[:k]:
                 between = self._between(one, other).noise_m
-                alone = [self._noise_m(member) for member in (one, other)]
+                alone = [
+                    abs(member.scale_m_per_px) * self._camera.targets[member.place].noise_std_px
+                    for member in (one, other)
+                ]
                 common = float(np.sqrt(max(0.5 * (alone[0] ** 2 + alone[1] ** 2 - between**2), 0.0)))
                 least = min(least, common if common > DISAGREES * between else 0.0)
         if not np.isfinite(least):
@@ -229,10 +271,6 @@ class _Compared:
                 "camera.target at another distance, which shows a tilt; check the frames' times."
             )
         return least
-
-    def _noise_m(self, member: Member) -> float:
-        """Noise of a frame of a target in use as the calibration has estimated it."""
-        return abs(member.scale_m_per_px) * self._camera.targets[member.place].noise_std_px
 
     def accepted(self, verdict: Verdict) -> Verdict:
         """A verdict that the band can hold; UntrustedError where it is too much of the motion."""
@@ -249,7 +287,6 @@ class _Compared:
         )
 
     def _between(self, one: Member, other: Member) -> Difference:
-        """What two targets differ by in the window, the first minus the second."""
         if (one.place, other.place) not in self._found:
             w = self._window
             # Rows of a rolling shutter are exposed one after the other.
@@ -281,7 +318,6 @@ class _Compared:
         return Member(place, target.name, 1.0 / ratio, np.inf, block)
 
     def _verdict(self, kept: Member, other: Member, agreeing: Sequence[Member]) -> Verdict:
-        """Which causes of a difference the accelerometer leaves open; agreeing: with the one that is kept."""
         found = self._between(kept, other)
         shares = _shares(kept, other)
         if agreeing:
@@ -298,7 +334,6 @@ class _Compared:
         return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
-        """The share of a difference that is in the target that is kept."""
         own = self._fit.found[kept.place]
         assert own is not None
         offset_s = own.search.fit.offset_s
@@ -318,29 +353,17 @@ def _shares(kept: Member, other: Member) -> dict[Cause, float]:
 
 
 def _alike(one: Member, other: Member) -> bool:
-    """Whether two targets are at one distance."""
     a, b = one.scale_m_per_px, other.scale_m_per_px
     return abs(a - b) <= SAME_DISTANCE * max(abs(a), abs(b))
 
 
-def _group(members: Sequence[Member], moved: NDArray[np.bool_], best: int, worst: int) -> list[Member]:
-    """Those that agree with the best one, without it, where they are a majority against the worst one."""
-    if np.sum(~moved[best]) <= np.sum(~moved[worst]):
-        return []
-    return [member for k, member in enumerate(members) if k != best and not moved[best, k]]
-
-
-def _left_out(camera: CameraCalibration, place: int, reason: str) -> CameraCalibration:
-    known = list(camera.targets)
-    known[place] = replace(known[place], used=False, reason=reason)
-    return replace(camera, targets=tuple(known))
-
-
 def _cause_text(verdict: Verdict) -> str:
-    """What may be the cause, and what would decide."""
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
-        return moved_text()
+        return (
+            "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells "
+            "which. Leave out of camera.target the one that may not stand still, or add a third."
+        )
     share = abs(_shares(kept, other)[Cause.TILT])
     named = [(member.name, abs(member.scale_m_per_px)) for member in (kept, other)]
     return tilt_text(named[0], named[1], share * verdict.size_m, decided=verdict.open == frozenset({Cause.TILT}))
@@ -351,25 +374,3 @@ def _shared_text(shared_m: float) -> str:
         f"All targets move alike in the picture by {1e3 * shared_m:.2g} mm rms where the accelerometer feels nothing: "
         "the camera tilts, its bracket vibrates, or its frames' times are wrong."
     )
-
-
-def _notice(verdict: Verdict) -> Notice:
-    return Notice(
-        "motion-not-shared",
-        f"Targets {verdict.kept.name} and {verdict.other.name} differ by {1e3 * verdict.size_m:.2g} mm rms, more than "
-        f"their noise and scale factors explain; the error band holds {1e3 * verdict.either_m:.2g} mm for it. "
-        f"{_cause_text(verdict)}",
-    )
-
-
-def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
-    """The frames in the window; all of them where it holds too few."""
-    first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
-    return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
-
-
-def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
-    """The acceleration of the frames' time and a second on either side: frames of a minute need no day of it."""
-    first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
-    last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
-    return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))

@@ -1,17 +1,21 @@
 """What a camera is calibrated on: an image axis and its acceleration, and each target as it was tracked."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from midspan.calibration.fit import Pair
-from midspan.calibration.measured import measured_rows
-from midspan.calibration.printed import PrintedSteps, calibrate_printed
+from midspan.calibration.fit import Pair, measured_rows
 from midspan.calibration.scale import ScaleCalibration, calibrate_scale
+from midspan.calibration.sensors.camera import CameraCalibration, CameraScale
+from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.errors import NoAgreementError, UntrustedError, UsageError
-from midspan.records import NANOSECONDS, Floats, PixelTrack, Region, ScaleFactor, TimeOffset
+from midspan.fusion.methods import named
+from midspan.fusion.streams import KalmanSettings
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, PixelTrack, Region, ScaleFactor, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.averaging import at_instants
 from midspan.signals.band_pass import band_passed
 from midspan.signals.stamps import inside
 from midspan.vision.lens import Lens
@@ -19,8 +23,26 @@ from midspan.vision.picture_report import PictureReport
 from midspan.vision.region_choice import Agreement
 from midspan.vision.tracker import Tracker
 
+# What stands in `papers`, above this room: a scale factor and a clock offset as the papers print them.
+PRINTED = "midspan.papers.printed.camera:calibrate_printed"
 # A printed scale factor that is off by more than this share is no calibration; the papers differ by up to a tenth.
 MAX_APART = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedSteps:
+    """How the steps are done, which the papers leave to the reader.
+
+    band_hz: lower and upper end; None: the papers'. spline: the cross-correlation is interpolated (two-stage paper,
+    step 3); without, the offset is a whole number of frame intervals. sampled_first: the displacement is brought to the
+    camera's rate before it is filtered (two-stage paper, step 2), so that both series are aliased alike; otherwise
+    after (AMKF paper). sign: of the scale factor, 1 or -1, which the papers know; 0: it is not known.
+    """
+
+    band_hz: tuple[float, float] | None = None
+    spline: bool = True
+    sampled_first: bool = True
+    sign: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +146,7 @@ def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> t
     known = view.scale or likely
     if known is not None:
         steps = replace(steps, sign=int(np.sign(known.value_m_per_px)))
-    scale, offset = calibrate_printed(pair, view.max_offset_s, steps)
+    scale, offset = named(PRINTED)(pair, view.max_offset_s, steps)
     if view.scale is None and likely is not None:
         share = scale.value_m_per_px / likely.value_m_per_px
         if not abs(share - 1.0) <= MAX_APART:
@@ -176,3 +198,38 @@ def judged_by(view: View, track: PixelTrack) -> Agreement:
     missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
     told = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
     return Agreement(std_m, False, told, missed, found.scale.value_m_per_px)
+
+
+def camera_blocks(
+    targets: Sequence[SeenTarget], camera: CameraCalibration, acceleration: Acceleration
+) -> list[Displacement]:
+    """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
+    pairs = zip(targets, camera.mappings(), strict=True)
+    return [target_block(target, mapping, camera.exposure_s, acceleration) for target, mapping in pairs]
+
+
+def target_block(
+    target: SeenTarget, mapping: CameraScale, exposure_s: float, acceleration: Acceleration
+) -> Displacement:
+    """The displacement that one target says; exposure_s: as estimated, that of a camera of which none was declared."""
+    blur_s = float(np.hypot(target.blur_s, exposure_s))
+    block = at_instants(mapping.displacement(target.rows), blur_s, acceleration)
+    # What the reference frame makes is not among what the factor was estimated from.
+    more = mapping.scale_m_per_px**2 * target.reference_px2[:, "xy".index(mapping.direction)]
+    return replace(block, variance_m2=block.variance_m2 + more)
+
+
+def filter_settings(prepared: PreparedAcceleration, density: float, bias: float | None = None) -> KalmanSettings:
+    """First guesses for the filter: the bias (the mean when left out) and how well it is known.
+
+    density: of the acceleration's noise, (m/s²)²/Hz. Without any acceleration the motion is that noise, and its slow
+    part is left to the bias as it was when the density was estimated.
+    """
+    value = prepared.value_m_s2
+    if not value.any():
+        return KalmanSettings(bias_walk=BIAS_WALK_RATIO * density, bias_std=float(np.sqrt(density)) + 1e-9)
+    noise = float(np.sqrt(density * prepared.rate_hz))
+    # A mean over motion is off by some of the motion.
+    return KalmanSettings(
+        bias=float(np.mean(value)) if bias is None else bias, bias_std=float(0.3 * np.std(value) + 10.0 * noise + 1e-4)
+    )

@@ -1,34 +1,32 @@
 """Noise, clock offset and scale of a [displacement] sensor, estimated relative to the accelerometer, or a refusal."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from midspan.calibration.agreement import clearly_better, offset_variance_factor, unexplained
-from midspan.calibration.causes import Cause, likeliest_cause
+from midspan.calibration.agreement import clearly_better, compared_by, offset_variance_factor, unexplained
+from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
+from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
-from midspan.calibration.crowd import crowd_of_outliers
 from midspan.calibration.direction import Turned, turned
-from midspan.calibration.displacement.cause_words import disagreement, lateness
-from midspan.calibration.displacement.left_out import (
-    FEW_LEFT_OUT,
-    MANY_LEFT_OUT,
-    left_out,
-    many_left_out,
-    on_one_clock,
-    refuse_step,
-)
-from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.held_values import held_values
-from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
-from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
+from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
+from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
+from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s, without_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
-from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
+from midspan.calibration.time_offset import (
+    BEYOND,
+    FARTHER_WINDOW_S,
+    OffsetSearch,
+    farther,
+    farther_s,
+    first_part,
+    likeliest_beyond,
+    stands_alone,
+)
 from midspan.calibration.unfelt import refuse_unfelt
-from midspan.calibration.whole_overlap import first_part, likeliest_beyond, stands_alone
 from midspan.errors import DataError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Nanoseconds, TimeOffset, TimeSeries
@@ -44,8 +42,7 @@ NOISE_WINDOW_S = 1800.0
 TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 # Fewer samples of acceleration carry no motion between two measurements.
 MIN_SAMPLES = 10
-# A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
-# noise.
+# A clock offset that was not wanted is refused when it moves the displacement by more than so many times its noise.
 MAX_LATE = 2.0
 # A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
 CLEARLY_REVERSED = 20.0
@@ -56,6 +53,11 @@ MIN_LEAD, MIN_LEAD_SHARE = 12.0, 0.05
 TELLING_GAIN = 100.0
 # Beyond this share a scale is wrong rather than inexact.
 WRONG_SCALE = 0.5
+
+
+# Beyond this share the values that are left out are more than single outliers; beyond the smaller one they may be those
+# after a clock's step, which the motion hides in part.
+MANY_LEFT_OUT, FEW_LEFT_OUT = 0.2, 0.05
 
 
 class LoggerDelayError(UntrustedError):
@@ -85,36 +87,24 @@ class Given:
     exposure_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Beside:
-    """What is compared: a sensor's displacement from `first_ns` to `last_ns`, and the acceleration."""
+class _Overlap:
+    """What is compared: a sensor's displacement from `first_ns` to `last_ns`, and the acceleration.
 
-    given: Given
-    series: TimeSeries
-    first_ns: int
-    last_ns: int
+    max_offset_s: the largest offset that can be searched for; reach_s: how far is searched so that this is no edge.
+    """
 
-    @property
-    def one_clock(self) -> bool:
-        return not self.given.learns_offset
-
-    @property
-    def overlap_s(self) -> float:
-        return (self.last_ns - self.first_ns) / NANOSECONDS
-
-    @property
-    def wanted_s(self) -> float:
-        return self.given.wanted_s
-
-    @property
-    def max_offset_s(self) -> float:
-        """The largest offset that can be searched for."""
-        return min(self.wanted_s, (TOLD_SHARE if self.one_clock else LEARNT_SHARE) * self.overlap_s)
-
-    @property
-    def reach_s(self) -> float:
-        """How far is searched so that this is no edge."""
-        return self.max_offset_s + edge_s(self.max_offset_s, self.overlap_s) if self.max_offset_s > 0.0 else 0.0
+    def __init__(self, given: Given, series: TimeSeries) -> None:
+        self.given, self.series = given, series
+        prepared = given.prepared
+        used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
+        self.first_ns = int(series.time_ns[used.start])
+        longest_ns = round(NOISE_WINDOW_S * NANOSECONDS)
+        self.last_ns = min(int(series.time_ns[used.stop - 1]), self.first_ns + longest_ns)
+        self.overlap_s = (self.last_ns - self.first_ns) / NANOSECONDS
+        self.one_clock = not given.learns_offset
+        self.max_offset_s = min(given.wanted_s, (TOLD_SHARE if self.one_clock else LEARNT_SHARE) * self.overlap_s)
+        reach_s = self.max_offset_s + edge_s(self.max_offset_s, self.overlap_s)
+        self.reach_s = reach_s if self.max_offset_s > 0.0 else 0.0
 
     def pair(self, margin_s: float, until_s: float = np.inf) -> Pair:
         """Both signals, the displacement without a margin at both ends, of `until_s` at most."""
@@ -135,19 +125,10 @@ class _Beside:
         return Pair(samples, rows, 1.0, self.given.exposure_s or 0.0, level_m_s2=level, cross=cross)
 
 
-def _beside(given: Given, series: TimeSeries) -> _Beside:
-    """What is compared of the sensor and the accelerometer."""
-    prepared = given.prepared
-    used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
-    first = int(series.time_ns[used.start])
-    last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    return _Beside(given, series, first, last)
-
-
 def clock_rate(given: Given) -> ClockRate | None:
     """The rate of the sensor's clock where the motion shows that it is not the accelerometer's."""
-    beside = _beside(given, given.series)
-    return find_clock_rate(replace(beside.pair(0.0), cross=None), beside.max_offset_s, beside.first_ns)
+    overlap = _Overlap(given, given.series)
+    return find_clock_rate(replace(overlap.pair(0.0), cross=None), overlap.max_offset_s, overlap.first_ns)
 
 
 def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> NoiseCalibration:
@@ -155,70 +136,63 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
 
     clock_steps: where many values would be outliers, a clock that steps is looked for.
     """
-    beside = _beside(given, series)
-    prepared, first = given.prepared, beside.first_ns
-    max_offset = beside.max_offset_s
-    axis = turned(beside.pair(beside.reach_s), 0.0 if beside.one_clock else max_offset)
+    overlap = _Overlap(given, series)
+    prepared, first = given.prepared, overlap.first_ns
+    max_offset = overlap.max_offset_s
+    axis = turned(overlap.pair(overlap.reach_s), 0.0 if overlap.one_clock else max_offset)
     pair = axis.pair
     notes: list[Notice] = []
     if given.learns_scale:
         learnt = calibrate_sensor_scale(
             pair,
             max_offset,
-            one_clock=beside.one_clock,
-            length_s=beside.overlap_s,
-            look=lambda fit: notes.extend(_refuse_farther(beside, fit, axis)),
+            one_clock=overlap.one_clock,
+            length_s=overlap.overlap_s,
+            look=lambda fit: notes.extend(_refuse_farther(overlap, fit, axis)),
             noise_time_s=given.noise_time_s,
         )
         found = learnt.findings
         assert found is not None
     else:
-        crowd = crowd_of_outliers(pair)
+        rows = pair.rows.copy()
+        rows[crowd_of_outliers(pair), 2] = np.inf
         learnt = calibrate_noise(
-            without_rows(pair, crowd),
+            replace(pair, rows=rows),
             max_offset,
-            one_clock=beside.one_clock,
-            length_s=beside.overlap_s,
+            one_clock=overlap.one_clock,
+            length_s=overlap.overlap_s,
             gain_std=given.gain_std,
             noise_time_s=given.noise_time_s,
             exposure_declared=given.exposure_s is not None,
         )
         found = learnt.findings
         assert found is not None
-        if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
-            notes += _refuse_farther(beside, found.free, axis)
+        if found.search is not None and (not overlap.one_clock or unexplained(found.pair, found.fit)):
+            notes += _refuse_farther(overlap, found.free, axis)
         _refuse_wrong_scale(learnt, found)
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
-    many = (share := left_out(pair, found.pair)) > MANY_LEFT_OUT
+    # Of the usable values.
+    usable = pair.rows[:, 2] < np.inf
+    share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
     if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
         even = _on_one_even_clock(given, series, pair)
         if even is not None:
             return even
         refuse_step(pair, found.fit)
-    if many:
+    if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
     learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
-    if beside.one_clock:
+    if overlap.one_clock:
         return _on_one_clock(learnt, found)
-    learnt = _accepted_offset(beside, learnt, found)
-    return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
-
-
-def without_rows(pair: Pair, marked: NDArray[np.bool_]) -> Pair:
-    """The pair without some of its rows (m,)."""
-    if not marked.any():
-        return pair
-    rows = pair.rows.copy()
-    rows[marked, 2] = np.inf
-    return replace(pair, rows=rows)
+    learnt = _accepted_offset(overlap, learnt, found)
+    return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(overlap, learnt)))
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
-    """The calibration without the values at some stamps (k,), at which the sensor was stuck, and a warning."""
     learnt = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
     text = (
         f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
@@ -230,7 +204,7 @@ def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> Noi
 
 def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCalibration | None:
     """The calibration without the steps of the sensor's clock, where both sensors then agree to their own noise."""
-    even = on_one_clock(series, _beside(given, series).first_ns, pair)
+    even = on_one_clock(series, _Overlap(given, series).first_ns, pair)
     if even is None:
         return None
     try:
@@ -241,8 +215,53 @@ def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCal
     return None if exceeds_own_noise(*estimated.findings.noise) else estimated
 
 
+def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries | None:
+    """The values with the steps of their clock taken out of the stamps; None where none is found.
+
+    origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
+    """
+    # A step leaves one half without any, where the sensors agree; in the other it looks like the accelerometer's noise.
+    halves = [without_outliers(replace(pair, rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
+    fit = min(halves, key=lambda one: one.input_density)
+    used = pair.used(fit.offset_s)
+    jumps = clock_jumps(compared_by(pair, fit, pair.rows[used]))
+    if not jumps:
+        return None
+    late_s, certain = lateness(jumps, len(used)), np.ones(len(used), dtype=bool)
+    for jump in jumps:
+        certain[jump.first : jump.last] = False
+    place = np.searchsorted(origin_ns + np.rint(NANOSECONDS * pair.rows[used, 0]), series.time_ns, side="right") - 1
+    place = np.clip(place, 0, len(used) - 1)
+    moved = series.time_ns + np.rint(NANOSECONDS * (late_s - late_s[0])[place]).astype(np.int64)
+    kept = np.concatenate(([True], moved[1:] > np.maximum.accumulate(moved)[:-1]))
+    value = np.where(certain[place], series.value, np.nan)
+    return replace(series, time_ns=moved[kept], value=value[kept])
+
+
+def refuse_step(pair: Pair, fit: Fit) -> None:
+    """UntrustedError where a clock that steps explains what the sensors differ by, but could not be taken out.
+
+    None is claimed where the acceleration has gaps: what bridges them parts the sensors from there on as a step does.
+    """
+    if np.ptp(pair.samples[:, 2]) > 0.0:
+        return
+    cause = named_cause(replace(pair, ratio=1.0), fit.offset_s)
+    if cause is not None and cause.cause is Cause.STEP:
+        measured = f"displacement: it differs from the accelerometer by {1e3 * cause.difference_m:.3g} mm rms"
+        raise UntrustedError(disagreement(cause, measured))
+
+
+def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:
+    """What to say of many values that are left out; UntrustedError where one cause explains them."""
+    measured = f"displacement: {100 * share:.0f} % of its values contradict the acceleration"
+    cause = named_cause(pair, fit.offset_s)
+    if cause is not None:
+        raise UntrustedError(disagreement(cause, measured))
+    text = f"{measured} and were left out of the calibration as outliers. Where that is too many, check both sensors."
+    return Notice("outliers", text)
+
+
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
-    """The calibration with what the uncertain direction adds to everything that was compared."""
     offset = replace(learnt.offset, variance=learnt.offset.variance + axis.offset_variance)
 
     def wider(relative_std: float) -> float:
@@ -258,68 +277,56 @@ def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
     )
 
 
-def _refuse_farther(beside: _Beside, near: Fit, axis: Turned) -> list[Notice]:
-    """UntrustedError where the clocks agree far better farther apart than was searched.
-
-    Returns a warning where the overlap is too short to look there.
-    """
-    reach = beside.reach_s
-    until = min(reach + farther_s(beside.max_offset_s), FARTHER_SHARE * beside.overlap_s)
+def _refuse_farther(overlap: _Overlap, near: Fit, axis: Turned) -> list[Notice]:
+    reach = overlap.reach_s
+    until = min(reach + farther_s(overlap.max_offset_s), FARTHER_SHARE * overlap.overlap_s)
     try:
-        pair = axis.turning(beside.pair(until, FARTHER_WINDOW_S + 2.0 * until))
+        pair = axis.turning(overlap.pair(until, FARTHER_WINDOW_S + 2.0 * until))
     except DataError:
-        return [
-            Notice(
-                "clock-uncertain",
-                f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
-                f"{beside.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would "
-                "tell.",
-            )
-        ]
+        text = (
+            f"displacement: a clock offset beyond ±{overlap.max_offset_s:.3g} s was not looked for: the overlap of "
+            f"{overlap.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would tell."
+        )
+        return [Notice("clock-uncertain", text)]
     other = farther(pair, near, reach, until)
     if other is not None:
-        raise UntrustedError(_beyond(beside, other.offset_s))
+        raise _beyond(overlap, other.offset_s)
     return []
 
 
-def _beyond(beside: _Beside, offset_s: float) -> str:
-    learn_it = "set displacement.estimate_offset = true, and " if beside.one_clock else ""
-    return (
+def _beyond(overlap: _Overlap, offset_s: float) -> UntrustedError:
+    learn_it = "set displacement.estimate_offset = true, and " if overlap.one_clock else ""
+    return UntrustedError(
         f"displacement: its clock seems to differ from the accelerometer's by {offset_s:+.3g} s, but only "
-        f"±{beside.max_offset_s:.3g} s were searched (calibration.max_offset_s = {beside.wanted_s:g}, in an overlap of "
-        f"{beside.overlap_s:.3g} s). Correct its time column or displacement.start_s, or {learn_it}raise "
+        f"±{overlap.max_offset_s:.3g} s were searched (calibration.max_offset_s = {overlap.given.wanted_s:g}, in an "
+        f"overlap of {overlap.overlap_s:.3g} s). Correct its time column or displacement.start_s, or {learn_it}raise "
         "calibration.max_offset_s, with a longer recording where it is above a quarter of it."
     )
 
 
 def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
-    """UntrustedError where the sign or the unit is wrong beyond doubt: no clock offset means anything then."""
     size = 1.0 / abs(found.free.ratio)
     times = "" if abs(size - 1.0) < WRONG_SCALE else f" and multiplied by {size:.3g}"
     if learnt.reversed_gain > CLEARLY_REVERSED:
-        cause = likeliest_cause(found.pair, found.free.offset_s)
-        if cause is not None and cause.named and cause.cause is not Cause.UNIT:
+        cause = named_cause(found.pair, found.free.offset_s)
+        if cause is not None and cause.cause is not Cause.UNIT:
             measured = f"displacement: turned round{times} it fits the accelerometer better"
-            raise UntrustedError(disagreement(found.pair, found.free.offset_s, measured))
+            raise UntrustedError(disagreement(cause, measured))
         raise UntrustedError(
             f"displacement: its sign is reversed: turned round{times} it fits the accelerometer far better. Its second "
             "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
             "sign of the column, or of the accelerometer's, or have it learnt: displacement.estimate_scale = true."
         )
-    told = found.free.likelihood - found.free.without > MIN_GAIN
-    if times and told and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
+    if times and found.free.gain > MIN_GAIN and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
         measured = (
             f"displacement: follows the accelerometer with a factor of {found.free.ratio:.3g} ± "
             f"{np.sqrt(found.free.ratio_variance):.2g} where 1 is expected"
         )
-        raise UntrustedError(disagreement(found.pair, found.free.offset_s, measured))
+        raise UntrustedError(disagreement(named_cause(found.pair, found.free.offset_s), measured))
 
 
 def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Findings) -> None:
-    """UntrustedError where readings that are no outliers move by what the accelerometer did not feel.
-
-    origin_ns: what the rows' times count from.
-    """
+    """UntrustedError where readings that are no outliers move by what the accelerometer did not feel."""
     pair, fit = found.pair, found.fit
     rows = pair.rows[pair.used(fit.offset_s)]
     time_s, moved_m = rows[:, 0] + fit.offset_s, rows[:, 1] / fit.ratio
@@ -329,32 +336,39 @@ def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Finding
     refuse_unfelt(prepared, time_ns, moved_m, np.full(len(rows), noise_m**2))
 
 
-def _accepted_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
+def _accepted_offset(overlap: _Overlap, learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """UntrustedError where the clock offset that was asked for is not to be accepted; else with its variance as it is
     where what is left is no noise.
     """
-    search, limit = found.search, beside.max_offset_s
+    search, limit = found.search, overlap.max_offset_s
     if search is None:
         return learnt
     if not search.offset.variance < CERTAIN_S**2:
-        _refuse_anywhere_else(beside, search)
+        _refuse_anywhere_else(overlap, search)
         return learnt
     fit, std = search.fit, float(np.sqrt(search.offset.variance))
     factor = 1.0
-    if fit.likelihood - fit.without < MIN_GAIN:
-        _refuse_anywhere_else(beside, search)
+    if fit.gain < MIN_GAIN:
+        _refuse_anywhere_else(overlap, search)
         if learnt.offset.value_s != 0.0:
             raise UntrustedError(unexplained_text(fit.offset_s, limit))
         return learnt
     # What a sensor leaves that averages is explained.
     averages = found.pair.exposure_s > 0.0
     if unexplained(*((found.pair, found.fit) if averages else (search.pair, fit))):
-        _refuse_anywhere_else(beside, search)
+        _refuse_anywhere_else(overlap, search)
         if not stands_alone(search.pair, fit):
             raise UntrustedError(unexplained_text(fit.offset_s, limit))
         factor = offset_variance_factor(fit)
-    gain = fit.likelihood - fit.without
-    if search.runner_up is not None and _ambiguous(search) and (learnt.offset.value_s != 0.0 or gain > TELLING_GAIN):
+    # With little motion a lead that is small compared with a tone's errors decides all the same, where it is a good
+    # part of what the motion shows at all.
+    decides = max(MIN_LEAD, MIN_LEAD_SHARE * fit.gain)
+    if (
+        search.runner_up is not None
+        and is_ambiguous(search)
+        and fit.likelihood - search.runner_up.likelihood < decides
+        and (learnt.offset.value_s != 0.0 or fit.gain > TELLING_GAIN)
+    ):
         raise UntrustedError(
             f"displacement: the clock offset is ambiguous: {fit.offset_s:+.4f} s and {search.runner_up.offset_s:+.4f} "
             f"s fit almost alike within ±{limit:g} s, as they do when the motion is nearly a single tone, or when a "
@@ -362,71 +376,61 @@ def _accepted_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings)
             "leave displacement.estimate_offset out."
         )
     if abs(fit.offset_s) > limit + BEYOND * std:
-        raise UntrustedError(_beyond(beside, fit.offset_s))
+        raise _beyond(overlap, fit.offset_s)
     return replace(learnt, offset=replace(learnt.offset, variance=factor * learnt.offset.variance))
 
 
-def _refuse_anywhere_else(beside: _Beside, search: OffsetSearch) -> None:
+def _refuse_anywhere_else(overlap: _Overlap, search: OffsetSearch) -> None:
     """UntrustedError where the clocks agree at an offset that is farther off than was searched, and only there."""
     pair = first_part(search.pair)
-    rival = likeliest_beyond(pair, search.fit, beside.reach_s)
+    rival = likeliest_beyond(pair, search.fit, overlap.reach_s)
     if rival is not None and rival.better and stands_alone(pair, rival.fit):
-        raise UntrustedError(_beyond(beside, rival.fit.offset_s))
+        raise _beyond(overlap, rival.fit.offset_s)
 
 
-def _ambiguous(search: OffsetSearch) -> bool:
-    """Whether two offsets fit alike; with little motion a lead that is small compared with a tone's errors decides all
-    the same, where it is a good part of what the motion shows at all.
-    """
-    other, fit = search.runner_up, search.fit
-    if other is None or not is_ambiguous(search):
-        return False
-    return fit.likelihood - other.likelihood < max(MIN_LEAD, MIN_LEAD_SHARE * (fit.likelihood - fit.without))
-
-
-def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[Notice]:
-    told = []
-    if beside.max_offset_s < beside.wanted_s:
-        told.append(
-            Notice(
-                "window-moved",
-                f"displacement: clock offsets up to ±{beside.max_offset_s:.3g} s only were searched, a quarter of the "
-                f"overlap of {beside.overlap_s:.3g} s; calibration.max_offset_s is {beside.wanted_s:g} s.",
-            )
+def _offset_warnings(overlap: _Overlap, learnt: NoiseCalibration) -> Iterator[Notice]:
+    if overlap.max_offset_s < overlap.given.wanted_s:
+        yield Notice(
+            "window-moved",
+            f"displacement: clock offsets up to ±{overlap.max_offset_s:.3g} s only were searched, a quarter of the "
+            f"overlap of {overlap.overlap_s:.3g} s; calibration.max_offset_s is {overlap.given.wanted_s:g} s.",
         )
-    if beside.max_offset_s > 0.0 and (np.isinf(learnt.offset.variance) or _not_told(learnt)):
-        told.append(
-            Notice(
-                "clock-uncertain",
-                "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it "
-                "would.",
-            )
-        )
-    return told
-
-
-def _not_told(learnt: NoiseCalibration) -> bool:
-    """Whether no offset was applied though the one that fits best is not 0."""
     search = None if learnt.findings is None else learnt.findings.search
-    if search is None or learnt.offset.value_s != 0.0:
-        return False
-    return abs(search.fit.offset_s) > 5.0 * float(np.sqrt(search.offset.variance))
+    # No offset was applied though the one that fits best is not 0.
+    left = search is not None and abs(search.fit.offset_s) > 5.0 * float(np.sqrt(search.offset.variance))
+    left = left and learnt.offset.value_s == 0.0
+    if overlap.max_offset_s > 0.0 and (np.isinf(learnt.offset.variance) or left):
+        yield Notice(
+            "clock-uncertain",
+            "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it would.",
+        )
 
 
 def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """One clock is taken for granted; an offset that shows all the same is reported and put into the error band."""
     off, late = learnt.offset.value_s, late_m(learnt, found)
-    if off != 0.0 and (cause := likeliest_cause(found.pair)) is not None and cause.named and cause.cause is Cause.STEP:
+    if off != 0.0 and (cause := named_cause(found.pair)) is not None and cause.cause is Cause.STEP:
         # The offset is a mean of two.
         late = max(late, cause.difference_m)
-    if late > MAX_LATE * np.sqrt(_noise(learnt, found)):
-        refusal = UntrustedError if learnt.low_pass is None else LoggerDelayError
-        raise refusal(_late_text(learnt, found, 1e3 * late))
-    return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=late)
+    if late <= MAX_LATE * np.sqrt(_noise(learnt, found)):
+        return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=late)
+    differ = f"by {off:+.4f} s, which moves it by {1e3 * late:.3g} mm rms"
+    # A logger's low-pass makes the acceleration late, so that the readings seem early.
+    if learnt.low_pass is not None and off > 0.0:
+        raise LoggerDelayError(
+            f"displacement: {learnt.low_pass.text()}. They differ {differ}. Use a logger whose low-pass lies far above "
+            "the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a clock's, so "
+            "that the result is late by it, and the error band holds what the low-pass took away."
+        )
+    delayed = "; with a low-pass in the accelerometer's logger the result is then late by as much" if off > 0.0 else ""
+    raise UntrustedError(
+        f"displacement: its readings come as if its clock differs from the accelerometer's {differ}. "
+        f"{cause_of_lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have "
+        f"the offset estimated and applied, or correct its time column{delayed}."
+    )
 
 
 def _noise(learnt: NoiseCalibration, found: Findings) -> float:
-    """Variance of the sensor's noise, m²."""
     return learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
 
 
@@ -435,33 +439,11 @@ def late_m(learnt: NoiseCalibration, found: Findings) -> float:
     value, samples = found.pair.samples[:, 1], found.pair.samples
     rate = (len(value) - 1) / float(samples[-1, 0] - samples[0, 0])
     shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, rate), 0.2))
-    return abs(learnt.offset.value_s) * max(shaken, _speed(found.pair, learnt.factor, _noise(learnt, found)))
-
-
-def _late_text(learnt: NoiseCalibration, found: Findings, moved_mm: float) -> str:
-    """What to tell of clocks that are not one, or a logger that delays."""
-    off = learnt.offset.value_s
-    late = f"by {off:+.4f} s, which moves it by {moved_mm:.3g} mm rms"
-    if learnt.low_pass is not None:
-        return (
-            f"displacement: {learnt.low_pass.text()}. They differ {late}. Use a logger whose low-pass lies far above "
-            "the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a clock's, so "
-            "that the result is late by it, and the error band holds what the low-pass took away."
-        )
-    return (
-        f"displacement: its readings come as if its clock differs from the accelerometer's {late}. "
-        f"{lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have the offset "
-        "estimated and applied, or correct its time column; with a low-pass in the accelerometer's logger the result "
-        "is then late by as much."
-    )
-
-
-def _speed(pair: Pair, factor: float, noise: float) -> float:
-    """Rms speed (m/s) that the readings show beyond their noise (m²)."""
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    # The readings' speed beyond their noise.
+    rows = found.pair.rows[np.isfinite(found.pair.rows[:, 2])]
     apart = np.diff(rows[:, 0])
-    square = (factor * np.diff(rows[:, 1]) / apart) ** 2 - 2.0 * noise / apart**2
-    return float(np.sqrt(max(float(np.mean(square)), 0.0)))
+    square = (learnt.factor * np.diff(rows[:, 1]) / apart) ** 2 - 2.0 * _noise(learnt, found) / apart**2
+    return abs(learnt.offset.value_s) * max(shaken, float(np.sqrt(max(float(np.mean(square)), 0.0))))
 
 
 def _refuse_poor_displacement(read: TimeSeries, series: TimeSeries, used: slice) -> None:

@@ -1,25 +1,24 @@
 """What is estimated of a displacement sensor, what to know of it, and its measurements in metres."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.bias import bias_of
-from midspan.calibration.causes import Cause, likeliest_cause
+from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
 from midspan.calibration.clock_rate import ClockRate
-from midspan.calibration.displacement.cause_words import disagreement
-from midspan.calibration.displacement.clock_words import two_rates, with_offset, with_rate
 from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.own_noise import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
-from midspan.calibration.sensors.fit import SensorFit
+from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.calibration.slow_error import DRIFT_S
 from midspan.errors import DataError, MidspanError, UntrustedError
 from midspan.notices import Notice
-from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
+from midspan.records import NANOSECONDS, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.averaging import taken_by_averaging
 from midspan.signals.health import Mask, runs
@@ -27,8 +26,7 @@ from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
 from midspan.signals.stuck import range_limits, resolution, stuck
 
-# A scale that was not estimated is reported when it is off by this share and this many deviations, and refused beyond
-# the second share.
+# A scale that was not estimated is reported when off by this share and so many deviations, refused beyond the third.
 TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
 MAX_OPTIMISTIC = 1.5
@@ -43,31 +41,29 @@ def fit_displacement(given: Given) -> DisplacementFit:
     """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal."""
     ends = range_limits(given.series.value)
     held = (given.series.value <= ends[0]) | (given.series.value >= ends[1])
-    given = replace(given, series=without(given.series, held))
+    given = replace(given, series=_without(given.series, held))
+    refuse_forward_step(given.prepared, given.series.time_ns, given.series.value, "displacement")
     rate = None if given.learns_offset is False else _clock_rate(given)
     if rate is not None:
         given = replace(given, series=replace(given.series, time_ns=rate.even(given.series.time_ns)))
     given, learnt = _on_its_clock(given, rate)
     assert learnt.findings is not None
-    part = displacement_part(given, learnt)
+    pair, fit = learnt.findings.noise
     low, high = sorted(learnt.factor * end for end in ends)
-    part = replace(part, low_m=low, high_m=high)
-    warnings = (*_range_warnings(part, held), *displacement_warnings(given, learnt, part))
-    bias = bias_of(*learnt.findings.noise)
+    part = replace(_part(given, learnt), low_m=low, high_m=high)
+    warnings = [*_range_warnings(part, held), *_warnings(given, learnt, part)]
     # A scale that seems wrong is a misfit which the band holds already.
-    known = _scale_error(learnt) > 0.0
-    found = Misfit() if known else misfit(*learnt.findings.noise)
+    found = Misfit() if _scale_error(learnt) > 0.0 else misfit(pair, fit)
+    warnings += found.text("displacement") or strange_noise(pair, fit, "displacement")
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
     if rate is not None:
         part = replace(part, clock_rate=rate.late, clock_reference_s=rate.reference_ns / NANOSECONDS)
-    strange = strange_noise(*learnt.findings.noise, "displacement")
-    warnings = (*warnings, *(found.text("displacement") or strange))
     return DisplacementFit(
         part,
         learnt.input_noise,
-        bias,
-        warnings,
+        bias_of(pair, fit),
+        tuple(warnings),
         learnt,
         learnt.gain,
         spread * learnt.gain_std,
@@ -77,9 +73,8 @@ def fit_displacement(given: Given) -> DisplacementFit:
 
 
 def _clock_rate(given: Given) -> ClockRate | None:
-    """The rate of the sensor's clock where its values show that it is not the accelerometer's."""
     step_m = 0.0 if given.learns_scale else None
-    series = without(given.series, frozen_values(given.prepared, given.series, resolution_m=step_m))
+    series = _without(given.series, _frozen_values(given.prepared, given.series, resolution_m=step_m))
     try:
         return clock_rate(replace(given, series=series))
     except DataError:
@@ -90,9 +85,9 @@ def _clock_rate(given: Given) -> ClockRate | None:
 def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCalibration]:
     """What is estimated of the sensor on one clock with the accelerometer or on its own, and which of the two it was.
 
-    rate: of its clock, where that was taken out of the stamps of `given`. Where it is not said whether the clocks are
-    one, they are unless the motion shows an offset that nothing speaks against. With an acceleration that is late the
-    band holds the offset as well: a logger's low-pass delays it alike.
+    rate: of its clock, where that was taken out of the stamps. Where it is not said whether the clocks are one, they
+    are unless the motion shows an offset that nothing speaks against. With an acceleration that is late the band holds
+    the offset as well: a logger's low-pass delays it alike.
     """
     if given.learns_offset is not None:
         try:
@@ -116,9 +111,9 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
         apart = _learnt(own)
     except MidspanError:
         apart = None
-    if apart is not None and (rate is not None or (apart.offset.value_s != 0.0 and apart.low_pass is None)):
-        if rate is not None:
-            return own, with_rate(apart, rate)
+    if apart is not None and rate is not None:
+        return own, with_rate(apart, rate)
+    if apart is not None and apart.offset.value_s != 0.0 and apart.low_pass is None:
         assert apart.findings is not None
         delays = apart.offset.value_s > 0.0
         return own, with_offset(replace(apart, late_m=late_m(apart, apart.findings)) if delays else apart)
@@ -128,40 +123,79 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
 
 
 def _learnt(given: Given) -> NoiseCalibration:
-    """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal.
-
-    The scale is estimated with displacement.estimate_scale only; else it is reported where it seems wrong.
-    """
+    """Noise, clock offset, and with displacement.estimate_scale the scale of the sensor, or a refusal."""
     series, prepared = given.series, given.prepared
     if not given.learns_scale:
-        return learn(given, without(series, frozen_values(prepared, series)))
+        return learn(given, _without(series, _frozen_values(prepared, series)))
     # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
-    crude = frozen_values(prepared, series, resolution_m=0.0)
+    crude = _frozen_values(prepared, series, resolution_m=0.0)
     known = np.isfinite(series.value)
-    first = without(series, crude if np.mean(crude[known]) < MAX_FROZEN else np.zeros_like(crude))
+    first = _without(series, crude if np.mean(crude[known]) < MAX_FROZEN else np.zeros_like(crude))
     learnt = learn(given, first)
-    scaled = replace(series, value=learnt.factor * series.value)
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
-    held = frozen_values(prepared, replace(scaled, time_ns=series.time_ns + offset_ns))
-    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(given, without(series, held))
+    scaled = replace(series, time_ns=series.time_ns + offset_ns, value=learnt.factor * series.value)
+    held = _frozen_values(prepared, scaled)
+    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(given, _without(series, held))
 
 
-def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
-    """What the measurements are read with: noise, clock offset, scale."""
+def with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
+    """The calibration with the rate of the clock that was corrected."""
+    if rate is None:
+        return learnt
+    offset = replace(learnt.offset, variance=learnt.offset.variance + rate.offset_variance)
+    text = (
+        f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s; this was corrected."
+    )
+    return replace(learnt, offset=offset, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def with_offset(learnt: NoiseCalibration) -> NoiseCalibration:
+    """The calibration with a sentence on an offset that was not asked for.
+
+    late_m: what it makes of the displacement where it may be a logger's delay.
+    """
+    assert learnt.findings is not None
+    text = (
+        f"displacement: its readings come as if its clock differs from the accelerometer's by "
+        f"{1e3 * learnt.offset.value_s:+.4g} ± {1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. "
+        f"{cause_of_lateness(learnt.findings.pair, learnt.offset.value_s)}"
+    )
+    if learnt.late_m > 0.0:
+        text += (
+            "With a low-pass in the accelerometer's logger the result is late by as much: the error band holds what "
+            f"that makes, {1e3 * learnt.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the "
+            "clock; "
+        )
+    else:
+        text += "displacement.estimate_offset = true asks for that; "
+    text += "false says that both have one clock."
+    return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def two_rates(rate: ClockRate) -> UntrustedError:
+    """The refusal of clocks that are said to be one, and run at two rates."""
+    return UntrustedError(
+        f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
+        "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
+        "the time column; live, set both clocks by NTP."
+    )
+
+
+def _part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
     std = float(np.sqrt(learnt.variance_factor))
     if given.noise_std_m is not None:
         own = given.noise_std_m * abs(learnt.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
-    # A scale that seems wrong is left as it is, and the error band holds both.
-    scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
-    step_m = resolution(learnt.factor * given.series.value)
     return DisplacementCalibration(
         std,
         learnt.offset,
         learnt.factor,
-        scale_std,
-        resolution_m=step_m,
+        # A scale that seems wrong is left as it is, and the error band holds both.
+        float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt))),
+        resolution_m=resolution(learnt.factor * given.series.value),
         slow_std_m=learnt.slow_std_m,
         slow_time_s=learnt.slow_time_s,
         exposure_s=learnt.exposure_s,
@@ -170,36 +204,19 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
 
 
 def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
-    """Motion (m, rms) that only one of the two sensors may have seen: what clocks that are not one or the logger's
-    low-pass delay or take away, and what an exposure takes that was not declared, whether it is taken out or not: an
-    accelerometer that resonates on its mount, or errs with its motion, looks the same.
-
-    What a low-pass takes away altogether looks like noise of the sensor, of which no more is known than what is given.
-    """
+    """Motion (m, rms) that one of both may not have seen: late clocks, a logger's low-pass, an undeclared exposure."""
     lost = [learnt.late_m]
     if learnt.low_pass is not None:
+        # What it takes away altogether looks like noise of the sensor, of which no more is known than what is given.
         known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(learnt.factor)
         lost += [float(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0))), learnt.low_pass.taken_m]
     exposure_s = learnt.exposure_s or learnt.open_exposure_s
     if given.exposure_s is None and exposure_s > 0.0:
+        # Taken out or not: an accelerometer that resonates on its mount, or errs with its motion, looks the same.
         shaken = given.prepared.with_noise(1.0)
         taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, given.series.time_ns, exposure_s)
         lost.append(float(np.std(taken)))
     return float(np.linalg.norm(lost))
-
-
-def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[Notice]:
-    """A sentence where values (`held` (n,)) are held at the end of the sensor's range."""
-    if not held.any():
-        return []
-    ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
-    return [
-        Notice(
-            "samples-bridged",
-            f"displacement: {np.count_nonzero(held)} values are held at {ends}, the end of its range (clipped); they "
-            "were left out. Check the sensor's range.",
-        )
-    ]
 
 
 def _scale_error(learnt: NoiseCalibration) -> float:
@@ -213,141 +230,150 @@ def _scale_error(learnt: NoiseCalibration) -> float:
     return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
 
 
-def displacement_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[Notice]:
+def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
+    for a, b in runs(held)[:1]:
+        more = f"So were {len(runs(held)) - 1} more such segments. " if len(runs(held)) > 1 else ""
+        yield Notice(
+            "frozen",
+            f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to {shown(int(series.time_ns[b - 1]))} "
+            f"are all {1e3 * series.value[a]:.6g} mm while the structure moved; they were left out. {more}Check the "
+            "sensor.",
+        )
+
+
+def _range_warnings(part: DisplacementCalibration, held: Mask) -> Iterator[Notice]:
+    if held.any():
+        ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
+        yield Notice(
+            "samples-bridged",
+            f"displacement: {np.count_nonzero(held)} values are held at {ends}, the end of its range (clipped); they "
+            "were left out. Check the sensor's range.",
+        )
+
+
+def _warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
     series = read_with(given.series, part)
-    frozen = frozen_events(series, frozen_values(given.prepared, series))
-    found = [*frozen_warnings(frozen), *_zero_warnings(given, part)]
-    found += learnt.warnings
-    found += _lateness_warnings(given, learnt, part)
+    yield from _frozen_warnings(series, _frozen_values(given.prepared, series))
+    yield from _zero_warnings(given, part)
+    yield from learnt.warnings
+    yield from _lateness_warnings(given, learnt, part)
     if learnt.gain_std > 0.0 and abs(learnt.gain - 1.0) > max(TOLD, CERTAIN * learnt.gain_std):
-        found.append(
-            Notice(
-                "gain-corrected",
-                f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± "
-                f"{learnt.gain_std:.2g}, which is taken out: the displacement sensor's unit counts as right. Check "
-                "accelerometer.unit and accelerometer.sensitivity, displacement.unit, and that both sensors measure "
-                "the same axis; accelerometer.estimate_scale = false leaves it as it is.",
-            )
+        yield Notice(
+            "gain-corrected",
+            f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± "
+            f"{learnt.gain_std:.2g}, which is taken out: the displacement sensor's unit counts as right. Check "
+            "accelerometer.unit and accelerometer.sensitivity, displacement.unit, and that both sensors measure "
+            "the same axis; accelerometer.estimate_scale = false leaves it as it is.",
         )
-    found += _exposure_warnings(given, learnt)
+    yield from _exposure_warnings(given, learnt)
     if learnt.drifts:
-        found.append(
-            Notice(
-                "accelerometer-noisy",
-                f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the "
-                "displacement rests mostly on the displacement sensor. Check its temperature, its mounting and its "
-                "cable.",
-            )
+        yield Notice(
+            "accelerometer-noisy",
+            f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the displacement "
+            "rests mostly on the displacement sensor. Check its temperature, its mounting and its cable.",
         )
-    found += _slow_warnings(given, learnt)
+    yield from _slow_warnings(given, learnt)
+    yield from _factor_warnings(learnt)
+
+
+def _factor_warnings(learnt: NoiseCalibration) -> Iterator[Notice]:
+    """A sentence on a factor that seems wrong; UntrustedError where it is a wrong unit, or a clock explains it."""
     if _scale_error(learnt) == 0.0:
-        return found
+        return
+    measured = f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g}"
     text = (
-        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
-        "is expected. Check displacement.unit, its sign, accelerometer.unit, that both sensors measure the same axis, "
-        "and whether the accelerometer's bias drifts by more than the structure accelerates (1/f noise)."
+        f"{measured} where 1 is expected. Check displacement.unit, its sign, accelerometer.unit, that both sensors "
+        "measure the same axis, and whether the accelerometer's bias drifts by more than the structure accelerates "
+        "(1/f noise)."
     )
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
-    _refuse_other_cause(learnt, text)
-    return [
-        *found,
-        Notice(
-            "scale-uncertain",
-            f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out.",
-        ),
-    ]
-
-
-def _refuse_other_cause(learnt: NoiseCalibration, text: str) -> None:
-    """UntrustedError where a clock explains what looks like a factor: the band of a factor does not hold it."""
     assert learnt.findings is not None
-    cause = likeliest_cause(learnt.findings.pair, learnt.findings.fit.offset_s)
-    if cause is not None and cause.named and cause.cause in (Cause.CLOCK, Cause.STEP):
-        measured = text.partition(" where 1 is expected")[0]
-        raise UntrustedError(disagreement(learnt.findings.pair, learnt.findings.fit.offset_s, measured))
+    cause = named_cause(learnt.findings.pair, learnt.findings.fit.offset_s)
+    # The band of a factor does not hold what a clock makes.
+    if cause is not None and cause.cause in (Cause.CLOCK, Cause.STEP):
+        raise UntrustedError(disagreement(cause, measured))
+    text += " The error band holds the difference; displacement.estimate_scale = true takes it out."
+    yield Notice("scale-uncertain", text)
 
 
-def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
-    """A sentence on an exposure that was not declared."""
-    found = list[Notice]()
-    if given.exposure_s is None and learnt.exposure_s > 0.0:
-        found.append(
-            Notice(
-                "exposure",
-                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.exposure_s:.3g} s, of play in its joint, or of an accelerometer that resonates on its mount. "
-                "The first is corrected, and the error band holds it; displacement.exposure_s declares it.",
-            )
+def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
+    found_s = learnt.exposure_s or learnt.open_exposure_s
+    if given.exposure_s is not None or not found_s > 0.0:
+        return
+    seems = (
+        f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over {found_s:.3g}"
+    )
+    if learnt.exposure_s > 0.0:
+        yield Notice(
+            "exposure",
+            f"{seems} s, of play in its joint, or of an accelerometer that resonates on its mount. The first is "
+            "corrected, and the error band holds it; displacement.exposure_s declares it.",
         )
-    elif given.exposure_s is None and learnt.open_exposure_s > 0.0:
-        found.append(
-            Notice(
-                "exposure",
-                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.open_exposure_s:.3g} s, of one that follows slowly, or of an accelerometer that errs with "
-                "its motion. The motion does not tell which: nothing is corrected, and the error band holds what the "
-                "first would make; displacement.exposure_s declares it, 0 that it does not average.",
-            )
+    else:
+        yield Notice(
+            "exposure",
+            f"{seems} s, of one that follows slowly, or of an accelerometer that errs with its motion. The motion does "
+            "not tell which: nothing is corrected, and the error band holds what the first would make; "
+            "displacement.exposure_s declares it, 0 that it does not average.",
         )
-    return found
 
 
-def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[Notice]:
-    """Sentences on a clock offset that is not applied, and on a logger's delay."""
-    found = []
+def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
     if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
-        found.append(
-            Notice(
-                "clock-differs",
-                "displacement: its clock seems to differ from the accelerometer's by "
-                f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms; the error band holds what that makes, "
-                f"{1e3 * learnt.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset learnt "
-                "and applied.",
-            )
+        yield Notice(
+            "clock-differs",
+            "displacement: its clock seems to differ from the accelerometer's by "
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms; the error band holds what that makes, "
+            f"{1e3 * learnt.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset learnt "
+            "and applied.",
         )
     if learnt.low_pass is not None:
-        found.append(
-            Notice(
-                "logger-low-pass",
-                f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
-                f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
-                f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger "
-                "whose low-pass lies far above the motion.",
-            )
+        yield Notice(
+            "logger-low-pass",
+            f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
+            f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
+            f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger "
+            "whose low-pass lies far above the motion.",
         )
-    return found
 
 
-def _slow_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
-    """A sentence on a slow error that was learnt, or on what the record cannot tell from motion."""
-    if learnt.slow_std_m > 0.0 and given.noise_time_s is None:
-        return [
-            Notice(
-                "slow-error",
-                f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
-                f"{1e3 * learnt.slow_std_m:.2g} mm over {learnt.slow_time_s:.2g} s besides its noise is in the error "
-                "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
-                "sensor has no slow error.",
-            )
-        ]
+def _slow_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
+    """A sentence on a slow error that was estimated, or on what the record cannot tell from motion."""
     drifts_m, steps_m, missing_m = learnt.unseen_m
-    if drifts_m == 0.0:
-        return []
-    size = f"of up to {1e3 * drifts_m:.2g} mm" if np.isfinite(drifts_m) else "of any size"
-    step = f"smaller than {1e3 * steps_m:.2g} mm" if np.isfinite(steps_m) else "of any size"
-    if missing_m > 0.0:
-        step += f", or {1e3 * missing_m:.2g} mm in its longest gap"
-    return [
-        Notice(
+    if learnt.slow_std_m > 0.0 and given.noise_time_s is None:
+        yield Notice(
+            "slow-error",
+            f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
+            f"{1e3 * learnt.slow_std_m:.2g} mm over {learnt.slow_time_s:.2g} s besides its noise is in the error "
+            "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
+            "sensor has no slow error.",
+        )
+    elif drifts_m != 0.0:
+        size = f"of up to {1e3 * drifts_m:.2g} mm" if np.isfinite(drifts_m) else "of any size"
+        step = f"smaller than {1e3 * steps_m:.2g} mm" if np.isfinite(steps_m) else "of any size"
+        if missing_m > 0.0:
+            step += f", or {1e3 * missing_m:.2g} mm in its longest gap"
+        yield Notice(
             "slow-error",
             "displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a "
             f"total station has, {size} in {DRIFT_S:g} s would not show here, nor would a step of its zero that is "
             f"{step}. displacement.noise_time_s, its correlation time, puts the slow error into the band; 0 says that "
             "the sensor has none.",
         )
-    ]
+
+
+def _zero_warnings(given: Given, part: DisplacementCalibration) -> Iterator[Notice]:
+    value = part.scale * given.series.value
+    level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
+    if given.gives_zero and not part.relative_std * level < max(moved, part.noise_std_m):
+        yield Notice(
+            "zero-uncertain",
+            f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
+            f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
+            "uncertain zero. Take the reading at rest off the column to see the motion's own band.",
+        )
 
 
 def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:
@@ -356,59 +382,14 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
     return replace(series, time_ns=learnt.even(series.time_ns) + offset_ns, value=learnt.scale * series.value)
 
 
-def without(series: TimeSeries, mask: Mask) -> TimeSeries:
-    """The channel with some values (n,) missing."""
+def _without(series: TimeSeries, mask: Mask) -> TimeSeries:
     return replace(series, value=np.where(mask, np.nan, series.value)) if mask.any() else series
 
 
-def frozen_values(prepared: PreparedAcceleration, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
-    """Values (n,) of the sensor that are static while the accelerometer says that the structure moves.
-
-    series: in metres on the accelerometer's clock; resolution_m: what its values are rounded to; left out: as they are.
-    """
+def _frozen_values(prepared: PreparedAcceleration, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
+    """Values (n,), in m on the accelerometer's clock, that are static while it says that the structure moves."""
     origin = int(series.time_ns[0])
-    noise = white_noise(prepared.value_m_s2) ** 2 / prepared.rate_hz
-    shaken = prepared.with_noise(noise)
+    shaken = prepared.with_noise(white_noise(prepared.value_m_s2) ** 2 / prepared.rate_hz)
     samples = np.column_stack((seconds(shaken.time_ns, origin), shaken.value_m_s2, shaken.noise_density))
     step = resolution(series.value) if resolution_m is None else resolution_m
     return stuck(seconds(series.time_ns, origin), series.value, samples, resolution_m=step)
-
-
-def frozen_events(series: TimeSeries, held: Mask) -> tuple[Event, ...]:
-    """An event for each segment of frozen values (`held` (n,)) of [displacement] that was left out.
-
-    series: in metres on the accelerometer's clock.
-    """
-    return tuple(
-        Event(
-            int(series.time_ns[a]),
-            "frozen",
-            f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to {shown(int(series.time_ns[b - 1]))} "
-            f"are all {1e3 * series.value[a]:.6g} mm while the structure moved; they were left out.",
-        )
-        for a, b in runs(held)
-    )
-
-
-def frozen_warnings(events: tuple[Event, ...]) -> list[Notice]:
-    """One sentence for all frozen segments."""
-    if not events:
-        return []
-    more = f"So were {len(events) - 1} more such stretches. " if len(events) > 1 else ""
-    return [Notice("frozen", f"{events[0].text} {more}Check the sensor.")]
-
-
-def _zero_warnings(given: Given, part: DisplacementCalibration) -> list[Notice]:
-    """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
-    value = part.scale * given.series.value
-    level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
-    if not given.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
-        return []
-    return [
-        Notice(
-            "zero-uncertain",
-            f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
-            f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
-            "uncertain zero. Take the reading at rest off the column to see the motion's own band.",
-        )
-    ]

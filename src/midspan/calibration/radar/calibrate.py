@@ -1,48 +1,37 @@
 """The radar's part of a calibration: fixed targets, their conversion factors, one clock offset."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.calibration.agreement import misfit
-from midspan.calibration.bias import Bias, bias_of
-from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD
+from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD, weighted_median
 from midspan.calibration.direction import Direction, turned
-from midspan.calibration.fit import Pair
+from midspan.calibration.fit import Pair, measured_rows
 from midspan.calibration.frequency_response import Kind, kinds_of
-from midspan.calibration.measured import measured_rows
 from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
-from midspan.calibration.radar.clear_part import clearly_seen, found_targets, refuse_farther
 from midspan.calibration.radar.clock import Seen, clock_skew
-from midspan.calibration.radar.diagnostics import diagnostics_of
 from midspan.calibration.radar.own_motion import judged
-from midspan.calibration.radar.window import OpenedWindow
+from midspan.calibration.radar.window import OpenedWindow, clearly_seen, found_targets, refuse_farther
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
-from midspan.calibration.sensors.fit import SensorFit
-from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
+from midspan.calibration.sensors.fit import SensorFit, bias_of
+from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.notices import Notice
+from midspan.radar.channels import noise_variance
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.following import at_place
 from midspan.radar.frames import (
     RadarFrames,
-    TargetPhasors,
-    bin_m_of,
-    bins_of,
     samples_of,
-    target_series,
+    series_of,
     together,
     without_holes,
 )
-from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
-from midspan.radar.target import (
-    MAX_CLUTTER,
-    MAX_RELATIVE_STD,
-    Target,
-    at_place,
-    ranked,
-)
+from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, ranked
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.stamps import inside
@@ -61,6 +50,8 @@ MAX_M = 0.5
 
 
 RadarFit = SensorFit[RadarCalibration, None]
+# Points of the window that are kept for the report.
+KEPT = 2000
 
 
 def fit_radar(
@@ -89,7 +80,8 @@ def fit_radar(
     targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples)
     best = next(item.target for item in targets if item.used)
     series = series_of(frames, best, info, samples)
-    search = searched(prepared, whole, series, (origin, max_offset))
+    # A second way to clock offset, factor and noise levels of the best target.
+    search = search_offset(radar_pair(prepared, whole, series, (origin, max_offset)), max_offset)
     _refuse_ambiguity(search, max_offset)
     # The clock offset is the targets' own.
     kinds = [kind for kind in kinds_of(search.pair, exposure_declared=True) if kind is not Kind.LAG]
@@ -99,7 +91,7 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
-    targets, told_factor = _judged(targets, search)
+    targets, contradicted = _contradicted(targets, search)
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
@@ -110,14 +102,13 @@ def fit_radar(
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     coloured = misfit(search.pair, search.fit)
-    about = response.texts(search.fit.motion_hz)
-    about += [*_warnings(calibration), *coloured.text("radar")]
-    warnings = (*info.warnings, *window.told, *hidden, *moving, *told_factor, *about)
+    about = (*response.texts(search.fit.motion_hz), *_warnings(calibration), *coloured.text("radar"))
+    warnings = (*info.warnings, *window.told, *hidden, *moving, *contradicted, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
         search.pair.input_noise(search.fit.input_density),
-        searched_bias(search),
+        bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance))),
         warnings,
         misfit=coloured,
         slope=response.slope,
@@ -127,9 +118,7 @@ def fit_radar(
 
 @dataclass(frozen=True, slots=True)
 class _Along:
-    """The acceleration along the radar's axis and its `samples_of`, that direction, and what it leaves open: of the
-    factors (relative) and of the clock offset (s²).
-    """
+    """The acceleration along the axis, its `samples_of`, and what the direction leaves open (relative; s²)."""
 
     prepared: PreparedAcceleration
     samples: Floats
@@ -139,7 +128,6 @@ class _Along:
 
 
 def _along_axis(window: OpenedWindow, prepared: PreparedAcceleration, info: RadarInfo) -> _Along:
-    """The acceleration along the direction that the clearest target shows, as it is where there is one axis only."""
     (origin, max_offset), samples = window.clock, window.samples
     if prepared.cross_m_s2 is None:
         return _Along(prepared, samples)
@@ -157,10 +145,7 @@ def _along_axis(window: OpenedWindow, prepared: PreparedAcceleration, info: Rada
 def _at_one_pace(
     found: tuple[Target, ...], frames: RadarFrames, samples: Floats, given: tuple[RadarInfo, float]
 ) -> tuple[tuple[Target, ...], RadarFrames]:
-    """The targets and frames with the radar's stamps at the accelerometer's pace, about the middle of the window.
-
-    Unequal clocks would be taken for noise of the accelerometer. given: the radar, and the largest clock offset, s.
-    """
+    """The targets and frames with the radar's stamps at the accelerometer's pace, about the middle of the window."""
     usable = [target for target in found if not target.objection]
     if not usable:
         return found, frames
@@ -178,25 +163,16 @@ def _at_one_pace(
     return found_targets(frames, samples, given[0], given[1]), frames
 
 
-def phasors_of(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPhasors:
-    """The phasors of one target out of whole profiles."""
-    bins = bins_of(target, info)
-    single = len(bins) == 1
-    some = at_place(frames.phasors, bins[0])[..., None] if single else frames.phasors[..., bins.astype(np.int64)]
-    return TargetPhasors(frames.time_ns, bins, together(some, target, frames.valid))
-
-
-def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
-    """The displacement at a target in the frames of the window."""
-    given = (info.axis.phase_per_m(target.range_m), bin_m_of(info), samples)
-    return target_series(phasors_of(frames, target, info), target, given)
-
-
 def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:
-    """The targets in use, best first, then the others with the reason against them; and the clock offset of all."""
     best_first = list(ranked(found))
     if range_m is not None:
-        best_first = [_nearest(found, range_m)]
+        best_first = [nearest_peak(found, range_m)]
+        if best_first[0].objection:
+            raise UntrustedError(
+                f"radar.target_range_m = {range_m:g}: the target nearest to it, at {best_first[0].range_m:.2f} m, "
+                f"cannot be used: {best_first[0].objection}. Give another range (`midspan inspect` lists the peaks) or "
+                "take the key out."
+            )
     agreed, offset = one_clock(best_first)
     used = [target for target, reason in zip(best_first, agreed, strict=True) if not reason][:most]
     rest = [target for target in found if not any(target is one for one in used)]
@@ -205,17 +181,6 @@ def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tupl
         *(RadarTarget(target) for target in used),
         *(RadarTarget(t, False, t.objection or reasons.get(id(t)) or "better ones are used") for t in rest),
     ), offset
-
-
-def _nearest(found: tuple[Target, ...], range_m: float) -> Target:
-    """The target nearest to a wanted range, refused where it cannot be used."""
-    target = nearest_peak(found, range_m)
-    if target.objection:
-        raise UntrustedError(
-            f"radar.target_range_m = {range_m:g}: the target nearest to it, at {target.range_m:.2f} m, cannot be used: "
-            f"{target.objection}. Give another range (`midspan inspect` lists the peaks) or take the key out."
-        )
-    return target
 
 
 def nearest_peak(found: tuple[Target, ...], range_m: float) -> Target:
@@ -237,9 +202,7 @@ def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     offset = np.array([target.time_offset_s for target in targets])
     std = np.array([target.time_offset_std_s for target in targets])
     weight = 1.0 / np.maximum(std, 1e-6) ** 2
-    order = np.argsort(offset)
-    share = np.cumsum(weight[order])
-    middle = float(offset[order][np.searchsorted(share, 0.5 * share[-1])])
+    middle = weighted_median(offset, weight)
     reasons = [
         f"its clock offset would be {1e3 * o:+.1f} ms, the others' is {1e3 * middle:+.1f} ms"
         if abs(o - middle) > max(OFFSET_STD * s, MIN_OFFSET_S)
@@ -251,13 +214,6 @@ def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     # The accelerometer's noise moves all targets alike, so that more of them are no more certain than the best.
     scatter = float(np.sqrt(np.average((offset[kept] - mean) ** 2, weights=weight[kept])))
     return reasons, TimeOffset(mean, max(float(std[kept].min()), scatter) ** 2)
-
-
-def searched(
-    prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
-) -> OffsetSearch:
-    """Clock offset, factor and noise levels of the best target by maximum likelihood: a second way to all of them."""
-    return search_offset(radar_pair(prepared, whole, series, given), given[1])
 
 
 def radar_pair(
@@ -276,11 +232,6 @@ def radar_pair(
     return Pair(samples, rows, level_m_s2=prepared.level(window), cross=prepared.cross_rows(window))
 
 
-def searched_bias(search: OffsetSearch) -> Bias:
-    """The accelerometer's bias, estimated together with the target that a search was made for."""
-    return bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
-
-
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     other, fit = search.runner_up, search.fit
     if other is None or not is_ambiguous(search):
@@ -293,18 +244,23 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     )
 
 
-def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -> float:
-    """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered.
+def _relative_std(used: Sequence[Target]) -> float:
+    """Of the displacement of all targets together; the accelerometer's noise is common to their factors."""
+    weights = [1.0 / target.noise_m**2 for target in used]
+    return float(np.average([target.relative_std for target in used], weights=weights))
 
-    A target's own motion is no noise of its frames.
-    """
+
+def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -> float:
+    """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered."""
     if best.own_m > best.noise_m:
         return 1.0
     stated = float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
     return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
 
 
-def _judged(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
+def _contradicted(
+    targets: tuple[RadarTarget, ...], search: OffsetSearch
+) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
     """The targets with what the accelerometer contradicts in their deviations, and sentences on it."""
     targets, of_factor = _widened(targets, search)
     _refuse_short(targets)
@@ -313,7 +269,6 @@ def _judged(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tup
 
 
 def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
-    """The targets with their factors' deviations widened where the likelihood finds another factor for the best one."""
     best, fit = targets[0].target, search.fit
     apart = abs(1.0 / (fit.ratio * best.conversion_factor) - 1.0)
     expected = float(np.hypot(best.relative_std, np.sqrt(fit.ratio_variance) / abs(fit.ratio)))
@@ -330,15 +285,18 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
             f"{100 * MAX_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
             "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
         )
-    return tuple(_wider(item, apart) if item.used else item for item in targets), [Notice("scale-uncertain", text)]
+    wider = list(targets)
+    for k, target in enumerate(item.target for item in targets):
+        if targets[k].used:
+            std = float(np.hypot(target.conversion_factor_std, apart * abs(target.conversion_factor)))
+            wider[k] = replace(targets[k], target=replace(target, conversion_factor_std=std))
+    return tuple(wider), [Notice("scale-uncertain", text)]
 
 
 def _with_slow_motion(
     targets: tuple[RadarTarget, ...], search: OffsetSearch
 ) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
-    """The only target in use with what it moves by slowly that the accelerometer does not feel, and a sentence; of
-    several their differences tell that (`judged`).
-    """
+    """The only target in use with what it moves by slowly that the accelerometer does not feel, and a sentence."""
     used = [item for item in targets if item.used]
     if len(used) != 1 or used[0].target.own_m > 0.0:
         return targets, []
@@ -354,50 +312,27 @@ def _with_slow_motion(
     return tuple(moving if item is used[0] else item for item in targets), [Notice("motion-not-shared", text)]
 
 
-def _wider(item: RadarTarget, relative: float) -> RadarTarget:
-    target = item.target
-    std = float(np.hypot(target.conversion_factor_std, relative * abs(target.conversion_factor)))
-    return replace(item, target=replace(target, conversion_factor_std=std))
-
-
-def _relative_std(used: Sequence[Target]) -> float:
-    """Of the displacement of all targets together; the accelerometer's noise is common to their factors."""
-    weight = np.array([1.0 / target.noise_m**2 for target in used])
-    return float(np.average([target.relative_std for target in used], weights=weight))
-
-
-def _warnings(calibration: RadarCalibration) -> list[Notice]:
-    found = []
+def _warnings(calibration: RadarCalibration) -> Iterator[Notice]:
     if calibration.relative_std > WARNED_ABOVE:
-        found.append(
-            Notice(
-                "scale-uncertain",
-                f"radar: the conversion factor is known to ± {100 * calibration.relative_std:.1f} % only (one standard "
-                "deviation); more motion in the calibration window would sharpen it.",
-            )
+        yield Notice(
+            "scale-uncertain",
+            f"radar: the conversion factor is known to ± {100 * calibration.relative_std:.1f} % only (one standard "
+            "deviation); more motion in the calibration window would sharpen it.",
         )
     std = float(np.sqrt(calibration.offset.variance))
     if std > WARNED_OFFSET_S:
-        found.append(
-            Notice(
-                "clock-uncertain",
-                f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).",
-            )
-        )
+        text = f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation)."
+        yield Notice("clock-uncertain", text)
     best = calibration.best
     if best.clutter > MAX_CLUTTER and not best.leak:
-        found.append(
-            Notice(
-                "radar-target",
-                f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target "
-                f"at {best.range_m:.2f} m and bends its phase; aim at a target that stands alone.",
-            )
+        yield Notice(
+            "radar-target",
+            f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target "
+            f"at {best.range_m:.2f} m and bends its phase; aim at a target that stands alone.",
         )
-    return found
 
 
 def _refuse_short(targets: Sequence[RadarTarget]) -> None:
-    """UntrustedError for a factor below 1, which no fixed target has: it is one over the cosine of an angle."""
     worst = min((item.target for item in targets if item.used), key=lambda target: abs(target.conversion_factor))
     if abs(worst.conversion_factor) >= 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std):
         return
@@ -407,4 +342,21 @@ def _refuse_short(targets: Sequence[RadarTarget]) -> None:
         "target cannot have: all displacements would be off by as much. Check accelerometer.unit (1 g is 9.81 m/s²) "
         "and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected "
         "twice."
+    )
+
+
+def diagnostics_of(range_m: Floats, whole: RadarFrames, target: Target) -> RadarDiagnostics:
+    """What the report draws of the range profile and of the best target."""
+    power = np.zeros(whole.phasors.shape[2])
+    for part in np.array_split(np.arange(len(whole.phasors)), max(1, len(whole.phasors) // 256)):
+        power += np.sum(np.abs(whole.phasors[part]) ** 2, axis=(0, 1))
+    noise = noise_variance(whole.phasors)
+    mean = power / (len(whole.phasors) * whole.phasors.shape[1])
+    thin = slice(None, None, max(1, len(whole.time_ns) // KEPT))
+    z = at_place(whole.phasors[thin], target.place_bin) @ target.weights.conj() / np.sqrt(len(target.weights))
+    return RadarDiagnostics(
+        range_m=range_m,
+        power_db=10.0 * np.log10(np.maximum(mean / max(noise, 1e-300), 1e-6)),
+        phasors=np.asarray(z, dtype=np.complex128),
+        leak=target.leak,
     )

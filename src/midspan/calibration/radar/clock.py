@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.calibration.running_clock import SIGNIFICANT
+from midspan.calibration.one_clock import SIGNIFICANT
 from midspan.radar.alignment import align
 from midspan.radar.blockage import blocked
 from midspan.radar.frames import even_places
@@ -65,10 +65,7 @@ def clock_skew(seen: Seen, samples: Floats) -> float:
 
 
 def _lateness(seen: Seen, samples: Floats, window: tuple[float, float]) -> tuple[float, float, float] | None:
-    """Middle of a window (s after the first frame), lateness relative to the calibrated offset and its deviation, s.
-
-    window: its start after the first frame and its length, s.
-    """
+    """Middle of a window (s after the first frame), lateness relative to the calibrated offset and its deviation, s."""
     begin_s, window_s = window
     first = int(seen.time_ns[0])
     edges = first + np.array([round(begin_s * NANOSECONDS), round((begin_s + window_s) * NANOSECONDS)])
@@ -84,12 +81,7 @@ def _lateness(seen: Seen, samples: Floats, window: tuple[float, float]) -> tuple
     if near.stop - near.start < 10:
         return None
     found = align(
-        time_s,
-        phase,
-        samples=samples[near],
-        phase_per_m=seen.phase_per_m,
-        max_offset_s=REACH_S,
-        prior=seen.ratio,
+        time_s, phase, samples=samples[near], phase_per_m=seen.phase_per_m, max_offset_s=REACH_S, prior=seen.ratio
     )
     if found is None or not found.offset_std_s < MAX_STD_S:
         return None

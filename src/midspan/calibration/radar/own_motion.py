@@ -1,6 +1,6 @@
 """Which of the chosen targets move on their own, as the calibration window shows it, and what is made of it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +34,6 @@ def judged(
             np.stack([one.value_m for one in series]),
             np.stack([one.variance_m2 for one in series]),
             steps,
-            np.zeros(len(frame_s), dtype=np.bool_),
             np.array([target.relative_std for target in used]),
             np.array([target.bent_m for target in used]),
         ),
@@ -46,42 +45,30 @@ def judged(
         reason = f"it moves by about {1e3 * own.std_m(k):.2g} mm by itself" if own.left_out[k] else ""
         found.append(RadarTarget(moving, not reason, reason))
     rest = [item for item in targets if not item.used]
-    return (*sorted(found, key=lambda item: not item.used), *rest), _reported(own, used)
+    return (*sorted(found, key=lambda item: not item.used), *rest), list(_reported(own, used))
 
 
-def _reported(own: OwnMotions, targets: Sequence[Target]) -> list[Notice]:
-    """A sentence on each target that moves on its own."""
+def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
     if own.undecided.any() and len(targets) == 2 and not own.left_out.any():
         power = np.where(own.undecided, own.power_m2[0], 0.0)
         if _matters(float(power.sum()), min(targets, key=lambda target: target.noise_m)):
             at_hz = float(own.frequency_hz[np.argmax(power)])
-            return [
-                Notice(
-                    "radar-target",
-                    f"radar: the targets at {targets[0].range_m:.2f} and {targets[1].range_m:.2f} m differ by about "
-                    f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves by itself, and "
-                    "the accelerometer cannot tell which. The error band holds it.",
-                )
-            ]
-    found = []
+            yield Notice(
+                "radar-target",
+                f"radar: the targets at {targets[0].range_m:.2f} and {targets[1].range_m:.2f} m differ by about "
+                f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves by itself, and "
+                "the accelerometer cannot tell which. The error band holds it.",
+            )
+            return
+    held = "the error band holds it, as it would an error of the accelerometer"
     for k, target in enumerate(targets):
-        if not _matters(own.std_m(k) ** 2, target):
-            continue
-        end = (
-            "it was left out"
-            if own.left_out[k]
-            else "the error band holds it, as it would an error of the accelerometer"
-            if len(targets) == 1
-            else "the error band holds it"
-        )
-        found.append(
-            Notice(
+        if _matters(own.std_m(k) ** 2, target):
+            end = "it was left out" if own.left_out[k] else held if len(targets) == 1 else "the error band holds it"
+            yield Notice(
                 "radar-target",
                 f"radar: the target at {target.range_m:.2f} m moves by about {1e3 * own.std_m(k):.2g} mm by itself "
                 f"(rms, at {own.main_hz(k):.2g} Hz): {end}.",
             )
-        )
-    return found
 
 
 def _matters(power_m2: float, target: Target) -> bool:

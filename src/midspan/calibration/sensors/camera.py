@@ -3,10 +3,38 @@
 import math
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from midspan.calibration.scale import ScaleCalibration
-from midspan.calibration.sensors.camera_scale import CameraScale
-from midspan.records import Region, ScaleFactor, Source, TimeOffset
+from midspan.records import Displacement, PixelTrack, Region, ScaleFactor, Source, TimeOffset
 from midspan.vision.lens import Lens
+
+
+@dataclass(frozen=True, slots=True)
+class CameraScale:
+    """From pixels to metres for one target along one image axis.
+
+    scale_m_per_px: signed; direction: image axis "x" or "y"; time_offset_ns: added to the camera's stamps to get the
+    accelerometer's clock; variance_factor: estimated variance over the tracker's own; source: how its rows are marked;
+    relative_std: of the scale factor, by which targets may differ as the motion grows.
+    """
+
+    scale_m_per_px: float
+    direction: str
+    time_offset_ns: int
+    variance_factor: float = 1.0
+    source: Source = Source.CAMERA
+    relative_std: float = 0.0
+
+    def displacement(self, track: PixelTrack) -> Displacement:
+        """The displacement that a track stands for, on the accelerometer's clock; lost frames are not finite."""
+        value, variance = track.along(self.direction)
+        return Displacement(
+            time_ns=track.time_ns + self.time_offset_ns,
+            value_m=self.scale_m_per_px * value,
+            variance_m2=self.scale_m_per_px**2 * self.variance_factor * variance,
+            source=np.full(len(value), self.source, dtype=np.uint8),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +65,7 @@ class CameraCalibration:
     temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
     0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
     where nothing tells which is wrong. name: where there are several sensors of a kind. literal: scale and offset are
-    as printed (`calibration/printed.py`). diagnostics: what the best target's values rest on, for the report; not
+    as printed (`papers/printed/camera.py`). diagnostics: what the best target's values rest on, for the report; not
     stored in the file.
     """
 

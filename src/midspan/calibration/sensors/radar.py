@@ -41,7 +41,7 @@ class RadarCalibration:
     targets: all that were found, the used ones first and of these the best one first; offset: of the radar's clock,
     shared by all; variance_factor: estimated variance over what the signal-to-noise ratio says; relative_std: of the
     conversion factors of the used targets together; carrier_hz, channels: of the radar that it was made with; literal:
-    target, factor and unwrapping as printed (`radar/literal.py`); name: where there are several radars.
+    target, factor and unwrapping as printed (`papers/printed/radar_phase.py`); name: where there are several radars.
     """
 
     targets: tuple[RadarTarget, ...]

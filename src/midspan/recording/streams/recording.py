@@ -28,7 +28,7 @@ from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource
 from midspan.sources.thermal.formats import open_thermal
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.temperatures import ThermalRequest
 from midspan.vision.frame_source import FrameSource
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
@@ -165,27 +165,28 @@ class Recording:
         found = []
         for sensor in self.sensors:
             place = "cameras" if sensor.kind in CAMERAS else f"{sensor.kind}s"
-            view = Recording(self.file, self.settings.model_copy(update=nothing | {place: (sensor.settings,)}))
-            view._beside, view._own = self, sensor
-            found.append(view)
+            found.append(self._with(nothing | {place: (sensor.settings,)}, _beside=self, _own=sensor))
         return tuple(found)
+
+    def _with(self, changed: dict[str, Any], **marks: Any) -> "Recording":
+        """The recording with other settings, and what it is a view of."""
+        view = Recording(self.file, self.settings.model_copy(update=changed))
+        vars(view).update(marks)
+        return view
 
     def seeing(self, first_ns: int, last_ns: int, from_ns: int) -> "Recording":
         """The same recording calibrated from `first_ns` to `last_ns`, its camera's frames used from `from_ns` on."""
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
-        view = Recording(self.file, self.settings.model_copy(update={"calibration": window}))
-        view._beside, view._own, view.sees_from_ns, view.late_s = self, self.own, from_ns, self.late_s
-        return view
+        marks: dict[str, Any] = {"sees_from_ns": from_ns, "late_s": self.late_s}
+        return self._with({"calibration": window}, _beside=self, _own=self.own, **marks)
 
     def later(self, offset_s: float) -> "Recording":
         """The same view where its frames' clock offset is about `offset_s`, beyond what is searched; else itself."""
         if abs(offset_s - self.late_s) <= self.max_offset_s:
             return self
-        view = Recording(self.file, self.settings)
-        view._beside, view._own, view.sees_from_ns, view.late_s = self, self.own, self.sees_from_ns, offset_s
-        vars(view)["frames"] = self.frames
-        return view
+        marks: dict[str, Any] = {"sees_from_ns": self.sees_from_ns, "late_s": offset_s, "frames": self.frames}
+        return self._with({}, _beside=self, _own=self.own, **marks)
 
     @property
     def late_ns(self) -> int:
@@ -218,9 +219,7 @@ class Recording:
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
         camera = self.settings.camera.model_copy(update={"direction": axis})
         changed = {"accelerometer": sensor, "cameras": (camera,), "reference": None}
-        view = Recording(self.file, self.settings.model_copy(update=changed))
-        view._whole, view._own, view.late_s = self, self.own, self.late_s
-        return view
+        return self._with(changed, _whole=self, _own=self.own, late_s=self.late_s)
 
     @property
     def fused(self) -> bool:
@@ -245,11 +244,7 @@ class Recording:
                 f"{self.file}: accelerometer.cross_values: names {len(named)} columns, and the calibration was made "
                 f"with {wanted}. Name the same ones, or calibrate again."
             )
-        if axis is None:
-            return self
-        found = Recording(self.file, self.settings)
-        found._axis = axis
-        return found
+        return self if axis is None else self._with({}, _axis=axis)
 
     @cached_property
     def acceleration(self) -> TimeSeries:
@@ -386,20 +381,16 @@ class Recording:
         names = [name for part in (*parts, *lenses) for key in keys if (name := getattr(part, key, None))]
         return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
-    def _own_axis(self, channel: ChannelSettings) -> str | None:
-        """The column of the main axis where columns are named by the image's axes."""
-        return getattr(channel, f"value_{self.axis}", None)
-
     def _series(self, section: str, channel: ChannelSettings | None, quantity: str) -> TimeSeries:
         if channel is None:
             raise DataError(f"{self.file}: has no [{section}] section.")
-        sensitivity = getattr(channel, "sensitivity", 0.0) or None
         request = SeriesRequest(
             quantity=quantity,
             time=channel.time,
-            value=channel.value or self._own_axis(channel),
+            # Where columns are named by the image's axes that of the main one.
+            value=channel.value or getattr(channel, f"value_{self.axis}", None),
             unit=channel.unit,
-            sensitivity=sensitivity,
+            sensitivity=getattr(channel, "sensitivity", 0.0) or None,
             rate_hz=channel.rate_hz,
             start_s=channel.start_s,
         )

@@ -1,21 +1,23 @@
-"""Opening of a camera's tracking: the frames used, its targets, and what they are tracked with."""
+"""Opening of a camera's tracking: where it sees, the frames used, its targets, and what they are tracked with."""
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from midspan.calibration.camera.felt import felt_motion
+from midspan import _core
+from midspan.calibration.camera.best_range import felt_motion
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.engine.camera_target import Target
-from midspan.engine.stored_tracking import StoredTracking
-from midspan.engine.tracking import CameraTracking, Felt, TrackingSettings
-from midspan.errors import DataError, UsageError
+from midspan.engine.camera import Target
+from midspan.engine.tracking import CameraTracking, StoredTracking, TrackingSettings
+from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import calibration_window, require_overlap, window_ends
-from midspan.recording.tracking.temperatures import levels_of
-from midspan.records import NANOSECONDS, Nanoseconds, Region
+from midspan.recording.streams.window import DEFAULT_WINDOW_S, calibration_window, require_overlap, window_ends
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.settings.kinds import CAMERAS
+from midspan.signals.health import runs
 from midspan.signals.stamps import frames_used, shown
 from midspan.sources.camera.lens import load_lens
 from midspan.thermal.limits import Limits
@@ -23,7 +25,87 @@ from midspan.vision.lens import Lens
 from midspan.vision.region_choice import Judge
 from midspan.vision.tracker import tracker_settings
 
+# Trackers that were made for pictures of 256 grey levels: their thresholds are in them.
+IN_GREY = ("features",)
+# So many frames are looked at in the window, and in the whole recording where that is dark.
+LOOKED_AT, SEARCHED = 16, 240
+MAX_DARK_SHARE = 0.2
+# A camera sees well where it is at least so bright beside its bright frames.
+FULL_SHARE = 0.7
+# Of fewer of the frames looked at in a row the first ones may be headlights, which make a poor reference.
+MIN_LIT = 3
 MIN_FRAMES = 2
+
+
+def levels_of(view: Recording, known: CameraCalibration | None) -> Limits | None:
+    """The range that is shown in grey levels; None where trackers see temperatures as they are.
+
+    known: the calibration, whose range is taken where none is given and the tracker needs one. Raises UsageError for a
+    range of pictures that hold no temperatures.
+    """
+    camera = view.settings.camera
+    if not isinstance(camera, InfraredSettings):
+        return None
+    if camera.temperature_range_c is None:
+        if known is None or known.temperature_range_c is None or camera.tracker not in IN_GREY:
+            return None
+        return Limits(*known.temperature_range_c)
+    if is_grey(view):
+        raise UsageError(
+            f"{view.file}: infrared.temperature_range_c: must be left out for {camera.file}, which holds grey levels "
+            "of 8 bits and no temperatures."
+        )
+    return Limits(*camera.temperature_range_c)
+
+
+def is_grey(view: Recording) -> bool:
+    """Whether a thermal camera's frames are grey levels of 8 bits instead of temperatures."""
+    return not view.frames.info.radiometric
+
+
+def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
+    """The view with a window in which its camera sees, and a sentence where that is another than the recording's.
+
+    The window is the longest stretch of light; the frames are used from the first one on. Only a camera of light beside
+    another camera is looked at. Raises UntrustedError where it is dark all the time.
+    """
+    alone = not any(sensor.kind in CAMERAS for sensor in recording.beside)
+    if recording.kind != "camera" or alone or recording.frames.tracks:
+        return recording, []
+    times = recording.frames.times_ns()
+    first, last = window_ends(recording)
+    inside = np.flatnonzero((times + recording.late_ns >= first) & (times + recording.late_ns <= last))
+    if not len(inside):
+        return recording, []
+    _, brightness = _brightness(recording, inside, LOOKED_AT)
+    if np.mean(brightness == 0.0) <= MAX_DARK_SHARE:
+        return recording, []
+    looked, brightness = _brightness(recording, np.arange(len(times)), SEARCHED)
+    if not brightness.any():
+        raise UntrustedError("It is dark in all frames.")
+    # Dusk and dawn are left out: a reference frame from there would be a poor one.
+    lit = runs(brightness > FULL_SHARE * np.percentile(brightness[brightness > 0.0], 90))
+    start, end = max(lit, key=lambda run: run[1] - run[0])
+    seen_from = next((run[0] for run in lit if run[1] - run[0] >= min(MIN_LIT, end - start)), start)
+    begun = int(times[looked[start]]) + recording.late_ns
+    last = int(times[looked[min(end, len(looked)) - 1]]) + recording.late_ns
+    ended = min(last, begun + round(DEFAULT_WINDOW_S * NANOSECONDS))
+    text = (
+        f"camera: it is dark in calibration.window_s; it was calibrated where it sees, from {shown(begun)} to "
+        f"{shown(ended)}."
+    )
+    return recording.seeing(begun, ended, int(times[looked[seen_from]])), [text]
+
+
+def _brightness(recording: Recording, indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], Floats]:
+    """Up to `count` of the frames, evenly, and the mean brightness of each; 0 where it is black or cannot be read."""
+    chosen = indices[np.unique(np.linspace(0, len(indices) - 1, count).astype(int))]
+    found = np.zeros(len(chosen))
+    for k, index in enumerate(chosen.tolist()):
+        frame = next(iter(recording.frames.frames(index, index + 1)), None)
+        if frame is not None and not _core.is_dark(np.asarray(frame.pixels), 1):
+            found[k] = float(np.mean(np.asarray(frame.pixels, dtype=np.float64)))
+    return chosen, found
 
 
 def open_tracking(
@@ -61,13 +143,12 @@ def open_tracking(
         check_same_lens(settings.lens, known.lens)
     if view.frames.tracks:
         return StoredTracking(view.frames, settings, progress)
-    return CameraTracking(view.frames, settings, progress, judge, None if known is None else _felt(view, known))
-
-
-def _felt(view: Recording, known: CameraCalibration) -> Felt:
-    """The translation that the accelerometer shows, by a calibration of the camera."""
+    if known is None:
+        return CameraTracking(view.frames, settings, progress, judge)
+    # The translation that the accelerometer shows, by a calibration of the camera.
     prepared, window, band_hz = view.prepared, calibration_window(view), view.settings.calibration.band_hz
-    return lambda stamps: felt_motion(prepared, window, known, stamps, band_hz)
+    felt = lambda stamps: felt_motion(prepared, window, known, stamps, band_hz)  # noqa: E731
+    return CameraTracking(view.frames, settings, progress, judge, felt)
 
 
 def settings_of(view: Recording, camera: CameraSettings) -> TrackingSettings:
@@ -123,7 +204,7 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
     if len(given) == 1 and len(known.targets) <= 1:
         # One target's scale factor is taken for the same target that moved a little in the picture.
         return given
-    regions = {target.region: target for target in known.targets}
+    regions = {target.region for target in known.targets}
     missing = [target.name for target in given if target.region not in regions]
     if missing or len(given) < len(known.used):
         raise UsageError(
@@ -136,11 +217,9 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
 def lens_of(recording: Recording) -> Lens | None:
     """The lens that [camera.lens] of a recording names, None where it names none."""
     settings = recording.settings.camera.lens if recording.settings.camera else None
-    if settings is None:
-        return None
-    if settings.file is not None:
-        return load_lens(recording.path(settings.file, "camera.lens.file"))
-    return settings.lens()
+    if settings is None or settings.file is None:
+        return None if settings is None else settings.lens()
+    return load_lens(recording.path(settings.file, "camera.lens.file"))
 
 
 def check_same_lens(lens: Lens | None, calibrated: Lens | None) -> None:

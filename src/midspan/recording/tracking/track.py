@@ -9,17 +9,16 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.checks import option, path_of
-from midspan.engine.camera_target import Target
+from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
 from midspan.notices import Notice, notice_trees
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
-from midspan.recording.tracking.opening import settings_of
-from midspan.recording.tracking.temperatures import levels_of
+from midspan.recording.tracking.opening import levels_of, settings_of
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.sensor_words import in_words_of, renamed
+from midspan.settings.messages import in_words_of, renamed
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
@@ -59,7 +58,14 @@ class Tracked:
         columns: dict[str, Any] = {"time_s": seconds(self.track.time_ns, 0)}
         for number, target in enumerate(self.tracking.targets):
             # The first target has the plain names; the others' end with their own.
-            columns |= _columns(target.track, "" if number == 0 else f"_{target.name}")
+            track, end = target.track, "" if number == 0 else f"_{target.name}"
+            columns |= {
+                f"x_px{end}": track.x_px,
+                f"y_px{end}": track.y_px,
+                f"std_x_px{end}": np.sqrt(track.variance_x_px2),
+                f"std_y_px{end}": np.sqrt(track.variance_y_px2),
+                f"status{end}": track.status,
+            }
         metadata = {
             "midspan": __version__,
             "tracker": self.tracker,
@@ -73,18 +79,7 @@ class Tracked:
                 for event in target.events
             ],
         }
-        track = self.track
-        return ResultTable(columns=columns, time_ns=track.time_ns, metadata=metadata)
-
-
-def _columns(track: PixelTrack, end: str) -> dict[str, Any]:
-    return {
-        f"x_px{end}": track.x_px,
-        f"y_px{end}": track.y_px,
-        f"std_x_px{end}": np.sqrt(track.variance_x_px2),
-        f"std_y_px{end}": np.sqrt(track.variance_y_px2),
-        f"status{end}": track.status,
-    }
+        return ResultTable(columns=columns, time_ns=self.track.time_ns, metadata=metadata)
 
 
 def _listed(region: Region) -> list[int]:
@@ -124,24 +119,19 @@ def track(
         settings = replace(settings, targets=(Target(region),))
     with in_words_of(settings.sensor):
         tracking = CameraTracking(frames, settings, progress)
-        rows = _all_rows(tracking)
+        while (frame := tracking.take()) is not None:
+            tracking.push(frame)
+        tracking.close()
+        rows = tracking.tracks
     progress(1, 1, "tracking")
     warnings += [renamed(line, settings.sensor) for line in tracking.warnings("xy")]
     for target, found in zip(tracking.targets, rows, strict=True):
         lost = int(np.count_nonzero(found.status == Status.LOST))
         if lost:
             which = "The target" if len(rows) == 1 else f"Target {target.name}"
-            warnings.append(
-                Notice("lost", f"{which} was lost in {lost} of {len(found.time_ns)} frames; their values are empty.")
-            )
+            text = f"{which} was lost in {lost} of {len(found.time_ns)} frames; their values are empty."
+            warnings.append(Notice("lost", text))
     return Tracked(rows[0], tracking.targets[0].region, settings.tracker, tuple(warnings), tracking)
-
-
-def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
-    while (frame := tracking.take()) is not None:
-        tracking.push(frame)
-    tracking.close()
-    return tracking.tracks
 
 
 def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, TrackingSettings, list[Notice]]:

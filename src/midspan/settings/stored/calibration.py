@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,37 +17,18 @@ from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.checks import path_of
 from midspan.engine.axis import AxisFigures
+from midspan.errors import DataError
 from midspan.notebook import table
-from midspan.notices import Notice, notice_trees
+from midspan.notices import NOTICES, Notice, notice_trees
+from midspan.settings.calibration import StoredCamera, validate_calibration
 from midspan.settings.kinds import KINDS, sensor_names
 from midspan.settings.recording import Sensor
-from midspan.settings.stored.sections import (
-    camera_tree,
-    displacement_tree,
-    finite_or_none,
-    radar_tree,
-    scale_tree,
-    usual_tree,
-)
-from midspan.settings.stored.summaries import camera_summary, displacement_summary, radar_summary
+from midspan.settings.stored.sections import SECTIONS, acceleration_of, acceleration_tree, camera_across, scale_tree
+from midspan.trees import TreeError, read_json
 from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"
 SensorCalibration = CameraCalibration | RadarCalibration | DisplacementCalibration
-# How the section of each kind is written.
-TREES: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "camera": camera_tree,
-    "infrared": camera_tree,
-    "radar": radar_tree,
-    "displacement": displacement_tree,
-}
-# What is shown of each kind in a line.
-SUMMARIES: dict[str, Callable[[Any], str]] = {
-    "camera": camera_summary,
-    "infrared": camera_summary,
-    "radar": radar_summary,
-    "displacement": displacement_summary,
-}
 
 
 def placed(sensors: Sequence[SensorCalibration]) -> dict[str, Any]:
@@ -107,7 +88,7 @@ class Calibration:
 
     def summary(self) -> list[tuple[str, str]]:
         """What was estimated of each sensor with its standard deviations, as text; a row a sensor."""
-        rows = [(name, SUMMARIES[kind](sensor)) for name, kind, sensor in self.sensors]
+        rows = [(name, SECTIONS[kind].summary(sensor)) for name, kind, sensor in self.sensors]
         gain_std = self.accelerometer_scale_std
         gain = f", gain {self.accelerometer_scale:.5g} ± {gain_std:.2g}" if gain_std > 0.0 else ""
         return [*rows, ("accelerometer", f"noise {1e3 * self.noise_std_m_s2:.3g} mm/s² per sample{gain}")]
@@ -175,21 +156,22 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `calibration.json`: mm, px, s and m/s²; of a kind with several sensors a list."""
+        axis = self.sensor_axis
         tree: dict[str, Any] = {
             "version": self.version,
             "created": self.created,
             "warnings": list(self.warnings),
             "notices": notice_trees(self.warnings),
             "accelerometer": {
-                **_acceleration_tree(self),
+                **acceleration_tree(self),
                 "scale": self.accelerometer_scale,
-                **_direction_tree(self.sensor_axis),
+                **({} if axis is None else {"direction": list(axis.components), "direction_std": list(axis.std)}),
             },
         }
-        for kind, written in TREES.items():
-            listed = [
-                written(one) | (self._second_axis() if one is self.first_camera else {}) for one in self.of_kind(kind)
-            ]
+        for kind, section in SECTIONS.items():
+            listed = [section.tree(one) for one in self.of_kind(kind)]
+            if listed and self.of_kind(kind)[0] is self.first_camera:
+                listed[0] |= self._second_axis()
             if listed:
                 tree[kind] = listed if len(listed) > 1 else listed[0]
         return tree
@@ -211,24 +193,62 @@ class Calibration:
         return path
 
 
-def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
-    usual = {} if part.usual is None else {f"{prefix}usual": usual_tree(part.usual)}
-    return usual | {
-        f"{prefix}noise_std_m_s2": part.noise_std_m_s2,
-        f"{prefix}motion_noise_s": part.motion_noise_s,
-        f"{prefix}bias_m_s2": part.bias_m_s2,
-        f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
-        f"{prefix}bias_drift_m_s3": part.bias_drift_m_s3,
-        f"{prefix}scale_std": part.accelerometer_scale_std,
-        f"{prefix}misfit": part.misfit,
-        f"{prefix}slope_rad_m": part.slope,
-    }
-
-
-def _direction_tree(axis: Direction | None) -> dict[str, Any]:
-    return {} if axis is None else {"direction": list(axis.components), "direction_std": list(axis.std)}
-
-
 def _axis_tree(camera: CameraCalibration, part: Calibration) -> dict[str, Any]:
     """What belongs to one image axis where both are measured."""
-    return {"fused": camera.fused, **scale_tree(camera), **_acceleration_tree(part, "accelerometer_")}
+    return {"fused": camera.fused, **scale_tree(camera), **acceleration_tree(part, "accelerometer_")}
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a `calibration.json` (or the folder that holds it).
+
+    Raises DataError naming file and key where it is missing, damaged or holds a value that cannot be.
+    """
+    path = path_of("path", path)
+    path = path / CALIBRATION_FILE if path.is_dir() else path
+    try:
+        tree = read_json(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}). `midspan calibrate` writes one.") from None
+    except TreeError as error:
+        raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
+    return calibration_from_dict(tree, str(path))
+
+
+def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibration:
+    """The calibration that `Calibration.to_dict` describes; keys that only inform may be missing.
+
+    where: names the tree in messages. Raises DataError for a value that cannot be.
+    """
+    stored = validate_calibration(tree, where)
+    # Earlier versions wrote no codes.
+    codes = {one.text: one.code for one in stored.notices if one.code in NOTICES}
+    own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
+    sensors = [section.record(part) for kind, section in SECTIONS.items() for part in getattr(stored, kind)]
+    found = Calibration(
+        **acceleration_of(own),
+        warnings=tuple(Notice(codes.get(text, "uncoded"), text) for text in stored.warnings),
+        left_out="" if first is None else first.left_out,
+        created=stored.created,
+        version=stored.version,
+        **placed(sensors),
+        accelerometer_scale=own.scale,
+        sensor_axis=Direction(own.direction, own.direction_std) if own.direction else None,
+    )
+    return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
+
+
+def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
+    """The calibration with the part of the second image axis."""
+    main = found.first_camera
+    assert main is not None
+    assert first.axes is not None
+    part = first.axes.x if main.direction == "y" else first.axes.y
+    camera = camera_across(main, part)
+    across = Calibration(
+        **acceleration_of(part, "accelerometer_"),
+        camera=camera if found.camera is not None else None,
+        infrared=camera if found.camera is None else None,
+        created=found.created,
+        version=found.version,
+    )
+    return replace(found, across=across)

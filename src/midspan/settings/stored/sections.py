@@ -1,7 +1,8 @@
 """The sections of `calibration.json` (mm, px, s) and the records that they stand for (SI): each way by sensor."""
 
 import math
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.engine.axis import AxisFigures
 from midspan.radar.following import Background
 from midspan.radar.target import Target
-from midspan.records import Region, ScaleFactor, Source
+from midspan.records import Region, ScaleFactor, Source, TimeOffset
 from midspan.settings.calibration import (
     Stored,
     StoredAxis,
@@ -34,6 +35,13 @@ SAME = (
     "time_offset_std_s", "coherence", "clutter", "disagreement_rad", "reach_bins", "modulation_rad", "phase_noise_rad2",
     "own_hz",
 )  # fmt: skip
+# The keys of the accelerometer's section and the fields that they are; a second axis has them with a prefix.
+ACCELERATION = {
+    "noise_std_m_s2": "noise_std_m_s2", "motion_noise_s": "motion_noise_s", "bias_m_s2": "bias_m_s2",
+    "bias_std_m_s2": "bias_std_m_s2", "bias_drift_m_s3": "bias_drift_m_s3", "scale_std": "accelerometer_scale_std",
+    "misfit": "misfit", "slope_rad_m": "slope",
+}  # fmt: skip
+USUAL = {key: "variance" if key == "variance_m2_s4" else key for key in StoredUsual.model_fields}
 
 
 def finite_or_none(value: float) -> float | None:
@@ -85,45 +93,37 @@ def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
 
 
 def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
-    """The section of a displacement sensor."""
-    scale = {"scale": sensor.scale, "scale_std": sensor.scale_std} if sensor.scale_std > 0.0 else {}
+    """The section of a displacement sensor; what is 0 is not written."""
     ends = {"low_m": finite_or_none(sensor.low_m), "high_m": finite_or_none(sensor.high_m)}
-    resolution = _known({"resolution_m": sensor.resolution_m, **ends})
-    slow = {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s} if sensor.slow_std_m > 0.0 else {}
-    exposure = {"exposure_s": sensor.exposure_s} if sensor.exposure_s > 0.0 else {}
-    apart = {"apart_std_mm": MM * sensor.apart_std_m} if sensor.apart_std_m > 0.0 else {}
-    clock = {"clock_rate": sensor.clock_rate, "clock_reference_s": sensor.clock_reference_s}
-    rate = clock if sensor.clock_rate != 0.0 else {}
-    own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure | apart | rate
-    return _sensor_tree(sensor) | own | slow | resolution | scale
-
-
-def usual_tree(usual: AxisFigures) -> dict[str, float | None]:
-    """What is usual of an axis of acceleration."""
-    return {
-        "mean_m_s2": usual.mean_m_s2,
-        "variance_m2_s4": usual.variance,
-        "dominant_hz": usual.dominant_hz,
-        "low_m_s2": usual.low_m_s2,
-        "high_m_s2": usual.high_m_s2,
-        "resolution_m_s2": finite_or_none(usual.resolution_m_s2),
-        "moved_m": usual.moved_m,
-    }
-
-
-def usual_of(part: StoredUsual | None) -> AxisFigures | None:
-    """What is usual of an axis of acceleration, as far as the file tells it."""
-    if part is None:
-        return None
-    return AxisFigures(
-        mean_m_s2=part.mean_m_s2,
-        variance=part.variance_m2_s4,
-        dominant_hz=part.dominant_hz,
-        low_m_s2=part.low_m_s2,
-        high_m_s2=part.high_m_s2,
-        resolution_m_s2=part.resolution_m_s2,
-        moved_m=part.moved_m,
+    groups: tuple[tuple[float, dict[str, float]], ...] = (
+        (sensor.exposure_s, {"exposure_s": sensor.exposure_s}),
+        (sensor.apart_std_m, {"apart_std_mm": MM * sensor.apart_std_m}),
+        (sensor.clock_rate, {"clock_rate": sensor.clock_rate, "clock_reference_s": sensor.clock_reference_s}),
+        (sensor.slow_std_m, {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s}),
+        (sensor.scale_std, {"scale": sensor.scale, "scale_std": sensor.scale_std}),
     )
+    more = {key: value for written, keys in groups if written for key, value in keys.items()}
+    own = {"noise_std_mm": MM * sensor.noise_std_m} | _known({"resolution_m": sensor.resolution_m, **ends})
+    return _sensor_tree(sensor) | own | more
+
+
+def acceleration_tree(part: Any, prefix: str = "") -> dict[str, Any]:
+    """Noise, bias and what is usual of the acceleration along one axis, of a `Calibration`."""
+    usual = part.usual
+    own = {} if usual is None else {f"{prefix}usual": {key: _of(usual, name) for key, name in USUAL.items()}}
+    return own | {f"{prefix}{key}": _of(part, name) for key, name in ACCELERATION.items()}
+
+
+def acceleration_of(part: Stored, prefix: str = "") -> dict[str, Any]:
+    """The fields of a `Calibration` that `acceleration_tree` writes."""
+    usual: StoredUsual | None = getattr(part, f"{prefix}usual")
+    figures = None if usual is None else AxisFigures(**{name: getattr(usual, key) for key, name in USUAL.items()})
+    own = {name: getattr(part, f"{prefix}{key}") for key, name in ACCELERATION.items()}
+    return {**own, "usual": figures}
+
+
+def _of(record: Any, name: str) -> float | None:
+    return finite_or_none(getattr(record, name))
 
 
 def camera_of(part: StoredCamera, source: Source) -> CameraCalibration:
@@ -197,24 +197,24 @@ def _target_tree(target: TargetCalibration) -> dict[str, Any]:
     }
 
 
-def _target(part: StoredTarget, number: int) -> TargetCalibration:
-    own = {"region": Region(*part.roi), "name": part.name or str(number), "scale": _factor(part)}
-    return TargetCalibration(**_same(TargetCalibration, part) | own)
-
-
 def _along(part: StoredScale) -> dict[str, Any]:
     """What of a camera belongs to one image axis; its own keys count for its only target in use."""
     own = {key: getattr(part, key) for key in OWN_KEYS if key in part.model_fields_set}
     alone = sum(target.used for target in part.targets) == 1
     targets = [one.model_copy(update=own) if alone and one.used else one for one in part.targets]
+    records = tuple(
+        TargetCalibration(
+            **_same(TargetCalibration, one)
+            | {"region": Region(*one.roi), "name": one.name or str(number), "scale": _factor(one)}
+        )
+        for number, one in enumerate(targets, start=1)
+    )
     phase = part.phase_scale_mm_per_rad
     return {
+        **{key: getattr(part, key) for key in ("noise_std_px", "variance_factor", "relative_scale_std")},
         "scale": _factor(part),
-        "noise_std_px": part.noise_std_px,
-        "variance_factor": part.variance_factor,
         "phase_scale_m_per_rad": None if phase is None else phase / MM,
-        "targets": tuple(_target(target, number) for number, target in enumerate(targets, start=1)),
-        "relative_scale_std": part.relative_scale_std,
+        "targets": records,
         "apart_std_m": part.apart_std_mm / MM,
     }
 
@@ -256,3 +256,43 @@ def _pairs(values: np.ndarray[Any, np.dtype[np.complex128]]) -> list[list[float]
 
 def _complex(pairs: tuple[tuple[float, float], ...]) -> np.ndarray[Any, np.dtype[np.complex128]]:
     return np.array([complex(*pair) for pair in pairs])
+
+
+def camera_summary(camera: CameraCalibration) -> str:
+    """Scale factor and clock offset."""
+    value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
+    return f"{value:.5g} ± {std:.2g} mm/px along {camera.direction}, {_offset(camera.offset)}"
+
+
+def radar_summary(radar: RadarCalibration) -> str:
+    """Conversion factor, range of the target and clock offset."""
+    target = radar.targets[0].target
+    value, std = target.conversion_factor, target.conversion_factor_std
+    return f"conversion factor {value:.5g} ± {std:.2g}, target at {target.range_m:.4g} m, {_offset(radar.offset)}"
+
+
+def displacement_summary(sensor: DisplacementCalibration) -> str:
+    """Noise, scale where it was estimated, and clock offset."""
+    scale = "" if sensor.scale == 1.0 else f", scale {sensor.scale:.5g} ± {sensor.scale_std:.2g}"
+    return f"noise {1e3 * sensor.noise_std_m:.3g} mm{scale}, {_offset(sensor.offset)}"
+
+
+def _offset(offset: TimeOffset) -> str:
+    return f"clock offset {1e3 * offset.value_s:.2f} ± {1e3 * math.sqrt(offset.variance):.2f} ms"
+
+
+@dataclass(frozen=True, slots=True)
+class SectionKind:
+    """The section of a kind of sensor: written, read, and shown in a line."""
+
+    tree: Callable[[Any], dict[str, Any]]
+    record: Callable[[Any], CameraCalibration | RadarCalibration | DisplacementCalibration]
+    summary: Callable[[Any], str]
+
+
+SECTIONS = {
+    "camera": SectionKind(camera_tree, lambda part: camera_of(part, Source.CAMERA), camera_summary),
+    "infrared": SectionKind(camera_tree, lambda part: camera_of(part, Source.INFRARED), camera_summary),
+    "radar": SectionKind(radar_tree, radar_of, radar_summary),
+    "displacement": SectionKind(displacement_tree, displacement_of, displacement_summary),
+}

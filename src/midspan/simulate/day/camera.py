@@ -6,16 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats
-from midspan.simulate.day.sky import Light, Sky
-from midspan.simulate.day.weather import Drops, Headlights
+from midspan.simulate.day.sky import Drops, Headlights, Light, Sky
 from midspan.simulate.scene.camera import WHITE_DN, Camera
 from midspan.simulate.scene.scene import SAMPLES, Image, Scene, canvas_shape, scene_of
 from midspan.simulate.scene.texture import natural
-
-SOFT_PX = 1.5  # half-width of the border of a shadow
-MIN_OUT = 0.05  # a sun that grazes the wall throws shadows without end
-RELIEF_BLUR_PX = 1.2
-DROP_BLUR_PX = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +53,7 @@ class Wall:
         rows, columns = self.size_px
         x = np.arange(columns, dtype=np.float32) - np.float32(moved_px[0])
         y = np.arange(rows, dtype=np.float32) - np.float32(moved_px[1])
-        out = max(light.out, MIN_OUT)
+        out = max(light.out, 0.05)  # a sun that grazes the wall throws shadows without end
         # A shadow falls away from the sun, as far as its object stands out.
         post = self.post_at_px - self.post_px * light.right / out
         beside = np.abs(x - post) - 0.5 * self.post_wide_px
@@ -69,8 +63,8 @@ class Wall:
 
 
 def _soft(outside_px: Image) -> Image:
-    """From 0 well inside a shadow to 1 well outside."""
-    place = np.clip(outside_px / np.float32(2 * SOFT_PX) + np.float32(0.5), 0.0, 1.0)
+    """From 0 well inside a shadow to 1 well outside; its border is 3 px wide."""
+    place = np.clip(outside_px / np.float32(3.0) + np.float32(0.5), 0.0, 1.0)
     soft: Image = place * place * (3 - 2 * place)
     return soft
 
@@ -82,7 +76,7 @@ def wall_in_relief(
     from scipy.ndimage import gaussian_filter
 
     shape = canvas_shape(*size_px, reach_px=reach_px)
-    height = gaussian_filter(natural(shape, 1.0, rng=rng), RELIEF_BLUR_PX * SAMPLES, mode="wrap")
+    height = gaussian_filter(natural(shape, 1.0, rng=rng), 1.2 * SAMPLES, mode="wrap")
     reflection = scene_of(natural(shape, 26.0, rng=rng), reach_px=reach_px)
     rises = [np.roll(height, -1, axis) - np.roll(height, 1, axis) for axis in (1, 0)]
     right, down = (scene_of(rise * (100.0 * slope / rise.std()), reach_px=reach_px) for rise in rises)
@@ -128,7 +122,7 @@ class DayCamera:
         if cover is not None:
             from scipy.ndimage import gaussian_filter
 
-            image += cover * (gaussian_filter(image, DROP_BLUR_PX) - image)
+            image += cover * (gaussian_filter(image, 5.0) - image)
         return image
 
     def picture(self, number: int, moved_px: Floats, time_s: float) -> NDArray[np.uint8]:

@@ -5,33 +5,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Floats
-from midspan.simulate.day.sky import Sky
-from midspan.simulate.day.weather import Drops
+from midspan.simulate.day.sky import Drops, Sky
 from midspan.simulate.scene.scene import Image
 from midspan.simulate.scene.thermal import Course, ThermalView
-
-LAG_RAD = 0.35  # surfaces are warmest 1.3 hours after noon
-AIR_LAG_RAD = 0.6
-KEPT = 0.5  # contrast of what keeps its heat, relative to that of what lies in the sun
-FOG_SHARE = 0.25  # of the fog's optical depth that heat meets
-DROP_BELOW_K = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class DayCourse(Course):
     """Warming from noon (time 0) on: what lies in the sun is warmer by day and colder by night than the rest.
 
-    In between, at dusk and at dawn, only what keeps its heat is distinguished, by half the contrast.
+    In between, at dusk and at dawn, only what keeps its heat is distinguished, by `kept` of the contrast. Surfaces and
+    air are warmest `lag_rad` and `air_lag_rad` of a day of 2π after noon: 1.3 and 2.3 hours.
     """
+
+    lag_rad: float = 0.35
+    air_lag_rad: float = 0.6
+    kept: float = 0.5
 
     def level_c(self, time_s: float) -> float:
         """Mean temperature in °C, highest some hours after noon."""
-        return self.mean_c + self.swing_k * float(np.cos(2 * np.pi * time_s / self.period_s - AIR_LAG_RAD))
+        return self.mean_c + self.swing_k * float(np.cos(2 * np.pi * time_s / self.period_s - self.air_lag_rad))
 
     def weights(self, time_s: float) -> tuple[float, float]:
         """Weights of the pattern of sun and of the one that keeps its heat."""
-        angle = 2 * np.pi * time_s / self.period_s - LAG_RAD
-        return float(np.cos(angle)), KEPT * float(np.sin(angle))
+        angle = 2 * np.pi * time_s / self.period_s - self.lag_rad
+        return float(np.cos(angle)), self.kept * float(np.sin(angle))
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +37,14 @@ class DayInfrared:
     """A thermal camera under a sky; every picture can be had by its number, whatever came before.
 
     view: what it looks at and what it adds itself; `drops` hang on its lens. seed: pictures are the same for the same.
+    fog_share: of the fog's optical depth that heat meets.
     """
 
     view: ThermalView
     sky: Sky
     drops: Drops | None = None
     seed: int = 0
+    fog_share: float = 0.25
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -62,11 +62,11 @@ class DayInfrared:
         image = self.view.temperature(*moved_px, time_s)
         level = np.float32(self.view.course.level_c(time_s))
         if (depth := self.sky.depth(time_s)) > 0.0:
-            image = level + np.float32(np.exp(-FOG_SHARE * depth)) * (image - level)
+            image = level + np.float32(np.exp(-self.fog_share * depth)) * (image - level)
         cover = None if self.drops is None else self.drops.cover(time_s)
         if cover is not None:
-            # Water lets no heat through.
-            image = image + np.float32(0.8) * cover * (level - np.float32(DROP_BELOW_K) - image)
+            # Water lets no heat through, and is 2 K colder than the air.
+            image = image + np.float32(0.8) * cover * (level - np.float32(2.0) - image)
         return image
 
     def picture(self, number: int, moved_px: Floats, time_s: float) -> Image:

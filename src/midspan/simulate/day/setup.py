@@ -1,6 +1,6 @@
 """A camera and a thermal camera on one structure through a day: how they are set up, and the files they leave."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,18 +10,14 @@ import numpy as np
 from midspan.records import Floats
 from midspan.simulate.day.camera import DayCamera, wall_in_relief
 from midspan.simulate.day.infrared import DayCourse, DayInfrared
-from midspan.simulate.day.sky import Sky, Span
-from midspan.simulate.day.weather import Drops, Headlights
-from midspan.simulate.files.celsius import write_celsius
-from midspan.simulate.files.folder import exact_in_video, write_table, write_video
+from midspan.simulate.day.sky import Drops, Headlights, Sky, Span
+from midspan.simulate.files.folder import Progress, counted, exact_in_video, write_celsius, write_table, write_video
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.scene.camera import Pixels
-from midspan.simulate.scene.scene import Image
+from midspan.simulate.motion.sensors import frame_stamps
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, ThermalView, WarmBody
 
 VIDEO, INFRARED, TIMES = "camera.mkv", "infrared.npz", "camera_times.csv"
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +35,7 @@ class Eye:
 
     def stamps_s(self, duration_s: float) -> Floats:
         """Time stamps (n,) of its frames in s on its own clock."""
-        usable = duration_s - 0.1 - self.time_offset_s - self.start_s
-        return self.start_s + np.arange(int(usable * self.rate_hz) + 1) / self.rate_hz
+        return frame_stamps(duration_s, self.rate_hz, self.start_s, self.time_offset_s)
 
     def moved_px(self, motion: Motion, stamps_s: Floats) -> Floats:
         """Translation (n, 2) of the scene along x and y at its own stamps (n,)."""
@@ -106,70 +101,52 @@ class DaySetup:
                 sections[name]["roi"] = list(roi)
         return sections
 
+    def write(
+        self, folder: Path, motion: Motion, *, duration_s: float, rng: np.random.Generator, progress: Progress
+    ) -> dict[str, Any]:
+        """Write the files of both cameras on a motion frame by frame; returns what is known of them."""
+        rng_camera, rng_infrared = rng.spawn(2)
+        stamps = self.infrared.stamps_s(duration_s)
+        before = 0 if self.camera is None else len(self.camera.stamps_s(duration_s))
 
-@dataclass(frozen=True, slots=True)
-class DayRun:
-    """A setup on a moving structure, with a generator: what is random in it is drawn in `write`."""
+        def done(frames: int) -> None:
+            progress(frames, before + len(stamps))
 
-    setup: DaySetup
-    motion: Motion
-    duration_s: float
-    rng: np.random.Generator
+        if self.camera is not None:
+            self._write_video(folder, self.camera, self.day_camera(self.camera, rng_camera), (motion, duration_s, done))
+        infrared, eye = self.day_infrared(rng_infrared), self.infrared
+        moved, times = eye.moved_px(motion, stamps), stamps + eye.time_offset_s
+        pictures = (infrared.film_number(number, moved, times) for number in range(len(stamps)))
+        counted_pictures = counted(pictures, lambda picture: 1, lambda count: done(before + count))
+        write_celsius(folder / INFRARED, counted_pictures, stamps, eye.size_px)
+        return self._known(duration_s)
 
-    def write(self, folder: Path, progress: Progress) -> dict[str, Any]:
-        """Write both cameras' files frame by frame; returns what is known of them."""
-        rng_camera, rng_infrared = self.rng.spawn(2)
-        setup, eye = self.setup, self.setup.camera
-        frames = [0 if one is None else len(one.stamps_s(self.duration_s)) for one in (eye, setup.infrared)]
-        if eye is not None:
-            camera = setup.day_camera(eye, rng_camera)
-            self._write_video(folder, eye, camera, lambda done: progress(done, sum(frames)))
-        stamps = setup.infrared.stamps_s(self.duration_s)
-        pictures = self._thermal_film(setup.day_infrared(rng_infrared), stamps)
-        counted = _counted(pictures, lambda done: progress(frames[0] + done, sum(frames)))
-        write_celsius(folder / INFRARED, counted, stamps, setup.infrared.size_px)
-        return self._known()
-
-    def _write_video(self, folder: Path, eye: Eye, camera: DayCamera, done: Callable[[int], None]) -> None:
-        stamps = eye.stamps_s(self.duration_s)
-        write_video(folder / VIDEO, self._film(eye, camera, stamps), stamps_s=stamps, rate_hz=eye.rate_hz, done=done)
+    def _write_video(
+        self, folder: Path, eye: Eye, camera: DayCamera, run: tuple[Motion, float, Callable[[int], None]]
+    ) -> None:
+        motion, duration_s, done = run
+        stamps = eye.stamps_s(duration_s)
+        moved, times = eye.moved_px(motion, stamps), stamps + eye.time_offset_s
+        pictures = (camera.picture(number, moved[number], float(times[number])) for number in range(len(stamps)))
+        write_video(folder / VIDEO, pictures, stamps_s=stamps, rate_hz=eye.rate_hz, done=done)
         if not exact_in_video(stamps):
             write_table(folder / TIMES, {"time_s": stamps}, decimals={"time_s": 9})
 
-    def _film(self, eye: Eye, camera: DayCamera, stamps_s: Floats) -> Iterator[Pixels]:
-        moved = eye.moved_px(self.motion, stamps_s)
-        for number, stamp in enumerate(stamps_s):
-            yield camera.picture(number, moved[number], float(stamp) + eye.time_offset_s)
-
-    def _thermal_film(self, infrared: DayInfrared, stamps_s: Floats) -> Iterator[Image]:
-        eye = self.setup.infrared
-        moved, times = eye.moved_px(self.motion, stamps_s), stamps_s + eye.time_offset_s
-        for number in range(len(stamps_s)):
-            yield infrared.film_number(number, moved, times)
-
-    def _known(self) -> dict[str, Any]:
-        sky, setup = self.setup.sky, self.setup
-        days = int(self.duration_s / sky.length_s) + 1
+    def _known(self, duration_s: float) -> dict[str, Any]:
         eyes = {
             name: {"scale_mm_per_px": eye.scale_mm_per_px, "time_offset_s": eye.time_offset_s}
-            for name, eye in (("camera", setup.camera), ("infrared", setup.infrared))
+            for name, eye in (("camera", self.camera), ("infrared", self.infrared))
             if eye is not None
         }
         day: dict[str, list[Any]] = {
-            "night_s": [list(sky.night(k)) for k in range(days)],
-            "fog_s": [list(span) for span in sky.fog],
-            "rain_s": [list(span) for span in sky.rain],
-            "headlights_s": list(setup.cars.starts_s),
-            "shutter_s": list(setup.thermal.shutters_s),
-            "warm_body_s": [body.start_s for body in setup.bodies],
+            "night_s": [list(self.sky.night(k)) for k in range(int(duration_s / self.sky.length_s) + 1)],
+            "fog_s": [list(span) for span in self.sky.fog],
+            "rain_s": [list(span) for span in self.sky.rain],
+            "headlights_s": list(self.cars.starts_s),
+            "shutter_s": list(self.thermal.shutters_s),
+            "warm_body_s": [body.start_s for body in self.bodies],
         }
         return {**eyes, "day": day}
-
-
-def _counted(pictures: Iterator[Image], done: Callable[[int], None]) -> Iterator[Image]:
-    for count, picture in enumerate(pictures, start=1):
-        yield picture
-        done(count)
 
 
 def hours(day_s: float, *at: float) -> tuple[float, ...]:

@@ -1,15 +1,18 @@
 """Writing of simulated recordings: tables, lossless video, and a folder that appears whole or not at all."""
 
+import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.simulate.scene.camera import Pixels
+from midspan.simulate.scene.scene import Image
 from midspan.writing import replacing_folder, settle_folder
 
 MARK = "known.json"  # the file by which a folder written here is known again
@@ -18,6 +21,19 @@ OWN_FILES = frozenset(
     | {"adc_data.bin", "radar.cfg", "radar.h5", "infrared.npz"}
 )
 MILLISECONDS = 1000  # Matroska's time stamps are whole milliseconds
+
+
+Progress = Callable[[int, int], None]  # frames done, in all
+T = TypeVar("T")
+
+
+def counted(blocks: Iterable[T], size: Callable[[T], int], done: Callable[[int], None]) -> Iterator[T]:
+    """The blocks as they are; `done` is called after each with the sum of all sizes so far."""
+    total = 0
+    for block in blocks:
+        yield block
+        total += size(block)
+        done(total)
 
 
 def write_table(path: Path, columns: dict[str, Floats], *, decimals: dict[str, int]) -> None:
@@ -95,3 +111,18 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     with replacing_folder(folder) as partial:
         yield partial
         check_free(folder)
+
+
+def write_celsius(path: Path, pictures: Iterable[Image], stamps_s: Floats, size_px: tuple[int, int]) -> None:
+    """An npz of `celsius` (n, rows, columns), float32 in °C rounded to 1/64 K, and `time_s` (n,), n stamps."""
+    # 1/64 K adds a hundredth to the noise of a good camera, and half the bytes are zeros.
+    steps = np.float32(64.0)
+    form = {"descr": "<f4", "fortran_order": False, "shape": (len(stamps_s), *size_px)}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open("time_s.npy", "w") as file:
+            np.lib.format.write_array(file, np.asarray(stamps_s, dtype=np.float64), allow_pickle=False)
+        with archive.open("celsius.npy", "w", force_zip64=True) as file:
+            np.lib.format.write_array_header_1_0(file, form)
+            for picture in pictures:
+                rounded = np.rint(picture * steps) / steps
+                file.write(rounded.astype("<f4").tobytes())

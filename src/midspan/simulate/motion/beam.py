@@ -36,10 +36,7 @@ class Beam:
 
 
 def _recurrence(omega: float, damping: float, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Exact transition (2, 2) of x'' + 2ζω x' + ω² x = p and the loads (2,) of p at both ends of a step.
-
-    The matrix exponential of the state with p and its rate appended (Van Loan 1978, doi 10.1109/TAC.1978.1101743).
-    """
+    """Exact transition (2, 2) of x'' + 2ζω x' + ω² x = p, loads (2,) at both ends (doi 10.1109/TAC.1978.1101743)."""
     from scipy.linalg import expm
 
     system = np.zeros((4, 4))

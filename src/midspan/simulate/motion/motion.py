@@ -1,7 +1,7 @@
 """Motions known exactly: displacement, velocity and acceleration in closed form at any time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -9,39 +9,40 @@ from midspan.checks import finite, positive, refuse, same_length
 from midspan.records import Floats
 
 
-class Motion(Protocol):
-    """A motion of one degree of freedom; each method takes times (n,) in s and returns an array (n,)."""
+class Motion:
+    """A motion of one degree of freedom, known exactly at times (n,) in s; a kind of motion says `derivative`."""
+
+    __slots__ = ()
+
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """The displacement (n,) in m (order 0), or its exact derivative in m/s (1) or m/s² (2)."""
+        raise NotImplementedError
 
     def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m."""
+        """Displacement (n,) in m at times (n,) in s."""
+        return self.derivative(np.asarray(time_s, dtype=np.float64), 0)
 
     def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s, the exact derivative of the displacement."""
+        """Velocity (n,) in m/s at times (n,) in s."""
+        return self.derivative(np.asarray(time_s, dtype=np.float64), 1)
 
     def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s², the exact derivative of the velocity."""
+        """Acceleration (n,) in m/s² at times (n,) in s."""
+        return self.derivative(np.asarray(time_s, dtype=np.float64), 2)
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class Rest(Motion):
     """A structure that does not move, at `value_m`."""
 
     value_m: float = 0.0
 
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return np.full_like(np.asarray(time_s, dtype=np.float64), self.value_m)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        return np.zeros_like(np.asarray(time_s, dtype=np.float64))
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        return np.zeros_like(np.asarray(time_s, dtype=np.float64))
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`."""
+        return np.full_like(time_s, self.value_m if order == 0 else 0.0)
 
 
-class Sines:
+class Sines(Motion):
     """A sum of k sines: Σ amplitude_m · sin(2π frequency_hz t + phase_rad), each an array (k,)."""
 
     __slots__ = ("amplitude_m", "frequency_hz", "phase_rad")
@@ -52,59 +53,16 @@ class Sines:
         same_length(amplitude_m=self.amplitude_m, frequency_hz=self.frequency_hz)
         self.phase_rad = np.broadcast_to(finite("phase_rad", phase_rad), self.amplitude_m.shape)
 
-    def _sum(self, time_s: Floats, order: int) -> Floats:
-        # The n-th derivative of a sine is the sine a quarter turn further on, n times, times omega to the n.
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`: each time a quarter turn further on, times omega."""
         omega = 2 * np.pi * self.frequency_hz
-        angle = np.multiply.outer(np.asarray(time_s, dtype=np.float64), omega) + self.phase_rad + order * np.pi / 2
+        angle = np.multiply.outer(time_s, omega) + self.phase_rad + order * np.pi / 2
         result: Floats = np.sin(angle) @ (self.amplitude_m * omega**order)
         return result
 
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self._sum(time_s, 0)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        return self._sum(time_s, 1)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        return self._sum(time_s, 2)
-
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
-    """A sine whose frequency goes linearly from `start_hz` at time 0 to `stop_hz` at `duration_s`, and on beyond."""
-
-    amplitude_m: float
-    start_hz: float
-    stop_hz: float
-    duration_s: float
-
-    def _angle(self, time_s: Floats) -> tuple[Floats, Floats, float]:
-        """The angle in rad, its rate in rad/s and the rate's own rate in rad/s²."""
-        time = np.asarray(time_s, dtype=np.float64)
-        slope = 2 * np.pi * (self.stop_hz - self.start_hz) / self.duration_s
-        start = 2 * np.pi * self.start_hz
-        return start * time + slope * time**2 / 2, start + slope * time, slope
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self.amplitude_m * np.sin(self._angle(time_s)[0])
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        angle, rate, _ = self._angle(time_s)
-        return self.amplitude_m * rate * np.cos(angle)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        angle, rate, slope = self._angle(time_s)
-        return self.amplitude_m * (slope * np.cos(angle) - rate**2 * np.sin(angle))
-
-
-@dataclass(frozen=True, slots=True)
-class Pulse:
+class Pulse(Motion):
     """A smooth pulse, as a vehicle that crosses slowly makes: height_m · exp(-(t - centre_s)² / (2 width_s²)).
 
     Its spectrum is a Gaussian of standard deviation 1 / (2π width_s) Hz: 0.02 Hz for 8 s.
@@ -114,62 +72,57 @@ class Pulse:
     centre_s: float
     width_s: float
 
-    def _shape(self, time_s: Floats) -> tuple[Floats, Floats]:
-        place = (np.asarray(time_s, dtype=np.float64) - self.centre_s) / self.width_s
-        return place, self.height_m * np.exp(-(place**2) / 2)
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self._shape(time_s)[1]
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        place, value = self._shape(time_s)
-        return -place * value / self.width_s
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        place, value = self._shape(time_s)
-        return (place**2 - 1) * value / self.width_s**2
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`."""
+        place = (time_s - self.centre_s) / self.width_s
+        value: Floats = self.height_m * np.exp(-(place**2) / 2)
+        if order == 0:
+            return value
+        return -place * value / self.width_s if order == 1 else (place**2 - 1) * value / self.width_s**2
 
 
 @dataclass(frozen=True, slots=True)
-class Later:
-    """A motion whose time begins at `start_s`."""
-
-    motion: Motion
-    start_s: float
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self.motion.displacement(np.asarray(time_s) - self.start_s)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        return self.motion.velocity(np.asarray(time_s) - self.start_s)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        return self.motion.acceleration(np.asarray(time_s) - self.start_s)
-
-
-@dataclass(frozen=True, slots=True)
-class Sum:
+class Sum(Motion):
     """The sum of several motions."""
 
     parts: tuple[Motion, ...]
 
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return sum((part.displacement(time_s) for part in self.parts), np.zeros(np.shape(time_s)))
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`."""
+        return sum((part.derivative(time_s, order) for part in self.parts), np.zeros(np.shape(time_s)))
 
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        return sum((part.velocity(time_s) for part in self.parts), np.zeros(np.shape(time_s)))
 
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        return sum((part.acceleration(time_s) for part in self.parts), np.zeros(np.shape(time_s)))
+@dataclass(frozen=True, slots=True)
+class Window(Motion):
+    """A motion that is at rest before `start_s` and after `stop_s`, with a smooth ramp of `ramp_s` inside at each end.
+
+    The ramp has continuous derivatives of every order, so acceleration shows no step where the motion begins.
+    """
+
+    motion: Motion
+    start_s: float = -np.inf
+    stop_s: float = np.inf
+    ramp_s: float = 1.0
+
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`."""
+        up = _smooth_step((time_s - self.start_s) / self.ramp_s)
+        down = _smooth_step((self.stop_s - time_s) / self.ramp_s)
+        gain = up[0] * down[0]
+        rate = (up[1] * down[0] - up[0] * down[1]) / self.ramp_s
+        bend = (up[2] * down[0] - 2 * up[1] * down[1] + up[0] * down[2]) / self.ramp_s**2
+        return product((gain, rate, bend), self.motion, time_s, order)
+
+
+def product(gain: tuple[Floats, Floats, Floats], motion: Motion, time_s: Floats, order: int) -> Floats:
+    """Derivative (n,) of a gain times a motion; gain: (n,) with its first and second derivative in 1/s and 1/s²."""
+    value, rate, bend = gain
+    moved = motion.derivative(time_s, 0)
+    if order == 0:
+        return value * moved
+    if order == 1:
+        return rate * moved + value * motion.derivative(time_s, 1)
+    return bend * moved + 2 * rate * motion.derivative(time_s, 1) + value * motion.derivative(time_s, 2)
 
 
 def _smooth_step(place: Floats) -> tuple[Floats, Floats, Floats]:
@@ -191,44 +144,7 @@ def _smooth_step(place: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
-    """A motion that is at rest before `start_s` and after `stop_s`, with a smooth ramp of `ramp_s` inside at each end.
-
-    The ramp has continuous derivatives of every order, so acceleration shows no step where the motion begins.
-    """
-
-    motion: Motion
-    start_s: float = -np.inf
-    stop_s: float = np.inf
-    ramp_s: float = 1.0
-
-    def _gain(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
-        """The window and its first two derivatives in 1, 1/s and 1/s²."""
-        time = np.asarray(time_s, dtype=np.float64)
-        up = _smooth_step((time - self.start_s) / self.ramp_s)
-        down = _smooth_step((self.stop_s - time) / self.ramp_s)
-        rate = (up[1] * down[0] - up[0] * down[1]) / self.ramp_s
-        bend = (up[2] * down[0] - 2 * up[1] * down[1] + up[0] * down[2]) / self.ramp_s**2
-        return up[0] * down[0], rate, bend
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self._gain(time_s)[0] * self.motion.displacement(time_s)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        gain, rate, _ = self._gain(time_s)
-        return rate * self.motion.displacement(time_s) + gain * self.motion.velocity(time_s)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        gain, rate, bend = self._gain(time_s)
-        moved = bend * self.motion.displacement(time_s) + 2 * rate * self.motion.velocity(time_s)
-        return moved + gain * self.motion.acceleration(time_s)
-
-
-@dataclass(frozen=True, slots=True)
-class FineSteps:
+class FineSteps(Motion):
     """A motion known at fine, even steps from `start_s`: displacement, velocity and acceleration, arrays (n,).
 
     Between the steps it is the quintic that meets all three at both ends, so displacement, velocity and acceleration
@@ -241,36 +157,26 @@ class FineSteps:
     velocity_m_s: Floats
     acceleration_m_s2: Floats
 
-    def _quintic(self, time_s: Floats) -> tuple[Floats, list[Floats]]:
-        """Place (n,) within each step in 0 … 1 and the six coefficients of the quintic in it, lowest first."""
-        place = (np.asarray(time_s, dtype=np.float64) - self.start_s) / self.step_s
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`."""
+        place = (time_s - self.start_s) / self.step_s
         last = len(self.displacement_m) - 1
         if np.any(place < -1e-9) or np.any(place > last + 1e-9):
             raise refuse("time_s", f"within the {last * self.step_s:g} s that were computed", "times outside")
         first = np.clip(np.floor(place + 1e-9).astype(np.int64), 0, last - 1)
-        h = self.step_s
+        h, u = self.step_s, place - first
         x0, x1 = self.displacement_m[first], self.displacement_m[first + 1]
         v0, v1 = h * self.velocity_m_s[first], h * self.velocity_m_s[first + 1]
         a0, a1 = h * h * self.acceleration_m_s2[first] / 2, h * h * self.acceleration_m_s2[first + 1] / 2
         rise, slope, bend = x1 - x0 - v0 - a0, v1 - v0 - 2 * a0, a1 - a0
-        cubic = 10 * rise - 4 * slope + bend
-        quartic = -15 * rise + 7 * slope - 2 * bend
-        return place - first, [x0, v0, a0, cubic, quartic, 6 * rise - 3 * slope + bend]
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        u, c = self._quintic(time_s)
-        return c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        u, c = self._quintic(time_s)
-        return (c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))) / self.step_s
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        u, c = self._quintic(time_s)
-        return (2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))) / self.step_s**2
+        c3 = 10 * rise - 4 * slope + bend
+        c4 = -15 * rise + 7 * slope - 2 * bend
+        c5 = 6 * rise - 3 * slope + bend
+        if order == 0:
+            return x0 + u * (v0 + u * (a0 + u * (c3 + u * (c4 + u * c5))))
+        if order == 1:
+            return (v0 + u * (2 * a0 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / h
+        return (2 * a0 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))) / h**2
 
 
 def random_motion(
@@ -293,3 +199,16 @@ def random_motion(
     weight = frequency**-order
     amplitude = weight * std_m * np.sqrt(2 / np.sum(weight**2))
     return Sines(amplitude, frequency, phase_rad=rng.uniform(0, 2 * np.pi, lines))
+
+
+def modes(
+    *bands: tuple[float, float, float, int], start_s: float, ramp_s: float
+) -> Callable[[np.random.Generator], Motion]:
+    """A motion to be drawn: the sum of `random_motion` in bands of (low Hz, high Hz, std in m, lines), each a mode that
+    comes and goes or a slow sag; at rest before `start_s`.
+    """
+    return lambda rng: Window(
+        Sum(tuple(random_motion((low, high), std_m, rng=rng, lines=n) for low, high, std_m, n in bands)),
+        start_s=start_s,
+        ramp_s=ramp_s,
+    )

@@ -30,11 +30,23 @@ def exposed(motion: Motion, centre_s: Floats, *, exposure_s: float) -> Floats:
     return result
 
 
-def _instants(rate_hz: float, span_s: tuple[float, float]) -> Floats:
-    """The even sampling instants in s from the start of the span up to, not including, its end."""
+def _instants(
+    rate_hz: float, span_s: tuple[float, float], jitter_s: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """The even grid in s from the start of the span up to, not including, its end; when samples are really taken."""
     positive("rate_hz", rate_hz, "Hz")
     count = int(np.ceil((span_s[1] - span_s[0]) * rate_hz - 1e-6))
-    return span_s[0] + np.arange(count) / rate_hz
+    grid = span_s[0] + np.arange(count) / rate_hz
+    return grid, grid + jitter_s * rng.standard_normal(count) if jitter_s else grid
+
+
+def frame_stamps(duration_s: float, rate_hz: float, start_s: float, time_offset_s: float) -> Floats:
+    """Stamps (n,) in s on a camera's own clock of the frames of a recording that lasts `duration_s` of true time.
+
+    The last tenth of a second is left to the accelerometer, so that an exposure never ends after it.
+    """
+    usable = duration_s - 0.1 - time_offset_s - start_s
+    return start_s + np.arange(int(usable * rate_hz) + 1) / rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +67,7 @@ class AccelerometerModel:
 
     def measure(self, motion: Motion, span_s: tuple[float, float], *, rng: np.random.Generator) -> TimeSeries:
         """What it reads of `motion` over `span_s` (start, end) in s: m/s²."""
-        grid = _instants(self.rate_hz, span_s)
-        taken = grid + self.jitter_s * rng.standard_normal(len(grid)) if self.jitter_s else grid
+        grid, taken = _instants(self.rate_hz, span_s, self.jitter_s, rng)
         drift = np.cumsum(rng.standard_normal(len(grid))) * self.drift_m_s2_per_root_s / np.sqrt(self.rate_hz)
         noise = self.noise_std_m_s2 * rng.standard_normal(len(grid))
         value = motion.acceleration(taken) + self.bias_m_s2 + drift + noise
@@ -81,8 +92,7 @@ class DisplacementSensorModel:
 
     def measure(self, motion: Motion, span_s: tuple[float, float], *, rng: np.random.Generator) -> TimeSeries:
         """What it reads of `motion` over `span_s` (start, end) in s of the true time: m, stamped on its own clock."""
-        grid = _instants(self.rate_hz, span_s)
-        taken = grid + self.jitter_s * rng.standard_normal(len(grid)) if self.jitter_s else grid
+        grid, taken = _instants(self.rate_hz, span_s, self.jitter_s, rng)
         value = exposed(motion, taken, exposure_s=self.exposure_s) + self.noise_std_m * rng.standard_normal(len(grid))
         stamps = (grid if self.nominal_stamps else taken) - self.time_offset_s
         return TimeSeries(nanoseconds(stamps), value, "displacement", "m")

@@ -1,22 +1,83 @@
 """The radar of a scenario: what it sees, and how its recording is written, as raw samples or as slow-time I/Q."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from midspan.radar.chirp import ChirpProfile
-from midspan.radar.layout import PACKET_BYTES, Layout
+from midspan.radar.layout import PACKET_BYTES, Layout, pack
 from midspan.radar.range_profile import bin_kernel
 from midspan.records import Floats
+from midspan.simulate.files.folder import Progress, counted
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.radar.files import Capture, demo_settings, write_capture
 from midspan.simulate.radar.signal import Cubes, RadarModel, Reflector, phase_bound_m
 
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """How a capture is written: lost packets (by number, from 0) are zeros; `cut_bytes` are missing at the end."""
+
+    layout: Layout
+    lost: tuple[int, ...] = ()
+    cut_bytes: int = 0
+
+
+def write_capture(path: Path, cubes: Iterable[Cubes], capture: Capture) -> int:
+    """Write cubes (frames, chirps, receivers, samples) as a .bin; returns the bytes written."""
+    position = 0
+    with path.open("wb") as file:
+        for cube in cubes:
+            data = bytearray(pack(cube, capture.layout).tobytes())
+            for packet in capture.lost:
+                start = max(packet * PACKET_BYTES - position, 0)
+                end = min((packet + 1) * PACKET_BYTES - position, len(data))
+                if start < end:
+                    data[start:end] = bytes(end - start)
+            file.write(data)
+            position += len(data)
+        if capture.cut_bytes:
+            position -= capture.cut_bytes
+            file.truncate(position)
+    return position
+
+
+def packets(words: "np.ndarray[tuple[int], np.dtype[np.int16]]") -> Iterator[bytes]:
+    """The datagrams of a capture card: number from 1, count of bytes before, and up to 1456 bytes of the words."""
+    data = words.astype("<i2").tobytes()
+    for number, start in enumerate(range(0, len(data), PACKET_BYTES), start=1):
+        head = number.to_bytes(4, "little") + start.to_bytes(6, "little")
+        yield head + data[start : start + PACKET_BYTES]
+
+
+def demo_settings(profile: ChirpProfile, *, frames: int = 0, order: str = "QQII", device: str = "xWR1642") -> str:
+    """Settings as the demo firmware takes them over its serial line (.cfg); `frames` 0 is without end."""
+    slope, ramp_us = profile.slope_hz_s / 1e12, 1e6 * (2.0 * profile.centre_s - profile.adc_start_s) + 2.0
+    idle_us = 1e6 * profile.chirp_period_s - ramp_us
+    swapped = 1 if order.startswith("Q") else 0
+    lines = [
+        f"% {device}",
+        "sensorStop",
+        "flushCfg",
+        "dfeDataOutputMode 1",
+        f"channelCfg {2**profile.receivers - 1} {reduce(or_, profile.transmitters)} 0",
+        f"adcCfg {(12, 14, 16).index(profile.bits)} {1 if profile.complex_samples else 0}",
+        f"adcbufCfg -1 {0 if profile.complex_samples else 1} {swapped} 1 1",
+        f"profileCfg 0 {profile.start_frequency_hz / 1e9:.9g} {idle_us:.6g} {1e6 * profile.adc_start_s:.9g} "
+        f"{ramp_us:.6g} 0 0 {slope:.9g} 1 {profile.samples} {profile.sample_rate_hz / 1e3:.9g} 0 0 30",
+        *(f"chirpCfg {k} {k} 0 0 0 0 0 {mask}" for k, mask in enumerate(profile.transmitters)),
+        f"frameCfg 0 {profile.chirps - 1} 1 {frames} {1e3 * profile.frame_period_s:.9g} 1 0",
+        "lvdsStreamCfg -1 0 1 0",
+        "sensorStart",
+    ]
+    return "\n".join(lines) + "\n"
+
+
 RAW, CONFIG, SLOW_TIME = "adc_data.bin", "radar.cfg", "radar.h5"
-Progress = Callable[[int, int], None]
 
 # 128 samples at 6 MHz of a chirp of 65 MHz/µs from 77 GHz: 1.4 GHz of bandwidth, bins of 0.11 m, up to 13.8 m.
 NEAR = ChirpProfile(77e9, 64.985e12, 6e6, 128, 0.01, receivers=2)
@@ -72,42 +133,39 @@ class RadarSetup:
         found: dict[str, Any] = {"file": SLOW_TIME} if self.slow_time else {"file": RAW, "config": CONFIG}
         return found | ({"start_s": self.start_s} if self.start_s else {})
 
-
-@dataclass(frozen=True, slots=True)
-class RadarRun:
-    """A radar's setup with the motion that it rides on: how long, and the generator of what is random."""
-
-    setup: RadarSetup
-    motion: Motion
-    duration_s: float
-    rng: np.random.Generator
-
-    def write(self, folder: Path, progress: Progress) -> dict[str, Any]:
-        """Write the radar's files into `folder`, in blocks; returns what an estimate should find.
+    def write(
+        self, folder: Path, motion: Motion, *, duration_s: float, rng: np.random.Generator, progress: Progress
+    ) -> dict[str, Any]:
+        """Write the files of the radar on a motion into `folder`, in blocks; returns what an estimate should find.
 
         progress: called with frames done and frames in all.
         """
-        setup, frames = self.setup, self.setup.frames(self.duration_s)
-        rng_view, rng_noise = self.rng.spawn(2)
-        model = setup.model(rng_view)
-        blocks = _counted(model.blocks(self.motion, frames, rng=rng_noise), frames, progress)
-        if setup.slow_time:
-            places = np.array([target.range_m for target in model.reflectors[: setup.targets]])
-            write_slow_time(folder / SLOW_TIME, blocks, (setup.profile, frames, places))
+        frames = self.frames(duration_s)
+        rng_view, rng_noise = rng.spawn(2)
+        model = self.model(rng_view)
+        targets = model.reflectors[: self.targets]
+        blocks = counted(model.blocks(motion, frames, rng=rng_noise), len, lambda done: progress(done, frames))
+        if self.slow_time:
+            places = np.array([target.range_m for target in targets])
+            write_slow_time(folder / SLOW_TIME, blocks, (self.profile, frames, places))
         else:
-            layout = Layout(setup.profile, setup.order)
-            write_capture(folder / RAW, blocks, Capture(layout, lost=setup_lost(setup, layout)))
-            text = demo_settings(setup.profile, frames=frames, order=setup.order)
+            layout = Layout(self.profile, self.order)
+            write_capture(folder / RAW, blocks, Capture(layout, lost=setup_lost(self, layout)))
+            text = demo_settings(self.profile, frames=frames, order=self.order)
             (folder / CONFIG).write_text(text, encoding="utf-8")
-        return _known(setup, model)
+        speed = 1e3 * self.profile.limit_speed_m_s
+        expected = [self._expected(target) for target in targets]
+        return {"time_offset_s": self.time_offset_s, "limit_speed_mm_s": speed, "targets": expected}
 
-
-def _counted(blocks: Iterator[Cubes], frames: int, progress: Progress) -> Iterator[Cubes]:
-    done = 0
-    for block in blocks:
-        yield block
-        done += len(block)
-        progress(done, frames)
+    def _expected(self, target: Reflector) -> dict[str, float]:
+        ratio_db = float(20.0 * np.log10(target.amplitude / self.noise_std))
+        bound_m = phase_bound_m(ratio_db, self.profile, self.profile.receivers) / target.ratio
+        return {
+            "range_m": target.range_m,
+            "conversion_factor": 1.0 / target.ratio,
+            "snr_db_a_sample": ratio_db,
+            "cramer_rao_std_mm": 1e3 * abs(bound_m),
+        }
 
 
 def setup_lost(setup: RadarSetup, layout: Layout) -> tuple[int, ...]:
@@ -138,27 +196,3 @@ def write_slow_time(path: Path, cubes: Iterator[Cubes], stored: tuple[ChirpProfi
         for cube in cubes:
             data[done : done + len(cube)] = (cube @ kernel.T).mean(axis=1)
             done += len(cube)
-
-
-def _known(setup: RadarSetup, model: RadarModel) -> dict[str, Any]:
-    targets = [
-        {
-            "range_m": target.range_m,
-            "conversion_factor": 1.0 / target.ratio,
-            "snr_db_a_sample": _decibels(target.amplitude / setup.noise_std),
-            "cramer_rao_std_mm": 1e3 * abs(_bound_m(setup, target)),
-        }
-        for target in model.reflectors[: setup.targets]
-    ]
-    speed = 1e3 * setup.profile.limit_speed_m_s
-    return {"time_offset_s": setup.time_offset_s, "limit_speed_mm_s": speed, "targets": targets}
-
-
-def _bound_m(setup: RadarSetup, target: Reflector) -> float:
-    """Cramér-Rao bound of one frame's displacement from one target, all receivers, m."""
-    ratio = _decibels(target.amplitude / setup.noise_std)
-    return phase_bound_m(ratio, setup.profile, setup.profile.receivers) / target.ratio
-
-
-def _decibels(share: float) -> float:
-    return float(20.0 * np.log10(share))

@@ -69,22 +69,22 @@ class RadarModel:
         chirp_s = np.add.outer(begin, np.arange(profile.chirps) * profile.chirp_period_s + profile.centre_s)
         time = chirp_s + self.time_offset_s
         moved = motion.displacement(time)
-        out = self._noise((count, profile.chirps, profile.receivers, profile.samples), rng)
+        shape = (count, profile.chirps, profile.receivers, profile.samples, 2)
+        parts = rng.standard_normal(shape, dtype=np.float32) * np.float32(self.noise_std / np.sqrt(2.0))
+        out = parts.view(np.complex64)[..., 0]
         for reflector in self.reflectors:
             place = reflector.range_m + reflector.ratio * moved
             if reflector.own is not None:
                 place = place + reflector.own.displacement(time)
-            seen = _seen(time, reflector.blocked) * reflector.amplitude
-            echo = seen[..., None] * beat(place, profile)
+            amplitude = np.full(time.shape, reflector.amplitude)
+            for start, end in reflector.blocked:
+                amplitude[(time >= start) & (time < end)] = 0.0
+            echo = amplitude[..., None] * beat(place, profile)
             out += (echo[:, :, None, :] * self._steering(reflector)[:, :, None]).astype(np.complex64)
         if self.phase_noise_rad:
             turn = np.exp(1j * rng.normal(0.0, self.phase_noise_rad, (count, profile.chirps, 1, 1)))
             out *= turn.astype(np.complex64)
         return out if profile.complex_samples else out.real.astype(np.complex64)
-
-    def _noise(self, shape: tuple[int, ...], rng: np.random.Generator) -> Cubes:
-        both = rng.standard_normal((*shape, 2), dtype=np.float32) * np.float32(self.noise_std / np.sqrt(2.0))
-        return both.view(np.complex64)[..., 0]
 
     def _steering(self, reflector: Reflector) -> NDArray[np.complex128]:
         """Phase factors (chirps, receivers) of antennas half a wavelength apart."""
@@ -117,11 +117,3 @@ def phase_bound_m(snr_db: float, profile: ChirpProfile, channels: int = 1) -> fl
     """
     ratio = 10 ** (snr_db / 10) * profile.samples * channels * profile.chirps
     return float(1.0 / (profile.phase_per_m() * np.sqrt(2.0 * ratio)))
-
-
-def _seen(time_s: Floats, blocked: tuple[tuple[float, float], ...]) -> Floats:
-    """1 where a reflector is seen at times (…,), 0 where it is blocked."""
-    seen = np.ones(np.shape(time_s))
-    for start, end in blocked:
-        seen[(time_s >= start) & (time_s < end)] = 0.0
-    return seen

@@ -1,6 +1,6 @@
 """What `midspan simulate --break` breaks: a recording that no longer obeys the model, with its truth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,37 +16,22 @@ Signal = Callable[[Floats], Floats]  # of times (n,) in s
 Facts = dict[str, float]  # what a break drew, as known.json says it
 Change = Callable[[Stage, np.random.Generator], tuple[Stage, Facts]]
 
-# The slope at the top of a cantilever in its first mode over its displacement there, times its height.
-CANTILEVER_SLOPE = 1.38
-VIEW_DISTANCE_M = 10.0
-# Steps at which the logger's analogue filter is run: 40 times its highest corner, where the bilinear transform bends
-# frequencies by (pi f / rate)^2 / 3 = 0.2 %, and by nothing at the corner itself.
-FILTER_HZ = 500.0
-ROWS_AT_A_TIME = 20_000
 NOISE_HZ = 10.0  # steps of a sensor's own error; no scenario's slow sensor is faster
 LEANING = ("building", "radar-tall-building")
 AT_REST = ("no-excitation",)
 
 
 @dataclass(frozen=True, slots=True)
-class Sensed:
+class Sensed(Motion):
     """A motion as broken sensors meet it: the accelerometer `felt` (m/s²), every other sensor `seen` (m)."""
 
     motion: Motion
     felt: Signal
     seen: Signal
 
-    def displacement(self, time_s: Floats) -> Floats:
-        """What the other sensors meet (n,) in m at times (n,) in s."""
-        return self.seen(np.asarray(time_s, dtype=np.float64))
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """True velocity (n,) in m/s at times (n,) in s."""
-        return self.motion.velocity(time_s)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """What the accelerometer meets (n,) in m/s² at times (n,) in s."""
-        return self.felt(np.asarray(time_s, dtype=np.float64))
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`, of what the sensors meet; the velocity is the true one."""
+        return (self.seen, self.motion.velocity, self.felt)[order](time_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,21 +58,20 @@ def _instants(staged: Stage, rate_hz: float) -> Floats:
     return np.arange(count + 1) / rate_hz
 
 
-def tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The structure leans by slope × displacement: gravity reaches the accelerometer; a camera tilts slowly besides."""
-    slope = CANTILEVER_SLOPE / rng.uniform(30.0, 100.0)
+def _tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    # The slope at the top of a cantilever in its first mode is 1.38 times its displacement there over its height.
+    slope = 1.38 / rng.uniform(30.0, 100.0)
     before = staged.sensed.acceleration
     leaning = _felt(staged, lambda t: before(t) - GRAVITY_M_S2 * slope * staged.motion.displacement(t))
     facts = {"slope_per_m": slope}
     if staged.scenario.camera is None:
         return leaning, facts
-    tilt_rad = np.radians(1e-3 * rng.uniform(1.0, 3.0))
-    slow = random_motion((0.01, 0.05), VIEW_DISTANCE_M * tilt_rad, rng=rng, lines=12)
+    view_m, tilt_rad = 10.0, np.radians(1e-3 * rng.uniform(1.0, 3.0))
+    slow = random_motion((0.01, 0.05), view_m * tilt_rad, rng=rng, lines=12)
     return _seen(leaning, slow.displacement), facts | {"camera_tilt_std_mdeg": 1e3 * float(np.degrees(tilt_rad))}
 
 
-def axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The accelerometer is turned by 3 to 15 degrees towards an axis that shakes as much as its own."""
+def _axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     angle = np.radians(rng.uniform(3.0, 15.0))
     before, cross = staged.sensed.acceleration, random_motion((0.5, 4.0), 1e-3, rng=rng, lines=240, flat="acceleration")
     time = _instants(staged, 20.0)
@@ -96,29 +80,29 @@ def axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return turned, {"angle_deg": float(np.degrees(angle))}
 
 
-def gain(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The accelerometer's gain is 2 to 10 % off."""
+def _gain(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     factor = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 0.10)
     before = staged.sensed.acceleration
     return _felt(staged, lambda t: factor * before(t)), {"gain": factor}
 
 
-def logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The logger has a Butterworth low-pass of 5 to 12 Hz, 4th to 8th order: delay and droop."""
+def _logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
+    # Steps of 40 times the highest corner: the bilinear transform bends frequencies by (pi f / rate)^2 / 3 = 0.2 %, and
+    # by nothing at the corner itself.
+    step_rate_hz = 500.0
     corner, order = rng.uniform(5.0, 12.0), int(rng.choice([4, 6, 8]))
-    sections = butter(order, corner, fs=FILTER_HZ, output="sos")
-    time = _instants(staged, FILTER_HZ)
-    parts = np.array_split(time, len(time) // ROWS_AT_A_TIME + 1)
+    sections = butter(order, corner, fs=step_rate_hz, output="sos")
+    time = _instants(staged, step_rate_hz)
+    parts = np.array_split(time, len(time) // 20_000 + 1)
     value = np.concatenate([staged.sensed.acceleration(part) for part in parts])
     filtered, _ = sosfilt(sections, value, zi=sosfilt_zi(sections) * value[0])
     return _felt(staged, CubicSpline(time, filtered)), {"corner_hz": corner, "order": float(order)}
 
 
-def bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The camera's bracket vibrates by 5 to 15 % of the motion, above the Nyquist frequency of the used frames."""
+def _bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     setup = staged.scenario.camera
     assert setup is not None
     centre = setup.rate_hz / setup.every * rng.uniform(0.6, 0.95)
@@ -127,8 +111,7 @@ def bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, shake.displacement), {"frequency_hz": centre, "std_mm": 1e3 * std}
 
 
-def exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """Camera or displacement sensor averages over 50 to 90 % of its interval, and the settings do not say so."""
+def _exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     share, scenario = rng.uniform(0.5, 0.9), staged.scenario
     if scenario.camera is not None:
         exposure_s = share / scenario.camera.rate_hz
@@ -142,8 +125,7 @@ def exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return replace(staged, scenario=changed), {"exposure_s": exposure_s}
 
 
-def colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The displacement sensor has a Gauss-Markov error of 5 to 60 s, 1 to 3 times its white noise."""
+def _colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     tau, std = rng.uniform(5.0, 60.0), rng.uniform(1.0, 3.0) * _noise_m(staged)
     time = _instants(staged, NOISE_HZ)
     keep = np.exp(-1.0 / (NOISE_HZ * tau))
@@ -153,8 +135,7 @@ def colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, lambda t: np.interp(t, time, path)), {"std_mm": 1e3 * std, "time_s": tau}
 
 
-def step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The displacement sensor's level shifts one to three times by 3 to 20 times its noise."""
+def _step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     count, length = int(rng.integers(1, 4)), staged.scenario.duration_s
     at = np.sort(rng.uniform(0.1 * length, 0.9 * length, count))
     size = rng.choice([-1.0, 1.0], count) * rng.uniform(3.0, 20.0, count) * _noise_m(staged)
@@ -162,8 +143,7 @@ def step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, lambda t: (np.asarray(t)[:, None] >= at) @ size), facts
 
 
-def burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The displacement sensor's noise is ten times as large in spans of 2 to 15 s, 10 to 20 % of the time."""
+def _burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     share, noise = rng.uniform(0.10, 0.20), _noise_m(staged)
     time = _instants(staged, NOISE_HZ)
     loud = np.zeros(len(time), dtype=np.bool_)
@@ -180,8 +160,7 @@ def burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return _seen(staged, error), {"share": float(np.mean(loud)), "times": 10.0}
 
 
-def pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
-    """The infrared sensor has a fixed pattern of 0.1 K."""
+def _pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     del rng
     day = staged.scenario.day
     assert day is not None
@@ -212,25 +191,33 @@ def _slow_sensor(name: str, scenario: Scenario) -> bool:
 
 # In the order in which they act, from the structure over the mounting to the instrument, however they were asked for.
 BREAKS: dict[str, Break] = {
-    "tilt": Break("gravity reaches the accelerometer of a structure that leans", lambda n, s: n in LEANING, tilt),
-    "axis": Break("the accelerometer is turned by 3 to 15 degrees, with cross motion", _moves_along_one_axis, axis),
-    "gain": Break("the accelerometer's gain is 2 to 10 % off", _moves_along_one_axis, gain),
-    "logger": Break("the accelerometer's logger has a low-pass of 5 to 12 Hz", _moves_along_one_axis, logger),
-    "bracket": Break("the camera's bracket vibrates above the frames' Nyquist frequency", _camera_alone, bracket),
+    "tilt": Break(
+        "gravity reaches the accelerometer of a structure that leans, and a camera tilts slowly",
+        lambda n, s: n in LEANING,
+        _tilt,
+    ),
+    "axis": Break(
+        "the accelerometer is turned by 3 to 15 degrees towards an axis that shakes as much",
+        _moves_along_one_axis,
+        _axis,
+    ),
+    "gain": Break("the accelerometer's gain is 2 to 10 % off", _moves_along_one_axis, _gain),
+    "logger": Break("the accelerometer's logger has a low-pass of 5 to 12 Hz", _moves_along_one_axis, _logger),
+    "bracket": Break("the camera's bracket vibrates above the frames' Nyquist frequency", _camera_alone, _bracket),
     "exposure": Break(
         "an exposure of 50 to 90 % of the interval is not declared",
         lambda n, s: _camera(n, s) or _slow_sensor(n, s),
-        exposure,
+        _exposure,
     ),
-    "colour": Break("a slow Gauss-Markov error, 1 to 3 times the white noise", _slow_sensor, colour),
-    "step": Break("level shifts of 3 to 20 times the noise", _slow_sensor, step),
-    "burst": Break("ten times the noise for 10 to 20 % of the time", _slow_sensor, burst),
-    "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, pattern),
+    "colour": Break("a Gauss-Markov error of 5 to 60 s, 1 to 3 times the white noise", _slow_sensor, _colour),
+    "step": Break("level shifts of 3 to 20 times the noise", _slow_sensor, _step),
+    "burst": Break("ten times the noise for 10 to 20 % of the time", _slow_sensor, _burst),
+    "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, _pattern),
 }
 
 
 def broken(
-    staged: Stage, scenario: str, breaks: Sequence[str], scenarios: dict[str, Scenario]
+    staged: Stage, scenario: str, breaks: Sequence[str], scenarios: Mapping[str, Scenario]
 ) -> tuple[Stage, dict[str, Facts]]:
     """The stage of `scenario` with every break of `breaks` (names of BREAKS), and what each one drew.
 

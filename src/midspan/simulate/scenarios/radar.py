@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.simulate.motion.motion import Motion, Pulse, Sum, Window, random_motion
+from midspan.simulate.motion.motion import Motion, Pulse, modes, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.radar.setup import FAR, NEAR, RadarSetup
 from midspan.simulate.radar.signal import Reflector
@@ -15,18 +15,10 @@ FORCE_BALANCE = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-4, bias_m_s2
 
 # Spans of `radar-blockage`, s: a van hides two targets of three, then a lorry all of them.
 VAN, LORRY = (25.0, 35.0), (43.0, 45.5)
-# Spans of `radar-and-camera`, s.
-DARK, HIDDEN = (20.0, 25.0), (38.0, 43.0)
 
 
-def _walkers(rng: np.random.Generator) -> Motion:
-    """A footbridge under walkers: modes at 2.1 and 5.3 Hz that come and go, a slow sag; at rest for 1.5 s."""
-    parts = (
-        random_motion((2.00, 2.20), 0.9e-3, rng=rng, lines=20),
-        random_motion((5.10, 5.45), 0.2e-3, rng=rng, lines=30),
-        random_motion((0.05, 0.15), 1.0e-3, rng=rng, lines=14),
-    )
-    return Window(Sum(parts), start_s=1.5, ramp_s=2.0)
+# A footbridge under walkers: modes at 2.1 and 5.3 Hz that come and go, a slow sag; at rest for 1.5 s.
+_walkers = modes((2.00, 2.20, 0.9e-3, 20), (5.10, 5.45, 0.2e-3, 30), (0.05, 0.15, 1.0e-3, 14), start_s=1.5, ramp_s=2.0)
 
 
 def lively(rng: np.random.Generator) -> Motion:
@@ -34,23 +26,10 @@ def lively(rng: np.random.Generator) -> Motion:
     return random_motion((2.0, 3.0), 4e-3, rng=rng, lines=70)
 
 
-def _storm(rng: np.random.Generator) -> Motion:
-    """A tall building in a storm: sway of some 40 mm at 0.3 Hz, a second mode at 1.2 Hz; at rest for 1 s."""
-    parts = (
-        random_motion((0.28, 0.32), 22e-3, rng=rng, lines=14),
-        random_motion((1.15, 1.25), 5e-3, rng=rng, lines=30),
-    )
-    return Window(Sum(parts), start_s=1.0, ramp_s=4.0)
-
-
-def _traffic(rng: np.random.Generator) -> Motion:
-    """A long span for a quarter of an hour: some millimetres below 0.2 Hz, modes at 0.8 and 2.3 Hz; at rest for 2 s."""
-    parts = (
-        random_motion((0.03, 0.20), 5e-3, rng=rng, lines=155),
-        random_motion((0.75, 0.85), 2e-3, rng=rng, lines=92),
-        random_motion((2.25, 2.35), 0.3e-3, rng=rng, lines=92),
-    )
-    return Window(Sum(parts), start_s=2.0, ramp_s=4.0)
+# A tall building in a storm: sway of some 40 mm at 0.3 Hz, a second mode at 1.2 Hz; at rest for 1 s.
+_storm = modes((0.28, 0.32, 22e-3, 14), (1.15, 1.25, 5e-3, 30), start_s=1.0, ramp_s=4.0)
+# A long span for a quarter of an hour: some millimetres below 0.2 Hz, modes at 0.8 and 2.3 Hz; at rest for 2 s.
+_traffic = modes((0.03, 0.20, 5e-3, 155), (0.75, 0.85, 2e-3, 92), (2.25, 2.35, 0.3e-3, 92), start_s=2.0, ramp_s=4.0)
 
 
 def _below_the_deck(rng: np.random.Generator) -> tuple[Reflector, ...]:
@@ -113,18 +92,20 @@ def _piers(rng: np.random.Generator) -> tuple[Reflector, ...]:
 def _below_and_hidden(rng: np.random.Generator) -> tuple[Reflector, ...]:
     """The view below the deck, the abutment hidden for five seconds."""
     wall, *others = _below_the_deck(rng)
-    return (replace(wall, blocked=(HIDDEN,)), *others)
+    return (replace(wall, blocked=((38.0, 43.0),)), *others)
 
+
+_FOOTBRIDGE = Scenario(
+    line="footbridge, radar at 100 Hz on a wall at an angle among leakage, ground, a person and a car; MEMS",
+    title="simulated footbridge with a radar",
+    duration_s=60.0,
+    motion=_walkers,
+    accelerometer=MEMS,
+    radar=RadarSetup(_below_the_deck),
+)
 
 RADAR_SCENARIOS: dict[str, Scenario] = {
-    "radar-footbridge": Scenario(
-        line="footbridge, radar at 100 Hz on a wall at an angle among leakage, ground, a person and a car; MEMS",
-        title="simulated footbridge with a radar",
-        duration_s=60.0,
-        motion=_walkers,
-        accelerometer=MEMS,
-        radar=RadarSetup(_below_the_deck),
-    ),
+    "radar-footbridge": _FOOTBRIDGE,
     "radar-tall-building": Scenario(
         line="tall building, 40 mm at 0.3 Hz, faster than plain unwrapping of the radar's phase can follow",
         title="simulated building with a radar",
@@ -133,12 +114,10 @@ RADAR_SCENARIOS: dict[str, Scenario] = {
         accelerometer=FORCE_BALANCE,
         radar=RadarSetup(_across_the_street, targets=2, profile=FAR, start_s=0.2, time_offset_s=-0.064),
     ),
-    "radar-blockage": Scenario(
+    "radar-blockage": replace(
+        _FOOTBRIDGE,
         line="three targets of a radar: two hidden for 10 s, then all for 2.5 s; lost packets",
         title="simulated footbridge, radar with a view that is blocked",
-        duration_s=60.0,
-        motion=_walkers,
-        accelerometer=MEMS,
         radar=RadarSetup(
             _three_walls, targets=3, noise_std=250.0, time_offset_s=0.041, lost=((12.0, 12.04), (52.0, 52.3))
         ),
@@ -168,13 +147,11 @@ RADAR_SCENARIOS: dict[str, Scenario] = {
         accelerometer=replace(MEMS, rate_hz=50.0),
         radar=RadarSetup(_below_the_deck, time_offset_s=0.07),
     ),
-    "radar-and-camera": Scenario(
+    "radar-and-camera": replace(
+        _FOOTBRIDGE,
         line="footbridge with a camera at 10 Hz, dark for 5 s, and a radar whose target is hidden for another 5 s",
         title="simulated footbridge with a camera and a radar",
-        duration_s=60.0,
-        motion=_walkers,
-        accelerometer=MEMS,
-        camera=CameraSetup(time_offset_s=0.137, black=(DARK,)),
+        camera=CameraSetup(time_offset_s=0.137, black=((20.0, 25.0),)),
         radar=RadarSetup(_below_and_hidden, time_offset_s=0.052),
         window_s=(0.0, 37.0),
     ),

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.records import Floats, Region, TimeSeries
-from midspan.simulate.day.setup import DayRun, DaySetup
+from midspan.simulate.day.setup import DaySetup
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
-from midspan.simulate.radar.setup import RadarRun, RadarSetup
-from midspan.simulate.scene.camera import Camera, Light, View, cramer_rao_std_px
-from midspan.simulate.scene.disturbances import Disturbance
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, frame_stamps, noise_std_for
+from midspan.simulate.radar.setup import RadarSetup
+from midspan.simulate.scene.camera import Camera, Light, View
+from midspan.simulate.scene.disturbances import Disturbance, Panel
 from midspan.simulate.scene.texture import textured_scene
 
 Span = tuple[float, float]  # start and end in s
@@ -100,22 +99,18 @@ class Stage:
     rng_breaks: np.random.Generator
     across: Motion | None = None
 
-    def acceleration(self) -> TimeSeries:
-        """Acceleration in m/s² as stored, with its gaps; NaN where no number is written."""
-        whole = self.accelerometer.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_accelerometer)
-        return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
-
-    def acceleration_across(self) -> TimeSeries:
-        """Acceleration along the other image axis, m/s², at the same instants; its scenario draws a motion for it."""
-        assert self.across is not None
-        whole = self.accelerometer.measure(self.across, (0.0, self.scenario.duration_s), rng=self.rng_across)
+    def acceleration(self, *, across: bool = False) -> TimeSeries:
+        """Acceleration in m/s² as stored, with its gaps; NaN where no number is written. across: the other axis'."""
+        motion, rng = self.sensed, self.rng_accelerometer
+        if across:
+            assert self.across is not None
+            motion, rng = self.across, self.rng_across
+        whole = self.accelerometer.measure(motion, (0.0, self.scenario.duration_s), rng=rng)
         return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
 
     def frame_stamps_s(self, setup: CameraSetup) -> Floats:
         """Time stamps (n,) in s on the camera's clock of the frames that are stored."""
-        # The last tenth of a second is left to the accelerometer, so that an exposure never ends after it.
-        usable = self.scenario.duration_s - 0.1 - setup.time_offset_s - setup.start_s
-        stamps = setup.start_s + np.arange(int(usable * setup.rate_hz) + 1) / setup.rate_hz
+        stamps = frame_stamps(self.scenario.duration_s, setup.rate_hz, setup.start_s, setup.time_offset_s)
         return stamps[~within(stamps + setup.time_offset_s, setup.dropped)]
 
     def view(self, setup: CameraSetup) -> View:
@@ -137,14 +132,6 @@ class Stage:
         """Displacement in m as stored, with its gaps; NaN where no number is written."""
         whole = setup.sensor.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
         return with_gaps(whole, absent=setup.absent, unread=setup.unread)
-
-    def radar_run(self, setup: RadarSetup) -> RadarRun:
-        """The radar on the moving structure."""
-        return RadarRun(setup, self.sensed, self.scenario.duration_s, self.rng_radar)
-
-    def day_run(self, setup: DaySetup) -> DayRun:
-        """A camera and a thermal camera on the moving structure, by day and by night."""
-        return DayRun(setup, self.sensed, self.scenario.duration_s, self.rng_sensor)
 
     def zero_m(self, motion: Motion | None = None) -> float:
         """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""
@@ -184,14 +171,6 @@ def stage(scenario: Scenario, seed: int) -> Stage:
     across = None if scenario.across is None else scenario.across(rng_motion_across)
     generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar, rng_breaks)
     return Stage(scenario, motion, motion, accelerometer, *generators, across)
-
-
-def pixel_bound(scenario: Scenario, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
-    """Cramér-Rao bound (x, y) in px of one frame of the scenario's camera, in `region` or the whole picture."""
-    if scenario.camera is None:
-        return (np.nan, np.nan)
-    view = stage(scenario, seed).view(scenario.camera)
-    return cramer_rao_std_px(view.scene, view.camera, region=region)
 
 
 def within(time_s: Floats, spans: tuple[Span, ...]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

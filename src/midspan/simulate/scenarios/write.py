@@ -1,84 +1,85 @@
 """How the recording of a scenario is written: each sensor's file, the truth, and what an estimate should find."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from midspan.checks import option
-from midspan.errors import UsageError
 from midspan.records import Floats
-from midspan.simulate.files.folder import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
+from midspan.simulate.files.folder import (
+    MARK,
+    Progress,
+    check_free,
+    exact_in_video,
+    whole_folder,
+    write_table,
+    write_video,
+)
 from midspan.simulate.scenarios.breaks import broken
-from midspan.simulate.scenarios.papers import film, write_recording
-from midspan.simulate.scenarios.published import PUBLISHED
-from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Stage, stage, within
-from midspan.simulate.scenarios.table import FILMS, SCENARIOS
-from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
-
-Progress = Callable[[int, int], None]
+from midspan.simulate.scenarios.stage import CameraSetup, Scenario, Stage, stage, within
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scene.camera import cramer_rao_std_px
 
 
 def write(
-    name: str, folder: str | Path, *, seed: int = 0, breaks: Sequence[str] = (), progress: Progress | None = None
+    name: str,
+    folder: str | Path,
+    *,
+    seed: int = 0,
+    breaks: Sequence[str] = (),
+    progress: Progress | None = None,
+    scenarios: Mapping[str, Scenario] = SCENARIOS,
 ) -> Path:
-    """Write the recording of scenario `name`, one of NAMES or PAPER_NAMES, into `folder`, and return the folder.
+    """Write the recording of scenario `name`, one of `scenarios`, into `folder`, and return the folder.
 
     It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
     frame) and known.json (what an estimate should find). The same `seed` gives the same files. `breaks`: names of
     BREAKS, ways in which the sensors leave the model; the truth stays. `progress` is called with frames done and frames
     in all. Raises UsageError for an unknown name, a break that does not fit, or a folder with other content.
     """
-    scenarios = SCENARIOS | PUBLISHED
-    option("scenario", name, {**scenarios, **FILMS})
+    option("scenario", name, scenarios)
     target = Path(folder).resolve()
     check_free(target)
-    if name in FILMS:
-        return _write_film(name, target, seed, breaks)
+    progress = progress or (lambda done, total: None)
     staged, drawn = broken(stage(scenarios[name], seed), name, breaks, scenarios)
+    duration_s = staged.scenario.duration_s
     with whole_folder(target) as partial:
         _write_acceleration(partial, staged)
         known = {
             "written_by": "midspan simulate",
             "scenario": name,
             "seed": seed,
-            "accelerometer": _known_noise(staged),
+            "accelerometer": {
+                "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
+                "bias_m_s2": staged.accelerometer.bias_m_s2,
+            },
         }
         if drawn:
             known["broken"] = drawn
         if staged.scenario.free:
             known["chosen_here"] = staged.scenario.free
         if staged.scenario.camera is not None:
-            known["camera"] = _write_camera(
-                partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
-            )
+            known["camera"] = _write_camera(partial, staged, staged.scenario.camera, progress)
         if staged.scenario.gnss is not None:
-            known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
+            sensor, series = staged.scenario.gnss.sensor, staged.displacement(staged.scenario.gnss)
+            columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
+            write_table(partial / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
+            known["displacement"] = {"noise_std_mm": 1e3 * sensor.noise_std_m, "time_offset_s": sensor.time_offset_s}
         if staged.scenario.radar is not None:
-            run = staged.radar_run(staged.scenario.radar)
-            known["radar"] = run.write(partial, progress or (lambda done, total: None))
+            known["radar"] = staged.scenario.radar.write(
+                partial, staged.sensed, duration_s=duration_s, rng=staged.rng_radar, progress=progress
+            )
         if staged.scenario.day is not None:
-            known |= staged.day_run(staged.scenario.day).write(partial, progress or (lambda done, total: None))
+            known |= staged.scenario.day.write(
+                partial, staged.sensed, duration_s=duration_s, rng=staged.rng_sensor, progress=progress
+            )
         _write_truth(partial, staged)
         _write_settings(partial, staged)
         (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
     return target
-
-
-def _write_film(name: str, target: Path, seed: int, breaks: Sequence[str]) -> Path:
-    """The film of a paper, which no break fits."""
-    if breaks:
-        raise UsageError(f"--break {breaks[0]} does not fit {name!r}, a paper's film. Leave it out.")
-    return write_recording(film(FILMS[name], seed=seed), target)
-
-
-def _known_noise(staged: Stage) -> dict[str, float]:
-    return {
-        "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
-        "bias_m_s2": staged.accelerometer.bias_m_s2,
-    }
 
 
 def _write_acceleration(folder: Path, staged: Stage) -> None:
@@ -87,7 +88,7 @@ def _write_acceleration(folder: Path, staged: Stage) -> None:
     if staged.across is not None and staged.scenario.camera is not None:
         main = staged.scenario.camera.direction
         columns[f"accel_{main}"] = columns.pop("accel")
-        columns[f"accel_{_other(main)}"] = staged.acceleration_across().value
+        columns[f"accel_{_other(main)}"] = staged.acceleration(across=True).value
     write_table(folder / "accel.csv", columns, decimals=dict.fromkeys(columns, 7) | {"time_s": 6})
 
 
@@ -107,18 +108,15 @@ def _write_truth(folder: Path, staged: Stage) -> None:
     write_table(folder / "truth.csv", columns, decimals=decimals)
 
 
-def _write_gnss(folder: Path, staged: Stage, setup: GnssSetup) -> dict[str, float]:
-    series = staged.displacement(setup)
-    columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
-    write_table(folder / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
-    return {"noise_std_mm": 1e3 * setup.sensor.noise_std_m, "time_offset_s": setup.sensor.time_offset_s}
-
-
 def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
     stamps = staged.frame_stamps_s(setup)
     view = staged.view(setup)
     true_times = stamps + setup.time_offset_s
-    frames = darkened(view.film(staged.sensed, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
+    film = view.film(staged.sensed, true_times, rng=staged.rng_sensor)
+    frames = (
+        np.zeros_like(pixels) if black else pixels
+        for pixels, black in zip(film, within(true_times, setup.black), strict=True)
+    )
     write_video(
         folder / "camera.mkv",
         frames,
@@ -135,12 +133,6 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
         "cramer_rao_std_px": {"x": x_px, "y": y_px},
         "cramer_rao_region": [0, 0, view.scene.columns, view.scene.rows],
     }
-
-
-def darkened(frames: Iterator[Pixels], dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Iterator[Pixels]:
-    """The frames in their order, those marked in `dark` (n,) all black."""
-    for pixels, black in zip(frames, dark, strict=True):
-        yield np.zeros_like(pixels) if black else pixels
 
 
 def _write_settings(folder: Path, staged: Stage) -> None:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from midspan.checks import option, refuse
 from midspan.records import Floats, Region
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.scene.disturbances import Disturbance
-from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.disturbances import Disturbance, Panel
 from midspan.simulate.scene.scene import Image, Scene
 
 WHITE_DN = 255.0

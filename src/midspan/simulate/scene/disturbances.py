@@ -1,19 +1,12 @@
 """What moves in a picture although the structure does not: a car that passes, foliage that flickers."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from midspan.records import Floats, Region
-from midspan.simulate.scene.scene import Image
-
-
-class Disturbance(Protocol):
-    """Something that changes a picture of mean DN at a moment."""
-
-    def disturb(self, image: Image, time_s: float) -> None:
-        """Change `image` (rows, columns) of mean DN in place, as it is at `time_s`."""
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.scene.scene import Image, Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,3 +76,30 @@ class Foliage:
         swing = np.sin(2 * np.pi * self.frequency_hz * time_s + self.phase_rad)
         r = self.region
         image[r.y : r.y + r.height, r.x : r.x + r.width] += np.tensordot(swing, self.patterns, 1).astype(np.float32)
+
+
+# What changes a picture of mean DN in place, as it is at a moment.
+Disturbance = Car | Water | Foliage
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """A scene seen in a fixed `region` of the picture, whose size it has.
+
+    nearness: its translation over that of the rest (2 at half the distance); own_px: what it moves on its own, down,
+    as a motion in px instead of m.
+    """
+
+    region: Region
+    scene: Scene
+    nearness: float = 1.0
+    own_px: Motion | None = None
+
+    def paint(self, image: Image, moved_px: tuple[Floats, Floats], moments_s: Floats) -> None:
+        """Paint it into `image`; moved_px: translation (x, y) of the rest at the moments (1 or rows, sub)."""
+        r = self.region
+        x, y = (np.broadcast_to(axis, moments_s.shape) for axis in moved_px)
+        if len(moments_s) > 1:
+            x, y, moments_s = (values[r.y : r.y + r.height] for values in (x, y, moments_s))
+        own = 0.0 if self.own_px is None else self.own_px.displacement(moments_s)
+        image[r.y : r.y + r.height, r.x : r.x + r.width] = self.scene.render(self.nearness * x, self.nearness * y + own)

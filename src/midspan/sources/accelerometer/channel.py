@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.records import Nanoseconds
+
 Values = NDArray[np.float64] | NDArray[np.int64]
 
 
@@ -91,6 +93,12 @@ def numbers(values: NDArray[np.generic]) -> Values | None:
     if values.dtype.kind in "iufb":
         return np.ascontiguousarray(values, dtype=np.float64)
     return None
+
+
+def even_ns(start_ns: int, count: int, rate_hz: float) -> Nanoseconds:
+    """Time stamps (count,) from `start_ns` on at a rate in Hz."""
+    steps = np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    return np.asarray(np.int64(start_ns) + steps, dtype=np.int64)
 
 
 def distinct(name: str, taken: Collection[str]) -> str:

@@ -17,30 +17,12 @@ NOT_A_TIME = np.iinfo(np.int64).min
 
 # Nanoseconds in one unit of a time column.
 TIME_UNITS = {
-    "s": NANOSECONDS,
-    "sec": NANOSECONDS,
-    "secs": NANOSECONDS,
-    "second": NANOSECONDS,
-    "seconds": NANOSECONDS,
-    "sekunden": NANOSECONDS,
-    "ms": 1_000_000,
-    "msec": 1_000_000,
-    "millisecond": 1_000_000,
-    "milliseconds": 1_000_000,
-    "us": 1_000,
-    "µs": 1_000,
-    "μs": 1_000,
-    "usec": 1_000,
-    "microsecond": 1_000,
-    "microseconds": 1_000,
-    "ns": 1,
-    "nsec": 1,
-    "nanosecond": 1,
-    "nanoseconds": 1,
-    "min": 60 * NANOSECONDS,
-    "minutes": 60 * NANOSECONDS,
-    "h": 3600 * NANOSECONDS,
-    "hours": 3600 * NANOSECONDS,
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunden"), NANOSECONDS),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1_000_000),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds"), 1_000),
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1),
+    **dict.fromkeys(("min", "minutes"), 60 * NANOSECONDS),
+    **dict.fromkeys(("h", "hours"), 3600 * NANOSECONDS),
 }
 
 # From this magnitude on a number without a unit is an epoch in ms, µs, ns: the year 5138 in s is 1e11.
@@ -121,7 +103,10 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     series = series.str.strip()
     if series.str.contains(",", regex=False).any():
         series = series.str.replace(",", ".", regex=False)
-    series = _thousandths_behind_points(series)
+    # Times such as 12:30:00:025, whose last part counts thousandths of a second, become 12:30:00.025.
+    parts = series.str.extract(_THOUSANDTHS)
+    if not parts[1].isna().all():
+        series = series.where(parts[1].isna(), parts[0] + "." + parts[1].str.zfill(3))
     first = str(start.iloc[0])
     if is_clock(first):
         elapsed = pd.to_timedelta(series, errors="coerce")
@@ -131,14 +116,6 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     notes += order
     moments = pd.to_datetime(_iso_order(series), format="ISO8601", utc=True, errors="coerce")
     return _stamps(moments.dt.as_unit("ns")), notes
-
-
-def _thousandths_behind_points(series: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Times such as 12:30:00:025, whose last part counts thousandths of a second, as 12:30:00.025; others unchanged."""
-    parts = series.str.extract(_THOUSANDTHS)
-    if parts[1].isna().all():
-        return series
-    return series.where(parts[1].isna(), parts[0] + "." + parts[1].str.zfill(3))
 
 
 def _stamps(series: "pd.Series[Any]") -> Nanoseconds:
@@ -153,20 +130,21 @@ def _slashes_in_order(series: "pd.Series[Any]") -> tuple["pd.Series[Any]", tuple
     first, second = (parts[i].dropna().astype(int).max() for i in (0, 1))
     month_first = second > 12 >= first
     day, month = (parts[1], parts[0]) if month_first else (parts[0], parts[1])
-    told = "month" if month_first else "day"
-    doubt = "" if max(first, second) > 12 else "; it could be the month: write 2024-04-05 to be sure"
-    return day + "." + month + "." + parts[2] + parts[3], (f"dates taken with the {told} first{doubt}",)
+    note = f"dates taken with the {'month' if month_first else 'day'} first"
+    if max(first, second) <= 12:
+        note += "; it could be the month: write 2024-04-05 to be sure"
+    return day + "." + month + "." + parts[2] + parts[3], (note,)
 
 
 def _iso_order(series: "pd.Series[Any]") -> "pd.Series[Any]":
     """Dates such as 1.5.2024 and 2024/05/01 rewritten in ISO order; others unchanged."""
     first = str(series.dropna().iloc[0])
-    if re.match(r"^\d{1,2}\.\d{1,2}\.\d{4}", first):
-        parts = series.str.extract(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})(.*)$")
-        day, month = parts[0].str.zfill(2), parts[1].str.zfill(2)
-        return parts[2] + "-" + month + "-" + day + parts[3].str.replace(r"^\s+", "T", regex=True)
-    if re.match(r"^\d{4}/\d{1,2}/\d{1,2}", first):
-        parts = series.str.extract(r"^(\d{4})/(\d{1,2})/(\d{1,2})(.*)$")
-        month, day = parts[1].str.zfill(2), parts[2].str.zfill(2)
-        return parts[0] + "-" + month + "-" + day + parts[3].str.replace(r"^\s+", "T", regex=True)
+    for pattern, (year, month, day) in (
+        (r"^(\d{1,2})\.(\d{1,2})\.(\d{4})", (2, 1, 0)),
+        (r"^(\d{4})/(\d{1,2})/(\d{1,2})", (0, 1, 2)),
+    ):
+        if re.match(pattern, first):
+            parts = series.str.extract(f"{pattern}(.*)$")
+            rest = parts[3].str.replace(r"^\s+", "T", regex=True)
+            return parts[year] + "-" + parts[month].str.zfill(2) + "-" + parts[day].str.zfill(2) + rest
     return series.str.replace(r"\s+", " ", regex=True)

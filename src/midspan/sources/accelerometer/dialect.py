@@ -25,52 +25,28 @@ _NUMBER = {
 _MISSING = frozenset(
     {"", "nan", "na", "n/a", "null", "none", "-", "--", "---", "inf", "-inf", "+inf", "#n/a", "1.#qnan"}
 )
+_OTHER_UNITS = (
+    "m/s² mm/s² cm/s² m/s/s cm/s/s cm/sec/sec m/s mm/s cm/s hz °c degc c - deg ° rad rad/s deg/s °/s % counts count "
+    "um/m µm/m n kn kg utc bar pa"
+)
 _KNOWN_UNITS = frozenset(
-    {u.lower() for u in ACCELERATION_UNITS + LENGTH_UNITS + VOLTAGE_UNITS}
-    | set(TIME_UNITS)
-    | {"m/s²", "mm/s²", "cm/s²", "m/s/s", "cm/s/s", "cm/sec/sec", "m/s", "mm/s", "cm/s", "hz", "°c", "degc", "c", "-"}
-    | {
-        "deg",
-        "°",
-        "rad",
-        "rad/s",
-        "deg/s",
-        "°/s",
-        "%",
-        "counts",
-        "count",
-        "um/m",
-        "µm/m",
-        "n",
-        "kn",
-        "kg",
-        "utc",
-        "bar",
-        "pa",
-    }
+    [u.lower() for u in ACCELERATION_UNITS + LENGTH_UNITS + VOLTAGE_UNITS] + [*TIME_UNITS, *_OTHER_UNITS.split()]
 )
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 _SUFFIX_UNITS = {
-    "m_s2": "m/s^2",
-    "ms2": "m/s^2",
-    "mm_s2": "mm/s^2",
-    "cm_s2": "cm/s^2",
-    "m_s": "m/s",
-    "mm_s": "mm/s",
-    "cm_s": "cm/s",
-    "mm": "mm",
-    "cm": "cm",
-    "um": "um",
-    "m": "m",
-    "g": "g",
-    "mg": "mg",
-    "gal": "gal",
-    "v": "V",
-    "mv": "mV",
-    "s": "s",
-    "ms": "ms",
-    "us": "us",
-    "ns": "ns",
+    **{"m_s2": "m/s^2", "ms2": "m/s^2", "mm_s2": "mm/s^2", "cm_s2": "cm/s^2", "g": "g", "mg": "mg", "gal": "gal"},
+    **{
+        "m_s": "m/s",
+        "mm_s": "mm/s",
+        "cm_s": "cm/s",
+        "mm": "mm",
+        "cm": "cm",
+        "um": "um",
+        "m": "m",
+        "v": "V",
+        "mv": "mV",
+    },
+    **{"s": "s", "ms": "ms", "us": "us", "ns": "ns"},
 }
 
 
@@ -102,29 +78,38 @@ def find_dialect(path: Path) -> Dialect:
         raise DataError(f"{path} must be a text in UTF-8, UTF-16 or Latin-1; this is UTF-32. Save it as UTF-8.")
     encoding = _encoding(head)
     lines = re.split(r"\r\n|\n|\r", head.decode(encoding, errors="replace"))
-    if len(head) == SAMPLE_BYTES:
-        lines = lines[:-1]
-    return _dialect(path, encoding, lines[:SAMPLE_LINES])
+    lines = (lines[:-1] if len(head) == SAMPLE_BYTES else lines)[:SAMPLE_LINES]
+    guesses = [guess for sign in _CANDIDATES if (guess := _try(lines, *sign)) is not None]
+    if not guesses:
+        raise DataError(
+            f"{path} holds no columns of numbers in its first {len(lines)} lines. "
+            "Expected are text columns with comma, semicolon, tab, blanks or | between them."
+        )
+    best = _single_decimal_comma(lines, max(guesses, key=lambda guess: guess.score), guesses)
+    row = split(lines[best.first], best.delimiter)
+    joined = next((k for k in range(len(row) - 1) if is_date(row[k]) and is_clock(row[k + 1])), None)
+    names, units, notes = _headings(lines, best, joined)
+    comment = next((sign for sign in ("#", "%") if any(line.startswith(sign) for line in lines)), None)
+    return Dialect(encoding, best.delimiter, best.decimal, comment, best.first, names, units, best.words, joined, notes)
 
 
 def _is_utf_32(head: bytes) -> bool:
     """Four bytes a character, of which two at least are zero."""
     if head.startswith((b"\xff\xfe\0\0", b"\0\0\xfe\xff")):
         return True
-    first = head[:200]
-    little, big = (first[3::4], first[2::4], first[::4]), (first[::4], first[1::4], first[3::4])
-    return len(first) >= 8 and any(not any(a) and not any(b) and all(c) for a, b, c in (little, big))
+    quarters = [head[k:200:4] for k in range(4)]
+    return len(head) >= 8 and any(
+        not any(quarters[a]) and not any(quarters[b]) and all(quarters[c]) for a, b, c in ((3, 2, 0), (0, 1, 3))
+    )
 
 
 def _encoding(head: bytes) -> str:
-    if head.startswith(b"\xef\xbb\xbf"):
-        return "utf-8-sig"
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    if head[1:200:2].count(0) > len(head[1:200:2]) // 2:
-        return "utf-16-le"
-    if head[0:200:2].count(0) > len(head[0:200:2]) // 2:
-        return "utf-16-be"
+    for mark, encoding in ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
+        if head.startswith(mark):
+            return encoding
+    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if head[first:200:2].count(0) > len(head[first:200:2]) // 2:
+            return encoding
     try:
         # The cut may fall inside a character: its up to three bytes do not count.
         head[: max(len(head) - 3, 0)].decode("utf-8")
@@ -141,22 +126,6 @@ class _Guess:
     score: int
     width: int
     words: tuple[int, ...]
-
-
-def _dialect(path: Path, encoding: str, lines: list[str]) -> Dialect:
-    guesses = [guess for sign in _CANDIDATES if (guess := _try(lines, *sign)) is not None]
-    if not guesses:
-        raise DataError(
-            f"{path} holds no columns of numbers in its first {len(lines)} lines. "
-            "Expected are text columns with comma, semicolon, tab, blanks or | between them."
-        )
-    best = max(guesses, key=lambda guess: guess.score)
-    best = _single_decimal_comma(lines, best, guesses)
-    row = split(lines[best.first], best.delimiter)
-    joined = next((k for k in range(len(row) - 1) if is_date(row[k]) and is_clock(row[k + 1])), None)
-    names, units, notes = _headings(lines, best, joined)
-    comment = next((sign for sign in ("#", "%") if any(line.startswith(sign) for line in lines)), None)
-    return Dialect(encoding, best.delimiter, best.decimal, comment, best.first, names, units, best.words, joined, notes)
 
 
 def _single_decimal_comma(lines: list[str], best: _Guess, guesses: list[_Guess]) -> _Guess:
@@ -193,21 +162,29 @@ def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
     widths = [len(table[k]) for k in filled]
     width = max(set(widths), key=lambda w: (widths.count(w), w))
     rows = _longest_run(table, values, width)
-    more = [_more_values([table[k] for k in rows], column, decimal) for column in range(width)]
+    # By how many the numbers and times of each column exceed its words.
+    more = [
+        sum(2 * is_value(table[k][column], decimal) - (table[k][column].lower() not in _MISSING) for k in rows)
+        for column in range(width)
+    ]
     numeric = tuple(column for column in range(width) if more[column] > 0)
     rows = [k for k in rows if numeric and values[k][numeric[0]]]
     if not rows:
         return None
     words = tuple(column for column in range(width) if more[column] < 0)
-    score = sum(_score(table[k], values[k]) for k in range(len(lines)) if len(table[k]) == width)
+    # Numbers less fields that have digits and yet are none: a wrong delimiter leaves such pieces.
+    score = sum(
+        value - (not value and any(c.isdigit() for c in field))
+        for row, row_values in zip(table, values, strict=True)
+        for field, value in zip(row, row_values, strict=False)
+        if len(row) == width
+    )
     return _Guess(delimiter, decimal, rows[0], score, width, words) if score > 0 else None
 
 
 def _longest_run(table: list[list[str]], values: list[list[bool]], width: int) -> list[int]:
-    """The lines with numbers between two headings: those of the longest such run.
-
-    A line without any number parts two runs if it has a word for every column; a lone `ERROR` among numbers does not.
-    """
+    """The lines with numbers between two headings: those of the longest such run."""
+    # A line without any number parts two runs if it has a word for every column; a lone `ERROR` among numbers does not.
     runs: list[list[int]] = [[]]
     for k, row in enumerate(table):
         if len(row) == width and any(values[k]):
@@ -234,18 +211,6 @@ def is_missing_word(field: str) -> bool:
     return field.lower() in _MISSING and any(sign.isalpha() for sign in field)
 
 
-def _more_values(rows: list[list[str]], column: int, decimal: str) -> int:
-    """By how many the numbers and times of a column exceed its words."""
-    values = sum(is_value(row[column], decimal) for row in rows)
-    return 2 * values - sum(row[column].lower() not in _MISSING for row in rows)
-
-
-def _score(row: list[str], values: list[bool]) -> int:
-    """Numbers less fields that have digits and yet are none: a wrong delimiter leaves such pieces."""
-    pieces = (not value and any(c.isdigit() for c in field) for field, value in zip(row, values, strict=False))
-    return sum(values) - sum(pieces)
-
-
 # How the note begins on a file with decimal commas and commas between the columns.
 SPLIT = (
     "the same comma seems to stand between columns and before decimals, which cannot be read; export with ';' or tab "
@@ -260,12 +225,15 @@ def _headings(
     above = [i for i in range(guess.first - 1, -1, -1) if lines[i].strip()][:2]
     rows = [_heading_fields(lines[i], guess) for i in above]
     wanted = {guess.width} | ({guess.width - 1} if joined is not None else set())
-    notes = [_delimiter_note(guess)]
+    delimiter = {"\t": "tab", BLANKS: "blanks"}.get(guess.delimiter, f"'{guess.delimiter}'")
+    notes = [f"delimiter {delimiter}, decimal {'comma' if guess.decimal == ',' else 'point'}"]
     units: list[str | None] = [None] * guess.width
-    if len(rows) == 2 and len(rows[1]) in wanted and len(rows[0]) == len(rows[1]) and _is_unit_row(rows[0]):
-        units = [_unit_text(field) for field in rows[0]]
-        notes.append(f"units in line {above[0] + 1}")
-        above, rows = above[1:], rows[1:]
+    if len(rows) == 2 and len(rows[1]) in wanted and len(rows[0]) == len(rows[1]):
+        row_units = [_unit_text(field) for field in rows[0]]
+        if any(row_units) and all(unit.lower() in _KNOWN_UNITS for unit in row_units if unit):
+            units = row_units
+            notes.append(f"units in line {above[0] + 1}")
+            above, rows = above[1:], rows[1:]
     if rows and len(rows[0]) in wanted and _is_name_row(rows[0], guess.decimal):
         names = rows[0]
         notes.append(f"header in line {above[0] + 1}")
@@ -280,14 +248,12 @@ def _headings(
     named = [named_unit(name) for name in names]
     found = tuple(row or bracket for row, (_, bracket) in zip(units[: len(named)], named, strict=True))
     bare = [name for name, _ in named]
-    # Two columns that differ in the unit alone keep their whole heading.
-    return _distinct([b if bare.count(b) == 1 else n for b, n in zip(bare, names, strict=True)]), found, tuple(notes)
-
-
-def _delimiter_note(guess: _Guess) -> str:
-    words = {"\t": "tab", BLANKS: "blanks"}
-    delimiter = words.get(guess.delimiter, f"'{guess.delimiter}'")
-    return f"delimiter {delimiter}, decimal {'comma' if guess.decimal == ',' else 'point'}"
+    distinct_names: list[str] = []
+    for k, (name, short) in enumerate(zip(names, bare, strict=True)):
+        # Two columns that differ in the unit alone keep their whole heading.
+        shown = short if bare.count(short) == 1 else name
+        distinct_names.append(distinct(shown or f"column_{k + 1}", distinct_names))
+    return tuple(distinct_names), found, tuple(notes)
 
 
 def _heading_fields(line: str, guess: _Guess) -> list[str]:
@@ -297,11 +263,6 @@ def _heading_fields(line: str, guess: _Guess) -> list[str]:
         # Blanks before a unit belong to the name: "time [s]  accel [m/s^2]".
         fields = re.sub(r"\s+(?=[\[(])", "", text).split()
     return fields[:-1] if len(fields) == guess.width + 1 and fields[-1] == "" else fields
-
-
-def _is_unit_row(fields: list[str]) -> bool:
-    texts = [(_unit_text(field) or "").lower() for field in fields]
-    return any(texts) and all(text in _KNOWN_UNITS for text in texts if text)
 
 
 def _is_name_row(fields: list[str], decimal: str) -> bool:
@@ -327,11 +288,3 @@ def named_unit(heading: str) -> tuple[str, str | None]:
         if len(parts) > count and suffix in _SUFFIX_UNITS:
             return heading.strip(), _SUFFIX_UNITS[suffix]
     return heading.strip(), None
-
-
-def _distinct(names: list[str]) -> tuple[str, ...]:
-    """The names with empty ones numbered and repeated ones distinguished by `_2`, `_3` …"""
-    found: list[str] = []
-    for k, name in enumerate(names):
-        found.append(distinct(name or f"column_{k + 1}", found))
-    return tuple(found)

@@ -2,17 +2,16 @@
 
 import importlib
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
-from midspan.sources.boundary import reading, require_file
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import reading, require_file, require_memory
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
+class Format(NamedTuple):
     """A format: its name, the suffixes that choose it, what it is read with, and the module and function that read it.
 
     head: what its files begin with, where they often have other names (None: the suffix alone chooses).
@@ -25,8 +24,6 @@ class Format:
     function: str = "read"
     head: re.Pattern[bytes] | None = None
 
-
-_PACKAGE = "midspan.sources.accelerometer"
 
 _OBSPY = "ObsPy (extra seismic)"
 _SEED_SUFFIXES = (".mseed", ".msd", ".miniseed", ".ms", ".seed", ".fullseed")
@@ -41,21 +38,21 @@ _HEAD_BYTES = 512
 _FORMATS = (
     Format("text columns", (".csv", ".txt", ".dat", ".asc", ".tsv"), "pandas", "text"),
     Format("Parquet", (".parquet", ".pq"), "pyarrow", "parquet"),
-    Format("NumPy", (".npy", ".npz"), "numpy", "numpy"),
-    Format("MATLAB 5 to 7.3", (".mat",), "scipy, h5py", "matlab"),
-    Format("HDF5", (".h5", ".hdf5", ".hdf"), "h5py", "hdf5"),
-    Format("Excel workbook", (".xlsx", ".xlsm"), "openpyxl", "xlsx"),
+    Format("NumPy", (".npy", ".npz"), "numpy", "tree", "read_numpy"),
+    Format("MATLAB 5 to 7.3", (".mat",), "scipy, h5py", "tree", "read_matlab"),
+    Format("HDF5", (".h5", ".hdf5", ".hdf"), "h5py", "tree", "read_hdf5"),
+    Format("Excel workbook", (".xlsx", ".xlsm"), "openpyxl", "text", "read_xlsx"),
     Format("TDMS", (".tdms",), "npTDMS", "tdms"),
     Format("LabVIEW measurement", (".lvm",), "lvm_read", "lvm"),
-    Format("miniSEED or full SEED", _SEED_SUFFIXES, "pymseed", "miniseed", head=_SEED_HEAD),
+    Format("miniSEED or full SEED", _SEED_SUFFIXES, "pymseed", "seismic", "read_miniseed", _SEED_HEAD),
     Format("Universal file, dataset 58", (".uff", ".unv", ".58"), "pyuff", "uff"),
     Format("CSMIP and COSMOS V1 and V2", (".v2", ".v2c", ".v1", ".v1c"), "midspan", "strong_motion"),
     Format("K-NET and KiK-net", _KNET_SUFFIXES, _OBSPY, "seismic", "read_knet", re.compile(rb"Origin Time\s+\d{4}/")),
     Format("SAC", (".sac",), _OBSPY, "seismic", "read_sac", _SAC_HEAD),
-    Format("GSE2", (".gse", ".gse2"), "midspan", "gse2", head=re.compile(rb"(BEGIN GSE2|WID2 )")),
+    Format("GSE2", (".gse", ".gse2"), "midspan", "seismic", "read_gse2", re.compile(rb"(BEGIN GSE2|WID2 )")),
 )
 
-FORMATS = tuple((row.name, row.suffixes, row.reader) for row in _FORMATS)
+FORMATS = tuple(row[:3] for row in _FORMATS)
 """Rows of (name, suffixes, what it is read with)."""
 
 _BY_SUFFIX = {suffix: row for row in _FORMATS for suffix in row.suffixes}
@@ -76,13 +73,15 @@ def list_channels(path: Path) -> ChannelSet:
     require_file(path)
     if path.stat().st_size == 0:
         raise DataError(f"{path} is empty (0 bytes). Give a {row.name} file with data.")
-    found = _read(path, row)
+    with reading(path, row.name):
+        reader = getattr(importlib.import_module(f"midspan.sources.accelerometer.{row.module}"), row.function)
+        found: ChannelSet = reader(path)
     if not found.channels:
         why = "".join(f" {line[:1].upper()}{line[1:]}." for line in (*found.notes, *found.damage))
         raise DataError(
             f"{path} holds no channel of numbers.{why} Give a {row.name} file with one series of numbers or more."
         )
-    return found
+    return replace(found, channels=tuple(_guarded(path, row, channel) for channel in found.channels))
 
 
 def _by_head(path: Path) -> Format | None:
@@ -94,14 +93,6 @@ def _by_head(path: Path) -> Format | None:
     except (DataError, OSError):
         return None
     return next((row for row in _FORMATS if row.head is not None and row.head.match(head)), None)
-
-
-def _read(path: Path, row: Format) -> ChannelSet:
-    with reading(path, row.name):
-        module = importlib.import_module(f"{_PACKAGE}.{row.module}")
-        found = getattr(module, row.function)(path)
-    assert isinstance(found, ChannelSet)
-    return replace(found, channels=tuple(_guarded(path, row, channel) for channel in found.channels))
 
 
 def _guarded(path: Path, row: Format, channel: Channel) -> Channel:

@@ -7,7 +7,6 @@ above it, its last number is written as far as theirs, and its time goes on as t
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -45,7 +44,10 @@ def cut_last_line(path: Path, *, encoding: str, delimiter: str, decimal: str) ->
         begin = max(0, behind - _TAIL_BYTES) // 2 * 2
         file.seek(begin)
         tail = file.read(behind - begin)
-    encoding, errors = _of_pieces(encoding, head)
+    # A piece from the middle has no byte order mark, and is decoded so that no byte is lost.
+    if encoding == "utf-16":
+        encoding = "utf-16-be" if head == b"\xfe\xff" else "utf-16-le"
+    encoding, errors = encoding.removesuffix("-sig"), "replace" if encoding.startswith("utf-16") else "surrogateescape"
     text = tail.decode(encoding, errors)
     # A disk that lost power before it held the data leaves zeros at a file's end.
     written = text.rstrip("\0")
@@ -75,15 +77,6 @@ def _behind_written(file: BinaryIO, size: int) -> int:
     return 0
 
 
-def _of_pieces(encoding: str, head: bytes) -> tuple[str, str]:
-    """The encoding of a piece from the middle, without a byte order mark, and how to decode so that no byte is lost."""
-    if encoding == "utf-16":
-        return ("utf-16-be" if head == b"\xfe\xff" else "utf-16-le"), "replace"
-    if encoding.startswith("utf-16"):
-        return encoding, "replace"
-    return ("utf-8" if encoding == "utf-8-sig" else encoding), "surrogateescape"
-
-
 def _is_whole(lines: Sequence[str], delimiter: str, decimal: str) -> bool:
     """Whether the last of the lines cannot be the beginning of a longer one."""
     last = lines[-1]
@@ -97,8 +90,8 @@ def _is_whole(lines: Sequence[str], delimiter: str, decimal: str) -> bool:
     fields = split(last, delimiter)
     if len(fields) < width:
         return False
-    above = [row[-1] for row in rows if len(row) == width and is_value(row[-1], decimal)]
     even = [row for row in rows if len(row) == width]
+    above = [row[-1] for row in even if is_value(row[-1], decimal)]
     if not all(_goes_on([row[k] for row in even], fields[k], decimal) for k in range(width)):
         return False
     return not above or is_missing_word(fields[-1]) or _is_written_out(fields[-1], above)
@@ -128,32 +121,25 @@ def _number(field: str, decimal: str) -> float | None:
 def _is_written_out(field: str, above: Sequence[str]) -> bool:
     """Whether a field cannot be the beginning of a longer one of the kind of those above it."""
     number, numbers = _form(field), [_form(other) for other in above]
-    as_long = len(field.lstrip("+-")) >= max(len(other.lstrip("+-")) for other in above)
+    lengths = {len(other.lstrip("+-")) for other in above}
+    as_long = len(field.lstrip("+-")) >= max(lengths)
     if number is None or None in numbers:
         return as_long
-    forms = {(form.decimals, form.exponent) for form in numbers if form is not None}
-    if number.decimals and forms == {(number.decimals, number.exponent)}:
+    forms = {(decimals, exponent) for decimals, _, exponent in filter(None, numbers)}
+    decimals, digits, exponent = number
+    if decimals and forms == {(decimals, exponent)}:
         return True
     if forms == {(0, None)}:
         # A whole number may lack digits however long it is, unless all have as many.
-        return {len(other.lstrip("+-")) for other in above} == {len(field.lstrip("+-"))}
-    exact = number.decimals and number.digits >= _ENOUGH_DIGITS and {exponent for _, exponent in forms} == {None}
-    return as_long or bool(exact and number.exponent is None)
+        return lengths == {len(field.lstrip("+-"))}
+    is_exact = decimals > 0 and digits >= _ENOUGH_DIGITS and exponent is None
+    return as_long or (is_exact and {other for _, other in forms} == {None})
 
 
-@dataclass(frozen=True, slots=True)
-class _Form:
-    """How a number is written: its decimals, its digits that count, the digits of its exponent (None: it has none)."""
-
-    decimals: int
-    digits: int
-    exponent: int | None
-
-
-def _form(field: str) -> _Form | None:
+def _form(field: str) -> tuple[int, int, int | None] | None:
+    """A number's decimals, its digits that count, and the digits of its exponent (None: it has none)."""
     match = _NUMBER.match(field)
     if match is None or not any(sign.isdigit() for sign in field):
         return None
-    exponent = match["exponent"]
-    digits = re.sub(r"[.,]", "", match["mantissa"]).lstrip("0")
-    return _Form(len(match["decimals"] or ""), len(digits), None if exponent is None else len(exponent))
+    exponent, digits = match["exponent"], re.sub(r"[.,]", "", match["mantissa"]).lstrip("0")
+    return len(match["decimals"] or ""), len(digits), None if exponent is None else len(exponent)

@@ -13,7 +13,7 @@ from midspan.records import Floats
 from midspan.sources.accelerometer import text
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.last_line import cut_last_line
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 _FIRST_WORDS, _HEAD_BYTES = b"LabVIEW Measurement", 64
 # Lines that hold the file's own header.
@@ -73,15 +73,14 @@ def _content(path: Path) -> tuple[dict[Any, Any], tuple[str, ...]]:
         # The reader would otherwise leave a pickle beside the user's file, and trust one that it finds.
         content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
     else:
-        end = None if cut is None else cut[0]
-        content = lvm_read.read_str(
-            path.read_bytes()[:end].decode("utf-8", errors="ignore"), separator="," if shown else None
-        )
+        sound = path.read_bytes()[: None if cut is None else cut[0]].decode("utf-8", errors="ignore")
+        content = lvm_read.read_str(sound, separator="," if shown else None)
     last = content[content["Segments"] - 1]
-    declared = np.nanmax(np.asarray(last.get("Samples") or [0.0], dtype=np.float64))
-    rows = len(last["data"])
-    few = (f"its last segment is cut off: {rows} of {declared:.0f} samples are in it",) if rows < declared else ()
-    return content, (*(() if cut is None or not cut[1] else (cut[1],)), *few)
+    declared, rows = np.nanmax(np.asarray(last.get("Samples") or [0.0], dtype=np.float64)), len(last["data"])
+    damage = [cut[1]] if cut is not None and cut[1] else []
+    if rows < declared:
+        damage.append(f"its last segment is cut off: {rows} of {declared:.0f} samples are in it")
+    return content, tuple(damage)
 
 
 def _without_time(names: list[str], table: Floats, segment: dict[Any, Any]) -> tuple[Channel, ...]:

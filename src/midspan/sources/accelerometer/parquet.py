@@ -1,5 +1,6 @@
 """Parquet tables, read with pyarrow."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values, numbers
 from midspan.sources.accelerometer.clock import texts_to_ns
 from midspan.sources.accelerometer.dialect import named_unit
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,6 +23,7 @@ def read(path: Path) -> ChannelSet:
 
     Columns of numbers are read when they are asked for.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
@@ -29,28 +31,21 @@ def read(path: Path) -> ChannelSet:
     channels: list[Channel] = []
     notes: list[str] = []
     for field in schema:
-        name, heading_unit = named_unit(field.name)
+        kind = field.type
+        name, unit = named_unit(field.name)
         stated = (field.metadata or {}).get(b"unit")
-        unit = stated.decode() if stated else heading_unit
-        channel, said = _channel(path, field, (name, unit), count)
-        channels += [channel] if channel else []
-        notes += said
+        unit = stated.decode() if stated else unit
+        if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+            require_memory(path, _BYTES * count, f"column {field.name!r}")
+            found = texts_to_ns(_column(path, field.name).to_pandas()) if count else None
+            if found is not None:
+                channels.append(Channel(name, found[0], "ns"))
+                notes += found[1]
+        elif pa.types.is_timestamp(kind):
+            channels.append(Channel(name, Stored(count, _BYTES * count, partial(_stamps, path, field)), "ns"))
+        elif pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+            channels.append(Channel(name, Stored(count, _BYTES * count, partial(_numbers, path, field)), unit))
     return ChannelSet(tuple(channels), tuple(notes))
-
-
-def _channel(path: Path, field: Any, named: tuple[str, str | None], count: int) -> tuple[Channel | None, list[str]]:
-    import pyarrow as pa
-
-    kind, (name, unit) = field.type, named
-    if pa.types.is_timestamp(kind):
-        return Channel(name, Stored(count, _BYTES * count, lambda: _stamps(path, field)), "ns"), []
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        require_memory(path, _BYTES * count, f"column {field.name!r}")
-        found = texts_to_ns(_column(path, field.name).to_pandas()) if count else None
-        return (Channel(name, found[0], "ns"), list(found[1])) if found else (None, [])
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
-        return None, []
-    return Channel(name, Stored(count, _BYTES * count, lambda: _numbers(path, field)), unit), []
 
 
 def _column(path: Path, name: str) -> Any:

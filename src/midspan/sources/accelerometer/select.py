@@ -11,37 +11,28 @@ from midspan.checks import nearest, option
 from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.records import Floats, Nanoseconds, TimeSeries
-from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, even_ns
 from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.dialect import SPLIT, named_unit
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.stamps import repeated_rows, spread_equal_stamps
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
 
-_TIME_NAMES: tuple[str, ...] = (
-    "time",
-    "time_s",
-    "t",
-    "timestamp",
-    "time_stamp",
-    "zeit",
-    "datetime",
-    "date_time",
-    "date",
-    "epoch",
-)
-_TIME_NAMES += (
-    "x_value",
-    "utc",
-    "time_ns",
-    "time_us",
-    "time_ms",
-    "t_s",
-    "seconds",
-    "sec",
-    "elapsed",
-    "temps",
-    "tiempo",
+_TIME_NAMES = (
+    *(
+        "time",
+        "time_s",
+        "time_ns",
+        "time_us",
+        "time_ms",
+        "t",
+        "t_s",
+        "timestamp",
+        "time_stamp",
+        "datetime",
+        "date_time",
+    ),
+    *("date", "epoch", "utc", "seconds", "sec", "elapsed", "x_value", "zeit", "temps", "tiempo"),
 )
 _VALUE_NAMES = {
     "acceleration": re.compile(r"acc|beschl|(^|[_./ ])a([xyz]|_|$)", re.IGNORECASE),
@@ -84,20 +75,29 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
         raise UsageError(f"rate_hz must be above zero (Hz); received {request.rate_hz!r}. Correct it or leave it out.")
     found = list_channels(path)
     notes = list(found.notes)
-    clock = _named_time(path, found, request)
+    clock = None
+    own_clock = any(c.time_ns is not None or c.rate_hz is not None for c in found.channels)
+    if request.time is not None:
+        # The usual word for time, where there is no such channel, means the file's own clock.
+        is_meant = own_clock and request.time not in found.names and request.time.lower() in _TIME_NAMES
+        clock = None if is_meant else find_channel(path, found, request.time, "time")
     channel = _value_channel(path, found, request, clock)
     clock = clock or _guessed_time(found, request, channel)
     time_ns = _times(path, channel, clock, request, notes)
     unit, factor = _unit(path, channel, request, notes)
     value = _si(channel, factor, notes)
     _check_values(path, channel.name, time_ns, value)
-    repeated = repeated_rows(time_ns, _columns(found, channel))
-    spread = spread_equal_stamps(time_ns[~repeated])
-    _check_order(path, spread.time_ns, np.flatnonzero(~repeated) + 1)
+    # The columns of its file that are in memory tell whether two rows are one, so that all its channels lose the same
+    # rows; clocks do not, nor a column that rises throughout: it counts the rows.
+    in_memory = [c for c in found.channels if c.size == channel.size and not isinstance(c.stored, Stored)]
+    others = [c.values for c in in_memory if c is not channel and not _is_clock(c) and not _rising(c)]
+    repeated = repeated_rows(time_ns, [channel.values, *others])
+    spread_ns, spread = spread_equal_stamps(time_ns[~repeated])
+    _check_order(path, spread_ns, np.flatnonzero(~repeated) + 1)
     dropped = f"{int(repeated.sum())} rows written twice, or delivered twice, were dropped"
-    notices = [Notice("stamps-corrected", text) for text in (dropped if repeated.any() else "", spread.text) if text]
+    notices = [Notice("stamps-corrected", text) for text in (dropped if repeated.any() else "", spread) if text]
     value = value[~repeated]
-    return TimeSeries(spread.time_ns, value, channel.name, unit, (*notes, *notices), found.damage, tuple(notices))
+    return TimeSeries(spread_ns, value, channel.name, unit, (*notes, *notices), found.damage, tuple(notices))
 
 
 def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channel:
@@ -133,22 +133,9 @@ def _listing(names: tuple[str, ...]) -> str:
     return f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown
 
 
-def _named_time(path: Path, found: ChannelSet, request: SeriesRequest) -> Channel | None:
-    if request.time is None:
-        return None
-    own_clock = any(c.time_ns is not None or c.rate_hz is not None for c in found.channels)
-    if own_clock and request.time not in found.names and request.time.lower() in _TIME_NAMES:
-        return None
-    return find_channel(path, found, request.time, "time")
-
-
-def _is_time_name(name: str) -> bool:
-    last = re.split(r"[/.]", name.lower())[-1].strip()
-    return last in _TIME_NAMES or last.startswith(("time", "zeit")) or "timestamp" in last
-
-
 def _is_clock(channel: Channel) -> bool:
-    return channel.unit == "ns" or _is_time_name(channel.name)
+    last = re.split(r"[/.]", channel.name.lower())[-1].strip()
+    return channel.unit == "ns" or last in _TIME_NAMES or last.startswith(("time", "zeit")) or "timestamp" in last
 
 
 def named_after(name: str, quantity: str) -> bool:
@@ -211,20 +198,20 @@ def _guessed_time(found: ChannelSet, request: SeriesRequest, value: Channel) -> 
 def _times(
     path: Path, channel: Channel, clock: Channel | None, request: SeriesRequest, notes: list[str]
 ) -> Nanoseconds:
-    count = channel.size
+    start_ns = round(request.start_s * 1e9)
     if clock is not None:
         return _clock_times(path, channel, clock, notes)
     if channel.time_ns is not None:
-        _tell_rates(channel, request, notes)
-        return channel.time_ns + np.int64(round(request.start_s * 1e9))
+        _note_rates(channel, request, notes)
+        return channel.time_ns + np.int64(start_ns)
     if channel.rate_hz is not None and (channel.start_ns is not None or request.rate_hz is None):
-        _tell_rates(channel, request, notes)
+        _note_rates(channel, request, notes)
         notes.append(f"time from the file's rate of {channel.rate_hz:.9g} Hz")
-        return _regular(count, channel.rate_hz, (channel.start_ns or 0) + round(request.start_s * 1e9))
+        return even_ns((channel.start_ns or 0) + start_ns, channel.size, channel.rate_hz)
     if request.rate_hz is None:
         raise UsageError(f"{path}: {channel.name!r} has no time. Give rate_hz (Hz), or time with a channel of times.")
     notes.append(f"time from rate_hz = {request.rate_hz:.9g} Hz and start_s = {request.start_s:g} s")
-    return _regular(count, request.rate_hz, round(request.start_s * 1e9))
+    return even_ns(start_ns, channel.size, request.rate_hz)
 
 
 def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str]) -> Nanoseconds:
@@ -246,16 +233,10 @@ def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str])
     return time_ns
 
 
-def _tell_rates(channel: Channel, request: SeriesRequest, notes: list[str]) -> None:
-    if request.rate_hz is None or channel.rate_hz is None:
-        return
-    if abs(request.rate_hz / channel.rate_hz - 1.0) > _RATE_TOLERANCE:
-        notes.append(f"rate_hz = {request.rate_hz:g} Hz not used: the file's own time says {channel.rate_hz:.6g} Hz")
-
-
-def _regular(count: int, rate_hz: float, start_ns: int) -> Nanoseconds:
-    steps = np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
-    return np.asarray(np.int64(start_ns) + steps, dtype=np.int64)
+def _note_rates(channel: Channel, request: SeriesRequest, notes: list[str]) -> None:
+    wanted_hz, own_hz = request.rate_hz, channel.rate_hz
+    if wanted_hz is not None and own_hz is not None and abs(wanted_hz / own_hz - 1.0) > _RATE_TOLERANCE:
+        notes.append(f"rate_hz = {wanted_hz:g} Hz not used: the file's own time says {own_hz:.6g} Hz")
 
 
 def _unit(path: Path, channel: Channel, request: SeriesRequest, notes: list[str]) -> tuple[str, float]:
@@ -288,27 +269,17 @@ def _si(channel: Channel, factor: float, notes: list[str]) -> Floats:
     return value
 
 
-def _columns(found: ChannelSet, channel: Channel) -> list[Values]:
-    """What tells whether two rows of a channel are one: the columns of its file that are in memory, without clocks.
-
-    All channels of a file so lose the same rows. A column that rises throughout counts the rows.
-    """
-    alike = [c for c in found.channels if c.size == channel.size and not isinstance(c.stored, Stored)]
-    columns = [c.values for c in alike if c is not channel and not _is_clock(c) and not _rising(c)]
-    return [channel.values, *columns]
-
-
 def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:
-    missing = np.flatnonzero(time_ns == NOT_A_TIME)
+    missing, present = np.flatnonzero(time_ns == NOT_A_TIME), np.count_nonzero(~np.isnan(value))
     if missing.size:
         raise DataError(
             f"{path}: {missing.size} of {time_ns.size} time stamps are missing or no time, the first in row "
             f"{missing[0] + 1} of the data. Correct or remove these rows, or give rate_hz instead of time."
         )
-    if np.count_nonzero(~np.isnan(value)) < 2:
+    if present < 2:
         raise DataError(
-            f"{path}: {name!r} must have two numbers or more; received {np.count_nonzero(~np.isnan(value))} in "
-            f"{value.size} rows. Choose another channel as value."
+            f"{path}: {name!r} must have two numbers or more; received {present} in {value.size} rows. Choose another "
+            "channel as value."
         )
 
 

@@ -6,7 +6,6 @@ are put on the even clock that fits all stamps within the rounding, else spread 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -87,51 +86,41 @@ def _alike(columns: Sequence[Values], rows: Nanoseconds, others: Nanoseconds) ->
     return count if same.all() else int(np.argmin(same))
 
 
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Stamps (n,) that increase, and in words what was done; empty where nothing was."""
-
-    time_ns: Nanoseconds
-    text: str = ""
-
-
-def spread_equal_stamps(time_ns: Nanoseconds) -> Spread:
-    """Stamps (n,) with equal neighbours spread within the rounding that made them equal; others as they are.
+def spread_equal_stamps(time_ns: Nanoseconds) -> tuple[Nanoseconds, str]:
+    """Stamps (n,) with equal neighbours spread within the rounding that made them equal, and what was done in words.
 
     They stay as they are, too, where rounding does not explain them: a clock that hangs or runs backwards.
     """
     steps = np.diff(time_ns)
     equal = steps == 0
     if not equal.any() or len(time_ns) < MIN_EVEN_ROWS or (steps < 0).any() or equal.all():
-        return Spread(time_ns)
+        return time_ns, ""
     rounding = float(np.gcd.reduce(steps))
     step = float(np.mean(steps))
     step = float(np.mean(steps[steps <= GAP_STEPS * step + rounding]))
     groups = runs(np.concatenate((equal, [False])))
     longest = int((groups[:, 1] - groups[:, 0]).max())
     if rounding < MIN_ROUNDING_SHARE * step or longest * step > rounding + MAX_LATE_STEPS * step:
-        return Spread(time_ns)
+        return time_ns, ""
     spread = _within_rounding(time_ns, groups, step, rounding)
     even, placed = _on_even_clocks(time_ns, steps, step, rounding)
     found = np.where(placed, even, spread)
     if (np.diff(found) <= 0).any():
         found, placed = spread, np.zeros(len(placed), dtype=bool)
     if (np.diff(found) <= 0).any():
-        return Spread(time_ns)
+        return time_ns, ""
     share = "all" if placed.all() else f"{100 * placed.mean():.0f} % of"
     how = f"; {share} rows lie on even clocks, which fit them" if placed.any() else ""
     text = (
         f"{int(equal.sum())} of {len(time_ns)} time stamps equal the one before, rounded to {1e-6 * rounding:g} ms; "
         f"they were spread within the rounding{how}"
     )
-    return Spread(found, text)
+    return found, text
 
 
 def _within_rounding(time_ns: Nanoseconds, groups: Nanoseconds, step: float, rounding: float) -> Nanoseconds:
-    """Stamps (n,) with the rows of each group (begin, end: the last row) spread evenly about their common instant.
-
-    A record begins and ends within a group: what is there of it lies at the usual step next to the others.
-    """
+    """Stamps (n,) with the rows of each group (begin, end: the last row) spread evenly about their common instant."""
+    # A record begins and ends within a group: what is there of it lies at the usual step next to the others.
     found = time_ns.copy()
     for begin, end in groups:
         count = int(end - begin) + 1
@@ -169,8 +158,8 @@ def _on_even_clocks(time_ns: Nanoseconds, steps: Nanoseconds, step: float, round
 
 def _line(time_ns: Nanoseconds) -> tuple[Floats, Floats]:
     """The even clock that fits stamps (n,) best, in ns from the first one, and what they are apart from it."""
-    given = (time_ns - time_ns[0]).astype(np.float64)
-    index = np.arange(len(given)) - 0.5 * (len(given) - 1)
-    slope = float(index @ given) / float(index @ index)
-    line = np.asarray(slope * index + float(given.mean()))
-    return line, np.asarray(given - line)
+    elapsed_ns = (time_ns - time_ns[0]).astype(np.float64)
+    index = np.arange(len(elapsed_ns)) - 0.5 * (len(elapsed_ns) - 1)
+    slope = float(index @ elapsed_ns) / float(index @ index)
+    line = np.asarray(slope * index + float(elapsed_ns.mean()))
+    return line, np.asarray(elapsed_ns - line)

@@ -64,7 +64,14 @@ def read(path: Path) -> ChannelSet:
     channels: list[Channel] = []
     notes: list[str] = []
     for block in _blocks(lines):
-        values = _values(path, lines, block)
+        values = _numbers(lines, block.first, block.count, block.width)
+        if values.size < block.count:
+            raise DataError(
+                f"{path}, line {block.first}: {block.count} values are announced, {values.size} are there. "
+                "The file is cut off; get it again."
+            )
+        if not block.step_s > 0:
+            raise DataError(f"{path}, line {block.first}: the sample interval (s) is missing. Correct the header.")
         scale, unit = _plain_unit(block.unit)
         name = distinct(f"channel_{block.channel}_{_KINDS[block.kind]}", {c.name for c in channels})
         channels.append(Channel(name, values * scale, unit, 1.0 / block.step_s, 0))
@@ -75,7 +82,10 @@ def read(path: Path) -> ChannelSet:
             "Give a CSMIP or COSMOS V1 or V2 file."
         )
     notes += sorted({f"header: start time {m['text']}, not used" for line in lines[:60] if (m := _START.search(line))})
-    notes += [f"channel {number}: direction {direction}" for number, direction in _directions(lines).items()]
+    directions: dict[str, str] = {}
+    for named in filter(None, map(_CHANNEL.search, lines)):
+        directions.setdefault(named["number"], named["direction"])
+    notes += [f"channel {number}: direction {direction}" for number, direction in directions.items()]
     return ChannelSet(tuple(channels), tuple(notes))
 
 
@@ -103,28 +113,15 @@ def _width(text: str | None, default: int) -> int:
     return int(match["width"]) if match else default
 
 
-def _values(path: Path, lines: list[str], block: _Block) -> Floats:
-    values = _numbers(lines, block.first, block.count, block.width)
-    if values.size < block.count:
-        raise DataError(
-            f"{path}, line {block.first}: {block.count} values are announced, {values.size} are there. "
-            "The file is cut off; get it again."
-        )
-    if not block.step_s > 0:
-        raise DataError(f"{path}, line {block.first}: the sample interval (s) is missing. Correct the header.")
-    return values
-
-
 def _numbers(lines: list[str], first: int, count: int, width: int) -> Floats:
     """Up to `count` numbers of `width` characters each; they may touch, so blanks cannot part them."""
     fields: list[float] = []
-    for line in lines[first:]:
-        text = line.rstrip()
-        for start in range(0, len(text), width):
+    for line in map(str.rstrip, lines[first:]):
+        for start in range(0, len(line), width):
             if len(fields) == count:
                 return np.array(fields)
             try:
-                fields.append(float(text[start : start + width]))
+                fields.append(float(line[start : start + width]))
             except ValueError:
                 return np.array(fields)
     return np.array(fields)
@@ -138,11 +135,3 @@ def _plain_unit(unit: str) -> tuple[float, str | None]:
     if re.fullmatch(r"g\s*/\s*10|g\*10\*\*-1", text, re.IGNORECASE):
         return 0.1, "g"
     return 1.0, text
-
-
-def _directions(lines: list[str]) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for line in lines:
-        if match := _CHANNEL.search(line):
-            found.setdefault(match["number"], match["direction"])
-    return found

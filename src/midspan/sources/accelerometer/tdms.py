@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, numbers
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 _UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 # LabVIEW's zero of time, 1904: a waveform that starts there was never given a start.
@@ -32,25 +32,27 @@ def read(path: Path) -> ChannelSet:
     channels: list[Channel] = []
     notes: list[str] = []
     with _WithinFile(path) as opened, _quiet(), TdmsFile.open(opened) as file:
-        items = {_name(group.name, item.name): item for group in file.groups() for item in group.channels()}
+        # Of a result that midspan wrote, the name of the column; else the channel's path.
+        items = {
+            item.name if group.name == _RESULT else f"{group.name}/{item.name}": item
+            for group in file.groups()
+            for item in group.channels()
+        }
         # As the file has them, and as numbers of eight bytes.
         require_memory(path, sum(16 * len(item) for item in items.values()), "its channels")
-        counts = _common_counts(file, list(items.values()))
+        # Of channels that should be equally long, what the shortest has.
+        last = file.file_status.channel_statuses or {}
+        lost = {path: one.expected_length - one.read_length for path, one in last.items()}
+        declared = {name: len(item) + lost.get(item.path, 0) for name, item in items.items()}
         for name, item in items.items():
-            values = numbers(np.asarray(item[: counts[item.path]]))
+            count = min(len(items[other]) for other in items if declared[other] == declared[name])
+            values = numbers(np.asarray(item[:count]))
             if values is None or values.size < 2:
                 notes.append(f"{name} left out: no series of numbers")
                 continue
             channels.append(_channel(name, values, np.asarray(item[:1]), item.properties))
-    damage = (
-        () if _is_whole(path) else ("it is cut off: its last segment is not complete, and the rest of it is missing",)
-    )
-    return ChannelSet(tuple(channels), tuple(notes), damage)
-
-
-def _name(group: str, channel: str) -> str:
-    """The channel's path; of a result that midspan wrote the name of its column."""
-    return channel if group == _RESULT else f"{group}/{channel}"
+    cut = "it is cut off: its last segment is not complete, and the rest of it is missing"
+    return ChannelSet(tuple(channels), tuple(notes), () if _is_whole(path) else (cut,))
 
 
 class _WithinFile(io.BufferedReader):
@@ -94,29 +96,14 @@ def _is_whole(path: Path) -> bool:
     return place == end
 
 
-def _common_counts(file: Any, items: list[Any]) -> dict[str, int]:
-    """How many values of each channel are used: of channels that should be equally long, what the shortest has."""
-    last = file.file_status.channel_statuses or {}
-    lost = {path: one.expected_length - one.read_length for path, one in last.items()}
-    declared = {item.path: len(item) + lost.get(item.path, 0) for item in items}
-    return {
-        item.path: min(len(other) for other in items if declared[other.path] == declared[item.path]) for item in items
-    }
-
-
 def _channel(name: str, values: Any, first: Any, properties: dict[str, Any]) -> Channel:
     if first.dtype.kind == "M":
         return Channel(name, values, "ns")
     step = properties.get("wf_increment")
     rate_hz = 1.0 / float(step) if step else None
     unit = next((str(properties[key]) for key in _UNITS if properties.get(key)), None)
-    return Channel(name, values, unit, rate_hz, _start_ns(properties) if rate_hz else None)
-
-
-def _start_ns(properties: dict[str, Any]) -> int | None:
-    offset_ns = round(float(properties.get("wf_start_offset") or 0.0) * 1e9)
-    start = properties.get("wf_start_time")
-    if start is None:
-        return offset_ns or None
-    start_ns = int(np.datetime64(start).astype("datetime64[ns]").astype(np.int64))
-    return (start_ns + offset_ns) if start_ns > _UNSET_BEFORE_NS else (offset_ns or None)
+    start_ns = round(float(properties.get("wf_start_offset") or 0.0) * 1e9)
+    begun = properties.get("wf_start_time")
+    begun_ns = 0 if begun is None else int(np.datetime64(begun).astype("datetime64[ns]").astype(np.int64))
+    start_ns += begun_ns if begun_ns > _UNSET_BEFORE_NS else 0
+    return Channel(name, values, unit, rate_hz, (start_ns or None) if rate_hz else None)

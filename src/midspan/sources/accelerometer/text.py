@@ -1,20 +1,25 @@
-"""Text columns: csv, txt, dat and asc in any dialect."""
+"""Text columns in any dialect (csv, txt, dat, asc), and Excel workbooks, read as the same table in a text file is."""
 
+import csv
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import date, time
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.sources.accelerometer.channel import Channel, ChannelSet, Values
+from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.clock import TIME_UNITS, texts_to_ns
 from midspan.sources.accelerometer.dialect import BLANKS, Dialect, find_dialect
 from midspan.sources.accelerometer.last_line import cut_last_line
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,14 +41,17 @@ def read(path: Path) -> ChannelSet:
     for k in _numeric_columns(dialect):
         if dialect.joined is not None and k == dialect.joined + 1:
             continue
-        column = frame[k]
+        column, name = frame[k], dialect.names[k]
         if k == dialect.joined:
             column = column.astype("str").str.cat(frame[k + 1].astype("str"), sep="T")
+            # They go by the name of the time of day, unless one heading stood for both.
+            other = dialect.names[k + 1]
+            name = name if other.endswith(" of day") else other
         exact = _exact_epoch(text, k) if _is_fractional_epoch(column, dialect.units[k]) else None
         if exact is not None:
-            channels.append(Channel(dialect.names[k], exact, "ns"))
+            channels.append(Channel(name, exact, "ns"))
             continue
-        channel, said = _channel(_joined_name(dialect, k), dialect.units[k], column, dialect.decimal)
+        channel, said = _channel(name, dialect.units[k], column, dialect.decimal)
         found += [note for note in said if note not in found]
         channels += [channel] if channel else []
     return ChannelSet(tuple(channels), tuple(found), () if cut is None or not cut[1] else (cut[1],))
@@ -51,13 +59,6 @@ def read(path: Path) -> ChannelSet:
 
 def _numeric_columns(dialect: Dialect) -> list[int]:
     return [k for k in range(len(dialect.names)) if k not in dialect.words]
-
-
-def _joined_name(dialect: Dialect, column: int) -> str:
-    """A date column joined with its time of day goes by the latter's name, unless one heading stood for both."""
-    if column != dialect.joined or dialect.names[column + 1].endswith(" of day"):
-        return dialect.names[column]
-    return dialect.names[column + 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,34 +142,76 @@ def _channel(
 
     if pd.api.types.is_bool_dtype(column):
         column = column.astype("float64")
-    if not pd.api.types.is_numeric_dtype(column):
-        moments = texts_to_ns(column)
-        if moments is not None:
-            return Channel(name, moments[0], "ns"), moments[1]
-        return _numbers_among_words(name, unit, column, decimal)
-    return Channel(name, _values(column, unit), unit), ()
-
-
-def _values(column: "pd.Series[Any]", unit: str | None) -> Values:
-    """Whole numbers that may be epoch stamps stay whole: float64 would lose their last digits."""
-    values = column.to_numpy()
-    epoch = values.dtype.kind == "i" and values.size and abs(int(values[-1])) >= 1_000_000_000
-    if epoch and (unit is None or unit.lower() in TIME_UNITS):
-        return values.astype(np.int64)
-    return np.ascontiguousarray(values, dtype=np.float64)
-
-
-def _numbers_among_words(
-    name: str, unit: str | None, column: "pd.Series[Any]", decimal: str
-) -> tuple[Channel | None, tuple[str, ...]]:
-    """A column in which single cells are no numbers: those become NaN; a column of words alone gives no channel."""
-    import pandas as pd
-
+    if pd.api.types.is_numeric_dtype(column):
+        values = column.to_numpy()
+        # Whole numbers that may be epoch stamps stay whole: float64 would lose their last digits.
+        epoch = values.dtype.kind == "i" and values.size and abs(int(values[-1])) >= 1_000_000_000
+        is_whole = epoch and (unit is None or unit.lower() in TIME_UNITS)
+        stored = values.astype(np.int64) if is_whole else np.ascontiguousarray(values, dtype=np.float64)
+        return Channel(name, stored, unit), ()
+    moments = texts_to_ns(column)
+    if moments is not None:
+        return Channel(name, moments[0], "ns"), moments[1]
+    # Single cells that are no numbers become NaN; a column of words alone gives no channel.
     texts = column.astype("str").str.strip()
-    if decimal == ",":
-        texts = texts.str.replace(",", ".", regex=False)
-    values = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=np.float64)
-    if not np.isfinite(values).any():
+    texts = texts.str.replace(",", ".", regex=False) if decimal == "," else texts
+    numbers = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=np.float64)
+    if not np.isfinite(numbers).any():
         return None, ()
-    lost = int(np.count_nonzero(np.isnan(values) & column.notna().to_numpy()))
-    return Channel(name, values, unit), (f"{lost} cells of {name} are no numbers and count as missing",) if lost else ()
+    lost = int(np.count_nonzero(np.isnan(numbers) & column.notna().to_numpy()))
+    notes = (f"{lost} cells of {name} are no numbers and count as missing",) if lost else ()
+    return Channel(name, numbers, unit), notes
+
+
+def read_xlsx(path: Path) -> ChannelSet:
+    """The numeric and time columns of the first sheet that has some; preamble, names and units as in a text file.
+
+    Formulas count with the values that were saved with them. Raises DataError where no sheet holds columns of numbers.
+    """
+    from openpyxl import load_workbook
+
+    with ZipFile(path) as archive:
+        # The sheets are read row by row; the texts that they share are not.
+        require_memory(path, max((one.file_size for one in archive.infolist()), default=0), "its largest part")
+    with warnings.catch_warnings():
+        # What the library does not keep (styles, extensions) is nothing that is read here.
+        warnings.simplefilter("ignore")
+        book = load_workbook(path, read_only=True, data_only=True)
+    try:
+        for sheet in book.worksheets:
+            with TemporaryDirectory(prefix="midspan-") as folder:
+                # By way of a text file with semicolons, which no blank in a cell can be taken for.
+                table = Path(folder) / "sheet.csv"
+                with table.open("w", encoding="utf-8", newline="") as file:
+                    csv.writer(file, delimiter=";", lineterminator="\n").writerows(_rows(sheet))
+                try:
+                    found = read(table)
+                except DataError:
+                    continue
+            # How the table was written for the reader of texts is no property of the workbook.
+            return replace(found, notes=(f"sheet {sheet.title!r}", *found.notes[2:]))
+        count = len(book.worksheets)
+    finally:
+        book.close()
+    raise DataError(f"{path}: none of its {count} sheets holds columns of numbers. Give a table of numbers.")
+
+
+def _rows(sheet: Any) -> Iterator[list[str]]:
+    """The rows with a content; those of words, a preamble among them, are as long as they are filled."""
+    # Some programs declare a million rows of sixteen thousand columns: only what is there counts.
+    sheet.reset_dimensions()
+    for row in sheet.iter_rows(values_only=True):
+        cells = [_cell(value) for value in row]
+        if not any(isinstance(value, int | float) for value in row):
+            while cells and not cells[-1]:
+                cells.pop()
+        if cells:
+            yield cells
+
+
+def _cell(value: Any) -> str:
+    """A cell as a text file has it."""
+    if isinstance(value, date | time):
+        return value.isoformat()
+    value = int(value) if isinstance(value, bool) else value
+    return "" if value is None else " ".join(str(value).split())

@@ -8,6 +8,7 @@ import numpy as np
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, distinct
 
 _TIME_FUNCTIONS = (0, 1)
+_NONE = ("", "NONE")
 _ABSCISSA_IN_TIME = (0, 1, 17)
 _UNIT_OF_DATA_TYPE = {8: "m", 11: "m/s", 12: "m/s^2", 17: "s"}
 _DIRECTIONS = {1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z"}
@@ -23,7 +24,9 @@ def read(path: Path) -> ChannelSet:
     file = pyuff.UFF(str(path))
     types = [int(kind) for kind in file.get_set_types()]
     sets = [file.read_sets(k) for k, kind in enumerate(types) if kind == 58]
-    length = next((_length_factor(file.read_sets(k)) for k, kind in enumerate(types) if kind == 164), 1.0)
+    # Dataset 164: lengths divided by this factor are in metres.
+    units: dict[str, Any] = next((file.read_sets(k) for k, kind in enumerate(types) if kind == 164), {})
+    length = float(units.get("length") or 1.0)
     used = [s for s in sets if s["func_type"] in _TIME_FUNCTIONS and not np.iscomplexobj(s["data"])]
     used = [s for s in used if s.get("abscissa_spec_data_type", 0) in _ABSCISSA_IN_TIME]
     notes = [f"{len(sets) - len(used)} functions that are not of time left out"] if len(used) < len(sets) else []
@@ -35,21 +38,19 @@ def read(path: Path) -> ChannelSet:
     return ChannelSet(tuple(channels), tuple(notes))
 
 
-def _length_factor(units: dict[str, Any]) -> float:
-    """Dataset 164: divide by this factor to bring lengths to metres."""
-    return float(units.get("length") or 1.0)
-
-
 def _channel(entry: dict[str, Any], length: float, taken: set[str]) -> tuple[Channel, list[str]]:
-    name = distinct(_name(entry), taken)
+    name = str(entry.get("id1", "")).strip()
+    if name.upper() in _NONE:
+        name = f"{entry.get('rsp_node', 0)}:{_DIRECTIONS.get(int(entry.get('rsp_dir') or 0), '0')}"
+    name = distinct(name, taken)
     label = str(entry.get("ordinate_axis_units_lab", "")).strip()
     kind = int(entry.get("ordinate_spec_data_type") or 0)
     values = np.ascontiguousarray(entry["data"], dtype=np.float64)
-    unit, notes = (label, []) if label.upper() not in ("", "NONE") else (_UNIT_OF_DATA_TYPE.get(kind), [])
+    unit, notes = (label, []) if label.upper() not in _NONE else (_UNIT_OF_DATA_TYPE.get(kind), [])
     if unit is not None and not label and length != 1.0 and kind in (8, 11, 12):
         values = values / length
         notes = [f"lengths divided by {length:g} to metres as the file's dataset 164 says"]
-    elif unit is not None and label.upper() in ("", "NONE"):
+    elif unit is not None and label.upper() in _NONE:
         notes = [f"{name}: {unit} by the ordinate's data type {kind}"]
     if entry.get("abscissa_spacing"):
         rate_hz, said = _rate(float(entry["abscissa_inc"]))
@@ -68,10 +69,3 @@ def _rate(step_s: float) -> tuple[float | None, list[str]]:
     if whole and rate_hz != whole and abs(1.0 / whole - step_s) <= 1.01 * last_digit:
         return whole, [f"rate taken as {whole:g} Hz: the step of {step_s:g} s is rounded to six digits"]
     return rate_hz, []
-
-
-def _name(entry: dict[str, Any]) -> str:
-    title = str(entry.get("id1", "")).strip()
-    if title and title.upper() != "NONE":
-        return title
-    return f"{entry.get('rsp_node', 0)}:{_DIRECTIONS.get(int(entry.get('rsp_dir') or 0), '0')}"

@@ -13,21 +13,11 @@ if TYPE_CHECKING:
 
 # What the field writes, to what the unit library understands. "g" is standard gravity here, never gram.
 _SPELLINGS = {
-    "g": "standard_gravity",
-    "gn": "standard_gravity",
-    "g_n": "standard_gravity",
-    "g0": "standard_gravity",
-    "mg": "millistandard_gravity",
-    "milli-g": "millistandard_gravity",
-    "ug": "microstandard_gravity",
-    "µg": "microstandard_gravity",
-    "gal": "galileo",
-    "gals": "galileo",
-    "mgal": "milligalileo",
-    '"': "inch",
-    "'": "foot",
-    "mil": "thou",
-    "mils": "thou",
+    **dict.fromkeys(("g", "gn", "g_n", "g0"), "standard_gravity"),
+    **dict.fromkeys(("mg", "milli-g"), "millistandard_gravity"),
+    **dict.fromkeys(("ug", "µg"), "microstandard_gravity"),
+    **{"gal": "galileo", "gals": "galileo", "mgal": "milligalileo"},
+    **{'"': "inch", "'": "foot", "mil": "thou", "mils": "thou"},
 }
 
 ACCELERATION_UNITS = ("m/s^2", "m/s2", "m/s**2", "mm/s^2", "cm/s^2", "ft/s^2", "in/s^2", "g", "mg", "gal", "mgal")
@@ -82,16 +72,10 @@ def factor_to_si(unit: str, quantity: str) -> float | None:
         amount = _registry().Quantity(1.0, spelt)
         return float(amount.to(si.replace("^", "**")).magnitude) if amount.check(dimension) else None
     except Exception as error:  # its parser lets tokenizer and syntax errors of many kinds through
-        raise _unknown(unit, quantity) from error
-
-
-def _unknown(unit: str, quantity: str) -> UsageError:
-    known = _QUANTITIES[quantity][2] + (VOLTAGE_UNITS[:2] if quantity == "acceleration" else ())
-    hint = nearest(unit.strip().lower(), known)
-    listing = f"Known are {', '.join(known)}."
-    return UsageError(
-        f"unit must be known and measure {quantity}; received {unit!r}. {hint} {listing}".replace("  ", " ")
-    )
+        known = _QUANTITIES[quantity][2] + (VOLTAGE_UNITS[:2] if quantity == "acceleration" else ())
+        hint = nearest(unit.strip().lower(), known)
+        text = f"unit must be known and measure {quantity}; received {unit!r}. {hint} Known are {', '.join(known)}."
+        raise UsageError(text.replace("  ", " ")) from error
 
 
 def measures(unit: str | None, quantity: str) -> bool:

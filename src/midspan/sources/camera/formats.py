@@ -1,47 +1,41 @@
 """Frames of a video, a folder or glob of images, or a stack: one table from suffix to reader."""
 
+import importlib
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
+from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.formats import FORMATS as TABLE_FORMATS
 from midspan.sources.boundary import reading, require_file
 from midspan.sources.camera.frames import FrameRequest
-from midspan.sources.camera.guarded import GuardedFrames
-from midspan.sources.camera.timing import check_request
-from midspan.vision.frame_source import FrameSource
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
-_VIDEO: tuple[str, ...] = (
-    ".mp4",
-    ".mov",
-    ".avi",
-    ".mkv",
-    ".webm",
-    ".m4v",
-    ".mpg",
-    ".mpeg",
-    ".ts",
-    ".mts",
-    ".m2ts",
-    ".wmv",
-    ".flv",
-)
-_VIDEO += (".3gp", ".mjpeg", ".mjpg", ".ogv", ".y4m", ".h264", ".h265", ".hevc", ".gif", ".nut")
-_IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".pnm")
-_STACKS = (".npy", ".npz")
-_PHOTRON = (".cih", ".mraw")
 
-FORMATS = (
-    ("video", _VIDEO, "PyAV (FFmpeg)"),
-    ("folder or glob of images, multi-page TIFF", _IMAGES, "OpenCV"),
-    ("stack (frames, rows, columns)", _STACKS, "numpy"),
-    ("Photron high-speed recording", _PHOTRON, "midspan"),
+def _suffixes(names: str) -> tuple[str, ...]:
+    return tuple(f".{name}" for name in names.split())
+
+
+_VIDEO = _suffixes(
+    "mp4 mov avi mkv webm m4v mpg mpeg ts mts m2ts wmv flv 3gp mjpeg mjpg ogv y4m h264 h265 hevc gif nut"
 )
+IMAGES = _suffixes("png tif tiff jpg jpeg bmp pgm pnm")
+_STACKS, _PHOTRON = _suffixes("npy npz"), _suffixes("cih mraw")
+
+# Name, suffixes, what it is read with; then what messages call it, the module and the class that read it.
+_READERS = (
+    ("video", _VIDEO, "PyAV (FFmpeg)", "a video", "video", "VideoFrames"),
+    ("folder or glob of images, multi-page TIFF", IMAGES, "OpenCV", "images", "images", "ImageFrames"),
+    ("stack (frames, rows, columns)", _STACKS, "numpy", "a NumPy stack", "stack", "StackFrames"),
+    ("Photron high-speed recording", _PHOTRON, "midspan", "a Photron recording", "photron", "PhotronFrames"),
+)
+FORMATS = tuple(row[:3] for row in _READERS)
 """Rows of (name, suffixes, what it is read with)."""
 
-
 _TABLES = {suffix for _, suffixes, _ in TABLE_FORMATS for suffix in suffixes} - set(_STACKS)
+_EXAMPLES = ", ".join(_VIDEO[:8] + IMAGES + _STACKS + _PHOTRON)
 
 
 def is_video(path: Path) -> bool:
@@ -69,7 +63,7 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
 
     Raises UsageError for settings out of range, DataError for a missing or unreadable source.
     """
-    check_request(path, request)
+    request.check(path)
     if (is_table(path) or path.suffix.lower() == ".npz") and path.is_file():
         from midspan.sources.camera.track_table import TrackFrames, holds_tracks
 
@@ -79,55 +73,65 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
         # Decided by the name: a damaged table is no reason to try it as a video.
         raise UsageError(
             f"{path} is a table of numbers, neither frames nor a track (columns x_px and y_px); known suffixes are "
-            f"{_known()} …"
+            f"{_EXAMPLES} …"
         )
-    kind, opened = _opener(path)
+    require_readable(path)
+    suffix = IMAGES[0] if _is_glob(path) or path.is_dir() else path.suffix.lower()
+    *_, kind, module, reader = next((row for row in _READERS if suffix in row[1]), _READERS[0])
     with reading(path, kind):
-        return GuardedFrames(opened(path, request), path, kind)
+        frames = getattr(importlib.import_module(f"midspan.sources.camera.{module}"), reader)
+        try:
+            return GuardedFrames(frames(path, request), path, kind)
+        except DataError as error:
+            if any(suffix in row[1] for row in _READERS):
+                raise
+            raise UsageError(
+                f"{path} is no video, image or stack that can be read; known suffixes are {_EXAMPLES} …"
+            ) from error
 
 
-def is_glob(path: Path) -> bool:
-    """Whether a path is a pattern for several files; a file whose name holds the signs of one is that file."""
-    return any(sign in str(path) for sign in "*?[") and not os.path.exists(path)
+class GuardedFrames(FrameSource):
+    """Frames of another source; what its library raises, also while it is read, is a DataError that names the file."""
+
+    def __init__(self, source: FrameSource, path: Path, kind: str) -> None:
+        self._source, self._path, self._kind = source, path, kind
+
+    @property
+    def info(self) -> FrameInfo:
+        """What is known of the source."""
+        with reading(self._path, self._kind):
+            return self._source.info
+
+    def times_ns(self) -> Nanoseconds:
+        """Time stamps of the source."""
+        with reading(self._path, self._kind):
+            return self._source.times_ns()
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        """Frames of the source."""
+        with reading(self._path, self._kind):
+            yield from self._source.frames(start, stop)
 
 
 def require_readable(path: Path) -> None:
     """Raise DataError for a path that is missing, or no regular file or folder: a pipe would be waited for."""
-    if not is_glob(path):
+    if not _is_glob(path):
         require_file(path, folder=True)
 
 
-def _opener(path: Path) -> tuple[str, Callable[[Path, FrameRequest], FrameSource]]:
-    """What a source is, in words, and what opens it."""
+def listed(path: Path) -> list[Path]:
+    """The files that `path` means, itself, those of a folder or of a glob, in natural order: img2 before img10."""
+    if path.is_file():
+        return [path]
     require_readable(path)
-    suffix = path.suffix.lower()
-    if is_glob(path) or path.is_dir() or suffix in _IMAGES:
-        from midspan.sources.camera.images import ImageFrames
-
-        return "images", lambda path, request: ImageFrames(path, request, _IMAGES)
-    if suffix in _STACKS:
-        from midspan.sources.camera.stack import StackFrames
-
-        return "a NumPy stack", StackFrames
-    if suffix in _PHOTRON:
-        from midspan.sources.camera.photron import PhotronFrames
-
-        return "a Photron recording", PhotronFrames
-    return "a video", _video
+    if path.is_dir():
+        files = [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
+    else:
+        folder = next(parent for parent in path.parents if not any(sign in str(parent) for sign in "*?["))
+        files = [file for file in folder.glob(str(path.relative_to(folder))) if file.is_file()]
+    return sorted(files, key=lambda file: [int(t) if t.isdigit() else t.lower() for t in re.split(r"(\d+)", str(file))])
 
 
-def _video(path: Path, request: FrameRequest) -> FrameSource:
-    from midspan.sources.camera.video import VideoFrames
-
-    try:
-        return VideoFrames(path, request)
-    except DataError as error:
-        if path.suffix.lower() in _VIDEO:
-            raise
-        raise UsageError(
-            f"{path} is no video, image or stack that can be read; known suffixes are {_known()} …"
-        ) from error
-
-
-def _known() -> str:
-    return ", ".join(_VIDEO[:8] + _IMAGES + _STACKS + _PHOTRON)
+def _is_glob(path: Path) -> bool:
+    """Whether a path is a pattern for several files; a file whose name holds the signs of one is that file."""
+    return any(sign in str(path) for sign in "*?[") and not os.path.exists(path)

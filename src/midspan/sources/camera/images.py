@@ -1,7 +1,6 @@
 """Folders and globs of images, and multi-page TIFF, read with OpenCV one at a time."""
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -9,76 +8,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import Frame, Nanoseconds
-from midspan.sources.boundary import reading
-from midspan.sources.camera.frames import FrameRequest, luma
+from midspan.sources.boundary import mapped, reading, require_memory
+from midspan.sources.camera.formats import IMAGES, listed
+from midspan.sources.camera.frames import FrameRequest, StoredFrames, luma
 from midspan.sources.camera.picture_header import Page, pages, picture_bytes
-from midspan.sources.camera.timing import file_times, rate_times
-from midspan.sources.declared_size import require_memory
-from midspan.sources.file_bytes import mapped
-from midspan.vision.frame_source import FrameInfo, FrameSource
+from midspan.vision.frame_source import FrameInfo
 
 # Pages of a TIFF decoded at once, and the bytes they may take: each call walks the file's list of pages from its start.
 _PAGES_AT_ONCE = 16
 _BLOCK_BYTES = 1 << 28
-_LOSSY = (".jpg", ".jpeg")
+_TIFF, _LOSSY = (".tif", ".tiff"), (".jpg", ".jpeg")
 
 
-class ImageFrames(FrameSource):
+class ImageFrames(StoredFrames):
     """Images of one size, 8 or 16 bits (or float TIFF), in natural order of their names: img2 before img10."""
 
-    def __init__(self, path: Path, request: FrameRequest, suffixes: Sequence[str]) -> None:
-        self._path = path
-        self._request = request
-        self._files = _listed(path, suffixes)
-        self._pages, largest = _page_count(self._files[0]) if len(self._files) == 1 else (1, 0)
+    def __init__(self, path: Path, request: FrameRequest) -> None:
+        import cv2
+
+        super().__init__(path, request)
+        files = listed(path)
+        self._files = [file for file in files if file.suffix.lower() in IMAGES] if path.is_dir() else files
+        if not self._files:
+            raise DataError(f"{path} holds no images ({', '.join(IMAGES)}). Correct the folder or the glob.")
+        self._suffix = self._files[0].suffix.lower()
+        self._pages, largest = 1, 0
+        pages = list(_pages(self._files[0])) if self._suffix in _TIFF else []
+        if len(self._files) == 1 and self._suffix in _TIFF:
+            largest = max((page.picture_bytes for page in pages), default=0)
+            require_memory(path, largest, "a page")
+            with _quiet():
+                self._pages = max(int(cv2.imcount(str(self._files[0]), cv2.IMREAD_UNCHANGED)), 1)
+        self._count = self._pages if self._pages > 1 else len(self._files)
         self._at_once = max(min(_PAGES_AT_ONCE, _BLOCK_BYTES // max(largest, 1)), 1)
-        self._lossy = _is_lossy(self._files[0])
+        self._lossy = self._suffix in _LOSSY or any(page.lossy for page in pages)
         self._block: tuple[int, list[NDArray[np.generic]]] = (0, [])
         self._first: NDArray[np.generic] | None = None
-        self._first = self._page(0)
+        self._first = self._image(0)
 
     @property
     def info(self) -> FrameInfo:
         """Size and depth of the first image, the number of images."""
-        first = self._page(0) if self._first is None else self._first
+        first = self._image(0) if self._first is None else self._first
         rows, columns = first.shape
-        suffix = self._files[0].suffix.lower()
-        depth = 8 * first.dtype.itemsize
         notes = (f"{len(self._files)} images, {self._files[0].name} … {self._files[-1].name}",)
         if self._pages > 1:
             notes = (f"{self._pages} pages",)
-        return FrameInfo(columns, rows, depth, self._count, suffix.lstrip("."), not self._lossy, notes)
+        return FrameInfo(columns, rows, 8 * first.dtype.itemsize, self._count, self._suffix[1:], not self._lossy, notes)
 
-    @property
-    def _count(self) -> int:
-        return self._pages if self._pages > 1 else len(self._files)
-
-    def times_ns(self) -> Nanoseconds:
-        """Time stamps from `times`, else the rate."""
-        if self._request.times is not None:
-            times = file_times(self._request.times, self._path, self._count)
-        else:
-            times = rate_times(self._path, self._request, self._count)
-        return times[:: self._request.every]
-
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """The images' luma; DataError names an image that cannot be read or has another size."""
-        times = self.times_ns()
-        for index in range(*slice(start, stop).indices(times.size)):
-            yield Frame(int(times[index]), self._page(index * self._request.every), index)
-
-    def _page(self, number: int) -> NDArray[np.generic]:
-        if self._pages > 1:
-            return self._checked(self._tiff_page(number), self._files[0])
-        return self._checked(_read(self._files[number]), self._files[number])
-
-    def _checked(self, image: NDArray[np.generic], file: Path) -> NDArray[np.generic]:
-        pixels = luma(image, reversed_colours=True)
+    def _image(self, number: int) -> NDArray[np.generic]:
+        file = self._files[0 if self._pages > 1 else number]
+        pixels = luma(self._tiff_page(number) if self._pages > 1 else _read(file), reversed_colours=True)
         first = pixels if self._first is None else self._first
         if pixels.shape != first.shape or pixels.dtype != first.dtype:
+            wanted, received = (f"{one.shape[1]} x {one.shape[0]} pixels of {one.dtype}" for one in (first, pixels))
             raise DataError(
-                f"{file} must have the size and depth of the first image, {_size(first)}; received {_size(pixels)}. "
+                f"{file} must have the size and depth of the first image, {wanted}; received {received}. "
                 "Remove it from the folder or narrow the glob."
             )
         return pixels
@@ -97,43 +82,6 @@ class ImageFrames(FrameSource):
             pages = [np.asarray(page) for page in found]
             self._block = (start, pages)
         return pages[number - start]
-
-
-def _size(image: NDArray[np.generic]) -> str:
-    return f"{image.shape[1]} x {image.shape[0]} pixels of {image.dtype}"
-
-
-def _listed(path: Path, suffixes: Sequence[str]) -> list[Path]:
-    """The files of a folder or glob in natural order: numbers in names count as numbers."""
-    if path.is_dir():
-        files = [file for file in path.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith(".")]
-    elif path.is_file():
-        files = [path]
-    else:
-        folder = next(parent for parent in path.parents if not any(sign in str(parent) for sign in "*?["))
-        files = [file for file in folder.glob(str(path.relative_to(folder))) if file.is_file()]
-    if not files:
-        raise DataError(f"{path} holds no images ({', '.join(suffixes)}). Correct the folder or the glob.")
-    return sorted(files, key=lambda file: [int(t) if t.isdigit() else t.lower() for t in re.split(r"(\d+)", str(file))])
-
-
-def _page_count(file: Path) -> tuple[int, int]:
-    """The pages of a file, and the bytes of the largest of a TIFF."""
-    import cv2
-
-    if file.suffix.lower() not in (".tif", ".tiff"):
-        return 1, 0
-    largest = max((page.picture_bytes for page in _pages(file)), default=0)
-    require_memory(file, largest, "a page")
-    with _quiet():
-        return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1), largest
-
-
-def _is_lossy(file: Path) -> bool:
-    """Whether a picture is packed with a loss."""
-    if file.suffix.lower() not in (".tif", ".tiff"):
-        return file.suffix.lower() in _LOSSY
-    return any(page.lossy for page in _pages(file))
 
 
 def _pages(file: Path) -> Iterator[Page]:

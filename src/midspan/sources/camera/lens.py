@@ -87,7 +87,14 @@ def lens_from_pictures(source: str | Path, request: LensRequest, progress: Progr
     trusted: fewer than 8 different views, views that do not fix the focal length, a misfit above 1 px rms.
     """
     option("lens model", request.model, MODELS)
-    frames = _open(Path(source), request)
+
+    def opened(every: int) -> FrameSource:
+        # Their times do not matter.
+        return timed_or_counted(lambda rate_hz: open_frames(Path(source), FrameRequest(None, rate_hz, every=every)))[0]
+
+    frames = opened(request.every or 1)
+    every = -(-len(frames.times_ns()) // MAX_PICTURES)
+    frames = opened(every) if request.every is None and every > 1 else frames
     total = len(frames.times_ns())
     if not total:
         raise DataError(f"{source}: holds no pictures. Give pictures of a checkerboard.")
@@ -116,16 +123,3 @@ def lens_from_pictures(source: str | Path, request: LensRequest, progress: Progr
     except UntrustedError as error:
         raise UntrustedError(f"{source}: {found} of {searched} pictures show the board. {error}") from None
     return CalibratedLens(fit, searched, found, picture)
-
-
-def _open(source: Path, request: LensRequest) -> FrameSource:
-    """The pictures, thinned to what is looked at; their times do not matter."""
-
-    def opened(every: int) -> FrameSource:
-        return timed_or_counted(lambda rate_hz: open_frames(source, FrameRequest(every=every, rate_hz=rate_hz)))[0]
-
-    frames = opened(request.every or 1)
-    if request.every is not None:
-        return frames
-    every = -(-len(frames.times_ns()) // MAX_PICTURES)
-    return opened(every) if every > 1 else frames

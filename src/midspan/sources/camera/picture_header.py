@@ -16,7 +16,6 @@ _WHOLE = {1: "B", 3: "H", 4: "I", 16: "Q"}
 # Markers of JPEG that begin a frame and so hold its size; the others of their range hold tables.
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-_GIF_SAMPLES = 4  # it is decoded into colours with transparency
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +29,40 @@ class Page:
 def picture_bytes(data: bytes | memoryview) -> int:
     """The bytes that the pixels of a picture take by its header; 0 where the header does not say, or is unknown."""
     try:
-        if bytes(data[:4]) in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-            return max((page.picture_bytes for page in pages(data)), default=0)
-        return next((size(data) for magic, size in _SIZES if bytes(data[: len(magic)]) == magic), 0)
+        return _declared_bytes(data, bytes(data[:4]))
     except (struct.error, IndexError, ValueError, DataError):
         # The library that decodes it says what is wrong.
         return 0
+
+
+def _declared_bytes(data: bytes | memoryview, magic: bytes) -> int:
+    deep, samples = False, 3
+    if magic in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        return max((page.picture_bytes for page in pages(data)), default=0)
+    if magic == b"\x89PNG":
+        width, height, bits, kind = struct.unpack_from(">IIBB", data, 16)
+        deep, samples = bits > 8, _PNG_SAMPLES.get(kind, 4)
+    elif magic.startswith(b"BM"):
+        width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
+        samples = max(bits // 8, 3)
+    elif magic == b"GIF8":
+        width, height = struct.unpack_from("<HH", data, 6)
+        samples = 4  # it is decoded into colours with transparency
+    elif magic.startswith(b"\xff\xd8"):
+        place = 2
+        while (mark := struct.unpack_from(">BBH", data, place))[0] == 0xFF and mark[1] not in _FRAMES:
+            place += 2 + mark[2]
+        if mark[0] != 0xFF:
+            return 0
+        bits, height, width, samples = struct.unpack_from(">BHHB", data, place + 4)
+        deep = bits > 8
+    elif re.match(rb"P[1-6]", magic):
+        text = re.sub(rb"#[^\n]*\n", b" ", bytes(data[:1024])).split()
+        width, height = int(text[1]), int(text[2])
+        deep, samples = text[0] not in (b"P1", b"P4") and int(text[3]) > 255, 3 if text[0] in (b"P3", b"P6") else 1
+    else:
+        return 0
+    return int(abs(width) * abs(height) * samples * (2 if deep else 1))
 
 
 def pages(data: bytes | memoryview) -> Iterator[Page]:
@@ -66,7 +93,8 @@ def pages(data: bytes | memoryview) -> Iterator[Page]:
             ) from error
         entries = range(first, first + count * entry_bytes, entry_bytes)
         fields = dict(_field(data, order, k, big) for k in entries)
-        yield Page(_page_bytes(fields), fields.get(_PACKING) in _LOSSY)
+        sample_bytes = fields.get(_SAMPLES, 1) * max(-(-fields.get(_BITS, 1) // 8), 1)
+        yield Page(fields.get(_WIDTH, 0) * fields.get(_HEIGHT, 0) * sample_bytes, fields.get(_PACKING) in _LOSSY)
         place = following
 
 
@@ -84,53 +112,3 @@ def _field(data: bytes | memoryview, order: str, place: int, big: bool) -> tuple
         return tag, int(struct.unpack_from(order + code, data, value)[0])
     except (struct.error, OverflowError):
         return tag, 0
-
-
-def _page_bytes(fields: dict[int, int]) -> int:
-    samples, bits = fields.get(_SAMPLES, 1), fields.get(_BITS, 1)
-    return fields.get(_WIDTH, 0) * fields.get(_HEIGHT, 0) * samples * max(-(-bits // 8), 1)
-
-
-def _png(data: bytes | memoryview) -> int:
-    width, height, bits, kind = struct.unpack_from(">IIBB", data, 16)
-    return int(width * height * _PNG_SAMPLES.get(kind, 4) * (2 if bits > 8 else 1))
-
-
-def _bmp(data: bytes | memoryview) -> int:
-    width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
-    return int(abs(width) * abs(height) * max(bits // 8, 3))
-
-
-def _gif(data: bytes | memoryview) -> int:
-    width, height = struct.unpack_from("<HH", data, 6)
-    return int(width * height * _GIF_SAMPLES)
-
-
-def _jpeg(data: bytes | memoryview) -> int:
-    place = 2
-    while place + 9 < len(data):
-        mark, marker, count = struct.unpack_from(">BBH", data, place)
-        if mark != 0xFF:
-            return 0
-        if marker in _FRAMES:
-            bits, height, width, samples = struct.unpack_from(">BHHB", data, place + 4)
-            return int(width * height * samples * (2 if bits > 8 else 1))
-        place += 2 + count
-    return 0
-
-
-def _pnm(data: bytes | memoryview) -> int:
-    text = re.sub(rb"#[^\n]*\n", b" ", bytes(data[:1024])).split()
-    width, height = int(text[1]), int(text[2])
-    samples = 3 if text[0] in (b"P3", b"P6") else 1
-    deep = text[0] not in (b"P1", b"P4") and int(text[3]) > 255
-    return width * height * samples * (2 if deep else 1)
-
-
-_SIZES = (
-    (b"\x89PNG", _png),
-    (b"BM", _bmp),
-    (b"GIF8", _gif),
-    (b"\xff\xd8", _jpeg),
-    *((b"P%d" % k, _pnm) for k in range(1, 7)),
-)

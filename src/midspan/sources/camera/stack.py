@@ -12,19 +12,14 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.clock import numbers_to_ns
-from midspan.sources.camera.frames import FrameRequest, luma
-from midspan.sources.camera.timing import file_times, rate_times
-from midspan.sources.declared_size import require_memory
-from midspan.sources.npy_header import NpyHeader, read_npy_header
-from midspan.vision.frame_source import FrameInfo, FrameSource
+from midspan.sources.boundary import NpyHeader, read_npy_header, require_memory
+from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, StoredFrames, luma, passed_over
+from midspan.vision.frame_source import FrameInfo
 
 _NAMES = ("frames", "images", "celsius")
 _AXES = (3, 4)
 _LOCAL_HEADER_BYTES = 30
 _READ_BYTES = 1 << 20  # at once, while a checksum is formed
-# A frame of which a larger share is no number is passed over, as one of temperatures: see `thermal.repaired`.
-MAX_MISSING = 0.2
-_MAX_NAMED = 3
 
 
 def holds_stack(path: Path) -> bool:
@@ -39,88 +34,73 @@ def holds_stack(path: Path) -> bool:
         return False
 
 
-class StackFrames(FrameSource):
+class StackFrames(StoredFrames):
     """Frames of an array (frames, rows, columns), or (frames, rows, columns, colours); an npz may hold `time_s` too.
 
     Frames without numbers are passed over; `info.damage` says which.
     """
 
     def __init__(self, path: Path, request: FrameRequest) -> None:
-        self._path, self._request = path, request
+        super().__init__(path, request)
         self._passed: set[int] = set()
-        self._array, self._times_s, note = _load(path)
-        self._notes = [note] if note else []
-        shape = self._array.shape
-        if (
-            self._array.ndim not in (3, 4)
-            or (self._array.ndim == 4 and shape[3] > 4)
-            or self._array.dtype.kind not in "biuf"
-        ):
+        array, self._times_s, self._notes = _load(path)
+        self._array = np.asarray(array)
+        shape, dtype = self._array.shape, self._array.dtype
+        if len(shape) not in _AXES or (len(shape) == 4 and shape[3] > 4) or dtype.kind not in "biuf":
             raise DataError(
-                f"{path} must hold real numbers of shape (frames, rows, columns); received {self._array.dtype} of "
+                f"{path} must hold real numbers of shape (frames, rows, columns); received {dtype} of "
                 f"shape {shape}. Rearrange the array."
             )
         if 0 in shape:
             raise DataError(f"{path} must hold one frame or more; received shape {shape}. Check how it was written.")
         require_memory(path, self._array[0].nbytes, "one frame")
+        self._count = shape[0]
 
     @property
     def info(self) -> FrameInfo:
         """Width, height and type of the stack; arrays are lossless."""
-        first = luma(np.asarray(self._array[0]), reversed_colours=False)
+        first = luma(self._array[0], reversed_colours=False)
         rows, columns = first.shape
-        depth = 8 * first.dtype.itemsize
-        codec = f"array {self._array.dtype}"
-        count, notes = self._array.shape[0], tuple(self._notes)
-        return FrameInfo(columns, rows, depth, count, codec, True, notes, damage=self._damage())
+        codec, damage = f"array {self._array.dtype}", tuple(passed_over(self._passed))
+        return FrameInfo(columns, rows, 8 * first.dtype.itemsize, self._count, codec, True, self._notes, damage=damage)
 
-    def times_ns(self) -> Nanoseconds:
-        """Time stamps from `times`, else the member `time_s`, else the rate."""
-        return self._all_times()[:: self._request.every]
-
-    def _all_times(self) -> Nanoseconds:
-        count = self._array.shape[0]
-        if self._request.times is not None:
-            return file_times(self._request.times, self._path, count)
+    def _own_times(self) -> Nanoseconds:
+        """From the member `time_s`, else from the rate."""
         if self._times_s is None:
-            return rate_times(self._path, self._request, count)
-        if self._times_s.shape != (count,):
-            raise DataError(f"{self._path}: time_s has {self._times_s.size} values for {count} frames. Correct it.")
+            return super()._own_times()
+        if self._times_s.shape != (self._count,):
+            raise DataError(
+                f"{self._path}: time_s has {self._times_s.size} values for {self._count} frames. Correct it."
+            )
         time_ns, _ = numbers_to_ns(self._times_s, "s")
         if np.any(time_ns[1:] <= time_ns[:-1]):
             raise DataError(f"{self._path}: time_s must increase from frame to frame (s). Correct it.")
         return time_ns + np.int64(round(self._request.start_s * 1e9))
 
+    def _image(self, number: int) -> NDArray[np.generic] | None:
+        """A frame's luma; grey ones of 8 or 16 bits are read from the mapped file where they are looked at."""
+        image = self._array[number]
+        is_judged = image.dtype.kind == "f" and not self._request.with_missing
+        if is_judged and np.mean(~np.isfinite(image)) > MAX_MISSING:
+            self._passed.add(number // self._request.every)
+            return None
+        return luma(image, reversed_colours=False)
+
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """The frames' luma; grey ones of 8 or 16 bits are read from the mapped file where they are looked at."""
-        times, stack = self.times_ns(), np.asarray(self._array)
-        for index in range(*slice(start, stop).indices(times.size)):
-            image = stack[index * self._request.every]
-            if not self._request.with_missing and _is_missing(image):
-                self._passed.add(index)
-                continue
-            yield Frame(int(times[index]), luma(image, reversed_colours=False), index)
-
-    def _damage(self) -> tuple[str, ...]:
-        if not self._passed:
-            return ()
-        numbers = sorted(self._passed)
-        named = ", ".join(str(k) for k in numbers[:_MAX_NAMED]) + (" …" if len(numbers) > _MAX_NAMED else "")
-        return (
-            f"{len(numbers)} frames ({named}) have more than {100 * MAX_MISSING:g} % of their values missing (NaN) and "
-            "were passed over",
-        )
+        """Grey frames of 8 or 16 bits as they lie in the mapped file; others as `StoredFrames` makes them."""
+        times, stack, every = self.times_ns(), np.asarray(self._array), self._request.every
+        if stack.ndim != 3 or stack.dtype not in (np.uint8, np.uint16) or not stack.flags.c_contiguous:
+            yield from super().frames(start, stop)
+            return
+        indices = range(*slice(start, stop).indices(times.size))
+        for index, time_ns in zip(indices, times[indices.start : indices.stop].tolist(), strict=True):
+            yield Frame(time_ns, stack[index * every], index)
 
 
-def _is_missing(image: NDArray[np.generic]) -> bool:
-    """Whether too much of an image is no number."""
-    return image.dtype.kind == "f" and bool(np.mean(~np.isfinite(image)) > MAX_MISSING)
-
-
-def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, str]:
+def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, tuple[str, ...]]:
     if path.suffix.lower() == ".npy":
         # Copy on write: what is changed in memory never reaches the file.
-        return np.lib.format.open_memmap(path, mode="c"), None, ""
+        return np.lib.format.open_memmap(path, mode="c"), None, ()
     with zipfile.ZipFile(path) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         name = _stack_name(path, archive, members)
@@ -129,10 +109,10 @@ def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, 
             times_s = np.asarray(_loaded(path, archive, members["time_s"]), dtype=np.float64)
         member = members[name]
         if member.compress_type != zipfile.ZIP_STORED:
-            return _loaded(path, archive, member), times_s, f"stack {name}"
+            return _loaded(path, archive, member), times_s, (f"stack {name}",)
         array = _mapped(path, member)
         _check_sum(path, archive, member, array)
-        return array, times_s, f"stack {name}"
+        return array, times_s, (f"stack {name}",)
 
 
 def _stack_name(path: Path, archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> str:

@@ -7,6 +7,7 @@ and its name.
 
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,7 @@ from midspan.records import Floats, Frame, Nanoseconds, PixelTrack, Region, Stat
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.camera.frames import FrameRequest
-from midspan.sources.camera.timing import rate_times
+from midspan.sources.camera.frames import FrameRequest, rate_times
 from midspan.trees import TreeError, read_json
 from midspan.vision.frame_source import FrameInfo, FrameSource, StoredTrack
 
@@ -48,7 +48,11 @@ class TrackFrames(FrameSource):
         step = request.every
         self._time_ns = _times(path, columns, request)[::step]
         ends = [name.removeprefix("x_px") for name in columns if name.startswith("x_px")]
-        regions = _regions(path)
+        regions: dict[str, Region] = {}
+        with suppress(OSError, TreeError, KeyError, TypeError, ValueError):
+            # Where the `.json` of the table tells them.
+            targets = read_json(path.with_suffix(".json"))["targets"]
+            regions = {str(one["name"]): Region(*(int(v) for v in one["roi"])) for one in targets}
         tracks = [_track(columns, end, self._time_ns, step, regions) for end in ends if f"y_px{end}" in columns]
         self.tracks = tuple(tracks)
         self._damage = found.damage
@@ -101,26 +105,9 @@ def _track(
     # What the reference makes is part of the deviations of a track's file.
     single = np.where(seen[:, None], np.maximum(variance - reference, 0.0), np.inf)
     quality = np.where(seen, column("quality", 1.0), 0.0)
-    rows = PixelTrack(
-        time_ns,
-        np.where(seen, x, np.nan),
-        np.where(seen, y, np.nan),
-        single[:, 0],
-        single[:, 1],
-        quality,
-        np.where(seen, Status.TRACKING, Status.LOST).astype(np.uint8),
-    )
+    x, y = np.where(seen, x, np.nan), np.where(seen, y, np.nan)
+    status = np.where(seen, Status.TRACKING, Status.LOST).astype(np.uint8)
+    rows = PixelTrack(time_ns, x, y, single[:, 0], single[:, 1], quality, status)
     name = end.removeprefix("_") or "1"
-    strength = np.where(seen, column("strength", 100.0), 0.0)
-    return StoredTrack(
-        name, regions.get(name, Region(0, 0, 1, 1)), rows, strength, np.where(seen[:, None], reference, 0.0)
-    )
-
-
-def _regions(path: Path) -> dict[str, Region]:
-    """The targets' regions by their names, where the `.json` of the table tells them."""
-    try:
-        tree = read_json(path.with_suffix(".json"))
-        return {str(one["name"]): Region(*(int(v) for v in one["roi"])) for one in tree["targets"]}
-    except (OSError, TreeError, KeyError, TypeError, ValueError):
-        return {}
+    region, strength = regions.get(name, Region(0, 0, 1, 1)), np.where(seen, column("strength", 100.0), 0.0)
+    return StoredTrack(name, region, rows, strength, np.where(seen[:, None], reference, 0.0))

@@ -13,35 +13,24 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.notices import Notice
-from midspan.records import Frame, Nanoseconds
+from midspan.records import NANOSECONDS, Frame, Nanoseconds
 from midspan.signals.health import clock
-from midspan.sources.camera.capture_rate import declared_rate, times_of_taking
-from midspan.sources.camera.completeness import missing_frames, without_cut_frame
-from midspan.sources.camera.display_matrix import turn_of, turned
-from midspan.sources.camera.frames import FrameRequest
-from midspan.sources.camera.luma_plane import depth_of, luma_of
-from midspan.sources.camera.packets import Packets, scan
+from midspan.sources.boundary import require_memory
+from midspan.sources.camera.decoded import depth_of, luma_of, turn_of
+from midspan.sources.camera.frames import FrameRequest, file_times, grid, rate_times
+from midspan.sources.camera.packets import (
+    Packets,
+    declared_rate,
+    missing_frames,
+    scan,
+    times_of_taking,
+    without_cut_frame,
+)
 from midspan.sources.camera.picture_header import picture_bytes
-from midspan.sources.camera.timing import file_times, grid, rate_times
-from midspan.sources.declared_size import require_memory
 from midspan.vision.frame_source import FrameInfo, FrameSource
 
-_LOSSLESS = {"ffv1", "rawvideo", "huffyuv", "ffvhuff", "png", "utvideo", "magicyuv", "v210", "zlib", "bmp", "tiff"}
-_LOSSY = {
-    "h264",
-    "hevc",
-    "mjpeg",
-    "mpeg4",
-    "mpeg2video",
-    "mpeg1video",
-    "vp8",
-    "vp9",
-    "av1",
-    "wmv3",
-    "prores",
-    "dnxhd",
-    "theora",
-}
+_LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff png utvideo magicyuv v210 zlib bmp tiff"
+_LOSSY = "h264 hevc mjpeg mpeg4 mpeg2video mpeg1video vp8 vp9 av1 wmv3 prores dnxhd theora"
 # Codecs that hold a checksum of every slice. Where one is wrong FFmpeg says so in its log only, and gives the picture.
 _CHECKED_CODECS = ("ffv1",)
 _CHECKSUM_WRONG = "CRC mismatch"
@@ -63,8 +52,7 @@ class VideoFrames(FrameSource):
     """Frames of a video in presentation order; memory holds a few frames, whatever the length."""
 
     def __init__(self, path: Path, request: FrameRequest) -> None:
-        self._path = path
-        self._request = request
+        self._path, self._request = path, request
         self._packets: Packets | None = None
         self._times: Nanoseconds | None = None
         self._notes: list[str] = []
@@ -72,7 +60,9 @@ class VideoFrames(FrameSource):
         self._notices: list[Notice] = []
         self._lost: set[int] = set()
         self._kind: tuple[tuple[int, ...], np.dtype[Any]] | None = None
-        _require_memory(path)
+        with path.open("rb") as file:
+            # Of pictures that FFmpeg reads (GIF).
+            require_memory(path, picture_bytes(file.read(_HEAD_BYTES)), "a picture")
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._size = (int(stream.codec_context.width), int(stream.codec_context.height))
@@ -91,9 +81,9 @@ class VideoFrames(FrameSource):
     def info(self) -> FrameInfo:
         """Size, depth, codec; the number of frames once the file's packets were counted, before that as declared."""
         name = self._codec.split()[0].removeprefix("lib")
-        lossless = True if name in _LOSSLESS else False if name in _LOSSY else None
+        lossless = True if name in _LOSSLESS.split() else False if name in _LOSSY.split() else None
         count = self._packets.count if self._packets is not None else self._declared
-        damage = (*self._damage, *_told_lost(self._lost, self._packets))
+        damage = (*self._damage, *_lost_frames(self._lost, self._packets))
         return FrameInfo(
             *self._size,
             self._depth,
@@ -136,8 +126,16 @@ class VideoFrames(FrameSource):
         if ticks is None:
             self._notes.append("the container has no usable time stamps")
             return rate_times(self._path, self._request, packets.count)
-        time_ns, note = _container_times(ticks, packets)
-        self._notes += [note] if note else []
+        time_ns = _exact_ns(ticks, packets.time_base)
+        for rate in packets.rates:
+            start_ns = _grid_start(ticks, packets.time_base, rate)
+            if start_ns is not None:
+                tick_s, rate_hz = float(packets.time_base), float(rate)
+                self._notes.append(
+                    f"time stamps rounded to {tick_s:g} s by the container; its rate {rate_hz:.9g} Hz is used"
+                )
+                time_ns = grid(ticks.size, rate, start_ns)
+                break
         if packets.free_running and time_ns[0] != 0:
             self._notes.append(
                 f"the stream's clock starts at {time_ns[0] * 1e-9:.3f} s; its first frame counts as zero"
@@ -145,16 +143,14 @@ class VideoFrames(FrameSource):
             time_ns = time_ns - time_ns[0]
         time_ns, notice = times_of_taking(time_ns, self._taken_hz, self._request.rate_hz)
         self._notices += [notice] if notice else []
-        self._tell_rate(time_ns)
+        given_hz = self._request.rate_hz
+        if given_hz is not None and time_ns.size > 1:
+            own_hz = clock(time_ns).rate_hz
+            if abs(given_hz / own_hz - 1.0) > _RATE_TOLERANCE:
+                self._notes.append(
+                    f"rate_hz = {given_hz:g} Hz not used: the container's time stamps say {own_hz:.6g} Hz"
+                )
         return time_ns + np.int64(round(self._request.start_s * 1e9))
-
-    def _tell_rate(self, time_ns: Nanoseconds) -> None:
-        given = self._request.rate_hz
-        if given is None or time_ns.size < 2:
-            return
-        own_hz = clock(time_ns).rate_hz
-        if abs(given / own_hz - 1.0) > _RATE_TOLERANCE:
-            self._notes.append(f"rate_hz = {given:g} Hz not used: the container's time stamps say {own_hz:.6g} Hz")
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """The frames' luma by decoding in one pass, from the key frame before `start`."""
@@ -173,7 +169,9 @@ class VideoFrames(FrameSource):
                 if number >= first and number % every == 0:
                     index = number // every
                     missing.discard(index)
-                    pixels = turned(luma_of(picture), self._turns)
+                    pixels = luma_of(picture)
+                    if self._turns:
+                        pixels = np.ascontiguousarray(np.rot90(pixels, self._turns))
                     yield Frame(int(times[index]), self._checked(pixels, number), index)
         self._lost |= {index * every for index in missing}
         if len(missing) == len(wanted) > 1:
@@ -195,7 +193,7 @@ class VideoFrames(FrameSource):
         return pixels
 
 
-def _told_lost(lost: set[int], packets: Packets | None) -> tuple[str, ...]:
+def _lost_frames(lost: set[int], packets: Packets | None) -> tuple[str, ...]:
     """How many frames are damaged, which, and how many build on them; nothing where none is."""
     if not lost:
         return ()
@@ -222,12 +220,6 @@ def _building_on(lost: set[int], packets: Packets) -> int:
     return int(np.count_nonzero(inside))
 
 
-def _require_memory(path: Path) -> None:
-    """DataError where the header of pictures that FFmpeg reads (GIF) declares more than the memory holds."""
-    with path.open("rb") as file:
-        require_memory(path, picture_bytes(file.read(_HEAD_BYTES)), "a picture")
-
-
 def _opened(path: Path) -> Any:
     import av
 
@@ -244,11 +236,20 @@ def _opened(path: Path) -> Any:
     except (av.error.FFmpegError, OSError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise DataError(f"{path} cannot be opened as a video: {reason}. Check that the file is whole.") from error
-    try:
-        _prepare(path, container)
-    except DataError:
+    video = container.streams.video
+    refusal = ""
+    if not video:
+        refusal = " has no video stream. Give a file with pictures."
+    elif video[0].codec_context is None:
+        refusal = (
+            ": its pictures are packed by a codec that is not known. Check that the file is whole, or write it "
+            "again with another codec."
+        )
+    if refusal:
         container.close()
-        raise
+        raise DataError(f"{path}{refusal}")
+    # What a decoder reports on damage belongs to a packet only while no other packet is decoded with it.
+    video[0].thread_type = "SLICE" if video[0].codec_context.name in _CHECKED_CODECS else "AUTO"
     return container
 
 
@@ -265,25 +266,10 @@ def made_s(path: Path) -> float | None:
         return None
 
 
-def _prepare(path: Path, container: Any) -> None:
-    """Set up the decoder of a container's video; DataError where there is none."""
-    if not container.streams.video:
-        raise DataError(f"{path} has no video stream. Give a file with pictures.")
-    stream = container.streams.video[0]
-    if stream.codec_context is None:
-        raise DataError(
-            f"{path}: its pictures are packed by a codec that is not known. Check that the file is whole, or write it "
-            "again with another codec."
-        )
-    # What a decoder reports on damage belongs to a packet only while no other packet is decoded with it.
-    stream.thread_type = "SLICE" if stream.codec_context.name in _CHECKED_CODECS else "AUTO"
-
-
 def _numbered(container: Any, packets: Packets, first: int) -> Iterator[tuple[int, Any]]:
-    """Decoded pictures with their number in presentation order, starting at or before `first`.
-
-    With usable stamps a picture's number is the place of its stamp, so that a lost one does not shift those behind it.
-    """
+    """Decoded pictures with their number in presentation order, starting at or before `first`."""
+    # With usable stamps a picture's number is the place of its stamp, so that a lost one does not shift those behind
+    # it.
     stream = container.streams.video[0]
     key = packets.key_before(first)
     if key is not None and key > 0 and packets.ticks is not None:
@@ -347,24 +333,11 @@ def _decoder_errors(listen: bool) -> Iterator[list[tuple[int, str, str]]]:
         logging.set_level(level)
 
 
-def _container_times(ticks: Nanoseconds, packets: Packets) -> tuple[Nanoseconds, str]:
-    """Stamps in ns; where the container rounded an exact rate to its ticks (matroska: 1 ms) the grid behind them."""
-    base = packets.time_base
-    plain = _exact_ns(ticks, base)
-    for rate in packets.rates:
-        start_ns = _grid_start(ticks, base, rate)
-        if start_ns is not None:
-            note = f"time stamps rounded to {float(base):g} s by the container; its rate {float(rate):.9g} Hz is used"
-            return grid(ticks.size, rate, start_ns), note
-    return plain, ""
-
-
 def _exact_ns(ticks: Nanoseconds, base: Fraction) -> Nanoseconds:
     """Ticks to ns in whole numbers, rounded to the nearest."""
     whole, rest = np.divmod(ticks * base.numerator, base.denominator)
-    return np.asarray(
-        whole * 1_000_000_000 + (rest * 1_000_000_000 + base.denominator // 2) // base.denominator, dtype=np.int64
-    )
+    rest_ns = (rest * NANOSECONDS + base.denominator // 2) // base.denominator
+    return np.asarray(whole * NANOSECONDS + rest_ns, dtype=np.int64)
 
 
 def _grid_start(ticks: Nanoseconds, base: Fraction, rate: Fraction) -> int | None:

@@ -1,16 +1,16 @@
 """Blocks of evenly timed values as they travel over MQTT: a binary form, and JSON, on the same topics."""
 
 import json
-import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TypeGuard
 
 import numpy as np
 
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import SourceFault
 
 # Version, kind, reserved, sequence, stamp of the first value, interval (ns), count; little-endian.
 HEAD = struct.Struct("<BBHIqqI")
@@ -95,19 +95,21 @@ def _of_json(payload: bytes, kind: int, dated: Dated | None) -> Block:
     sequence, step_s, values = tree.get("sequence"), tree.get("dt_s"), tree.get("values")
     if type(sequence) is not int or not 0 <= sequence < SEQUENCES:
         raise _refuse("a sequence that is no whole number from 0 to 2^32 - 1")
-    if not isinstance(step_s, int | float) or isinstance(step_s, bool) or not math.isfinite(step_s):
+    if not _is_number(step_s):
         raise _refuse("a dt_s that is no number")
-    if not isinstance(values, list) or not all(_is_number(one) for one in values):
+    if not isinstance(values, list) or not all(one is None or _is_number(one) for one in values):
         raise _refuse("values that are no list of numbers (null: missing)")
     numbers = np.array([np.nan if one is None else float(one) for one in values])
     step_ns = round(min(max(step_s, -1e9), 1e9) * NANOSECONDS)
     if dated is not None and "t0" not in tree:
-        return Block(int(kind), sequence, dated(sequence, step_ns / NANOSECONDS, len(numbers)), step_ns, numbers)
-    return Block(int(kind), sequence, _instant(tree.get("t0")), step_ns, numbers)
+        t0_ns = dated(sequence, step_ns / NANOSECONDS, len(numbers))
+    else:
+        t0_ns = _instant(tree.get("t0"))
+    return Block(int(kind), sequence, t0_ns, step_ns, numbers)
 
 
-def _is_number(value: object) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300)
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 def _instant(value: object) -> int:

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Frame
-from midspan.sources.live.arrivals import ArrivalEnvelope
-from midspan.sources.live.fault import SourceFault
-from midspan.sources.live.sender_reports import SenderReports
+from midspan.sources.live.instants import ArrivalEnvelope, SenderReports, SourceFault
 
 # A camera that answers does so within this; a stream that brings nothing for so long is stopped.
 OPEN_S, READ_S = 3.0, 3.0
@@ -48,8 +46,7 @@ def frames(address: str, *, earlier: StampKind | None = None) -> Iterator[Stampe
     """The frames of `rtsp://…` or `usb:0`, luma only, until the stream ends or fails: a live stream has no end.
 
     earlier: how the frames of an earlier connection were dated: after those dated by arrival no reports are waited for.
-    Raises SourceFault with one of the codes refused, not_found, no_answer, stopped,
-    ended, damaged.
+    Raises SourceFault with one of the codes refused, not_found, no_answer, stopped, ended, damaged.
     """
     import av
 
@@ -74,13 +71,11 @@ def frames(address: str, *, earlier: StampKind | None = None) -> Iterator[Stampe
 def _opened(address: str) -> Any:
     import av
 
-    usb = address.startswith("usb:")
     begun_s = time.monotonic()
     try:
-        if usb:
+        if address.startswith("usb:"):
             return av.open(f"/dev/video{address[4:]}", format="v4l2", timeout=(OPEN_S, READ_S))
-        options = {"rtsp_transport": "tcp"}
-        return av.open(address, timeout=(OPEN_S, READ_S), options=options)
+        return av.open(address, timeout=(OPEN_S, READ_S), options={"rtsp_transport": "tcp"})
     except av.error.ConnectionRefusedError:
         raise SourceFault("refused", "the connection is refused: nothing listens there") from None
     except (av.error.HTTPNotFoundError, av.error.FileNotFoundError):
@@ -95,10 +90,8 @@ def _opened(address: str) -> Any:
 
 
 def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
-    """Frames with their instants: by the sender's clock once its reports agree, else by arrival.
-
-    Those of the stream's first `report_s` without the sender's clock are left out.
-    """
+    """Frames with their instants: by the sender's clock once its reports agree, else by arrival."""
+    # Those of the stream's first `report_s` without the sender's clock are left out.
     envelope, reports, count, first_s = ArrivalEnvelope(), SenderReports(), 0, None
     base = float(stream.time_base)
     newest_ns = -(2**62)
@@ -112,11 +105,12 @@ def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
                 continue
             stream_s = picture.pts * base
             first_s = stream_s if first_s is None else first_s
-            by_arrival_ns, by_sender_ns = envelope.instant_ns(stream_s, arrived_ns), reports.instant_ns(stream_s)
-            if by_sender_ns is None and stream_s - first_s < report_s:
+            stamp_ns, kind = envelope.instant_ns(stream_s, arrived_ns), StampKind.ARRIVAL
+            by_sender_ns = reports.instant_ns(stream_s)
+            if by_sender_ns is not None:
+                stamp_ns, kind = by_sender_ns, StampKind.SENDER
+            elif stream_s - first_s < report_s:
                 continue
-            kind = StampKind.ARRIVAL if by_sender_ns is None else StampKind.SENDER
-            stamp_ns = by_arrival_ns if by_sender_ns is None else by_sender_ns
             if stamp_ns > newest_ns:
                 newest_ns = stamp_ns
                 yield Stamped(Frame(stamp_ns, luma(picture), count), kind)
@@ -127,13 +121,9 @@ def _sent_ns(packet: Any) -> int | None:
     """When a packet was sent by the sender's clock (ns UTC), None where it does not say."""
     sidedata = getattr(packet, "iter_sidedata", None)
     for item in sidedata() if sidedata is not None else ():
-        if (
-            "prft" in str(getattr(item, "data_type", "")).lower()
-            or "producer" in str(getattr(item, "data_type", "")).lower()
-        ):
-            data = bytes(item)
-            if len(data) >= 8:
-                return int(struct.unpack_from("<q", data)[0]) * MICROSECONDS
+        kind, data = str(getattr(item, "data_type", "")).lower(), bytes(item)
+        if ("prft" in kind or "producer" in kind) and len(data) >= 8:
+            return int(struct.unpack_from("<q", data)[0]) * MICROSECONDS
     return None
 
 

@@ -1,18 +1,17 @@
 """Frames of a radar whose capture card sends its raw samples by UDP, as range profiles with their instants in UTC."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
 from midspan.errors import DataError, UsageError
-from midspan.radar.info import RadarInfo
-from midspan.radar.interference import Interference, floor_of, probed_bins
+from midspan.radar.chirp import RadarInfo
+from midspan.radar.interference import probed_bins
 from midspan.radar.layout import Layout
 from midspan.radar.range_profile import averaged, range_profile, whole_channels
-from midspan.records import RangeFrame
-from midspan.sources.live.fault import SourceFault
-from midspan.sources.radar.ti_config import read_settings
+from midspan.records import RangeFrame, RangeFrames
+from midspan.sources.live.instants import SourceFault
+from midspan.sources.radar.radar_source import without_interference
 from midspan.sources.radar.udp import LiveCapture, UdpSettings
 
 # Nothing for so long ends the reading, s.
@@ -25,18 +24,6 @@ def host_and_port(address: str) -> tuple[str, int]:
     if not port.isdecimal() or not 0 < int(port) < 65536:
         raise ValueError("must be a port, or a host and a port: udp:4098 or udp:192.168.33.30:4098")
     return host, int(port)
-
-
-def live_layout(config: Path, iq_order: str) -> Layout:
-    """How the samples of a radar with these settings are ordered. Raises DataError."""
-    settings = read_settings(config)
-    if settings.header:
-        raise DataError(f"{config}: lvdsStreamCfg enableHeader = 1 cannot be read. Capture with 0.")
-    order = settings.order if iq_order == "auto" else iq_order
-    try:
-        return Layout(settings.profile, order, settings.lanes)
-    except UsageError as error:
-        raise DataError(f"{config}: {error}") from None
 
 
 def live_info(layout: Layout) -> RadarInfo:
@@ -56,17 +43,19 @@ def live_info(layout: Layout) -> RadarInfo:
 def profiles(address: str, layout: Layout) -> Iterator[RangeFrame]:
     """Range profiles as they come, until the card is silent. Raises SourceFault: not_found, no_answer, stopped."""
     host, port = host_and_port(address)
-    heard, interference, probed = False, Interference(), probed_bins(layout.profile.bins).astype(np.int64)
+    heard, probed = False, probed_bins(layout.profile.bins).astype(np.int64)
     try:
         with LiveCapture(layout, UdpSettings(address=host, port=port, timeout_s=SILENT_S)) as capture:
-            for frame in capture.frames():
+            for block in without_interference(_blocks(capture, layout), probed, keep=True):
                 heard = True
-                cube = averaged(range_profile(frame.samples[None], layout.profile), layout.profile)
-                valid = whole_channels(frame.valid[None], layout.profile)
-                if len(probed) and interference.found(floor_of(cube[..., probed], valid))[0]:
-                    valid = np.zeros_like(valid)
-                yield RangeFrame(frame.time_ns, cube[0], valid[0])
+                yield RangeFrame(int(block.time_ns[0]), block.phasors[0], block.valid[0])
     except UsageError as error:
         raise SourceFault("not_found", str(error)) from None
     except DataError as error:
         raise SourceFault("stopped" if heard else "no_answer", str(error)) from None
+
+
+def _blocks(capture: LiveCapture, layout: Layout) -> Iterator[RangeFrames]:
+    for frame in capture.frames():
+        cube = averaged(range_profile(frame.samples[None], layout.profile), layout.profile)
+        yield RangeFrames(np.array([frame.time_ns]), cube, whole_channels(frame.valid[None], layout.profile))

@@ -8,11 +8,12 @@ the exclusive or of all bytes before the asterisk, in hexadecimal, as in NMEA 01
 import errno
 import time
 from collections.abc import Iterator
+from functools import reduce
+from operator import xor
 
 from midspan.records import NANOSECONDS
-from midspan.sources.live.arrivals import ArrivalEnvelope
 from midspan.sources.live.blocks import MAX_BYTES, SEQUENCES, Block, parse
-from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.instants import ArrivalEnvelope, SourceFault
 
 DEFAULT_BAUD = 115_200
 # More values than that are not lost on a line, which needs minutes for them: the sender was started again.
@@ -52,10 +53,7 @@ def block_of(line: bytes, kind: int, dating: Dating, arrived_ns: int) -> Block:
     text = line.strip()
     body, star, given = text.rpartition(b"*")
     if star and b"}" not in given:
-        found = 0
-        for byte in body:
-            found ^= byte
-        if given.upper() != b"%02X" % found:
+        if given.upper() != b"%02X" % reduce(xor, body, 0):
             raise SourceFault("payload", "a line whose check sum is wrong")
         text = body
     if not text.startswith(b"{"):
@@ -74,7 +72,9 @@ def blocks(address: str, kind: int) -> Iterator[Block | SourceFault]:
     try:
         line = serial.Serial(device, baud, timeout=SILENT_S)
     except serial.SerialException as error:
-        raise _not_opened(device, error) from None
+        if error.errno in (errno.EACCES, errno.EPERM):
+            raise SourceFault("unauthorized", f"{device} may not be opened by this user") from None
+        raise SourceFault("not_found", f"{device} cannot be opened ({error.strerror or error})") from None
     dating, heard = Dating(), False
     with line:
         while True:
@@ -99,10 +99,3 @@ def blocks(address: str, kind: int) -> Iterator[Block | SourceFault]:
                     yield block_of(received, kind, dating, arrived_ns)
                 except SourceFault as fault:
                     yield fault
-
-
-def _not_opened(device: str, error: OSError) -> SourceFault:
-    """Why a device cannot be opened."""
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return SourceFault("unauthorized", f"{device} may not be opened by this user")
-    return SourceFault("not_found", f"{device} cannot be opened ({error.strerror or error})")

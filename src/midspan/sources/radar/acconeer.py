@@ -1,4 +1,6 @@
-"""Recordings of Acconeer's A121 pulsed coherent radar (HDF5): complex range profiles at 60.5 GHz."""
+"""Recordings of Acconeer's pulsed coherent radars at 60.5 GHz (HDF5): range profiles of the A121, and of the A111's
+IQ service.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
-from midspan.sources.boundary import reading
-from midspan.sources.declared_size import require_memory
-from midspan.sources.hdf5_members import open_hdf5
-from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
-from midspan.sources.radar.stored import dataset, values
+from midspan.sources.boundary import reading, require_memory
+from midspan.sources.hdf5_members import dataset, open_hdf5, values
+from midspan.sources.radar.radar_source import MAX_PHASOR, RadarRequest, RadarSource, stamps
 from midspan.trees import json_tree
 
 CARRIER_HZ = 60.5e9
@@ -22,9 +22,44 @@ FRAMES_AT_A_TIME = 512
 # Where the first session lies in files of the maker's program, and of its version 5.
 _SESSIONS = ("sessions/session_0", "session")
 _ENTRY = "group_0/entry_0"
+_A111_MEMBERS = ("mode", "data", "session_info", "sensor_config_dump")
+# The recorder's clock may differ from the rate that was set by this share before the clock counts.
+_RATE_TOLERANCE = 0.01
 
 
-class AcconeerRecording(RadarSource):
+def reader_of(path: Path) -> type[RadarSource] | None:
+    """What reads an HDF5 file that is laid out as recordings of an A121 or A111 are; None for any other."""
+    with reading(path, "HDF5"), open_hdf5(path) as file:
+        if _session(file):
+            return AcconeerRecording
+        return A111Recording if all(name in file for name in _A111_MEMBERS) else None
+
+
+class _Recording(RadarSource):
+    """What both recordings have: the data set, the times of its frames (s) and the ranges (m)."""
+
+    kind: str
+    _data: Any
+    _times_s: Floats
+    _range_m: Floats
+
+    def _info(self, notes: list[str]) -> RadarInfo:
+        return RadarInfo(
+            kind=self.kind,
+            carrier_hz=CARRIER_HZ,
+            frame_rate_hz=1.0 / float(np.median(np.diff(self._times_s))) if len(self._times_s) > 1 else np.nan,
+            frame_count=len(self._times_s),
+            channels=1,
+            range_m=self._range_m,
+            notes=tuple(notes),
+        )
+
+    def times_ns(self) -> Nanoseconds:
+        """One stamp a frame, or a sweep that is dated on its own, from 0 on, `start_s` added."""
+        return stamps(self._path, self._times_s, self._request.start_s)
+
+
+class AcconeerRecording(_Recording):
     """Sweeps of a recording, each a frame; subsweeps with the transmitter on lie side by side as bins.
 
     Sweeps of one frame are as far apart as the sweep rate says, which is the sensor's largest where it was left to it
@@ -33,7 +68,7 @@ class AcconeerRecording(RadarSource):
     loopback subsweep can take out the device's own phase.
     """
 
-    file_kind = "a recording of an Acconeer A121"
+    file_kind, kind = "a recording of an Acconeer A121", "Acconeer A121"
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
@@ -54,26 +89,9 @@ class AcconeerRecording(RadarSource):
             is_split = len(self._times_s) > count
             how = f"follow each other at the sensor's largest, {self._sweep_hz:.5g} Hz" if is_split else "are averaged"
             notes.append(f"no sweep rate was set; the sweeps of a frame {how}")
-        if self.has_loopback:
+        if any(not part[2] for part in self._parts):
             notes.append("a loopback subsweep is there to take out the device's own phase")
-        return RadarInfo(
-            kind="Acconeer A121",
-            carrier_hz=CARRIER_HZ,
-            frame_rate_hz=1.0 / float(np.median(np.diff(self._times_s))) if len(self._times_s) > 1 else np.nan,
-            frame_count=len(self._times_s),
-            channels=1,
-            range_m=self._range_m,
-            notes=tuple(notes),
-        )
-
-    @property
-    def has_loopback(self) -> bool:
-        """Whether there is a subsweep of the device itself, whose phase a target's can be referred to."""
-        return any(not part[2] for part in self._parts)
-
-    def times_ns(self) -> Nanoseconds:
-        """One stamp a sweep, or a frame whose sweeps are averaged, from 0 on, `start_s` added."""
-        return stamps(self._path, self._times_s, self._request.start_s)
+        return self._info(notes)
 
     def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """All ranges; the phase of the loopback, where there is one, is taken out."""
@@ -86,22 +104,12 @@ class AcconeerRecording(RadarSource):
             z = raw["real"].astype(np.float32) + 1j * raw["imag"].astype(np.float32)
             z = (z if sweeps > 1 else z.mean(axis=1)).reshape(-1, self._data.shape[2])
             low, high = max(begin - first * sweeps, 0), min(end - first * sweeps, len(z))
-            block = self._ranges(z[low:high])
-            stamps = times[first * sweeps + low : first * sweeps + high]
-            valid = np.asarray(np.isfinite(block).all(axis=1)).reshape(-1, 1)
-            yield RangeFrames(stamps, block[:, None, :], valid)
-
-    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
-        """The ranges that are asked for, by bin."""
-        for block in self._profiles(start, stop):
-            yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
-
-    def _ranges(self, z: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
-        kept = np.concatenate([z[:, part[0]] for part in self._parts if part[2]], axis=1)
-        loop = [z[:, part[0]] for part in self._parts if not part[2]]
-        if loop:
-            kept = kept * np.exp(-1j * np.angle(loop[0].mean(axis=1)))[:, None]
-        return np.asarray(kept, dtype=np.complex64)
+            z = z[low:high]
+            kept = np.concatenate([z[:, part[0]] for part in self._parts if part[2]], axis=1)
+            loop = [z[:, part[0]] for part in self._parts if not part[2]]
+            if loop:
+                kept = kept * np.exp(-1j * np.angle(loop[0].mean(axis=1)))[:, None]
+            yield _frames(times[first * sweeps + low : first * sweeps + high], np.asarray(kept, dtype=np.complex64))
 
     def _stamps(self, tick_s: float) -> Floats:
         count, sweeps = self._data.shape[:2]
@@ -127,11 +135,13 @@ class AcconeerRecording(RadarSource):
         return sweeps_s if is_ordered else frames_s
 
 
+def _frames(time_ns: Nanoseconds, z: NDArray[np.complex64]) -> RangeFrames:
+    """Frames (n, bins) of one channel, valid where all is a number."""
+    return RangeFrames(time_ns, z[:, None, :], np.asarray(np.isfinite(z).all(axis=1)).reshape(-1, 1))
+
+
 def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np.int64], float]:
     """The data set of frames, the sensor's settings, the metadata, the ticks and their length in s."""
-
-    if not path.is_file():
-        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     with reading(path, AcconeerRecording.file_kind):
         file = open_hdf5(path)
         session = _session(file)
@@ -147,13 +157,6 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np
         settings = next(iter(groups[0].values())) if sensor not in groups[0] else groups[0][sensor]
         ticks = np.asarray(values(path, file, f"{entry}/result/tick"), dtype=np.int64)
         return data, settings, metadata, ticks, 1.0 / float(server.get("ticks_per_second") or 1000)
-
-
-def is_acconeer(path: Path) -> bool:
-    """Whether an HDF5 file is laid out as Acconeer's recordings are."""
-
-    with reading(path, "HDF5"), open_hdf5(path) as file:
-        return bool(_session(file))
 
 
 def _session(file: Any) -> str:
@@ -172,3 +175,77 @@ def _parts(settings: dict[str, Any], metadata: dict[str, Any], step_m: float) ->
         if outside or sub.get("enable_loopback", False):
             parts.append((slice(offset, offset + length), points * step_m, outside))
     return parts
+
+
+class A111Recording(_Recording):
+    """Sweeps of the first sensor of a recording, each a frame of one channel.
+
+    Their times are those of the update rate that was set where the recorder's clock agrees, else the recorder's.
+    """
+
+    file_kind, kind = "a recording of an Acconeer A111", "Acconeer A111"
+
+    def __init__(self, path: Path, request: RadarRequest) -> None:
+        super().__init__(path, request)
+        with reading(path, self.file_kind):
+            file = open_hdf5(path)
+            mode = _text(values(path, file, "mode"))
+            if mode.lower() != "iq":
+                raise DataError(
+                    f"{path}: displacement needs the phase of the service IQ; this recording of an Acconeer A111 has "
+                    f"{mode!r}. Record with the IQ service."
+                )
+            self._data = dataset(path, file, "data")
+            info = json_tree(_text(values(path, file, "session_info")))
+            settings = json_tree(_text(values(path, file, "sensor_config_dump")))
+            recorded_s = np.asarray(values(path, file, "sample_times")) if "sample_times" in file else np.empty(0)
+        if self._data.dtype.kind != "c" or self._data.ndim not in (2, 3) or 0 in self._data.shape:
+            raise DataError(
+                f"{path}: data must be complex numbers (frames, sensors, ranges); received {self._data.dtype} of shape "
+                f"{self._data.shape}. Record with the IQ service."
+            )
+        block_bytes = 8 * min(len(self._data), FRAMES_AT_A_TIME) * int(np.prod(self._data.shape[1:]))
+        require_memory(path, 4 * block_bytes, "a block of frames")
+        step_m, first_m = float(info["step_length_m"]), float(info["range_start_m"])
+        self._range_m = first_m + step_m * np.arange(self._data.shape[-1])
+        self._times_s, self._clock_note = _a111_times(path, len(self._data), settings.get("update_rate"), recorded_s)
+
+    @property
+    def info(self) -> RadarInfo:
+        """Rate, ranges and what was noticed."""
+        notes = [f"{len(self._data)} frames, {len(self._range_m)} ranges", self._clock_note]
+        if self._data.ndim == 3 and self._data.shape[1] > 1:
+            notes.append(f"the first of {self._data.shape[1]} sensors is used")
+        return self._info(notes)
+
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
+        """All ranges."""
+        times = self.times_ns()
+        begin, end, _ = slice(start, stop).indices(len(times))
+        for first in range(begin, end, FRAMES_AT_A_TIME):
+            last = min(first + FRAMES_AT_A_TIME, end)
+            # What does not fit is a frame that is missing.
+            with np.errstate(invalid="ignore", over="ignore"):
+                raw = np.asarray(self._data[first:last], dtype=np.complex64)
+            z = raw if raw.ndim == 2 else raw[:, 0]
+            z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
+            yield _frames(times[first:last], z)
+
+
+def _a111_times(path: Path, count: int, set_hz: float | None, recorded_s: Floats) -> tuple[Floats, str]:
+    """Times (count,) from 0 on, s, and where they are from."""
+    is_clock = recorded_s.shape == (count,) and count > 1 and bool(np.all(np.diff(recorded_s) > 0.0))
+    recorded_hz = (count - 1) / float(recorded_s[-1] - recorded_s[0]) if is_clock else None
+    if set_hz and (recorded_hz is None or abs(recorded_hz / set_hz - 1.0) < _RATE_TOLERANCE):
+        return np.arange(count) / float(set_hz), f"times by the update rate of {set_hz:g} Hz"
+    if recorded_hz is None:
+        raise DataError(
+            f"{path}: says nothing of its rate: update_rate is not set and sample_times does not increase. Record with "
+            "an update rate."
+        )
+    was = f"; {set_hz:g} Hz were set" if set_hz else ""
+    return np.asarray(recorded_s - recorded_s[0]), f"times by the recorder's clock, {recorded_hz:.5g} Hz{was}"
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.radar.layout import PACKET_BYTES
-from midspan.sources.declared_size import require_memory
+from midspan.sources.boundary import require_memory
 
 Bytes = NDArray[np.uint8]
 
@@ -29,21 +28,13 @@ _SPLIT = re.compile(r"^(.*_)0(\.bin)$", re.IGNORECASE)
 _CHIRP_HEADS = (bytes.fromhex("dc0ada0c"), bytes.fromhex("dc0adc0a"), bytes.fromhex("0cda0adc"))
 
 
-class CaptureBytes(Protocol):
-    """Random access to the payload; `size` in bytes."""
-
-    size: int
-    notes: tuple[str, ...]
-    warnings: tuple[Notice, ...]
-
-    def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
-        """`count` bytes from `start`, and which of them were never received (1), or None where that is not known."""
-
-
-def open_bytes(path: Path) -> CaptureBytes:
+def open_bytes(path: Path) -> "CaptureBytes":
     """The payload of a capture, whatever it is packed in. Raises DataError for what cannot be read."""
     files = split_files(path)
-    maps = [_mapped(file) for file in files]
+    for file in files:
+        if file.stat().st_size == 0:
+            raise DataError(f"{file} is empty (0 bytes). Check the capture.")
+    maps: list[Bytes] = [np.memmap(file, dtype=np.uint8, mode="r") for file in files]
     head = bytes(maps[0][:8])
     if head[:4] in _CHIRP_HEADS:
         raise DataError(
@@ -51,15 +42,11 @@ def open_bytes(path: Path) -> CaptureBytes:
             "lvdsStreamCfg enableHeader = 0."
         )
     kept = next((size for size in _HEADS if _has_heads(maps[0], size)), None)
-    if kept is None:
-        return _Plain(files, maps)
-    return _Packets(files, maps, kept)
+    return CaptureBytes(files, maps) if kept is None else _Packets(files, maps, kept)
 
 
 def split_files(path: Path) -> list[Path]:
     """The files of a capture: `x_Raw_0.bin` is followed by `x_Raw_1.bin` …, as long as they exist."""
-    if not path.is_file():
-        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     found = _SPLIT.match(path.name)
     files = [path]
     if found:
@@ -73,21 +60,11 @@ def missing_files(path: Path) -> list[str]:
     found, files = _SPLIT.match(path.name), split_files(path)
     if not found:
         return []
-    begin, end = found.groups()
-    rest = path.parent.glob("*")
-    numbers = [int(name[len(begin) : -len(end)]) for file in rest if _is_part(name := file.name, begin, end)]
+    part = re.compile(re.escape(found[1]) + r"(\d+)" + re.escape(found[2]))
+    numbers = [int(match[1]) for file in path.parent.glob("*") if (match := part.fullmatch(file.name))]
     last = max([len(files) - 1, *(n for n in numbers if n < MOST_FILES)])
-    return [name for n in range(len(files), last) if not (path.with_name(name := f"{begin}{n}{end}")).is_file()]
-
-
-def _is_part(name: str, begin: str, end: str) -> bool:
-    return name.startswith(begin) and name.endswith(end) and name[len(begin) : -len(end)].isdecimal()
-
-
-def _mapped(file: Path) -> Bytes:
-    if file.stat().st_size == 0:
-        raise DataError(f"{file} is empty (0 bytes). Check the capture.")
-    return np.memmap(file, dtype=np.uint8, mode="r")
+    names = (f"{found[1]}{n}{found[2]}" for n in range(len(files), last))
+    return [name for name in names if not path.with_name(name).is_file()]
 
 
 def _number(data: Bytes, start: int, count: int) -> int:
@@ -109,66 +86,61 @@ def _has_heads(data: Bytes, size: int) -> bool:
     return agreeing >= max(2, len(heads) - HEADS_DAMAGED)
 
 
-class _Plain:
-    """Payload alone, in one or several files."""
+class CaptureBytes:
+    """Random access to the payload of `size` bytes, which stands alone in one or several files."""
+
+    notes: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
 
     def __init__(self, files: list[Path], maps: list[Bytes]) -> None:
         self._files = files
         self._ends = np.cumsum([len(data) for data in maps])
         self.size = int(self._ends[-1])
-        self.notes: tuple[str, ...] = ()
-        self.warnings: tuple[Notice, ...] = ()
         if len(files) > 1:
             self.notes = (f"{len(files)} files are read as one: {files[0].name} … {files[-1].name}",)
 
     def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
-        """Bytes across the files' borders; what was lost is zeros, which only their run betrays."""
+        """`count` bytes from `start`, and which of them were never received (1); None where that is not known: what was
+        lost is zeros, which only their run betrays.
+        """
         parts = []
         at = int(np.searchsorted(self._ends, start, side="right"))
         while count > 0 and at < len(self._files):
             first = start - (int(self._ends[at - 1]) if at else 0)
             # Read, not mapped: page faults cost several times what the arithmetic does.
-            part = np.fromfile(
-                self._files[at], dtype=np.uint8, count=min(count, int(self._ends[at]) - start), offset=first
-            )
+            wanted = min(count, int(self._ends[at]) - start)
+            part = np.fromfile(self._files[at], dtype=np.uint8, count=wanted, offset=first)
             parts.append(part)
             start, count, at = start + len(part), count - len(part), at + 1
-        whole = parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, dtype=np.uint8)
-        return np.asarray(whole), None
+        return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype=np.uint8), *parts]), None
 
 
-def _sound(counts: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which packets' counts (n,) of bytes agree with their neighbours: damage hits one, a gap moves all after it."""
-    if len(counts) < NEIGHBOURS:
-        return np.ones(len(counts), dtype=np.bool_)
-    padded = np.pad(counts, NEIGHBOURS // 2, mode="reflect")
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS), axis=1)
-    return np.asarray(np.abs(counts - usual) <= LATE_PACKETS * PACKET_BYTES)
-
-
-class _Packets:
+class _Packets(CaptureBytes):
     """Packets with their headers: put in order by the count of bytes, holes filled with zeros and known."""
 
     def __init__(self, files: list[Path], maps: list[Bytes], head: int) -> None:
         if len(maps) > 1:
             require_memory(files[0], sum(len(data) for data in maps), f"the capture in {len(maps)} files")
         data = maps[0] if len(maps) == 1 else np.concatenate(maps)
-        self._length = _number(data, 4, 4) if head == 14 else PACKET_BYTES
-        step = head + self._length
-        self._data, self._head = data, head
+        length = _number(data, 4, 4) if head == 14 else PACKET_BYTES
+        step = head + length
+        self._data = data
         whole = len(data) // step
         rows = np.asarray(data[: whole * step]).reshape(whole, step)
         weights = 256 ** np.arange(6, dtype=np.int64)
         counts = rows[:, head - 6 : head].astype(np.int64) @ weights
         starts = np.arange(whole, dtype=np.int64) * step + head
+        lengths = np.full(whole, length, dtype=np.int64)
         rest = len(data) - whole * step - head
         if rest > 0:
             counts = np.append(counts, _number(data, whole * step + head - 6, 6))
-            starts = np.append(starts, whole * step + head)
-        lengths = np.full(len(starts), self._length, dtype=np.int64)
-        if rest > 0:
-            lengths[-1] = rest
-        sound = _sound(counts)
+            starts, lengths = np.append(starts, whole * step + head), np.append(lengths, rest)
+        sound = np.ones(len(counts), dtype=np.bool_)
+        if len(counts) >= NEIGHBOURS:
+            # Damage hits the count of one packet, a gap moves those of all after it.
+            padded = np.pad(counts, NEIGHBOURS // 2, mode="reflect")
+            usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS), axis=1)
+            sound = np.asarray(np.abs(counts - usual) <= LATE_PACKETS * PACKET_BYTES)
         damaged = int(np.count_nonzero(~sound))
         counts, starts, lengths = counts[sound], starts[sound], lengths[sound]
         order = np.argsort(counts, kind="stable")
@@ -182,11 +154,10 @@ class _Packets:
                 f"{files[0]}: by the counts in its packets {absent} of {self.size} bytes were never received; at most "
                 f"{100 * MAX_ABSENT:g} % may be. Check that the file is one capture, and the network of the card."
             )
-        self.notes: tuple[str, ...] = (
+        self.notes = (
             f"{files[0].name} keeps packet headers of {head} bytes, which are taken out; {absent} of "
             f"{self.size} bytes were never received, {late} packets came late",
         )
-        self.warnings: tuple[Notice, ...] = ()
         if damaged:
             text = (
                 f"radar: {damaged} of {len(sound)} packets in {files[0].name} have a damaged count of bytes and are "

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.iq_order import MIN_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
 from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products, whole_channels
@@ -47,25 +47,21 @@ class RawCapture(RadarSource):
                 "it the frames have no size and the phase no scale."
             )
         settings = read_settings(request.config)
-        if settings.header:
-            raise DataError(f"{request.config}: lvdsStreamCfg enableHeader = 1 cannot be read. Capture with 0.")
+        self._layout = layout = settings.layout(request.config)
         self._bytes = open_bytes(path)
-        try:
-            layout = Layout(settings.profile, settings.order, settings.lanes)
-        except UsageError as error:
-            raise DataError(f"{request.config}: {error}") from None
         self._count, notes = _frame_count(path, self._bytes, settings, layout)
         missing = _missing(path, self._count, settings)
-        self._layout = layout
         self._runs = True
         probe = self._probe()
         if not probe.size:
             # A very quiet converter makes zeros of its own: then only whole chirps of zeros are holes.
             self._runs = False
             probe = self._probe()
-        _check_levels(path, probe, layout)
+        share = _check_levels(path, probe, layout)
         self._layout, order_notes, warnings = _ordered(path, probe, layout, settings, request.iq_order)
-        notes += (*self._bytes.notes, *settings.notes, *order_notes, *_saturation_notes(probe, layout))
+        notes += (*self._bytes.notes, *settings.notes, *order_notes)
+        if share > NEARLY_SATURATED:
+            notes += (f"{100 * share:.3f} % of the samples are at the limits of the ADC",)
         self._notes, self._warnings = notes, (*missing, *self._bytes.warnings, *warnings)
         self._missing = 0
 
@@ -101,11 +97,8 @@ class RawCapture(RadarSource):
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[ChirpFrame]:
         """Single frames with all their samples."""
-        return self.guarded(self._frames(start, stop))
-
-    def _frames(self, start: int, stop: int | None) -> Iterator[ChirpFrame]:
         times = self.times_ns()
-        for first, words, valid in self._blocks(start, stop):
+        for first, words, valid in self.guarded(self._blocks(start, stop)):
             for k, cube in enumerate(unpack(words, self._layout)):
                 yield ChirpFrame(int(times[first + k]), cube, valid[k], first + k)
 
@@ -113,27 +106,20 @@ class RawCapture(RadarSource):
         """Whole range profiles, chirps of the same transmitters averaged."""
         times, profile = self.times_ns(), self._layout.profile
         for first, words, valid in self._blocks(start, stop):
-            cube = range_profile(unpack(words, self._layout), profile)
-            block = averaged(cube, profile)
-            yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, self._layout.profile))
+            block = averaged(range_profile(unpack(words, self._layout), profile), profile)
+            yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, profile))
 
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """Only the wanted bins, straight from the stored words."""
-        kernel = bin_kernel(np.asarray(bins, dtype=np.float64), self._layout.profile)
-        yield from self._products(kernel, start, stop)
-
-    def _products(self, kernel: NDArray[np.complex128], start: int, stop: int | None) -> Iterator[RangeFrames]:
-        times, weights = self.times_ns(), word_weights(kernel, self._layout)
+        times, profile = self.times_ns(), self._layout.profile
+        weights = word_weights(bin_kernel(np.asarray(bins, dtype=np.float64), profile), self._layout)
         for first, words, valid in self._blocks(start, stop):
-            block = averaged(weighted_products(words, self._layout, weights), self._layout.profile)
-            yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, self._layout.profile))
+            block = averaged(weighted_products(words, self._layout, weights), profile)
+            yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, profile))
 
     def words(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
         """Raw words (frames · words a frame,) in blocks, and which channels (frames, channels) are whole."""
-        return self.guarded(self._words(start, stop))
-
-    def _words(self, start: int, stop: int | None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
-        for _, words, valid in self._blocks(start, stop):
+        for _, words, valid in self.guarded(self._blocks(start, stop)):
             yield words, whole_channels(valid, self._layout.profile)
 
     def _blocks(self, start: int, stop: int | None) -> Iterator[tuple[int, Words, NDArray[np.bool_]]]:
@@ -142,9 +128,8 @@ class RawCapture(RadarSource):
         begin, end, _ = slice(start, stop).indices(self._count)
         for first in range(begin, end, FRAMES_AT_A_TIME):
             count = min(FRAMES_AT_A_TIME, end - first)
-            data, missing = self._bytes.read(first * size, count * size)
-            words = np.ascontiguousarray(data).view("<i2")
-            valid = ~_holes(words, missing, self._layout, runs=self._runs)
+            words, holes = self._read(first * size, count * size)
+            valid = ~holes
             self._missing += int(np.count_nonzero(~valid.all(axis=(1, 2))))
             yield first, words, valid
 
@@ -154,13 +139,16 @@ class RawCapture(RadarSource):
         wanted = np.unique(np.linspace(0, self._count - 1, min(PROBED_FRAMES, self._count)).astype(np.int64))
         parts = []
         for frame in wanted:
-            data, missing = self._bytes.read(int(frame) * size, size)
-            words = np.ascontiguousarray(data).view("<i2")
-            if not _holes(words, missing, self._layout, runs=self._runs).any():
+            words, holes = self._read(int(frame) * size, size)
+            if not holes.any():
                 parts.append(words)
-        if not parts:
-            return np.zeros(0, dtype=np.int16)
-        return np.concatenate(parts)
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int16)
+
+    def _read(self, start: int, count: int) -> tuple[Words, NDArray[np.bool_]]:
+        """Words of the bytes from `start` on, and which receivers' chirps have a hole in them."""
+        data, missing = self._bytes.read(start, count)
+        words = np.ascontiguousarray(data).view("<i2")
+        return words, _holes(words, missing, self._layout, runs=self._runs)
 
 
 def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: Layout) -> tuple[int, tuple[str, ...]]:
@@ -172,7 +160,10 @@ def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: L
     whole, rest = divmod(size, each)
     if said and size > said * each and not data.read(said * each, min(size - said * each, MOST_PADDING))[0].any():
         return said, (f"{size - said * each} bytes of zeros after the last frame are left out",)
-    if said and (size > said * each or (_other_frames(size, said, each) and not missing_files(path))):
+    # A file that is too short may hold as many frames as it should, of another size in a simple ratio.
+    is_short = said and size < said * each and size % said == 0
+    is_other = is_short and Fraction(size // said, each).denominator <= SIMPLE_RATIO
+    if said and (size > said * each or (is_other and not missing_files(path))):
         raise DataError(
             f"{path} does not fit radar.config. {sums}, {said} frames are {said * each} bytes; found are {size} bytes, "
             f"{size / said:.10g} bytes a frame. Give the settings that it was recorded with."
@@ -187,33 +178,22 @@ def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: L
 
 def _missing(path: Path, count: int, settings: TiSettings) -> tuple[Notice, ...]:
     """Sentences on files of a split capture, and on frames of the settings, that are not there."""
-    absent = missing_files(path)
-    told = []
+    absent, texts = missing_files(path), []
     if absent:
-        told.append(
-            Notice(
-                "radar-data",
-                f"radar: {', '.join(absent)} is missing beside {path.name}, and later files are there: the capture is "
-                "read only up to the gap. Put the file back.",
-            )
+        texts.append(
+            f"radar: {', '.join(absent)} is missing beside {path.name}, and later files are there: the capture is "
+            "read only up to the gap. Put the file back."
         )
     if settings.frames - count > max(FEW_FRAMES, FEW_SHARE * settings.frames):
-        told.append(
-            Notice(
-                "radar-data",
-                f"radar: {path.name} holds {count} of the {settings.frames} frames that radar.config says; the result "
-                "ends with them. Check that the capture is whole.",
-            )
+        texts.append(
+            f"radar: {path.name} holds {count} of the {settings.frames} frames that radar.config says; the result "
+            "ends with them. Check that the capture is whole."
         )
-    return tuple(told)
+    return tuple(Notice("radar-data", text) for text in texts)
 
 
-def _other_frames(size: int, said: int, each: int) -> bool:
-    """Whether a file that is too short holds as many frames as it should, of another size in a simple ratio."""
-    return size < said * each and size % said == 0 and Fraction(size // said, each).denominator <= SIMPLE_RATIO
-
-
-def _check_levels(path: Path, probe: Words, layout: Layout) -> None:
+def _check_levels(path: Path, probe: Words, layout: Layout) -> float:
+    """The share of the samples that are at the limits of the ADC; DataError where they cannot be a radar's."""
     if not probe.any():
         raise DataError(
             f"{path} holds nothing but zeros (or holes) in up to {PROBED_FRAMES} frames of {layout.frame_bytes} bytes. "
@@ -225,26 +205,16 @@ def _check_levels(path: Path, probe: Words, layout: Layout) -> None:
             f"{path} holds the same samples in all {len(rows)} frames that were looked at, without any noise: no radar "
             "measured them. Check radar.file and the capture."
         )
-    share = _saturated(probe, layout)
+    highest = 2 ** (layout.profile.bits - 1)
+    samples = sign_extended(probe, layout.profile.bits)
+    share = float(np.count_nonzero((samples >= highest - 1) | (samples <= 1 - highest)) / samples.size)
     if share > SATURATED:
-        highest = 2 ** (layout.profile.bits - 1)
         raise DataError(
             f"{path} is saturated: {100 * share:.1f} % of {probe.size} samples looked at are at the limits of the ADC "
             f"(−{highest}, {highest - 1}); at most {100 * SATURATED:g} % can be used. Lower the receiver gain, or move "
             "the radar away from what is near."
         )
-
-
-def _saturated(probe: Words, layout: Layout) -> float:
-    """Share of the words that are at the limits of the ADC."""
-    highest = 2 ** (layout.profile.bits - 1) - 1
-    values = sign_extended(probe, layout.profile.bits)
-    return float(np.count_nonzero((values >= highest) | (values <= -highest)) / max(values.size, 1))
-
-
-def _saturation_notes(probe: Words, layout: Layout) -> tuple[str, ...]:
-    share = _saturated(probe, layout)
-    return (f"{100 * share:.3f} % of the samples are at the limits of the ADC",) if share > NEARLY_SATURATED else ()
+    return share
 
 
 def _ordered(
@@ -277,10 +247,8 @@ def _ordered(
 
 
 def _holes(words: Words, missing: Bytes | None, layout: Layout, *, runs: bool) -> NDArray[np.bool_]:
-    """Which receivers' chirps (frames, chirps, receivers) have a hole in them.
-
-    Where it is not known which bytes were received, a hole shows as a run of zeros, which noise never makes.
-    """
+    """Which receivers' chirps (frames, chirps, receivers) have a hole in them."""
+    # Where it is not known which bytes were received, a hole shows as a run of zeros, which noise never makes.
     profile = layout.profile
     length = block_words(layout)
     if missing is not None:

@@ -24,33 +24,29 @@ def open_radar(path: Path, request: RadarRequest) -> RadarSource:
     Raises UsageError for settings out of range or an unknown suffix, DataError for what cannot be read.
     """
     option("radar.iq_order", request.iq_order, ("auto", *ORDERS))
+    if not path.is_file():
+        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     with reading(path, "radar data"):
-        source = _opened(path, request)
+        source = _reader(path)(path, request)
         # What they work out of a damaged header fails here.
         _, _ = source.info, source.times_ns()
     return source
 
 
-def _opened(path: Path, request: RadarRequest) -> RadarSource:
+def _reader(path: Path) -> type[RadarSource]:
     suffix = path.suffix.lower()
     if suffix == ".bin":
         from midspan.sources.radar.dca1000 import RawCapture
 
-        return RawCapture(path, request)
+        return RawCapture
     if suffix in _HDF5:
-        from midspan.sources.radar.acconeer import AcconeerRecording, is_acconeer
+        from midspan.sources.radar.acconeer import reader_of
 
-        if path.is_file() and is_acconeer(path):
-            return AcconeerRecording(path, request)
-        from midspan.sources.radar.acconeer_a111 import A111Recording, is_a111
-
-        if path.is_file() and is_a111(path):
-            return A111Recording(path, request)
+        if (acconeer := reader_of(path)) is not None:
+            return acconeer
     if suffix in (*_HDF5, ".npy"):
         from midspan.sources.radar.slow_time import SlowTimeFile
 
-        return SlowTimeFile(path, request)
-    if not path.exists():
-        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
+        return SlowTimeFile
     known = ", ".join(name for _, names, _ in FORMATS for name in names)
     raise UsageError(f"{path} is no radar data that can be read; known suffixes are {known}.")

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from midspan.checks import TIME_S
 from midspan.errors import DataError
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import RadarInfo
 from midspan.radar.interference import Interference, floor_of, probed_bins
 from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
 from midspan.sources.boundary import reading
 
 Item = TypeVar("Item")
+# No receiver counts as far; the squares of what is below, and their sums, stay finite in single precision.
+MAX_PHASOR = 1e15
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,7 @@ class RadarRequest:
 class RadarSource(ABC):
     """Frames in the order of time, in blocks; never a whole recording in memory.
 
-    A subclass reads in `_profiles` and `_slow_time`; damage that shows there is one DataError, see `reading`.
+    A subclass reads in `_profiles`; damage that shows there is one DataError, see `reading`.
     """
 
     # What messages call the file.
@@ -76,17 +78,15 @@ class RadarSource(ABC):
     @abstractmethod
     def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
 
-    @abstractmethod
-    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
+        for block in self._profiles(start, stop):
+            yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
 
 
 def without_interference(
     blocks: Iterator[RangeFrames], probed: NDArray[np.int64], *, keep: bool
 ) -> Iterator[RangeFrames]:
-    """The blocks with frames not valid that hold interference.
-
-    probed (k,): places of the bins that tell; none: nothing does. keep: whether these bins stay in the blocks.
-    """
+    """The blocks with frames not valid that hold interference; probed (k,): places of the bins that tell it."""
     interference = Interference()
     for block in blocks:
         valid = block.valid

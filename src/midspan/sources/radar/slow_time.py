@@ -9,19 +9,14 @@ from numpy.typing import NDArray
 
 from midspan.checks import CARRIER_HZ, RATE_HZ
 from midspan.errors import DataError, UsageError
-from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, profile_from_json
-from midspan.radar.info import RadarInfo
+from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, RadarInfo, profile_from_json
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames
-from midspan.sources.boundary import reading
-from midspan.sources.declared_size import require_memory
-from midspan.sources.hdf5_members import open_hdf5
-from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
-from midspan.sources.radar.stored import dataset, values
+from midspan.sources.boundary import reading, require_memory
+from midspan.sources.hdf5_members import dataset, open_hdf5, values
+from midspan.sources.radar.radar_source import MAX_PHASOR, RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 4096
-# No receiver counts as far; the squares of what is below, and their sums, stay finite in single precision.
-MAX_PHASOR = 1e15
 _NAMES = ("iq", "slow_time", "frame", "z")
 
 
@@ -38,20 +33,32 @@ class SlowTimeFile(RadarSource):
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
-        if not path.is_file():
-            raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
         settings = read_settings(request.config) if request.config else None
-        self._read, shape, beside = _opened_npy(path) if path.suffix.lower() == ".npy" else _opened_hdf5(path)
-        self._shape = _three_axes(path, shape)
-        count, channels, bins = self._shape
+        self._read, shape, beside = _opened(path)
+        if not 1 <= len(shape) <= 3 or 0 in shape:
+            raise DataError(
+                f"{path} must hold I/Q of shape (frames), (frames, channels) or (frames, channels, bins); received "
+                f"{shape}."
+            )
+        self._shape = count, channels, bins = (*shape, 1, 1)[:3]
         # Times of all frames, and one block of phasors with its parts.
         block_bytes = 8 * min(count, FRAMES_AT_A_TIME) * channels * bins
         require_memory(path, 4 * 8 * count + 3 * block_bytes, "its I/Q")
         if settings is None:
-            beside = _completed(beside, request)
+            # The request gives of rate and carrier what does not stand with the samples.
+            given = {"rate_hz": request.rate_hz, "carrier_hz": request.carrier_hz}
+            if "wavelength_m" in beside:
+                given["carrier_hz"] = None
+            beside = {key: value for key, value in given.items() if value is not None} | beside
         self._carrier_hz = _carrier(path, beside, settings)
-        own_ns = beside.get("time_ns")
-        self._times_ns = None if own_ns is None else _whole_stamps(path, own_ns, count)
+        self._times_ns: Nanoseconds | None = None
+        if "time_ns" in beside:
+            own_ns = np.asarray(beside["time_ns"])
+            if own_ns.shape != (count,) or own_ns.dtype.kind not in "iu" or not np.all(np.diff(own_ns) > 0):
+                raise DataError(
+                    f"{path}: time_ns must hold {count} increasing whole numbers (ns), one a frame. Correct it."
+                )
+            self._times_ns = own_ns.astype(np.int64)
         self._times_s = np.asarray(
             self._stamps(beside, settings) if self._times_ns is None else self._times_ns / NANOSECONDS, dtype=np.float64
         )
@@ -93,11 +100,6 @@ class SlowTimeFile(RadarSource):
             z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
             yield RangeFrames(times[first:last], z, np.asarray(np.isfinite(z).all(axis=2)))
 
-    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
-        """The bins that are asked for, out of those stored."""
-        for block in self._profiles(start, stop):
-            yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
-
     def _refuse_nothing(self) -> None:
         """DataError where no frame holds anything but zeros or NaN, or all hold the same."""
         count = self._shape[0]
@@ -134,14 +136,6 @@ class SlowTimeFile(RadarSource):
         return np.arange(count) / rate
 
 
-def _whole_stamps(path: Path, given: Any, count: int) -> Nanoseconds:
-    """The stamps (count,) of `time_ns`."""
-    stamps_ns = np.asarray(given)
-    if stamps_ns.shape != (count,) or stamps_ns.dtype.kind not in "iu" or not np.all(np.diff(stamps_ns) > 0):
-        raise DataError(f"{path}: time_ns must hold {count} increasing whole numbers (ns), one a frame. Correct it.")
-    return stamps_ns.astype(np.int64)
-
-
 def _chirp(path: Path, given: Any, bins: int) -> ChirpProfile:
     """The chirp of `bins` range bins that an attribute describes."""
     try:
@@ -155,13 +149,12 @@ def _chirp(path: Path, given: Any, bins: int) -> ChirpProfile:
 
 def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) -> float:
     """Frequency that the phase moves with, Hz."""
-    value = 0.0
     if "carrier_hz" in beside:
         value = float(beside["carrier_hz"])
     elif "wavelength_m" in beside:
         value = SPEED_OF_LIGHT_M_S / (float(beside["wavelength_m"]) or np.inf)
-    elif settings is not None:
-        value = settings.profile.carrier_hz
+    else:
+        value = settings.profile.carrier_hz if settings is not None else 0.0
     if value not in CARRIER_HZ:
         raise DataError(
             f"{path} says nothing of the carrier frequency ({CARRIER_HZ}), so its phase has no scale. Store carrier_hz "
@@ -170,32 +163,15 @@ def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) ->
     return value
 
 
-def _completed(beside: dict[str, Any], request: RadarRequest) -> dict[str, Any]:
-    """What stands beside the samples, and what the request gives of what does not."""
-    given = {"rate_hz": request.rate_hz, "carrier_hz": request.carrier_hz}
-    if "wavelength_m" in beside:
-        given["carrier_hz"] = None
-    return {key: value for key, value in given.items() if value is not None} | beside
-
-
-def _three_axes(path: Path, shape: tuple[int, ...]) -> tuple[int, int, int]:
-    if not 1 <= len(shape) <= 3 or 0 in shape:
-        raise DataError(
-            f"{path} must hold I/Q of shape (frames), (frames, channels) or (frames, channels, bins); received {shape}."
-        )
-    return (shape[0], 1, 1) if len(shape) == 1 else (shape[0], shape[1], 1) if len(shape) == 2 else tuple(shape)  # type: ignore[return-value]
-
-
 def _paired(array: Any) -> NDArray[np.complex64]:
     """Complex numbers of complex ones, of the fields real and imag, or of a last axis of I and Q."""
     # What is no number, or none that fits, is a frame that is missing.
     with np.errstate(invalid="ignore", over="ignore"):
-        if array.dtype.names:
-            names = array.dtype.names
-            return np.asarray(array[names[0]].astype(np.float32) + 1j * array[names[1]].astype(np.float32))
         if array.dtype.kind == "c":
             return np.asarray(array, dtype=np.complex64)
-        return np.asarray(array[..., 0].astype(np.float32) + 1j * array[..., 1].astype(np.float32))
+        names = array.dtype.names
+        i, q = (array[name] for name in names[:2]) if names else (array[..., 0], array[..., 1])
+        return np.asarray(i.astype(np.float32) + 1j * q.astype(np.float32))
 
 
 def _pair_shape(path: Path, dtype: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -208,26 +184,21 @@ def _pair_shape(path: Path, dtype: Any, shape: tuple[int, ...]) -> tuple[int, ..
     )
 
 
-def _opened_npy(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
-    with reading(path, "a NumPy array"):
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    return lambda first, last: _paired(np.asarray(array[first:last])), _pair_shape(path, array.dtype, array.shape), {}
-
-
-def _opened_hdf5(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
-
+def _opened(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
+    """What reads the frames from one to another, their shape, and what stands with them."""
+    if path.suffix.lower() == ".npy":
+        with reading(path, "a NumPy array"):
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        shape = _pair_shape(path, array.dtype, array.shape)
+        return lambda first, last: _paired(np.asarray(array[first:last])), shape, {}
     with reading(path, "HDF5"):
         file = open_hdf5(path)
-    beside = {key: file.attrs[key] for key in file.attrs}
-    beside |= {
-        key: values(path, file, key)
-        for key in ("time_s", "time_ns", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
-        if key in file
-    }
+    keys = ("time_s", "time_ns", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
+    beside = dict(file.attrs) | {key: values(path, file, key) for key in keys if key in file}
     name = next((name for name in _NAMES if name in file), None)
     if name is not None:
         data = dataset(path, file, name)
-        beside = {key: data.attrs[key] for key in data.attrs} | beside
+        beside = dict(data.attrs) | beside
         return lambda first, last: _paired(data[first:last]), _pair_shape(path, data.dtype, data.shape), beside
     if "i" in file and "q" in file:
         i, q = dataset(path, file, "i"), dataset(path, file, "q")

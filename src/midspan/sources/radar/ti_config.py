@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from midspan.checks import ValueRange, shown
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
+from midspan.radar.layout import Layout
 from midspan.sources.boundary import reading
 from midspan.trees import TreeError, read_json, read_text
 
@@ -32,6 +33,10 @@ _CHIRP = {
     "frame period": ValueRange(1e-3, 1e6, "ms"),
 }
 _STUDIO_DEFAULT, _DEMO_DEFAULT = "IIQQ", "QQII"
+_STUDIO_KEYS = (
+    *("startFreqConst_GHz", "idleTimeConst_usec", "adcStartTimeConst_usec", "rampEndTime_usec"),
+    *("freqSlopeConst_MHz_usec", "numAdcSamples", "digOutSampleRate"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +45,7 @@ class TiSettings:
 
     frames: that were to be recorded, 0 where it is without end; lanes 2 or 4; order: of I and Q as far as the file
     says it (its first letter; the pairing is the capture software's usual one), else the software's default with
-    `order_said` False; header: whether each chirp is led by one; device: as named, or empty.
+    `order_said` False; header: whether each chirp is led by one.
     """
 
     profile: ChirpProfile
@@ -48,9 +53,17 @@ class TiSettings:
     lanes: int
     order: str
     order_said: bool
-    header: bool
-    device: str
+    header: bool = False
     notes: tuple[str, ...] = ()
+
+    def layout(self, path: Path, iq_order: str = "auto") -> Layout:
+        """How samples with these settings, of the file `path`, are ordered. Raises DataError."""
+        if self.header:
+            raise DataError(f"{path}: lvdsStreamCfg enableHeader = 1 cannot be read. Capture with 0.")
+        try:
+            return Layout(self.profile, self.order if iq_order == "auto" else iq_order, self.lanes)
+        except UsageError as error:
+            raise DataError(f"{path}: {error}") from None
 
 
 def read_settings(path: Path) -> TiSettings:
@@ -87,71 +100,56 @@ def _lanes(path: Path, text: str, interleaved: bool) -> tuple[int, str]:
     return _LANES[found.group(1)], found.group(0)
 
 
-class _Lines:
-    """The commands of a .cfg by name, each with its numbers; errors name file, line and command."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        self._path = path
-        self._found: dict[str, list[list[float]]] = {}
-        for number, line in enumerate(text.splitlines(), start=1):
-            words = line.split("%")[0].split()
-            if words:
-                self._found.setdefault(words[0], []).append(self._numbers(number, words))
-
-    def _numbers(self, number: int, words: list[str]) -> list[float]:
+def _commands(path: Path, text: str) -> dict[str, list[list[float]]]:
+    """The numbers of each command of a .cfg, line by line; DataError names file, line and command."""
+    commands: dict[str, list[list[float]]] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split("%")[0].split()
+        if not words:
+            continue
         try:
-            found = [float(word) for word in words[1:]]
+            values = [float(word) for word in words[1:]]
         except ValueError:
-            found = [np.nan]
-        if all(value in _NUMBER for value in found):
-            return found
-        if words[0] in ("profileCfg", "chirpCfg", "frameCfg", "channelCfg", "adcCfg", "adcbufCfg"):
-            raise DataError(
-                f"{self._path}, line {number}: {words[0]} takes numbers {_NUMBER}; received {shown(words[1:])}."
-            )
-        return []
-
-    def all(self, name: str) -> list[list[float]]:
-        return self._found.get(name, [])
-
-    def one(self, name: str, least: int) -> list[float]:
-        rows = self.all(name)
-        if not rows:
-            raise DataError(f"{self._path}: the command {name} is missing; without it the frames have no size.")
-        if len(rows[-1]) < least:
-            raise DataError(f"{self._path}: {name} must have {least} numbers or more; received {len(rows[-1])}.")
-        return rows[-1]
+            values = [np.nan]
+        if not all(value in _NUMBER for value in values):
+            if words[0] in ("profileCfg", "chirpCfg", "frameCfg", "channelCfg", "adcCfg", "adcbufCfg"):
+                raise DataError(
+                    f"{path}, line {number}: {words[0]} takes numbers {_NUMBER}; received {shown(words[1:])}."
+                )
+            values = []
+        commands.setdefault(words[0], []).append(values)
+    return commands
 
 
 def _demo(path: Path, text: str) -> TiSettings:
-    lines = _Lines(path, text)
-    if lines.all("advFrameCfg") or lines.all("subFrameCfg"):
+    commands = _commands(path, text)
+    if "advFrameCfg" in commands or "subFrameCfg" in commands:
         raise DataError(f"{path} uses advanced frames, whose chirps differ; only frameCfg can be read.")
-    frame, receivers = lines.one("frameCfg", 5), bin(int(lines.one("channelCfg", 2)[0])).count("1")
-    adc = lines.all("adcCfg")[-1] if lines.all("adcCfg") else [2.0, 1.0]
+    for name, least in (("frameCfg", 5), ("channelCfg", 2)):
+        if name not in commands:
+            raise DataError(f"{path}: the command {name} is missing; without it the frames have no size.")
+        if len(commands[name][-1]) < least:
+            received = len(commands[name][-1])
+            raise DataError(f"{path}: {name} must have {least} numbers or more; received {received}.")
+    frame, receivers = commands["frameCfg"][-1], bin(int(commands["channelCfg"][-1][0])).count("1")
+    adc = commands.get("adcCfg", [[2.0, 1.0]])[-1]
     # Older firmware has no sub-frame index in front.
-    buffer = lines.all("adcbufCfg")[-1][-4:] if lines.all("adcbufCfg") else []
-    chirps = [(int(row[0]), int(row[1]), int(row[2]), int(row[7]), row[3:7]) for row in lines.all("chirpCfg")]
+    buffer = commands.get("adcbufCfg", [[]])[-1][-4:]
+    chirps = [(int(row[0]), int(row[1]), int(row[2]), int(row[7]), row[3:7]) for row in commands.get("chirpCfg", [])]
     used, transmitters = _chirps(path, chirps, (int(frame[0]), int(frame[1])), int(frame[2]))
-    rows = [row for row in lines.all("profileCfg") if row and int(row[0]) == used]
-    if not rows or len(rows[-1]) < 11:
+    row = [row for row in commands.get("profileCfg", []) if row and int(row[0]) == used][-1:]
+    if not row or len(row[0]) < 11:
         raise DataError(f"{path}: profileCfg {used}, which the frame uses, is missing or has fewer than 11 numbers.")
-    row = rows[-1]
+    values = (*(row[0][k] for k in (1, 2, 3, 4, 7, 9, 10)), frame[4])
     lanes, device = _lanes(path, text, interleaved=len(buffer) == 4 and buffer[2] == 0 and receivers == 4)
-    stream = lines.all("lvdsStreamCfg")
+    stream = commands.get("lvdsStreamCfg", [[]])[-1]
     return TiSettings(
-        profile=_profile(
-            path,
-            (row[1], row[2], row[3], row[4], row[7], row[9], row[10], frame[4]),
-            (receivers, int(adc[0]), int(adc[1]) if len(adc) > 1 else 1),
-            transmitters,
-        ),
+        _profile(path, values, (receivers, int(adc[0]), int(adc[1]) if len(adc) > 1 else 1), transmitters),
         frames=int(frame[3]),
         lanes=lanes,
         order="IIQQ" if len(buffer) == 4 and buffer[1] == 0 else _DEMO_DEFAULT,
         order_said=len(buffer) == 4,
-        header=bool(stream and len(stream[-1]) > 1 and stream[-1][1] == 1),
-        device=device,
+        header=len(stream) > 1 and stream[1] == 1,
         notes=() if device else (f"{path.name} names no device; two lanes are assumed.",) if lanes == 2 else (),
     )
 
@@ -224,7 +222,7 @@ def _studio(path: Path, whole: Any) -> TiSettings:
             raise DataError(f"{path}: configUsed names this file itself. Name the file with the chirp settings.")
         inner = read_settings(named)
         lanes, name = _lanes(path, device, interleaved=inner.lanes == 4)
-        return _with_device(inner, lanes, name) if name else inner
+        return replace(inner, lanes=lanes) if name else inner
     try:
         return _studio_settings(path, whole["mmWaveDevices"][0], device)
     except (KeyError, IndexError, TypeError, ValueError) as error:
@@ -233,17 +231,9 @@ def _studio(path: Path, whole: Any) -> TiSettings:
         ) from error
 
 
-def _with_device(settings: TiSettings, lanes: int, device: str) -> TiSettings:
-    from dataclasses import replace
-
-    return replace(settings, lanes=lanes, device=device)
-
-
 def _studio_settings(path: Path, device: dict[str, Any], name: str) -> TiSettings:
-    radio, capture = device["rfConfig"], device.get("rawDataCaptureConfig", {})
-    form = capture.get("rlDevDataFmtCfg_t", {})
+    radio, form = device["rfConfig"], device.get("rawDataCaptureConfig", {}).get("rlDevDataFmtCfg_t", {})
     adc, frame = radio["rlAdcOutCfg_t"]["fmt"], radio["rlFrameCfg_t"]
-    rows = [item["rlChirpCfg_t"] for item in radio["rlChirps"]]
     variations = ("startFreqVar_MHz", "freqSlopeVar_KHz_usec", "idleTimeVar_usec", "adcStartTimeVar_usec")
     chirps = [
         (
@@ -253,32 +243,22 @@ def _studio_settings(path: Path, device: dict[str, Any], name: str) -> TiSetting
             _whole(row["txEnable"]),
             [float(row.get(key, 0.0)) for key in variations],
         )
-        for row in rows
+        for row in (item["rlChirpCfg_t"] for item in radio["rlChirps"])
     ]
     span = (int(frame["chirpStartIdx"]), int(frame["chirpEndIdx"]))
     used, transmitters = _chirps(path, chirps, span, int(frame["numLoops"]))
     profiles = [item["rlProfileCfg_t"] for item in radio["rlProfiles"]]
     row = next(item for item in profiles if int(item["profileId"]) == used)
-    keys = [
-        *("startFreqConst_GHz", "idleTimeConst_usec", "adcStartTimeConst_usec", "rampEndTime_usec"),
-        *("freqSlopeConst_MHz_usec", "numAdcSamples", "digOutSampleRate"),
-    ]
+    values = (*(float(row[key]) for key in _STUDIO_KEYS), float(frame["framePeriodicity_msec"]))
     receivers = bin(_whole(radio["rlChanCfg_t"]["rxChannelEn"])).count("1")
     lanes, found = _lanes(path, name, interleaved=int(form.get("chInterleave", 1)) == 0 and receivers == 4)
     swap = form.get("iqSwapSel")
     return TiSettings(
-        profile=_profile(
-            path,
-            (*(float(row[key]) for key in keys), float(frame["framePeriodicity_msec"])),
-            (receivers, int(adc["b2AdcBits"]), int(adc["b2AdcOutFmt"])),
-            transmitters,
-        ),
+        _profile(path, values, (receivers, int(adc["b2AdcBits"]), int(adc["b2AdcOutFmt"])), transmitters),
         frames=int(frame.get("numFrames", 0)),
         lanes=lanes,
         order=_STUDIO_DEFAULT if not swap else "QQII",
         order_said=swap is not None,
-        header=False,
-        device=found,
         notes=() if found else (f"{path.name} names no device; {lanes} lanes are assumed.",),
     )
 

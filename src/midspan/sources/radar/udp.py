@@ -59,8 +59,7 @@ class PacketOrder:
     """
 
     def __init__(self, frame_bytes: int, late_packets: int = 64, gap_frames: int = 1000) -> None:
-        self._size, self._reach = frame_bytes, late_packets * PACKET_BYTES
-        self._gap_bytes = gap_frames * frame_bytes
+        self._size, self._reach, self._gap_bytes = frame_bytes, late_packets * PACKET_BYTES, gap_frames * frame_bytes
         # The frame that is next, by the card's count; what its number among the frames given out is above that.
         self._next, self._shift = 0, 0
         self._open: dict[int, tuple[bytearray, bytearray]] = {}
@@ -69,11 +68,7 @@ class PacketOrder:
         # One of each for all frames that are lost wholly, however many.
         self._nothing = bytes(frame_bytes), b"\1" * frame_bytes
         self.begun = False
-        self.lost_bytes = 0
-        self.stale_packets = 0
-        self.stray_packets = 0
-        self.positions = 0
-        self.position_frame = 0
+        self.lost_bytes = self.stale_packets = self.stray_packets = self.positions = self.position_frame = 0
 
     def push(self, datagram: bytes) -> list[tuple[int, bytes, bytes]]:
         """Frames that are finished by this datagram: number, bytes, and which bytes are missing (1 each)."""
@@ -104,24 +99,18 @@ class PacketOrder:
         self._far.append((start, payload))
         if len(self._far) < CONFIRMING_PACKETS:
             return []
-        out = []
-        first = self._far[0][0]
-        if not self.begun or not 0 < first - self._highest <= self._gap_bytes:
-            out = self._move(first)
+        out: list[tuple[int, bytes, bytes]] = []
+        begin = self._far[0][0]
+        if not self.begun or not 0 < begin - self._highest <= self._gap_bytes:
+            # Go on with the first frame that begins there or after; what had begun before is given out.
+            out, first = self._finished(-1), -(-begin // self._size)
+            self._shift += self._next - first
+            self._next, self._highest, self.position_frame = first, begin, first + self._shift
+            self.positions += self.begun
         for far_start, far_payload in self._far:
             self._keep(far_start, far_payload)
         self._far = []
         return out + self._finished(self._reach)
-
-    def _move(self, start: int) -> list[tuple[int, bytes, bytes]]:
-        """Go on with the first frame that begins at `start` or after; gives out what had begun before."""
-        out = self._finished(-1)
-        first = -(-start // self._size)
-        self._shift += self._next - first
-        self._next, self._highest = first, start
-        self.position_frame = first + self._shift
-        self.positions += self.begun
-        return out
 
     def _leave_far(self) -> None:
         self.stray_packets += len(self._far)
@@ -224,9 +213,10 @@ class LiveCapture:
             except queue.Empty:
                 if self._failure is not None:
                     raise self._failure from None
+                senders = " and ".join(self._settings.senders or ("anybody",))
                 raise DataError(
                     f"No frame came from the capture card for {self._settings.timeout_s:g} s on port {self.port}; "
-                    f"{self.foreign_packets} packets came from other senders than {self._senders()}, "
+                    f"{self.foreign_packets} packets came from other senders than {senders}, "
                     f"{self.order.stray_packets} were none of the stream's. Check that the radar runs, its cable, and "
                     f"that the host has the address {HOST_ADDRESS}."
                 ) from None
@@ -299,6 +289,3 @@ class LiveCapture:
         """The time at which a frame begins."""
         first, first_ns = self._origin or (0, 0)
         return first_ns + round(NANOSECONDS * (number - first) * self._layout.profile.frame_period_s)
-
-    def _senders(self) -> str:
-        return " and ".join(self._settings.senders or ("anybody",))

@@ -1,12 +1,16 @@
 """FLIR's file format FFF: a block for each frame, each with a directory of records.
 
 Sequences (seq, csq) are such blocks one behind the other. They are found by walking their records: the letters FFF
-occur among pixels too.
+occur among pixels too. A radiometric JPEG is a picture to look at with such a block in its segments APP1, spread over
+several of at most 64 kB: each says which part of how many it is.
 """
 
+import importlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +18,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError, UsageError
 from midspan.thermal.radiometry import Air, OpticalPath, Planck
 
-MAGIC = b"FFF\0"
+_MAGIC = b"FFF\0"
 _HEADER_BYTES, _ENTRY_BYTES = 64, 32
 _RAW, _CAMERA = 0x01, 0x20
 _RAW_HEADER_BYTES = 32
@@ -24,7 +28,14 @@ _SHORT_TAIL_BYTES = 4  # the last block of a sequence may claim this much more t
 _MARK = 2  # a record's byte-order mark, read in the right order
 _CAMERA_BYTES = 0x38E
 _SEARCHED_BYTES = 1 << 24  # at once
-PNG, JPEG_LS = b"\x89PNG", b"\xff\xd8\xff"
+_PNG, _JPEG_LS = b"\x89PNG", b"\xff\xd8\xff"
+
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+_START, _APP1, _APP3, _SCAN = b"\xff\xd8", 0xE1, 0xE3, 0xDA
+_NAME = b"FLIR\0"
+_PART_HEAD_BYTES = 8  # the name, a version, the number of the part, the number of the last one
+# Counts of two bytes of DJI's smallest thermal camera, 160 × 120 px; pictures of light have no such segments.
+_MIN_DJI_COUNT_BYTES = 2 * 160 * 120
 
 Bytes = bytes | memoryview
 
@@ -66,10 +77,7 @@ class CameraInfo:
 
 def blocks(data: Bytes, offset: int = 0) -> Iterator[Block]:
     """The blocks of a file from `offset` on, one behind the other, to the last whole one."""
-    while offset + _HEADER_BYTES <= len(data) and bytes(data[offset : offset + 4]) == MAGIC:
-        block = _block(data, offset)
-        if block is None or block.end > len(data) + _SHORT_TAIL_BYTES:
-            return
+    while bytes(data[offset : offset + 4]) == _MAGIC and (block := _whole_block(data, offset)) is not None:
         yield block
         offset = block.end
 
@@ -80,30 +88,20 @@ def next_block(data: Bytes, offset: int) -> int | None:
     The letters of a block occur among pixels too: one with raw counts and the camera's record lies behind them.
     """
     while offset < len(data):
-        piece = bytes(data[offset : offset + _SEARCHED_BYTES + len(MAGIC) - 1])
-        place = piece.find(MAGIC)
+        piece = bytes(data[offset : offset + _SEARCHED_BYTES + len(_MAGIC) - 1])
+        place = piece.find(_MAGIC)
         while place >= 0:
             if _is_frame(data, offset + place):
                 return offset + place
-            place = piece.find(MAGIC, place + 1)
+            place = piece.find(_MAGIC, place + 1)
         offset += _SEARCHED_BYTES
     return None
 
 
-def lists_raw_counts(data: Bytes) -> bool:
-    """Whether the directory at the beginning of a block, of which more need not be there, lists a raw image."""
-    if len(data) < _HEADER_BYTES or bytes(data[: len(MAGIC)]) != MAGIC:
-        return False
-    block = _block(data, 0)
-    return block is not None and block.record(_RAW) is not None
-
-
 def _is_frame(data: Bytes, offset: int) -> bool:
     """Whether a whole frame begins at `offset`, with counts and a calibration."""
-    if offset + _HEADER_BYTES > len(data):
-        return False
-    block = _block(data, offset)
-    if block is None or block.end > len(data) + _SHORT_TAIL_BYTES:
+    block = _whole_block(data, offset)
+    if block is None:
         return False
     try:
         camera_info(data, block)
@@ -112,8 +110,16 @@ def _is_frame(data: Bytes, offset: int) -> bool:
         return False
 
 
+def _whole_block(data: Bytes, offset: int) -> Block | None:
+    """The block at `offset`; None where it does not end within the file."""
+    block = _block(data, offset)
+    return None if block is None or block.end > len(data) + _SHORT_TAIL_BYTES else block
+
+
 def _block(data: Bytes, offset: int) -> Block | None:
     """The block at `offset`; None where its directory is cut off, empty or cannot be right."""
+    if offset + _HEADER_BYTES > len(data):
+        return None
     version = struct.unpack_from("<I", data, offset + 0x14)[0]
     order = ">" if version > _MAX_VERSION else "<"
     start, count = struct.unpack_from(f"{order}II", data, offset + 0x18)
@@ -161,22 +167,10 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
             f"has a record of the camera's calibration that cannot be right: {error} Export it with its radiometric "
             "data, or as 16-bit TIFF."
         ) from error
-    return CameraInfo(
-        planck=planck,
-        path=OpticalPath(
-            emissivity=emissivity,
-            distance_m=distance,
-            reflected_k=reflected,
-            air_k=air_k,
-            window_k=window_k,
-            window_transmission=window or 1.0,
-            humidity=humidity / 100.0 if humidity > 1.0 else humidity,
-            air=air,
-        ),
-        model=model,
-        time_ns=stamp_s * 1_000_000_000 + stamp_ms % 1000 * 1_000_000,
-        rate_hz=rate,
-    )
+    humidity = humidity / 100.0 if humidity > 1.0 else humidity
+    path = OpticalPath(emissivity, distance, reflected, air_k, window_k, window or 1.0, humidity, air)
+    time_ns = stamp_s * 1_000_000_000 + stamp_ms % 1000 * 1_000_000
+    return CameraInfo(planck, path, model, time_ns, rate)
 
 
 def frame_size(data: Bytes, block: Block) -> tuple[int, int]:
@@ -198,12 +192,10 @@ def counts(data: Bytes, block: Block) -> NDArray[np.uint16]:
     assert record is not None
     begin = record.offset + _RAW_HEADER_BYTES
     packed = bytes(data[begin : record.offset + record.length])
-    if packed[:4] == PNG:
+    if packed[:4] == _PNG:
         image = _from_png(packed)
-    elif packed[:3] == JPEG_LS:
-        from midspan.sources.thermal.jpeg_ls import decode
-
-        image = decode(packed)
+    elif packed[:3] == _JPEG_LS:
+        image = _from_jpeg_ls(packed)
     elif len(packed) >= 2 * width * height:
         plain = np.frombuffer(packed, dtype=f"{_order(data, record.offset)}u2", count=width * height)
         image = plain.astype(np.uint16).reshape(height, width)
@@ -215,11 +207,9 @@ def counts(data: Bytes, block: Block) -> NDArray[np.uint16]:
 
 
 def _from_png(packed: bytes) -> NDArray[np.uint16]:
-    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format.
-
-    In the right order neighbours differ by what the scene changes and the sensor's noise; in the wrong one their low
-    bytes, which are noise, count 256 times. The median in the camera's record can be that of another moment.
-    """
+    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format."""
+    # In the right order neighbours differ by what the scene changes and the sensor's noise; in the wrong one their low
+    # bytes, which are noise, count 256 times. The median in the camera's record can be that of another moment.
     import cv2
 
     found = cv2.imdecode(np.frombuffer(packed, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -234,3 +224,103 @@ def _roughness(image: NDArray[np.uint16]) -> int:
     """The sum of what neighbouring pixels of an image (rows, columns) differ by, along both axes."""
     values = image.astype(np.int64)
     return sum(int(np.abs(np.diff(values, axis=axis)).sum()) for axis in (0, 1))
+
+
+def _from_jpeg_ls(packed: bytes) -> NDArray[np.uint16]:
+    """Counts (rows, columns) of lossless JPEG, by a small library that is an extra of this package."""
+    try:
+        library = importlib.import_module("jpeg_ls")
+    except ImportError:
+        raise UsageError(
+            "Compressed FLIR sequences (csq) need a JPEG-LS decoder, which is not installed. Run: pip "
+            "install 'midspan[csq]'"
+        ) from None
+    try:
+        image = np.asarray(library.decode(np.frombuffer(packed, dtype=np.uint8)))
+    except Exception as error:  # the library's own errors have no common base
+        raise DataError(f"holds a JPEG-LS image that cannot be decoded: {error}") from error
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise DataError(f"must hold 16-bit counts of one plane; its JPEG-LS image is {image.dtype} {image.shape}")
+    return image
+
+
+def is_jpeg(file: Path) -> bool:
+    """Whether a file is a JPEG by its name."""
+    return file.suffix.lower() in JPEG_SUFFIXES
+
+
+def is_flir_jpeg(file: Path) -> bool:
+    """Whether a file is a JPEG in which a FLIR camera wrote raw counts. What cannot be read is not judged.
+
+    The directory in the first part says so: pictures of light of the same camera have records too, but no counts.
+    """
+    if not is_jpeg(file) or not file.is_file():
+        return False
+    try:
+        with file.open("rb") as data:
+            first = next(_parts(data), None)
+            head = data.read(first[2]) if first else b""
+        block = _block(head, 0) if head.startswith(_MAGIC) else None
+        return block is not None and block.record(_RAW) is not None
+    except (OSError, struct.error):
+        return False
+
+
+def embedded_block(file: Path) -> bytes:
+    """The FFF block of a FLIR JPEG; DataError where a part of it is missing."""
+    parts: dict[int, bytes] = {}
+    last = 0
+    with file.open("rb") as data:
+        for number, last, count in _parts(data):
+            parts[number] = data.read(count)
+            if len(parts[number]) < count:
+                raise DataError(f"{file} is cut off in part {number + 1} of {last + 1} of its raw data. Copy it again.")
+    missing = [k for k in range(last + 1) if k not in parts]
+    if missing:
+        raise DataError(
+            f"{file}: {len(missing)} of the {last + 1} parts of its raw data are missing, the first is part "
+            f"{missing[0] + 1}. A program that edits pictures may have left them out; use the camera's own file."
+        )
+    return b"".join(parts[k] for k in range(last + 1))
+
+
+def _parts(data: BinaryIO) -> Iterator[tuple[int, int, int]]:
+    """The FLIR segments before the picture: number of the part, of the last one, and bytes; the file is at them."""
+    for marker, count in _segments(data):
+        name = data.read(_PART_HEAD_BYTES) if marker == _APP1 and count >= _PART_HEAD_BYTES else b""
+        if name.startswith(_NAME) and len(name) == _PART_HEAD_BYTES:
+            yield name[6], name[7], count - _PART_HEAD_BYTES
+
+
+def _segments(data: BinaryIO) -> Iterator[tuple[int, int]]:
+    """The segments of a JPEG before its picture: marker and bytes of content; the file is at the content."""
+    if data.read(2) != _START:
+        return
+    place = 2
+    while len(head := data.read(4)) == 4:
+        mark, marker, count = struct.unpack(">BBH", head)
+        if mark != 0xFF or marker == _SCAN or count < 2:
+            return
+        yield marker, count - 2
+        place += 2 + count
+        data.seek(place)
+
+
+def refuse_dji(file: Path) -> None:
+    """Raise DataError for a JPEG in whose segments a DJI camera wrote counts. What cannot be read is not judged."""
+    if not is_jpeg(file) or not file.is_file():
+        return
+    is_made, count_bytes = False, 0
+    try:
+        with file.open("rb") as data:
+            for marker, count in _segments(data):
+                is_made = is_made or (marker == _APP1 and b"DJI" in data.read(count))
+                count_bytes += count if marker == _APP3 else 0
+    except OSError:
+        return
+    if is_made and count_bytes >= _MIN_DJI_COUNT_BYTES:
+        raise DataError(
+            f"{file}: a thermal JPEG of DJI. Its 16-bit counts are there, in a form that only DJI's Thermal SDK turns "
+            "into temperatures; what shows without it are 8-bit grey levels. Convert the files to float TIFF in °C "
+            "(dji_irp -a measure of that SDK), or give them to [camera] as pictures."
+        )

@@ -1,6 +1,5 @@
 """FLIR files as frames in °C: seq and csq, and those of one frame, fff and JPEG, of which a folder is a sequence."""
 
-import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,14 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
-from midspan.records import Frame, Nanoseconds
-from midspan.sources.camera.timing import file_times, grid
-from midspan.sources.file_bytes import mapped
-from midspan.sources.thermal.fff import Block, CameraInfo, blocks, camera_info, counts, frame_size, next_block
-from midspan.sources.thermal.flir_jpeg import embedded_block, is_jpeg
-from midspan.sources.thermal.request import Floats32, ThermalRequest, checked_celsius
+from midspan.records import Nanoseconds
+from midspan.sources.boundary import mapped
+from midspan.sources.camera.frames import StoredFrames, file_times, grid
+from midspan.sources.thermal.fff import (
+    Block,
+    CameraInfo,
+    blocks,
+    camera_info,
+    counts,
+    embedded_block,
+    frame_size,
+    is_jpeg,
+    next_block,
+)
+from midspan.sources.thermal.temperatures import Floats32, ThermalRequest, checked_celsius
 from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
-from midspan.vision.frame_source import FrameInfo, FrameSource
+from midspan.vision.frame_source import FrameInfo
 
 # With fewer stamps in their order than this share, none is accepted.
 MIN_IN_ORDER = 0.95
@@ -37,12 +45,13 @@ class _Place:
     size: tuple[int, int]
 
 
-class FlirFrames(FrameSource):
+class FlirFrames(StoredFrames):
     """Frames of FLIR files in °C, by the calibration and the surroundings that the camera wrote with each one."""
 
     def __init__(self, files: Sequence[Path], request: ThermalRequest, left_out: int = 0) -> None:
         """`left_out`: the number of pictures without raw counts in the same folder."""
-        self._files, self._request = list(files), request
+        super().__init__(files[0], request.frames)
+        self._files, self._emissivity = list(files), request.emissivity
         self._tables: dict[tuple[Planck, OpticalPath], Floats32] = {}
         self._notes: list[str] = [f"{left_out} pictures without raw counts are left out"] if left_out else []
         self._damage: list[str] = []
@@ -51,49 +60,6 @@ class FlirFrames(FrameSource):
             raise DataError(
                 f"{self._files[0]} holds no whole FLIR frame with raw counts. Check that the file is whole."
             )
-        self._width, self._height = self._one_size()
-        with _bytes(self._files[0]) as data:
-            self._first = camera_info(data, self._places[0].block)
-            self._image(data, self._places[0], 0)
-        self._times, note = self._all_times()
-        self._notes += [f"{self._first.model or 'FLIR camera'}, {note}"]
-
-    @property
-    def info(self) -> FrameInfo:
-        """Size and number of frames; temperatures are float32 in °C."""
-        codec = "FLIR records, 16-bit counts"
-        size, count = (self._width, self._height), len(self._places)
-        notes, damage = tuple(self._notes), tuple(self._damage)
-        return FrameInfo(*size, 32, count, codec, True, notes, radiometric=True, damage=damage)
-
-    def times_ns(self) -> Nanoseconds:
-        """Time stamps from `times`, else the camera's own (ms, since 1970), else a rate; `start_s` is added."""
-        return self._times[:: self._request.frames.every]
-
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """Temperatures in °C, float32, one frame at a time; a damaged frame is passed over and told in `info`."""
-        times, every = self.times_ns(), self._request.frames.every
-        for index in range(*slice(start, stop).indices(times.size)):
-            place = self._places[index * every]
-            with _bytes(place.file) as data:
-                image = self._image(data, place, index * every)
-            if image is not None:
-                yield Frame(int(times[index]), image, index)
-
-    def _image(self, data: memoryview, place: _Place, number: int) -> Floats32 | None:
-        name = f"{place.file}: frame {number}"
-        try:
-            info = camera_info(data, place.block)
-            raw = counts(data, place.block)
-        except DataError as error:
-            note = f"frame {number} {error}; it is passed over"
-            if note not in self._damage:
-                self._damage.append(note)
-            return None
-        return checked_celsius(self._table(info)[raw], name)
-
-    def _one_size(self) -> tuple[int, int]:
-        """Width and height of all frames; DataError names the first that differs."""
         first = self._places[0].size
         for number, place in enumerate(self._places):
             if place.size != first:
@@ -101,11 +67,39 @@ class FlirFrames(FrameSource):
                     f"{place.file}: frame {number} must have the size of the first, {first[0]}x{first[1]} px; received "
                     f"{place.size[0]}x{place.size[1]} px. Split the sequence where the camera's format changed."
                 )
-        return first
+        with _bytes(self._files[0]) as data:
+            self._first = camera_info(data, self._places[0].block)
+        self._image(0)
+        self._times, note = self._all_times()
+        self._notes += [f"{self._first.model or 'FLIR camera'}, {note}"]
+
+    @property
+    def info(self) -> FrameInfo:
+        """Size and number of frames; temperatures are float32 in °C."""
+        (width, height), count = self._places[0].size, len(self._places)
+        notes, damage = tuple(self._notes), tuple(self._damage)
+        codec = "FLIR records, 16-bit counts"
+        return FrameInfo(width, height, 32, count, codec, True, notes, radiometric=True, damage=damage)
+
+    def times_ns(self) -> Nanoseconds:
+        """Time stamps from `times`, else the camera's own (ms, since 1970), else a rate; `start_s` is added."""
+        return self._times[:: self._request.every]
+
+    def _image(self, number: int) -> Floats32 | None:
+        """Temperatures in °C, float32; a damaged frame is passed over and told in `info`."""
+        place = self._places[number]
+        with _bytes(place.file) as data:
+            try:
+                info, raw = camera_info(data, place.block), counts(data, place.block)
+            except DataError as error:
+                note = f"frame {number} {error}; it is passed over"
+                self._damage += [] if note in self._damage else [note]
+                return None
+        return checked_celsius(self._table(info)[raw], f"{place.file}: frame {number}")
 
     def _table(self, info: CameraInfo) -> Floats32:
         """Temperature by count; made once for each calibration, which changes with the camera's range only."""
-        stated = self._request.emissivity
+        stated = self._emissivity
         path = info.path if stated is None else replace(info.path, emissivity=stated)
         key = (info.planck, path)
         if key not in self._tables:
@@ -141,11 +135,18 @@ class FlirFrames(FrameSource):
 
     def _all_times(self) -> tuple[Nanoseconds, str]:
         """Stamps of all frames and how they were found."""
-        request, count = self._request.frames, len(self._places)
+        request, count = self._request, len(self._places)
         if request.times is not None:
             return file_times(request.times, self._files[0], count), f"times from {request.times.name}"
         start_ns = round(request.start_s * 1e9)
-        stamps = self._without_wrong_stamps()
+        stamps = np.array([place.time_ns for place in self._places], dtype=np.int64)
+        # The few frames are left out whose stamp does not fit between those around it.
+        wrong = wrong_stamps(stamps)
+        if len(wrong):
+            named = ", ".join(str(k) for k in wrong[:3]) + (" …" if len(wrong) > 3 else "")
+            self._damage.append(f"{len(wrong)} frames ({named}) have stamps out of order and were passed over")
+            self._places = [place for k, place in enumerate(self._places) if k not in set(wrong.tolist())]
+            stamps = np.delete(stamps, wrong)
         if stamps[0] > 0 and np.all(stamps[1:] > stamps[:-1]):
             begun = datetime.fromtimestamp(int(stamps[0]) / 1e9, UTC).isoformat(timespec="milliseconds")
             return stamps + np.int64(start_ns), f"the camera's stamps, from {begun}"
@@ -155,16 +156,6 @@ class FlirFrames(FrameSource):
         told = f"its stamps do not increase: taken as {rate:g} frames a second from start_s = {request.start_s:g} s on"
         self._damage.append(f"{self._files[0].name}: {told}")
         return grid(len(stamps), Fraction(rate), start_ns), told
-
-    def _without_wrong_stamps(self) -> NDArray[np.int64]:
-        """The stamps of all frames, after the few are left out whose stamp does not fit between those around it."""
-        stamps = np.array([place.time_ns for place in self._places], dtype=np.int64)
-        wrong = wrong_stamps(stamps)
-        if len(wrong):
-            named = ", ".join(str(k) for k in wrong[:3]) + (" …" if len(wrong) > 3 else "")
-            self._damage.append(f"{len(wrong)} frames ({named}) have stamps out of order and were passed over")
-            self._places = [place for k, place in enumerate(self._places) if k not in set(wrong.tolist())]
-        return np.delete(stamps, wrong)
 
 
 @contextmanager
@@ -209,8 +200,3 @@ def _longest_increasing(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     while before[series[-1]] >= 0:
         series.append(before[series[-1]])
     return np.array(series[::-1], dtype=np.int64)
-
-
-def natural_order(files: Sequence[Path]) -> list[Path]:
-    """Files in the order of the numbers in their names: img2 before img10."""
-    return sorted(files, key=lambda file: [int(t) if t.isdigit() else t.lower() for t in re.split(r"(\d+)", str(file))])

@@ -6,17 +6,11 @@ from pathlib import Path
 
 from midspan.errors import DataError
 from midspan.sources.boundary import reading
-from midspan.sources.camera.formats import open_frames, require_readable
+from midspan.sources.camera.formats import GuardedFrames, listed, open_frames
 from midspan.sources.camera.frames import FrameRequest
-from midspan.sources.camera.guarded import GuardedFrames
-from midspan.sources.camera.timing import check_request
-from midspan.sources.thermal.dji_jpeg import refuse_dji
-from midspan.sources.thermal.flir import SUFFIXES, FlirFrames, natural_order
-from midspan.sources.thermal.flir_jpeg import SUFFIXES as JPEG_SUFFIXES
-from midspan.sources.thermal.flir_jpeg import is_flir_jpeg, is_jpeg
-from midspan.sources.thermal.pictures import ThermalPictures
-from midspan.sources.thermal.repaired import RepairedFrames
-from midspan.sources.thermal.request import ThermalRequest
+from midspan.sources.thermal.fff import JPEG_SUFFIXES, is_flir_jpeg, is_jpeg, refuse_dji
+from midspan.sources.thermal.flir import SUFFIXES, FlirFrames
+from midspan.sources.thermal.temperatures import RepairedFrames, ThermalPictures, ThermalRequest
 from midspan.vision.frame_source import FrameSource
 
 FORMATS = (
@@ -37,14 +31,14 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     for a source that is missing, damaged or in another unit.
     """
     request = request or ThermalRequest()
-    check_request(path, request.frames)
+    request.frames.check(path)
     with reading(path, "temperatures"):
         files = _flir_files(path)
         if files:
-            left_out = sum(is_jpeg(file) for file in _files(path)) - len(files) if is_jpeg(files[0]) else 0
+            left_out = sum(is_jpeg(file) for file in listed(path)) - len(files) if is_jpeg(files[0]) else 0
             frames = FlirFrames(files, request, left_out)
             return RepairedFrames(GuardedFrames(frames, path, "FLIR frames"), str(path))
-        for file in _files(path):
+        for file in listed(path):
             refuse_dji(file)
         # Missing values are filled, and frames of too many passed over, once all is in °C.
         raw = open_frames(path, replace(request.frames, with_missing=True))
@@ -75,17 +69,5 @@ def open_pictures(path: Path, request: FrameRequest) -> FrameSource:
 
 def _flir_files(path: Path) -> list[Path]:
     """The FLIR files among those that `path` means, in their order; empty where it means something else."""
-    files = _files(path)
-    sequences = [file for file in files if file.suffix.lower() in SUFFIXES]
-    return natural_order(sequences or [file for file in files if is_flir_jpeg(file)])
-
-
-def _files(path: Path) -> list[Path]:
-    """The files that `path` means: itself, those of a folder or a glob."""
-    if path.is_file():
-        return [path]
-    if path.is_dir():
-        return [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
-    require_readable(path)
-    folder = next(parent for parent in path.parents if not any(sign in str(parent) for sign in "*?["))
-    return [file for file in folder.glob(str(path.relative_to(folder))) if file.is_file()]
+    files = listed(path)
+    return [file for file in files if file.suffix.lower() in SUFFIXES] or [file for file in files if is_flir_jpeg(file)]

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats
-from midspan.vision.reference.kernels import agreement
+from midspan import _core
+from midspan.records import Floats, Floats32
 from midspan.vision.reference.light import CELLS, EDGE_PX, Mix, Placed, Sight, inside, placed
-from midspan.vision.spline import Floats32
 
 Cells = NDArray[np.bool_]
 
@@ -55,7 +54,7 @@ def uncovered(mix: Mix, view: Sight, start: Floats, before: tuple[Floats32, Cell
     if window is None:
         return Uncovered(None, covered, covered, absent=bool(covered.any()))
     seen = inside(window)
-    agreed = agreement(seen, seen - expected, mix.cell, CELLS**2)
+    agreed = _core.cell_agreement(seen, seen - expected, mix.cell, CELLS**2)
     hidden = _hidden(agreed, sure, lately)
     if whole is not None and np.mean(_hidden(whole.agreement, sure, lately)) < np.mean(hidden):
         agreed, hidden = whole.agreement, _hidden(whole.agreement, sure, lately)
@@ -93,7 +92,7 @@ def likeness(mix: Mix, seen: Floats32, hidden: Cells) -> float:
     best = -1.0
     for picture in mix.pictures:
         amount = np.float32((weight * seen) @ picture / max(float((weight * picture) @ picture), 1e-12))
-        agreed = agreement(seen, seen - amount * picture, mix.cell, CELLS**2)[~hidden]
+        agreed = _core.cell_agreement(seen, seen - amount * picture, mix.cell, CELLS**2)[~hidden]
         best = max(best, float(np.median(agreed)))
     return best
 

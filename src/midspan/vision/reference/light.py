@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats, Region
+from midspan import _core
+from midspan.records import Floats, Floats32, Region
 from midspan.signals.medians import SIGMA_OF_MEDIAN
-from midspan.vision.reference.kernels import Explained, agreement, explained
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
-from midspan.vision.texture import lowpass_taps, values
-from midspan.vision.zncc import smooth
+from midspan.vision.texture import REACH, lowpass_taps, values
 
 SMOOTHING_PX = 0.7
 TAPS = lowpass_taps(SMOOTHING_PX).astype(np.float32)
@@ -34,6 +32,35 @@ FARTHEST_PX = 1.0  # from where a search begins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Explained:
+    """What a mix says of what is seen: the `amount` (n,) of each column, what they leave (`left`, pixels,), the mix's
+    slopes with weights and without what another mix would explain (`own`, 2, pixels), and their products with the
+    slopes (`information`, 2, 2) and with what is left (`force`, 2,).
+    """
+
+    amount: Floats32
+    left: Floats32
+    own: Floats32
+    information: Floats
+    force: Floats
+
+
+def explained(columns: Floats32, slopes: Floats32, weight: Floats32, seen: Floats32, ridge: Floats) -> Explained:
+    """Weighted least squares of what is `seen` (pixels,) by `columns` (n, pixels), whose slopes are (2, n - 1, pixels).
+
+    ridge (n,): what is added to the squares of the columns.
+    """
+    weighted = weight * columns
+    inverse = np.linalg.inv((weighted @ columns.T).astype(np.float64) + np.diag(ridge))
+    amount = (inverse @ (weighted @ seen)).astype(np.float32)
+    left = seen - amount @ columns
+    slope = amount[:-1] @ slopes
+    other = (slope @ weighted.T @ inverse).astype(np.float32)
+    own = weight * slope - other @ weighted
+    return Explained(amount, left, own, (own @ slope.T).astype(np.float64), (own @ left).astype(np.float64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """A frame around the target: spline coefficients about the place `whole` (2,; x, y in whole px)."""
 
@@ -43,7 +70,7 @@ class Sight:
     def window(self, place: Floats) -> Floats32 | None:
         """The target as it would look at rest, if it lies at `place` (2,) px, with EDGE_PX around it; None if far."""
         x, y = (float(v) for v in self.whole - place)
-        return None if max(abs(x), abs(y)) > FARTHEST_PX else translated(self.grid, x, y)
+        return None if max(abs(x), abs(y)) > FARTHEST_PX else _core.translated(self.grid, x, y)
 
 
 def sight(pixels: NDArray[np.generic], region: Region, place: Floats) -> Sight | None:
@@ -66,7 +93,9 @@ def sight(pixels: NDArray[np.generic], region: Region, place: Floats) -> Sight |
     raw = values(cut, float(finite.mean())) if finite.size else None
     if raw is None:
         return None
-    grid = coefficients(smooth(raw, TAPS).astype(np.float64))[CONTEXT_PX:-CONTEXT_PX, CONTEXT_PX:-CONTEXT_PX]
+    grid = _core.spline_coefficients(_core.smooth(raw, TAPS).astype(np.float64))[
+        CONTEXT_PX:-CONTEXT_PX, CONTEXT_PX:-CONTEXT_PX
+    ]
     return Sight(grid.astype(np.float32), whole)
 
 
@@ -141,12 +170,15 @@ def steadiness(pictures: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 def _planes(picture: Floats32, offset: Floats) -> Floats:
     """Values and slopes along x and y (3, rows · columns) of a picture inside its edge, read `offset` farther on."""
-    grid = coefficients(picture.astype(np.float64)).astype(np.float32)[REACH:-REACH, REACH:-REACH]
+    grid = _core.spline_coefficients(picture.astype(np.float64)).astype(np.float32)[REACH:-REACH, REACH:-REACH]
     x, y = (float(v) for v in offset)
     orders = ((0, 0), (0, 1), (1, 0))
-    return np.stack([combine(grid, weights(y, down), weights(x, across)).ravel() for down, across in orders]).astype(
-        np.float64
-    )
+    return np.stack(
+        [
+            _core.combine(grid, _core.spline_weights(y, down), _core.spline_weights(x, across)).ravel()
+            for down, across in orders
+        ]
+    ).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +237,7 @@ def _judged(mix: Mix, place: Floats, seen: Floats32, told: Explained) -> Placed:
     spread = inverse @ (scores @ scores.T) @ inverse.T * _few(scores)
     pull = (inverse @ told.own).astype(np.float32)
     shares = np.einsum("ap,aip->ai", pull, mix.slopes) * told.amount[:-1]
-    agreed = agreement(seen, told.left, mix.cell, CELLS**2)
+    agreed = _core.cell_agreement(seen, told.left, mix.cell, CELLS**2)
     return Placed(place, np.diag(spread).copy(), shares.astype(np.float64), seen - told.left, agreed)
 
 

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from midspan.records import Floats, Frame
+from midspan.records import Floats, Floats32, Frame
 from midspan.vision.reference.cover import ALL_SEEN, Cells
 from midspan.vision.reference.light import inside
 from midspan.vision.reference.pictures import Pictures, pictures_of, realigned
 from midspan.vision.reference.records import Chain, KeyFrame, clear_share
-from midspan.vision.spline import Floats32
 
 USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
 LEAST_PAIRS = 3  # frames in which a new key frame must have been tracked

@@ -3,7 +3,7 @@
 A new key frame begins early, while the old one still matches well, and takes over as the one that the target is looked
 for with. Once there are two, the translation is measured against all of them at once: each is a picture of the target
 under its light, and a frame under another light is nearly a mix of them (`light`). Where the pictures lie to each other
-follows from the same thought (`alignment`), anew with each that is added. Now and then earlier key frames are tried,
+follows from the same thought (`pictures`), anew with each that is added. Now and then earlier key frames are tried,
 the first among them, and used again where they match again.
 
 Something in front of the target is no light: it hides cells of it from one frame to the next (`cover`). While it is
@@ -18,7 +18,6 @@ import numpy as np
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.reference.cover import LATELY, completed
-from midspan.vision.reference.inner import InnerTrackers
 from midspan.vision.reference.light import Sight, inside, placed, sight
 from midspan.vision.reference.policy import (
     HEALTH_FRAMES,
@@ -30,6 +29,7 @@ from midspan.vision.reference.policy import (
     to_try,
 )
 from midspan.vision.reference.records import (
+    InnerTrackers,
     crowded,
     exchanged,
     first_chain,

@@ -18,8 +18,7 @@ from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.signals.medians import SIGMA_OF_MEDIAN
-from midspan.vision.reference.inner import InnerTrackers
-from midspan.vision.reference.records import KeyFrame, place_of, relative, variance_of
+from midspan.vision.reference.records import InnerTrackers, KeyFrame, place_of, relative, variance_of
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.tracker import TRACKERS, Tracker, check_values
 

@@ -1,0 +1,1 @@
+"""The papers' methods as printed, each entered by its name where the rooms below need it."""
