@@ -27,6 +27,9 @@ def refuse_forward_step(prepared: PreparedAcceleration, time_ns: Nanoseconds, va
     length_ns = np.diff(prepared.time_ns)[gaps] - step_ns
     for k in np.argsort(length_ns)[::-1][:MAX_GAPS]:
         begin, gap_ns = int(prepared.time_ns[gaps[k]]), int(length_ns[k])
+        if begin + gap_ns > time_ns[-1]:
+            # What follows is no part of the common time.
+            continue
         moved = prepared.time_ns - np.where(np.arange(len(prepared.time_ns)) > gaps[k], gap_ns, 0)
         first = max(begin - WINDOW_NS, int(prepared.time_ns[0]))
         last = min(begin + WINDOW_NS + gap_ns, int(moved[-1]))
