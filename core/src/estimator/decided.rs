@@ -138,7 +138,7 @@ impl Undecided {
         self.items.first().map(|one| one.at_s)
     }
 
-    /// Whether it is consistent, given so many hypotheses and channels.
+    /// Whether it is consistent, given this many hypotheses and channels.
     pub fn fits(&self, count: usize, channels: usize) -> bool {
         let mut before = (0, usize::MAX);
         let each = self.ends.iter().all(|&end| {
@@ -185,7 +185,7 @@ impl Undecided {
         places
     }
 
-    /// Lets what is final, given so many hypotheses, be settled.
+    /// Lets what is final, given this many hypotheses, be settled.
     pub fn settle(&mut self, count: usize) {
         let settled = self.one_past(count).max(self.len().saturating_sub(MAX_UNDECIDED));
         if settled == 0 {
@@ -248,7 +248,7 @@ pub struct Log {
     pub samples: Samples,
     /// What was decided.
     pub decided: Decided,
-    /// The filter after so many samples, multiples of a block.
+    /// The filter after this many samples, multiples of a block.
     pub filters: BTreeMap<usize, Logged>,
 }
 

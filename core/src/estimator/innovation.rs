@@ -78,7 +78,7 @@ impl Innovation {
         self.wider + self.own
     }
 
-    /// Whether it lies within so many standard deviations.
+    /// Whether it lies within this many standard deviations.
     #[inline]
     pub fn within(&self, deviations: f64) -> bool {
         self.error * self.error <= deviations * deviations * self.total()

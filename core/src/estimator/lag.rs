@@ -76,7 +76,7 @@ pub struct Lag {
 }
 
 impl Lag {
-    /// Rows come so many samples later; the estimator keeps a log and gives no rows.
+    /// Rows come this many samples later; the estimator keeps a log and gives no rows.
     pub fn new(estimator: Estimator, lag: usize) -> Self {
         let (adjoint, work) = (Adjoint::nothing(estimator.model()), Work::new(estimator.model()));
         Self {
@@ -314,7 +314,7 @@ impl Piece {
         Self { way: WayBack::default(), after, settled: false, own: false, items: Vec::new(), decisions: Vec::new() }
     }
 
-    /// Whether it was run over so many samples with these items as they are decided now.
+    /// Whether it was run over this many samples with these items as they are decided now.
     fn holds(&self, samples: usize, mut items: impl Iterator<Item = (Timed, Decision)>) -> bool {
         let run_with = || self.items.iter().copied().zip(self.decisions.iter().copied());
         let mut is_same = || run_with().all(|one| items.next() == Some(one)) && items.next().is_none();

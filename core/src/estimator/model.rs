@@ -148,7 +148,7 @@ pub fn since(time_ns: i64, origin_ns: i64) -> f64 {
     time_ns.wrapping_sub(origin_ns) as f64 / NANOSECONDS
 }
 
-/// The instant so many seconds after an origin; the nearest nanosecond, halves to the even one.
+/// The instant this many seconds after an origin; the nearest nanosecond, halves to the even one.
 pub fn instant(time_s: f64, origin_ns: i64) -> i64 {
     origin_ns.wrapping_add((time_s * NANOSECONDS).round_ties_even() as i64)
 }

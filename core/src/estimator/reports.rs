@@ -104,7 +104,7 @@ impl Reports {
         Self { runs: vec![Run::default(); channels], causes: Vec::new() }
     }
 
-    /// Whether it is of so many channels.
+    /// Whether it is of this many channels.
     pub fn fits(&self, channels: usize) -> bool {
         self.runs.len() == channels
     }

@@ -182,7 +182,7 @@ impl Integrated {
         Some(one.displacement_m + dt * one.velocity_m_s + 0.5 * dt * dt * one.acceleration)
     }
 
-    /// Whether it is of so many axes.
+    /// Whether it is of this many axes.
     pub fn fits(&self, axes: usize) -> bool {
         self.axes.len() == axes
     }

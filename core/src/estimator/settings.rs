@@ -72,7 +72,7 @@ pub struct Parameter {
     pub estimated_from_ns: Option<i64>,
     /// Density of its random walk, unit²/s.
     pub walk: f64,
-    /// A measurement tells it only where the square of the sensitivity is so many times the prediction's variance.
+    /// A measurement tells it only where the square of the sensitivity is this many times the prediction's variance.
     pub clear: f64,
 }
 

@@ -22,7 +22,7 @@ use std::ops::Range;
 /// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
 const MIN_VARIANCE_SHARE: f64 = 1e-12;
 
-/// The processor takes so many elements of a row together.
+/// The processor takes this many elements of a row together.
 const LANES: usize = 8;
 
 /// What later measurements say: of each state its elements of L and W, side by side, (n, 1 + k + 2 n); of live states those

@@ -15,18 +15,18 @@ use serde::{Deserialize, Serialize};
 
 /// The state starts this long before the first sample, s; the same however the record is cut.
 pub const START_S: f64 = 0.01;
-/// The motion's first velocity lies within so many times what the sensors say of its size.
+/// The motion's first velocity lies within this many times what the sensors say of its size.
 const VELOCITY_WITHIN: f64 = 3.0;
 /// Acceleration is taken to belong to a motion of no less than this frequency, Hz.
 const SLOWEST_HZ: f64 = 0.2;
 /// Of the steps of a channel's first measurements this share is sound.
 const SOUND_SHARE: f64 = 0.25;
-/// The structure lies within so many times what the first measurements of the only channel scatter by.
+/// The structure lies within this many times what the first measurements of the only channel scatter by.
 ///
 /// A wider prior would make each measurement unlikely that begins it anew: of two, the farther off the first one is, the
 /// more likely would the first one be.
 const SCATTER_WITHIN: f64 = 3.0;
-/// It lies within so many metres where the measurements are fewer than [`FEW`].
+/// It lies within this many metres where the measurements are fewer than [`FEW`].
 const FARTHEST_M: f64 = 1.0;
 const FEW: usize = 4;
 /// Shortest time between two measurements that a speed is taken from, s.
@@ -84,7 +84,7 @@ impl Beginning {
         }
     }
 
-    /// Whether it is of so many axes.
+    /// Whether it is of this many axes.
     pub fn fits(&self, axes: usize) -> bool {
         [&self.acceleration, &self.displacement_m, &self.displacement_std_m, &self.velocity_std_m_s]
             .into_iter()
@@ -199,7 +199,7 @@ fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(values[low] + part * (high - values[low]))
 }
 
-/// So many measurements, one of them of the sensor whose zero counts, are waited for before rows are given out.
+/// This many measurements, one of them of the sensor whose zero counts, are waited for before rows are given out.
 const FIRST_MEASUREMENTS: usize = 8;
 /// Or so long after the first one, s.
 const FIRST_S: f64 = 2.0;

@@ -90,7 +90,7 @@ impl Weighed<'_> {
 }
 
 impl StepTest {
-    /// None yet, of n states with so many columns.
+    /// None yet, of n states with this many columns.
     pub fn new(n: usize, columns: usize) -> Self {
         Self {
             instants: [None; INSTANTS],
@@ -123,7 +123,7 @@ impl StepTest {
         (self.carried_s, self.taken_over, self.next) = (other.carried_s, other.taken_over, other.next);
     }
 
-    /// Whether it is of so many states and columns.
+    /// Whether it is of this many states and columns.
     pub fn fits(&self, n: usize, columns: usize) -> bool {
         self.columns == columns && self.next < INSTANTS && self.changed.len() == n && self.sums.len() == 1 + columns + n
     }

@@ -20,7 +20,7 @@ use std::collections::VecDeque;
 /// What bounds the memory.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// So many measurements may wait for the samples that cover them; older ones are dropped.
+    /// This many measurements may wait for the samples that cover them; older ones are dropped.
     pub waiting: usize,
     /// Samples that are run at once.
     pub block: usize,

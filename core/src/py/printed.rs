@@ -33,7 +33,7 @@ struct PrintedFilter {
 #[pymethods]
 impl PrintedFilter {
     /// bias, velocity_std, displacement_std: at the first sample; start_noise: variance R of the first frames, or None for
-    /// the first declared one and `held_noise`; waiting: so many frames may wait.
+    /// the first declared one and `held_noise`; waiting: this many frames may wait.
     #[new]
     #[pyo3(signature = (*, bias, velocity_std, displacement_std, beta, first_frames, start_noise, held_noise, waiting))]
     #[allow(clippy::too_many_arguments)]

@@ -10,7 +10,7 @@ use super::pixels::{Pixel, Pixels, less_level};
 const MAX_PASSES: usize = 8;
 /// A block this near to its kernels' phase needs no other; the play stops circles.
 pub const NEAR_PX: f64 = 0.5 / PHASES as f64 + 0.003;
-/// One block in so many is looked at first, where that leaves not fewer than so many.
+/// One block in this many is looked at first, where that leaves not fewer than this many.
 const SPARSE: usize = 5;
 const MIN_SPARSE: usize = 4;
 /// Share of the information that agrees in an undisturbed frame.

@@ -56,7 +56,7 @@ impl Samples {
         out
     }
 
-    /// Mean square of what the fit leaves of one frame; of the first samples only, if so many are `most`.
+    /// Mean square of what the fit leaves of one frame; of the first samples only, if this many are `most`.
     pub fn residual_square(&self, grid: &Grid, most: usize) -> Grid<f64> {
         let grid = Fine::of(grid);
         let items = &self.items[..most.min(self.items.len())];

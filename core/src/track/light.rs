@@ -10,7 +10,7 @@ use super::vector::{sums, vectorised};
 
 /// Means of squares of this side (px) are compared.
 const THINNED: usize = 3;
-/// Blocks a side: what hides less than half of them is no light. A block has so many means a side at least.
+/// Blocks a side: what hides less than half of them is no light. A block has this many means a side at least.
 const BLOCKS: usize = 4;
 const LEAST_BLOCK: usize = 5;
 /// Pixels near the top of 8 bits are cut off: more light changes them without any shading.
@@ -20,7 +20,7 @@ const CLIPPED: f64 = 250.0;
 const DARK_SHARE: f64 = 0.02;
 const VIDEO_BLACK: f64 = 16.0 / 255.0;
 const NEAR_BLACK: f64 = 0.75;
-/// One in so many rows and columns tells a frame's darkest and brightest pixels, and these shares of them which.
+/// One in this many rows and columns tells a frame's darkest and brightest pixels, and these shares of them which.
 const DARK_STEP: usize = 4;
 const DARKEST: f64 = 0.01;
 const BRIGHTEST: f64 = 0.99;

@@ -23,7 +23,7 @@ const OTHERS: usize = UNKNOWNS - WANTED;
 pub const GAIN: usize = 4;
 /// The unknowns, the second order of a shift (dx²/2, dx dy, dy²/2), and the sums' covariance.
 const RESPONSES: usize = UNKNOWNS + 3 + SUMS;
-/// One row in so many is looked at first: nearly always that leads to the phase whose tables are exact.
+/// One row in this many is looked at first: nearly always that leads to the phase whose tables are exact.
 pub const SPARSE: usize = 5;
 
 /// What one sum of a block responds to.
@@ -176,7 +176,7 @@ impl Kernels {
         }
     }
 
-    /// See [`Tables::sparse`]; zeros where one row in so many shows nothing.
+    /// See [`Tables::sparse`]; zeros where one row in this many shows nothing.
     fn sparse_fit(&self, moved: &Slopes) -> Matrix<SUMS> {
         let mut response = Matrix::<SUMS>::default();
         for r in (SPARSE / 2..moved.value.rows).step_by(SPARSE) {

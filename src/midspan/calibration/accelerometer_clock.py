@@ -12,7 +12,7 @@ from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import GAP_STEPS, clock
 from midspan.signals.stamps import inside, shown
 
-# Compared on either side of a gap, ns; of so many gaps, the longest ones.
+# Compared on either side of a gap, ns; of this many gaps, the longest ones.
 WINDOW_NS, MAX_GAPS = 60 * NANOSECONDS, 5
 
 

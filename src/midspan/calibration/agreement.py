@@ -106,7 +106,7 @@ def _coloured_band(pair: Pair, fit: Fit) -> Misfit:
     means = (np.cumsum(np.r_[0.0, power])[starts + width] - np.cumsum(np.r_[0.0, power])[starts]) / width
     k = int(np.argmax(means))
     factor = float(means[k] / np.mean(power))
-    # The mean of so many squares is chi-squared over its degrees of freedom, 2 width.
+    # The mean of this many squares is chi-squared over its degrees of freedom, 2 width.
     if factor < gammainccinv(width, COLOURED_BY_CHANCE / len(starts)) / width:
         return Misfit()
     return Misfit(factor, float((starts[k] + 0.5 * width) * pair.rate_hz / n))

@@ -31,7 +31,7 @@ from midspan.calibration.fit import Pair
 from midspan.records import Floats
 from midspan.signals.health import dominant_frequency
 
-# So many readings are compared, from the first on; many blocks a clock may step between.
+# This many readings are compared, from the first on; many blocks a clock may step between.
 MAX_READINGS, BLOCKS = 1500, 16
 MIN_READINGS = 60
 # Motion slower than this share of the acceleration's main frequency is left out: double integrals wander there.

@@ -22,7 +22,7 @@ WINDOW_S, WINDOW_SHARE, WINDOWS = 40.0, 1.0 / 3.0, 5
 END_S = 0.05
 # Fewer measurements show no rate.
 MIN_ROWS = 30
-# A window's course is judged by so many parts of it, of so many measurements at least.
+# A window's course is judged by this many parts of it, of this many measurements at least.
 PARTS, MIN_PART_ROWS = 12, 8
 # Instants around a window whose acceleration is used, s.
 AROUND_S = 5.0

@@ -33,7 +33,7 @@ SLOW_HZ, SLOW_BY_CHANCE = 0.3, 1e-3
 # Gain in the logarithm of the likelihood from which a slow error counts as found: a factor of 20 000 in likelihood.
 MIN_GAIN = 10.0
 # Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
-# so many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
+# this many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
 STRONG, MAX_ORDINATES, LEAKED = 3.0, 24, 0.02
 # What may err by itself in a sensor other than the accelerometer, in words.
 OF_THE_SENSOR = {

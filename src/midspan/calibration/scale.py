@@ -66,7 +66,7 @@ PARTS = {
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
 MIN_GAIN = 20.0
-# The difference of image and acceleration that is refused: so many times a frame's noise, this share of the motion.
+# The difference of image and acceleration that is refused: this many times a frame's noise, this share of the motion.
 UNEXPLAINED_NOISE = 5.0
 UNEXPLAINED_SHARE = 0.2
 # Accelerometer noise that the difference would need, refused above this share of the signal when it is also this many

@@ -54,7 +54,7 @@ FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
 DRIFTED_S = 0.1
 # Offsets are tried with the measurements that lie within the acceleration at all offsets of a segment, s.
 SEGMENT_S = 1.0
-# So many measurements are needed to look for another offset.
+# This many measurements are needed to look for another offset.
 MIN_ROWS = 20
 # So much of a long record is compared at all offsets, s.
 PART_S = 120.0

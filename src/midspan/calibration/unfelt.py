@@ -22,9 +22,9 @@ from midspan.signals.stamps import shown
 # a frame is a straight line there, whose speed changes from window to window: over 20 s and over the whole record the
 # bias is held (a parabola). An accelerometer that drifts shows that much more.
 LOOKS = ((5.0, 4), (20.0, 3), (np.inf, 3))
-# Of white noise of density S, integrated twice over T, S T³ over this is left about so many unknowns (mean square).
+# Of white noise of density S, integrated twice over T, S T³ over this is left about this many unknowns (mean square).
 NOISE_LEFT = {3: 2520.0, 4: 6930.0}
-# Over the whole record so many values are enough.
+# Over the whole record this many values are enough.
 MAX_COMPARED = 20_000
 # A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
 # so that of n windows one exceeds the mean ln(n / p) times with a probability p.

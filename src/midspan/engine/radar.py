@@ -34,14 +34,14 @@ PhasePrediction = tuple[float, float]
 UNSURE_RAD2 = (UNSURE_CYCLES * TURN) ** 2
 # The variance of a zero that was lost, over that of the prediction: the estimator then keeps its own place, whose
 # variance falls by half a percent only.
-# No structure moves by more than so many cycles (2 m) in an outage; more would hurt the estimator's arithmetic.
+# No structure moves by more than this many cycles (2 m) in an outage; more would hurt the estimator's arithmetic.
 NEW_ZERO_RATIO, MAX_LOST_CYCLES = 100.0, 1000.0
 # Gains of the target's own prediction: of the phase, and of the speed of a critically damped filter.
 PHASE_GAIN = 0.8
 SPEED_GAIN = 2.0 * (2.0 - PHASE_GAIN) - 4.0 * math.sqrt(1.0 - PHASE_GAIN)
 # Memory of the mean squares of innovations, frames.
 MEMORY = 50.0
-# The estimator is not followed while its innovations, over so many frames at least, are larger than those of the
+# The estimator is not followed while its innovations, over this many frames at least, are larger than those of the
 # target's own prediction and than half of what names a cycle: the accelerometer is wrong.
 REFUTED_RAD2 = (0.5 * UNSURE_CYCLES * TURN) ** 2
 MIN_JUDGED = 15.0
@@ -49,12 +49,12 @@ MIN_JUDGED = 15.0
 # mean once in 30 000 frames (chi squared of 19). Something else with two thirds of a target's amplitude bends its phase
 # by this variance, rad²; with as much it would lead it away.
 MODULATED_FRAMES, NOISY, MAX_BENT_RAD2 = 10.0, 2.7, 0.2
-# A frame whose amplitude is so many times as far (square) from the mean as noise and the last frames make it holds
+# A frame whose amplitude is this many times as far (square) from the mean as noise and the last frames make it holds
 # something else: noise alone is once in 500 million frames.
 SUDDEN = 36.0
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
-# A target's swing has more power at its frequency than the process by which it is modelled: it is taken for so many
+# A target's swing has more power at its frequency than the process by which it is modelled: it is taken for this many
 # times as large, with its corner at this share of the frequency. Two deviations then hold a swing at one frequency.
 OWN_RATIO, OWN_CORNER = 2.0, 0.25
 

@@ -14,7 +14,7 @@ from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import DisplacementSettings
 from midspan.writing import write_whole
 
-# Profiles are written together, so many at a time.
+# Profiles are written together, this many at a time.
 FRAMES_AT_A_TIME = 64
 READINGS = {"time": "time_ns", "value": "value"}
 

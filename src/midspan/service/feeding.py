@@ -20,7 +20,7 @@ from midspan.sources.radar.radar_source import at_bins
 
 # Records wait for at most so long: the points of a site are calibrated and opened one after another.
 MAX_WAIT_S = 600.0
-# The frames of a point that wait take so many bytes of the disk at most; the oldest are dropped then. Regions of
+# The frames of a point that wait take this many bytes of the disk at most; the oldest are dropped then. Regions of
 # 256 x 256 px at 25 frames a second, with what is around them, reach it after 160 s, those of 128 x 128 px after 600 s.
 MAX_BYTES = 2**30
 
@@ -149,7 +149,7 @@ def _stamp(one: Arrival | FrameInFile) -> int:
     return one.frame.time_ns if isinstance(one, FrameInFile) else one.newest_ns
 
 
-# So many of the records that wait are given to the point at once, at least: a tenth of a second of work, after which
+# This many of the records that wait are given to the point at once, at least: a tenth of a second of work, after which
 # the service answers again. And twice as many as came since the last time, so that the queue becomes shorter.
 AT_ONCE, TIMES_AS_MANY = 32, 2
 # A sender is waited for when its broker is back: as long again as that was away, since senders double their pauses, but

@@ -31,7 +31,7 @@ from midspan.records import (
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch
 
-# The usual deviation is the geometric mean over about so many of the newest rows that rest on measurements.
+# The usual deviation is the geometric mean over about this many of the newest rows that rest on measurements.
 USUAL_ROWS = 60_000
 # While rows are less certain than usual by this factor after a clock stepped, the clock is why.
 WIDENED = 3.0
@@ -136,7 +136,7 @@ ROWS, SHOWN = "rows", "displacement_m"
 # Deviations and velocities of rows are kept in steps of 0.12 nm (and nm/s), far below any noise: with all bits a
 # store of rows would be half as large again.
 STEP = 2.0**-33
-# A point that is lost gives rows for so long, and none whose deviation is beyond so many times the motion that its
+# A point that is lost gives rows for so long, and none whose deviation is beyond this many times the motion that its
 # calibration saw.
 LOST_ROWS_S, LOST_MOTIONS = 30.0, 10.0
 # So long are the newest rows remembered, with which the next opening of the point is compared.

@@ -21,7 +21,7 @@ from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info
 from midspan.sources.radar.ti_config import read_settings
 
-# A stream that brings nothing for so long, and for so many of its usual intervals, is not fresh.
+# A stream that brings nothing for so long, and for this many of its usual intervals, is not fresh.
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
 # The usual interval is averaged over about this many records.
 AVERAGED = 8

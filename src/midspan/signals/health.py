@@ -164,7 +164,7 @@ def is_clipped(value: Floats, run: tuple[int, int], mean: float, std: float, res
     above = value[start] > mean
     came = start == 0 or (value[start - 1] < value[start]) == above
     went = end == len(value) or (value[end] < value[start]) == above
-    # How many steps beyond it the slopes carry a parabola of which so many samples are rounded to one value.
+    # How many steps beyond it the slopes carry a parabola of which this many samples are rounded to one value.
     count = end - start
     steps = (count + 1) * (count + 2) / (count - 1) ** 2
     return bool(came and went) and overshoot(value, start, end) > CREST * steps * resolution

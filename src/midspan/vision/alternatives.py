@@ -20,7 +20,7 @@ from midspan.vision.search import Span, coarse_factor, coarse_span, cut, peaks
 # Correlation, over what noise allows, from which on a poorer frame may mistake one place for the other; the automatic
 # choice of regions has the same limit. Along a texture of one direction the correlation never falls below it.
 MIN_LIKENESS = 0.8
-# An alternative counts as out of the question where it lies so many times farther from the expected place than what
+# An alternative counts as out of the question where it lies this many times farther from the expected place than what
 # was found: odds of nine to one for a motion whose tails fall as those of a Cauchy distribution.
 CLEARLY_FARTHER = 3.0
 # Difference of correlations, half of that between a copy of the target (above 0.8) and what is none (usually 0), that

@@ -25,15 +25,15 @@ TRIAL_FRAMES = 200
 TRIAL_S = 20.0
 LONGEST_TRIAL_S = 40.0
 MOST_DECODED = 3000
-# A place with so many times the best one's noise adds less than 1 % to what the best one knows.
+# A place with this many times the best one's noise adds less than 1 % to what the best one knows.
 USELESS = 10.0
 # A frame in twenty missed doubles what a place costs: the band opens tenfold until the next one.
 MISSED_WEIGHT = 20.0
 NOTABLE_MISSED = 0.02
-# So many places are tried, of which so many may be ones that most of the picture does not move with.
+# This many places are tried, of which this many may be ones that most of the picture does not move with.
 TRIAL_PLACES = 6
 TRIAL_OUTSIDERS = 2
-# While too few places are clean, other places are tried, so many times.
+# While too few places are clean, other places are tried, this many times.
 MORE_ROUNDS = 3
 
 

@@ -42,7 +42,7 @@ NOISE_WINDOW_S = 1800.0
 TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 # Fewer samples of acceleration carry no motion between two measurements.
 MIN_SAMPLES = 10
-# A clock offset that was not wanted is refused when it moves the displacement by more than so many times its noise.
+# A clock offset that was not wanted is refused when it moves the displacement by more than this many times its noise.
 MAX_LATE = 2.0
 # A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
 CLEARLY_REVERSED = 20.0

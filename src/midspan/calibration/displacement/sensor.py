@@ -26,7 +26,7 @@ from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
 from midspan.signals.stuck import range_limits, resolution, stuck
 
-# A scale that was not estimated is reported when off by this share and so many deviations, refused beyond the third.
+# A scale that was not estimated is reported when off by this share and this many deviations, refused beyond the third.
 TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
 MAX_OPTIMISTIC = 1.5

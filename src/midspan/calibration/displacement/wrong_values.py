@@ -27,7 +27,7 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 from midspan.signals.stamps import inside
 from midspan.signals.stuck import resolution, stuck
 
-# So many readings tell that they do not follow a motion: three are the line that the acceleration leaves open.
+# This many readings tell that they do not follow a motion: three are the line that the acceleration leaves open.
 MIN_HELD = 8
 # What stuck readings move by is far less than the motion (variance); a sensor that follows half of it has 0.25.
 MAX_MOVED = 0.1
@@ -50,7 +50,7 @@ APART = 7.5
 MIN_WRONG = 0.1
 # Motion is compared down to where the accelerometer's noise, integrated twice, is this share of the readings' variance.
 MAX_NOISE_SHARE = 0.01
-# Noise alone is of one size in so many readings.
+# Noise alone is of one size in this many readings.
 NOISE_READINGS = 20
 # The spread is that of the nearest readings: NEAREST of a normal distribution lie within OF_NORMAL deviations.
 NEAREST, OF_NORMAL = 0.3, 0.3853

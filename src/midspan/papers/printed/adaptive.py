@@ -28,7 +28,7 @@ from midspan.records import (
     seconds,
 )
 
-# So many frames may wait for the samples that cover them; older ones are dropped.
+# This many frames may wait for the samples that cover them; older ones are dropped.
 MAX_WAITING = 65536
 # Columns of what is given of each sample: displacement, its variance, velocity; time (s) and source of the last frame.
 ROW_X, ROW_VARIANCE, ROW_VELOCITY, ROW_ACCEPTED, ROW_SOURCE = range(5)

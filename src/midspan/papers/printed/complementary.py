@@ -32,19 +32,19 @@ from midspan.signals.health import Mask, runs
 SHORTEST_STEP, LONGEST_STEP = 0.5, 1.5
 # A displacement interval longer than this many usual ones is a gap and not interpolated.
 LONGEST_STEPS = 2.5
-# Of the guarded forms: a gap of up to so many usual intervals is filled from the path, as long as the acceleration
+# Of the guarded forms: a gap of up to this many usual intervals is filled from the path, as long as the acceleration
 # alone carries it well.
 FILLED_STEPS = 10.0
-# So many such intervals in a row are a slower sensor: with one value in ten missing by chance, once in 10^10 values.
+# This many such intervals in a row are a slower sensor: with one value in ten missing by chance, once in 10^10 values.
 MIN_SLOW = 5
 # Measurements closer than this share of the usual interval to the one before are left out: a spline through both would
 # swing.
 CLOSE_SHARE = 0.4
-# A value that lies so many standard deviations from the path is an outlier.
+# A value that lies this many standard deviations from the path is an outlier.
 OUTLIER_STD = 6.0
 # Stamps that scatter by less than this share of a step about an even clock are taken for even.
 EVEN_SHARE = 1e-4
-# Over so many samples jitter averages out, and a clock's wander does not.
+# Over this many samples jitter averages out, and a clock's wander does not.
 CLOCK_SAMPLES = 2001
 # Where no noise density or variance is given: 1 mg in 100 Hz, 0.1 mm.
 USUAL_DENSITY, USUAL_VARIANCE = 1e-6, 1e-8

@@ -30,7 +30,7 @@ from midspan.papers.printed.filters import complement
 from midspan.papers.printed.integrate import integrating, weights
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 
-# Half the window: so many times the time constant 1/corner of matched noises, or periods of the cut-off (Lee and
+# Half the window: this many times the time constant 1/corner of matched noises, or periods of the cut-off (Lee and
 # others, 2010); as printed in the radar paper, s.
 CORNER_WINDOWS = 5.0
 CUT_OFF_PERIODS = 1.5

@@ -27,7 +27,7 @@ from midspan.vision.tracker import tracker_settings
 
 # Trackers that were made for pictures of 256 grey levels: their thresholds are in them.
 IN_GREY = ("features",)
-# So many frames are looked at in the window, and in the whole recording where that is dark.
+# This many frames are looked at in the window, and in the whole recording where that is dark.
 LOOKED_AT, SEARCHED = 16, 240
 MAX_DARK_SHARE = 0.2
 # A camera sees well where it is at least so bright beside its bright frames.

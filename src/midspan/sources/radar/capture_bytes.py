@@ -13,11 +13,11 @@ from midspan.sources.boundary import require_memory
 
 Bytes = NDArray[np.uint8]
 
-# A packet comes late by fewer than this; its count is compared with that of so many packets around it.
+# A packet comes late by fewer than this; its count is compared with that of this many packets around it.
 LATE_PACKETS, NEIGHBOURS = 64, 5
 # Of a capture with more of it absent nothing can be measured.
 MAX_ABSENT = 0.9
-# Headers are looked for in so many packets; so many of these may be damaged, and so many missing before them.
+# Headers are looked for in this many packets; this many of these may be damaged, and this many missing before them.
 HEADS_LOOKED_AT, HEADS_DAMAGED, MAX_FIRST_NUMBER = 16, 3, 1000
 # A capture is split into fewer files than this; a larger number is a date or the like.
 MOST_FILES = 1000

@@ -21,15 +21,15 @@ from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 256
 PROBED_FRAMES = 64
-# Zeros after the last frame are looked at up to so many bytes.
+# Zeros after the last frame are looked at up to this many bytes.
 MOST_PADDING = 1 << 24
-# Missing at the end up to so many frames, or this share, are not worth a warning: a capture is stopped by hand.
+# Missing at the end up to this many frames, or this share, are not worth a warning: a capture is stopped by hand.
 FEW_FRAMES, FEW_SHARE = 2, 0.01
 # Frames of another number of samples, receivers or chirps differ in size by a ratio of whole numbers up to this.
 SIMPLE_RATIO = 64
 # The share of samples at the limits of the ADC from which a capture is useless, and from which it is told.
 SATURATED, NEARLY_SATURATED = 0.01, 1e-5
-# Every so many groups of four words are looked at for a hole; a lost packet holds 182 of them.
+# Every this many groups of four words are looked at for a hole; a lost packet holds 182 of them.
 _STRIDE, _FEW = 8, 2
 _GROUP = 4
 

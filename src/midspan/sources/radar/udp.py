@@ -24,7 +24,7 @@ HOST_ADDRESS = "192.168.33.30"
 LOOPBACK = "127.0.0.1"
 # A count this far ahead of the last one is no gap: that is twice the silence after which a capture ends by default.
 MAX_GAP_S = 10.0
-# So many packets that follow each other make a position of the stream; damage hits single packets.
+# This many packets that follow each other make a position of the stream; damage hits single packets.
 CONFIRMING_PACKETS = 4
 MAX_EVENTS = 1000
 
