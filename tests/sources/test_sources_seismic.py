@@ -77,6 +77,18 @@ def test_sac_and_gse2_give_their_numbers_and_times(tmp_path: Path, kind: str, na
         accelerations(tmp_path / name)
 
 
+def test_a_damaged_sac_number_is_a_missing_sample_without_a_warning(tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    header = {"sampling_rate": RATE_HZ, "starttime": obspy.UTCDateTime(ns=START_NS)}
+    obspy.Trace(COUNTS.astype(np.float32), header).write(str(tmp_path / "a.sac"), format="SAC")
+    content = bytearray((tmp_path / "a.sac").read_bytes())
+    # A NaN that signals; the numbers follow a header of 632 bytes.
+    content[632 + 40 : 632 + 44] = np.uint32(0x7F800001).tobytes()
+    (tmp_path / "a.sac").write_bytes(content)
+    series = accelerations(tmp_path / "a.sac", unit="gal")
+    assert np.isfinite(series.value).sum() == COUNT - 1
+
+
 @pytest.mark.parametrize("sub_format", ["CM6", "INT"])
 def test_gse2_gives_every_sample_and_a_damaged_block_is_a_gap(tmp_path: Path, sub_format: str) -> None:
     obspy = pytest.importorskip("obspy")

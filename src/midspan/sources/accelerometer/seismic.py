@@ -291,7 +291,9 @@ def _read_obspy(path: Path, kind: str) -> ChannelSet:
 
 def _obspy_channel(name: str, traces: list[Any], kind: str, notes: list[str]) -> Channel:
     traces.sort(key=lambda trace: trace.stats.starttime.ns)
-    values = np.concatenate([np.asarray(trace.data, dtype=np.float64) for trace in traces])
+    # Numbers that are none, as a damaged file has, say so when they are converted.
+    with np.errstate(invalid="ignore"):
+        values = np.concatenate([np.asarray(trace.data, dtype=np.float64) for trace in traces])
     stats = traces[0].stats
     unit = None
     if kind == "KNET":
