@@ -80,6 +80,13 @@ impl Division {
         Self { down: edges(window.height, most, least), across: edges(window.width, most, least) }
     }
 
+    /// The same with inner edges across at even columns.
+    pub fn in_pairs(mut self) -> Self {
+        let last = self.across.len() - 1;
+        self.across[..last].iter_mut().for_each(|edge| *edge -= *edge % 2);
+        self
+    }
+
     /// The blocks, row after row.
     pub fn parts(&self) -> Vec<Part> {
         let rows = self.down.windows(2);

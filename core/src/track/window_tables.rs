@@ -7,7 +7,7 @@ use super::fine_spline::{Curvatures, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
 use super::kernels::phase_shift;
 use super::matrix::{Matrix, inverse};
-use super::vectors::{LANES, dot, vectorised};
+use super::vector::{WIDE_LANES as LANES, dot, vectorised};
 
 /// Kernels are whole numbers of 8 bits, a quarter of the memory that they are read from in each frame. What they respond to
 /// is computed from these: their rounding only costs precision, less than a thousandth of it.
@@ -205,7 +205,7 @@ vectorised! {
         for r in part.top..part.bottom {
             let (line, w) = (&plane.row(r)[part.left..part.right], &weight.row(r)[part.left..part.right]);
             total += f64::from(dot(line, w));
-            weights += f64::from(super::vectors::sum(w));
+            weights += f64::from(super::vector::sum(w));
         }
         let mean = (total / weights) as f32;
         out.clear();
@@ -296,7 +296,7 @@ impl Responding {
             accumulate(&self.kernels, &self.model, &mut self.sums);
         }
         let total = |edges: &[usize], k: usize, m: usize| {
-            f64::from(super::vectors::sum(&self.sums.row(m * SUMS + k)[edges[0]..edges[1]]))
+            f64::from(super::vector::sum(&self.sums.row(m * SUMS + k)[edges[0]..edges[1]]))
         };
         let of_block = |edges: &[usize]| std::array::from_fn(|k| std::array::from_fn(|m| total(edges, k, m)));
         self.across.windows(2).map(of_block).collect()
