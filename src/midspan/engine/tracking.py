@@ -115,7 +115,7 @@ class TargetTracking:
         self._columns.append(*_track_row(found), found.strength, *reference, UNSEEN.index(found.unseen))
         self._track = None
 
-    def track(self, frames: Sequence[Frame]) -> None:
+    def push_all(self, frames: Sequence[Frame]) -> None:
         """Keep what is found in frames, without predictions."""
         done = 0
         while done < len(frames):
@@ -297,7 +297,7 @@ class CameraTracking:
     def push_block(self, frames: Sequence[Frame]) -> None:
         """Track the frames that were taken, without predictions; what is found is kept."""
         for target in self.targets:
-            target.track(frames)
+            target.push_all(frames)
         self.done += len(frames)
 
     def take(self) -> Frame | None:
