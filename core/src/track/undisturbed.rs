@@ -66,7 +66,7 @@ type BlockSums = Vec<[f64; SUMS]>;
 impl Undisturbed {
     /// Tables for `held` phases at most.
     pub fn new(plane: &Plane, held: usize) -> Self {
-        let division = Division::new(&plane.window, DIVISION.0, DIVISION.1).in_pairs();
+        let division = Division::new(&plane.window, DIVISION.0, DIVISION.1).in_eights();
         let parts = division.parts();
         Self {
             centres: parts.iter().map(|part| division.centre(part)).collect(),
