@@ -22,3 +22,5 @@ need_cargo
 what="${1:+[$1]}"
 PIP_CONSTRAINT="$(pwd)/constraints.txt $(pwd)/constraints-dev.txt" "$venv/bin/python" -m pip install --quiet \
     --disable-pip-version-check --constraint constraints.txt --constraint constraints-dev.txt -e ".$what"
+# As pip does for what it installs: a command need not compile its own sources first, wherever Python may not keep that.
+"$venv/bin/python" -m compileall -q src/midspan

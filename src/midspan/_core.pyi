@@ -1,9 +1,11 @@
 """The numeric core; see core/src."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats, PixelTranslation, Prediction
+from midspan.records import Floats, Frame, PixelTranslation, Prediction
 
 Floats32 = NDArray[np.float32]
 
@@ -315,6 +317,7 @@ class TargetChain:
         time_ns: int,
         prediction: Prediction | None = None,
     ) -> Row | None: ...
+    def track_all(self, tracker: Registration, frames: Sequence[Frame]) -> bytes: ...
     def push(self, pixels: NDArray[np.generic], time_ns: int, found: PixelTranslation) -> Row: ...
     def dark(self, pixels: NDArray[np.generic], time_ns: int) -> Row | None: ...
     @property

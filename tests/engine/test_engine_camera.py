@@ -12,6 +12,7 @@ from lens_cases import ideal_translation
 from midspan._core import LIGHT_PX, TEMPLATE_NOISE
 from midspan.engine.camera import WARM_UP_FRAMES, CameraChain, ChainSettings, Target
 from midspan.engine.target_opening import Opening
+from midspan.engine.tracking import TargetTracking
 from midspan.errors import DataError
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
@@ -279,3 +280,21 @@ def test_a_state_does_not_grow():
             sizes.append(len(pickle.dumps(chain.state)))
     # Counters and stamps take a few bytes more.
     assert abs(sizes[1] - sizes[0]) < 100
+
+
+@pytest.mark.parametrize("tracker", ["registration", "template"])
+def test_frames_in_blocks_give_the_rows_of_frames_one_by_one(tracker):
+    path = np.concatenate((PATH, PATH[::-1], np.full(20, 15.0), PATH[:20]))
+    frames = film(path=path, lens_px=0.8)
+    # A dark frame, one that only repeats the one before, and one in which the target has jumped by 15 px.
+    frames[100] = replace(frames[100], pixels=np.zeros(SHAPE, dtype=np.uint8))
+    frames[103] = replace(frames[103], pixels=frames[102].pixels)
+    one_by_one = opened(frames, tracker=tracker)
+    rows = [one_by_one.push(frame) for frame in frames]
+    in_blocks = [TargetTracking(chain) for chain in opened(frames, tracker=tracker).targets]
+    for cut in range(0, len(frames), 17):
+        for target in in_blocks:
+            target.push_all(frames[cut : cut + 17])
+    for number, target in enumerate(in_blocks):
+        for k, row in enumerate(rows):
+            assert repr(target.translation(k)) == repr(row[number])

@@ -14,7 +14,7 @@ use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_varian
 use super::run::{Block, Filter};
 use super::samples::{BRIDGED, View};
 use super::way_back::WayBack;
-use crate::track::vectors::vectorised;
+use crate::track::vector::vectorised;
 
 /// Where rows and nodes go.
 pub struct Leave<'a> {

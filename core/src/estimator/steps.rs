@@ -18,7 +18,7 @@ use super::model::{ChannelModel, Model};
 use super::row::Row;
 use super::settings::Rates;
 use super::situation::met_within;
-use crate::track::vectors::vectorised;
+use crate::track::vector::vectorised;
 use serde::{Deserialize, Serialize};
 
 /// Instants at which a step may have begun, of each sensor along each axis.

@@ -1,12 +1,11 @@
 //! A target's chain for Python: one call takes a frame from its pixels to the target's row.
 
-use super::arrays;
 use super::estimator::state_error;
 use super::lens::LensModel;
 use super::pixels::{Corners, Pixels, region, with_image};
 use super::registration::{PyPrediction, PyRegistration};
 use crate::estimator::state::{StateError, from_bytes, to_bytes};
-use crate::track::chain::{Chain, Row, Shutter};
+use crate::track::chain::{Chain, Row, Seen, Shutter};
 use crate::track::codec::Compression;
 use crate::track::counts::AxisCounts;
 use crate::track::motion::Prediction;
@@ -81,6 +80,26 @@ impl TryFrom<PyTranslation> for Translation {
     }
 }
 
+/// A Python `Frame`.
+#[derive(FromPyObject)]
+struct PyFrame<'py> {
+    pixels: Bound<'py, PyAny>,
+    time_ns: i64,
+}
+
+/// Of a row that is packed.
+const PACKED_BYTES: usize = 74;
+
+/// A row's numbers one after another, as they lie in memory.
+fn pack(row: PyRow, out: &mut Vec<u8>) {
+    let (time_ns, x, y, own_x, own_y, quality, status, strength, more_x, more_y, unseen) = row;
+    out.extend(time_ns.to_ne_bytes());
+    [x, y, own_x, own_y, quality].iter().for_each(|value| out.extend(value.to_ne_bytes()));
+    out.push(status);
+    [strength, more_x, more_y].iter().for_each(|value| out.extend(value.to_ne_bytes()));
+    out.push(unseen);
+}
+
 fn leaves() -> PyErr {
     PyValueError::new_err("pixels: the region is not inside the image")
 }
@@ -88,6 +107,31 @@ fn leaves() -> PyErr {
 /// See [`Chain`].
 #[pyclass(module = "midspan._core")]
 struct TargetChain(Chain);
+
+impl TargetChain {
+    /// See [`Chain::track`]; None where the target must be searched for.
+    fn tracked(
+        &mut self,
+        py: Python<'_>,
+        tracker: &mut PyRegistration,
+        pixels: &Bound<'_, PyAny>,
+        time_ns: i64,
+        prediction: Option<Prediction>,
+    ) -> PyResult<Option<Row>> {
+        let chain = &mut self.0;
+        with_image!(Pixels::of(pixels)?, image => {
+            tracker.check_size(image)?;
+            let own = &mut tracker.own;
+            let (row, candidate) = match py.detach(|| chain.track(own, image, time_ns, prediction)) {
+                Seen::Row(row) => (Some(row), None),
+                Seen::Search(candidate) => (None, candidate),
+                Seen::Outside => return Err(leaves()),
+            };
+            tracker.candidate = candidate;
+            Ok(row)
+        })
+    }
+}
 
 #[pymethods]
 impl TargetChain {
@@ -128,18 +172,23 @@ impl TargetChain {
         time_ns: i64,
         prediction: Option<PyPrediction>,
     ) -> PyResult<Option<PyRow>> {
-        let chain = &mut self.0;
-        with_image!(Pixels::of(pixels)?, image => {
-            if chain.watch.is_dark(image) {
-                tracker.own.learnable = false;
-                return Ok(Some(py_row(&chain.dark(time_ns))));
-            }
-            let prediction = chain.shown(prediction.map(Prediction::from));
-            let found = tracker.tracked(py, &arrays::Image::new(pixels)?, time_ns, prediction)?;
-            let Some(found) = found else { return Ok(None) };
-            let row = py.detach(|| chain.push(image, time_ns, found));
-            row.map(|row| Some(py_row(&row))).ok_or_else(leaves)
-        })
+        let row = self.tracked(py, &mut tracker, pixels, time_ns, prediction.map(Prediction::from))?;
+        Ok(row.as_ref().map(py_row))
+    }
+
+    /// The rows of frames up to one in which the target must be searched for, each packed as `=qdddddBdddB`.
+    fn track_all<'py>(
+        &mut self,
+        py: Python<'py>,
+        mut tracker: PyRefMut<'py, PyRegistration>,
+        frames: Vec<PyFrame<'py>>,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let mut packed = Vec::with_capacity(frames.len() * PACKED_BYTES);
+        for PyFrame { pixels, time_ns } in &frames {
+            let Some(row) = self.tracked(py, &mut tracker, pixels, *time_ns, None)? else { break };
+            pack(py_row(&row), &mut packed);
+        }
+        Ok(PyBytes::new(py, &packed))
     }
 
     /// The row of a frame with what a tracker found in it.

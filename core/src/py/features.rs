@@ -72,8 +72,7 @@ fn blobs_of<T: Pixel>(
 ) -> PyResult<Option<Vec<(Blob, Descriptor)>>> {
     let part = cut("place", image, region("place", place)?)?;
     let Some(values) = patch::values(&part, offset) else { return Ok(None) };
-    // As many values as rows times columns.
-    let pixels = doubled(&Image::new(&values, part.rows, part.columns, part.columns).unwrap());
+    let pixels = doubled(&Image::from(&values));
     let (rows, columns) = (doubled_side(part.rows), doubled_side(part.columns));
     let mut found = surf::detect(&Image::new(&pixels, rows, columns, columns).unwrap(), settings);
     for (blob, _) in &mut found {

@@ -112,8 +112,7 @@ impl PhaseTarget {
     fn responses<T: Pixel>(&self, image: &Image<'_, T>, x: i64, y: i64) -> Option<[Responses; 2]> {
         let part = image.cut(self.region.moved(x, y, MARGIN_PX))?;
         let values = patch::values(&part, self.offset)?;
-        let patch = Image::new(&values, part.rows, part.columns, part.columns)?;
-        Some([Axis::X, Axis::Y].map(|axis| steerable::responses(&patch, axis, &self.taps)))
+        Some([Axis::X, Axis::Y].map(|axis| steerable::responses(&Image::from(&values), axis, &self.taps)))
     }
 
     /// About a whole-pixel place that is moved once more while the residual is large: the gain holds for small ones only.

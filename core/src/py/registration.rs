@@ -1,14 +1,16 @@
 //! The registration tracker for Python.
 
-use super::arrays::{Image, array, grid, with_pixels};
+use super::arrays::{array, grid};
 use super::chain::{PyRow, py_row};
 use super::elements;
+use super::pixels::{Pixels, with_image};
 use super::track::PyTemplate;
 use crate::track::bank::Plane;
 use crate::track::chain::Row;
 use crate::track::correlation::smooth;
 use crate::track::fine_spline::{BEYOND, PER_PX};
 use crate::track::grid::Grid;
+use crate::track::image::{Image, Pixel};
 use crate::track::learning::{self, PAD_PX, Sample, Samples};
 use crate::track::motion::{Motion, Prediction};
 use crate::track::registration::{Registration, Settings};
@@ -100,25 +102,27 @@ pub struct PyRegistration {
     /// The tracker.
     pub own: Tracker,
     /// What the last look that was not enough found.
-    candidate: Option<Fix>,
+    pub candidate: Option<Fix>,
 }
 
 impl PyRegistration {
+    /// ValueError for a frame of another size than the reference's.
+    pub fn check_size<T: Pixel>(&self, image: &Image<'_, T>) -> PyResult<()> {
+        let fits = [image.rows, image.columns] == self.own.given().shape;
+        if fits { Ok(()) } else { Err(PyValueError::new_err("pixels: not of the reference's size")) }
+    }
+
     /// See [`Tracker::track`]; None where the target must be searched for. ValueError for a frame of another size.
-    pub fn tracked(
+    fn tracked<T: Pixel>(
         &mut self,
         py: Python<'_>,
-        image: &Image<'_>,
+        image: &Image<'_, T>,
         time_ns: i64,
         prediction: Option<Prediction>,
     ) -> PyResult<Option<Translation>> {
+        self.check_size(image)?;
         let own = &mut self.own;
-        let look = with_pixels!(image, pixels => {
-            if [pixels.rows, pixels.columns] != own.given().shape {
-                return Err(PyValueError::new_err("pixels: not of the reference's size"));
-            }
-            py.detach(|| own.track(pixels, time_ns, prediction))
-        });
+        let look = py.detach(|| own.track(*image, time_ns, prediction));
         let (found, candidate) = match look {
             Look::Known(found) => (Some(found), None),
             Look::Search(candidate) => (None, candidate),
@@ -198,7 +202,8 @@ impl PyRegistration {
         time_ns: i64,
         prediction: Option<PyPrediction>,
     ) -> PyResult<Option<PyRow>> {
-        let found = self.tracked(py, &Image::new(pixels)?, time_ns, prediction.map(Prediction::from))?;
+        let prediction = prediction.map(Prediction::from);
+        let found = with_image!(Pixels::of(pixels)?, image => self.tracked(py, image, time_ns, prediction)?);
         Ok(found.map(|translation| py_row(&Row { time_ns, translation, unseen: None })))
     }
 
@@ -210,8 +215,8 @@ impl PyRegistration {
 
     /// See [`Tracker::look`].
     fn look(&mut self, py: Python<'_>, pixels: &Bound<'_, PyAny>, place: [f64; 2]) -> PyResult<Option<PyPose>> {
-        let (image, own) = (Image::new(pixels)?, &mut self.own);
-        let fix = with_pixels!(&image, pixels => py.detach(|| own.look(pixels, place)));
+        let (image, own) = (Pixels::of(pixels)?, &mut self.own);
+        let fix = with_image!(image, pixels => py.detach(|| own.look(*pixels, place)));
         Ok(fix.map(PyPose::from))
     }
 

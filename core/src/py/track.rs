@@ -1,9 +1,11 @@
 //! `track` for Python: splines, correlation, the template.
 
-use super::arrays::{Image, array, grid, with_pixels};
+use super::arrays::{array, grid};
+use super::pixels::{Pixels, with_image};
 use super::{elements, pairs, same_length};
 use crate::track::fine_spline::{Fine, Taps};
 use crate::track::grid::Grid;
+use crate::track::patch::values;
 use crate::track::peak::Precision;
 use crate::track::spline::{self, TAPS};
 use crate::track::template::{Fix, Template, Window};
@@ -177,17 +179,16 @@ fn shrink<'py>(py: Python<'py>, patch: PyReadonlyArray2<'py, f32>, factor: usize
 }
 
 /// The pixels of an image (rows, columns) less a level; None where more than 2 % of them are not numbers. See
-/// [`crate::track::pixels::Pixels::values`].
+/// [`crate::track::patch::values`].
 #[pyfunction]
 fn pixel_values<'py>(
     py: Python<'py>,
     pixels: &Bound<'py, PyAny>,
     level: f64,
 ) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
-    let image = Image::new(pixels)?;
-    let values = with_pixels!(&image, pixels => {
-        let whole = pixels.whole();
-        py.detach(|| pixels.values(whole, level))
+    let image = Pixels::of(pixels)?;
+    let values = with_image!(image, pixels => {
+        py.detach(|| values(pixels, level))
     });
     values.map(|grid| array(py, grid)).transpose()
 }
@@ -306,9 +307,9 @@ impl PyTemplate {
         place: [i64; 2],
         radius: [i64; 2],
     ) -> PyResult<Option<PyFix>> {
-        let image = Image::new(pixels)?;
+        let image = Pixels::of(pixels)?;
         let template = &self.0;
-        let fix = with_pixels!(&image, pixels => py.detach(|| template.near(&pixels, level, place, radius)));
+        let fix = with_image!(image, pixels => py.detach(|| template.near(pixels, level, place, radius)));
         Ok(fix.map(PyFix))
     }
 
@@ -320,8 +321,8 @@ impl PyTemplate {
         level: f64,
         place: [i64; 2],
     ) -> PyResult<Option<PyFix>> {
-        let (image, template) = (Image::new(pixels)?, &self.0);
-        let fix = with_pixels!(&image, pixels => py.detach(|| template.peak_at(&pixels, level, place)));
+        let (image, template) = (Pixels::of(pixels)?, &self.0);
+        let fix = with_image!(image, pixels => py.detach(|| template.peak_at(pixels, level, place)));
         Ok(fix.map(PyFix))
     }
 }

@@ -80,6 +80,14 @@ impl Division {
         Self { down: edges(window.height, most, least), across: edges(window.width, most, least) }
     }
 
+    /// The same with inner edges across at multiples of 8, or fewer blocks: numbers are taken by eights.
+    pub fn in_eights(mut self) -> Self {
+        let last = self.across.len() - 1;
+        self.across[..last].iter_mut().for_each(|edge| *edge = (*edge + 4) / 8 * 8);
+        self.across.dedup();
+        self
+    }
+
     /// The blocks, row after row.
     pub fn parts(&self) -> Vec<Part> {
         let rows = self.down.windows(2);

@@ -4,6 +4,7 @@ use super::image::{Image, Region};
 use super::kept::Storable;
 use super::lens::Lens;
 use super::motion::Prediction;
+use super::tracker::{Fix, Look, Tracker};
 use super::watch::{LOST, Status, Translation, Unseen, Watch};
 
 const NANOSECONDS: f64 = 1e9;
@@ -97,6 +98,16 @@ pub struct Row {
     pub unseen: Option<Unseen>,
 }
 
+/// What a frame gives.
+pub enum Seen {
+    /// The target's row.
+    Row(Row),
+    /// The target must be searched for; the frame is not taken.
+    Search(Option<Fix>),
+    /// The region leaves the image.
+    Outside,
+}
+
 /// All that happens to a target's translation besides its tracker.
 pub struct Chain {
     /// What the picture says of it.
@@ -125,6 +136,24 @@ impl Chain {
     /// How long after the reference frame's stamp the row of the target's middle was read out, ns.
     pub fn first_late_ns(&self) -> i64 {
         self.shutter.late_ns(self.middle)
+    }
+
+    /// The row of a frame that goes through the tracker as well. `prediction`: in px of the ideal camera.
+    pub fn track<T: Storable>(
+        &mut self,
+        tracker: &mut Tracker,
+        image: &Image<'_, T>,
+        time_ns: i64,
+        prediction: Option<Prediction>,
+    ) -> Seen {
+        if self.watch.is_dark(image) {
+            tracker.learnable = false;
+            return Seen::Row(self.dark(time_ns));
+        }
+        match tracker.track(*image, time_ns, self.shown(prediction)) {
+            Look::Known(found) => self.push(image, time_ns, found).map_or(Seen::Outside, Seen::Row),
+            Look::Search(candidate) => Seen::Search(candidate),
+        }
     }
 
     /// The row of a frame with what a tracker found in it; None where the region leaves the image.

@@ -3,9 +3,10 @@
 use super::bank::{Bank, Plane};
 use super::blocks::{PoseValue, Shown, fuse, gains};
 use super::grid::Part;
+use super::image::{Image, Pixel};
 use super::kernels::{PHASES, Quantised};
 use super::matrix::{Matrix, median, scaled_sum};
-use super::pixels::{Pixel, Pixels, less_level};
+use super::patch::less_offset;
 
 const MAX_PASSES: usize = 8;
 /// A block this near to its kernels' phase needs no other; the play stops circles.
@@ -82,7 +83,7 @@ struct Products {
 /// A frame, less its level, compared with a template whose window begins at the pixel `origin` (x, y) of an image at rest.
 pub struct View<'a, T> {
     /// The frame.
-    pub image: Pixels<'a, T>,
+    pub image: Image<'a, T>,
     /// Subtracted from it.
     pub level: f64,
     /// Column and row of the window.
@@ -99,7 +100,7 @@ impl<T: Pixel> View<'_, T> {
         }
         pixels.resize(part.size(), 0.0);
         for (row, pixels) in (top..bottom).zip(pixels.chunks_exact_mut(part.columns())) {
-            less_level(self.image.line(row as usize, left as usize, right as usize), self.level, pixels);
+            less_offset(self.image.line(row as usize, left as usize, right as usize), self.level, pixels);
         }
         true
     }

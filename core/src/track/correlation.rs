@@ -1,7 +1,7 @@
 //! Zero-mean normalised cross-correlation (ZNCC) of a template with every window of a patch, and the filters before it.
 
 use super::grid::Grid;
-use super::vectors::{vectorised, weighted};
+use super::vector::{vectorised, weighted};
 
 /// How many adjacent positions are summed at once.
 const ACROSS: usize = 8;
@@ -89,7 +89,7 @@ fn rows_of_products<const N: usize>(wide: &Grid, template: &Grid, y: usize, out:
 fn adjacent<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N] {
     let lines = lines.map(|line| &line[..row.len() + ACROSS - 1]);
     #[cfg(target_arch = "x86_64")]
-    if super::vectors::wide() {
+    if super::vector::is_wide() {
         // SAFETY: the processor has AVX2, and each line holds eight values from each of the row's places on.
         return unsafe { beside_wide(row, lines) };
     }
@@ -188,7 +188,7 @@ pub fn shrink(patch: &Grid, factor: usize) -> Grid {
 
 #[cfg(test)]
 mod tests {
-    use super::super::vectors::both_ways;
+    use super::super::vector::on_both;
     use super::*;
 
     fn texture(rows: usize, columns: usize) -> Grid {
@@ -207,8 +207,7 @@ mod tests {
         (0..41).for_each(|r| patch.row_mut(r)[30..].fill(0.5));
         let part = super::super::grid::Part { top: 13, bottom: 27, left: 5, right: 12 };
         let template = centred(&patch.part(part));
-        let [map, portable] = both_ways(|| zncc_map(&patch, &template));
-        assert_eq!(map, portable);
+        let map = on_both(|| zncc_map(&patch, &template));
         assert_eq!((map.rows, map.columns), (28, 32));
         assert!((map.row(13)[5] - 1.0).abs() < 1e-6);
         assert!(map.values.iter().all(|value| value.abs() < 1.0 + 1e-6));

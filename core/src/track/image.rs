@@ -1,5 +1,7 @@
 //! Images as they lie in memory: rows of pixels at any distance from each other, and parts of them without a copy.
 
+use super::grid::{Grid, Part};
+use super::products::Factor;
 use std::ops::{Add, Mul, Sub};
 
 /// A number that pixels are computed with.
@@ -43,10 +45,16 @@ pub trait Pixel: Copy + PartialEq + PartialOrd + Send + Sync {
     fn level(self) -> Self::Level;
     /// Less an offset, in the precision that it has: a small contrast on a large level must not be lost.
     fn less(self, offset: f64) -> f32;
+    /// Whether it has a value.
+    fn is_finite(self) -> bool;
+    /// What it is multiplied with kernels as.
+    type Factor: Factor;
+    /// Less an offset; a byte less the nearest whole one.
+    fn factor(self, offset: f64) -> Self::Factor;
 }
 
 macro_rules! pixel {
-    ($($kind:ty, $level:ty, $scale:expr, |$value:ident, $offset:ident| $less:expr;)*) => {
+    ($($kind:ty, $level:ty, $scale:expr, |$value:ident, $offset:ident| $less:expr, $factor:ty, $of:expr, $finite:expr;)*) => {
         $(impl Pixel for $kind {
             type Level = $level;
             const FULL_SCALE: Option<f64> = $scale;
@@ -59,17 +67,27 @@ macro_rules! pixel {
                 let $value = self;
                 $less
             }
+            #[inline(always)]
+            fn is_finite(self) -> bool {
+                $finite(&self)
+            }
+            type Factor = $factor;
+            #[inline(always)]
+            fn factor(self, offset: f64) -> $factor {
+                $of(self, offset)
+            }
         })*
     };
 }
 pixel! {
-    u8, i32, Some(255.0), |value, offset| f32::from(value) - offset as f32;
-    u16, i64, Some(1023.0), |value, offset| f32::from(value) - offset as f32;
-    i16, i64, Some(1023.0), |value, offset| f32::from(value) - offset as f32;
-    i32, f64, Some(1023.0), |value, offset| (f64::from(value) - offset) as f32;
-    i64, f64, Some(1023.0), |value, offset| (value as f64 - offset) as f32;
-    f32, f64, None, |value, offset| (f64::from(value) - offset) as f32;
-    f64, f64, None, |value, offset| (value - offset) as f32;
+    u8, i32, Some(255.0), |value, offset| f32::from(value) - offset as f32, i16,
+        |byte: u8, offset: f64| i16::from(byte) - offset.round() as i16, |_| true;
+    u16, i64, Some(1023.0), |value, offset| f32::from(value) - offset as f32, f32, Self::less, |_| true;
+    i16, i64, Some(1023.0), |value, offset| f32::from(value) - offset as f32, f32, Self::less, |_| true;
+    i32, f64, Some(1023.0), |value, offset| (f64::from(value) - offset) as f32, f32, Self::less, |_| true;
+    i64, f64, Some(1023.0), |value, offset| (value as f64 - offset) as f32, f32, Self::less, |_| true;
+    f32, f64, None, |value, offset| (f64::from(value) - offset) as f32, f32, Self::less, |value: &f32| value.is_finite();
+    f64, f64, None, |value, offset| (value - offset) as f32, f32, Self::less, |value: &f64| value.is_finite();
 }
 
 /// A place in an image, or a part of one: first column and row, and how many of each.
@@ -137,6 +155,18 @@ impl<'a, T: Copy> Image<'a, T> {
         &self.pixels[row * self.stride..][..self.columns]
     }
 
+    /// Columns from `left` to before `right` of a row.
+    #[inline(always)]
+    pub fn line(&self, row: usize, left: usize, right: usize) -> &'a [T] {
+        &self.row(row)[left..right]
+    }
+
+    /// A part, which is inside.
+    pub fn part(&self, part: Part) -> Self {
+        let pixels = &self.pixels[part.top * self.stride + part.left..];
+        Self { pixels, rows: part.rows(), columns: part.columns(), stride: self.stride }
+    }
+
     /// The part of the image in a region; None where that is not wholly inside.
     pub fn cut(&self, region: Region) -> Option<Self> {
         let (x, y) = (usize::try_from(region.x).ok()?, usize::try_from(region.y).ok()?);
@@ -151,6 +181,21 @@ impl<'a, T: Copy> Image<'a, T> {
     /// One in `step` rows.
     pub fn thinned(&self, step: usize) -> Self {
         Self { rows: self.rows.div_ceil(step), stride: self.stride * step, ..*self }
+    }
+}
+
+impl<T: Pixel> Image<'_, T> {
+    /// Whether all pixels have a value.
+    pub fn all_finite(&self) -> bool {
+        // Without a question at each pixel the processor takes several at once.
+        let row_is = |r: usize| self.row(r).iter().fold(true, |all, pixel| all & pixel.is_finite());
+        T::FULL_SCALE.is_some() || (0..self.rows).all(row_is)
+    }
+}
+
+impl<'a> From<&'a Grid> for Image<'a, f32> {
+    fn from(grid: &'a Grid) -> Self {
+        Self { pixels: &grid.values, rows: grid.rows, columns: grid.columns, stride: grid.columns }
     }
 }
 

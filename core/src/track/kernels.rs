@@ -11,7 +11,7 @@
 use super::fine_spline::{Curvatures, Fine, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
 use super::matrix::{Matrix, inverse_with_pivots};
-use super::vectors::vectorised;
+use super::vector::vectorised;
 
 /// A pixel, along each axis: the third order over 1/16 px leaves an error of the order of 4e-5 px.
 pub const PHASES: i64 = 8;
@@ -223,18 +223,18 @@ impl Halves {
 vectorised! {
     /// Sum of products.
     fn halves_product(kernel: &[i16], pixels: &[f32]) -> f32 {
-        let mut lanes = [0.0f32; super::vectors::LANES];
-        let (blocks, others) = (kernel.chunks_exact(super::vectors::LANES), pixels.chunks_exact(super::vectors::LANES));
+        let mut lanes = [0.0f32; super::vector::WIDE_LANES];
+        let (blocks, others) = (kernel.chunks_exact(super::vector::WIDE_LANES), pixels.chunks_exact(super::vector::WIDE_LANES));
         let (rest, rest_of_other) = (blocks.remainder(), others.remainder());
         for (a, b) in blocks.zip(others) {
-            for k in 0..super::vectors::LANES {
+            for k in 0..super::vector::WIDE_LANES {
                 lanes[k] += f32::from(a[k]) * b[k];
             }
         }
         for (lane, (a, b)) in lanes.iter_mut().zip(rest.iter().zip(rest_of_other)) {
             *lane += f32::from(*a) * b;
         }
-        super::vectors::gathered(lanes)
+        super::vector::gathered(lanes)
     }
 }
 

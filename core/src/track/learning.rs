@@ -9,7 +9,7 @@
 use super::fine_spline::{Fine, Spreading, Taps, read_into, slopes, spread_into};
 use super::grid::{Grid, Part};
 use super::matrix::{Matrix, inverse_with_pivots, times};
-use super::vectors::{dot, vectorised};
+use super::vector::{dot, vectorised};
 
 /// Around the window: what low-pass and spline reach for.
 pub const PAD_PX: usize = 8;

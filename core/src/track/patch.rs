@@ -1,5 +1,6 @@
 //! A patch of an image as numbers: its pixels less an offset, those without a value bridged by their neighbours.
 
+use super::grid::Grid;
 use super::image::{Image, Pixel};
 use super::vector::vectorised;
 
@@ -9,31 +10,36 @@ const BAD_SHARE: f64 = 0.02;
 /// The pixels less an offset, row by row; None where more than 2 % of them are not numbers.
 ///
 /// The offset goes first, in full precision: 32 bits alone would lose a small contrast on a large level.
-pub fn values<T: Pixel>(image: &Image<'_, T>, offset: f64) -> Option<Vec<f32>> {
-    let mut values = shifted(image, offset);
-    if T::FULL_SCALE.is_some() {
-        return Some(values);
+pub fn values<T: Pixel>(image: &Image<'_, T>, offset: f64) -> Option<Grid> {
+    let mut grid = Grid { values: shifted(image, offset), rows: image.rows, columns: image.columns };
+    if T::FULL_SCALE.is_none() {
+        let bad = grid.values.iter().filter(|value| !value.is_finite()).count();
+        if bad as f64 > BAD_SHARE * grid.values.len() as f64 {
+            return None;
+        }
+        if bad > 0 {
+            fill(&mut grid.values, image.columns);
+        }
     }
-    let bad = values.iter().filter(|value| !value.is_finite()).count();
-    if bad as f64 > BAD_SHARE * values.len() as f64 {
-        return None;
-    }
-    if bad > 0 {
-        fill(&mut values, image.columns);
-    }
-    Some(values)
+    Some(grid)
 }
 
 vectorised! {
 fn shifted<T: Pixel>(image: &Image<'_, T>, offset: f64) -> Vec<f32> {
     let mut values = vec![0f32; image.rows * image.columns];
     for (r, row) in values.chunks_exact_mut(image.columns.max(1)).enumerate() {
-        for (value, pixel) in row.iter_mut().zip(image.row(r)) {
-            *value = pixel.less(offset);
-        }
+        less_offset(image.row(r), offset, row);
     }
     values
 }
+}
+
+/// Fill `out` with pixels less an offset.
+#[inline(always)]
+pub fn less_offset<T: Pixel>(pixels: &[T], offset: f64, out: &mut [f32]) {
+    for (out, pixel) in out.iter_mut().zip(pixels) {
+        *out = pixel.less(offset);
+    }
 }
 
 /// Replaces what is not finite by the mean of its neighbours that are, ring by ring.
@@ -79,7 +85,7 @@ mod tests {
             pixels[k] = f64::NAN;
         }
         let image = Image::new(&pixels, 20, 20, 20).unwrap();
-        let found = on_both(|| values(&image, 1e6)).unwrap();
+        let found = on_both(|| values(&image, 1e6)).unwrap().values;
         assert_eq!(found[..20], (0..20).map(|k| k as f32).collect::<Vec<_>>());
         // Of the five known neighbours of the corner three lie in column 4 and one each in columns 5 and 6.
         assert_eq!(found[105], (3.0 * 4.0 + 5.0 + 6.0) / 5.0);

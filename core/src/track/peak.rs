@@ -7,7 +7,7 @@
 use super::correlation::products;
 use super::grid::{Grid, Part};
 use super::spline::{TAPS, translated, weights};
-use super::vectors::{dot, sum, vectorised};
+use super::vector::{dot, sum, vectorised};
 
 /// Blocks a side that the residual is watched in.
 pub const BLOCKS: usize = 4;

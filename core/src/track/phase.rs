@@ -7,7 +7,7 @@
 
 use super::phase_axis::{AxisModel, Phases, Weights, phases, take_errors};
 use super::steerable::Responses;
-use super::vector::dot;
+use super::vector::dot_f64;
 
 const ROUNDS: usize = 3;
 const CHECKS: usize = 3;
@@ -62,7 +62,7 @@ pub fn measure_printed(axes: [&AxisModel; 2], ratios: [f64; 2], now: [&Responses
     }
     let phases = [0, 1].map(|k| phases(axes[k], now[k]));
     let every = axes.map(|axis| &axis.weights);
-    let shift = [0, 1].map(|k| ratios[k] * dot(&every[k].each, &phases[k].change));
+    let shift = [0, 1].map(|k| ratios[k] * dot_f64(&every[k].each, &phases[k].change));
     let solution = Solution::at(axes, &phases, shift, [[0.0; 2]; 2]);
     let of_phase = solution.variances(axes, every);
     let variance = [0, 1].map(|k| ratios[k] * ratios[k] * of_phase[k]);
@@ -93,7 +93,7 @@ impl Solution {
             shift = shift.map(|value| f64::from(value as f32));
             let mean = [0, 1].map(|k: usize| {
                 take_errors(axes[k], &phases[k].change, shift, &mut errors[k]);
-                dot(&weights[k].each, &errors[k])
+                dot_f64(&weights[k].each, &errors[k])
             });
             shift = [0, 1].map(|k: usize| shift[k] + inverse[k][0] * mean[0] + inverse[k][1] * mean[1]);
         }

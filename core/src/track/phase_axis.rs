@@ -5,7 +5,7 @@
 use super::angles::{angle, cosine};
 use super::picture_noise::median;
 use super::steerable::Responses;
-use super::vector::{dot, total, vectorised};
+use super::vector::{dot_f64, sum_f64, vectorised};
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// The residual is watched in 4 by 4 blocks.
@@ -121,8 +121,8 @@ impl AxisModel {
     }
 
     fn weighted(&self, each: Vec<f32>, sensitivity: f64) -> Weights {
-        let of_blocks = std::array::from_fn(|block| total(&each[self.edges[block]..self.edges[block + 1]]));
-        let slope = [0, 1].map(|axis: usize| dot(&each, &self.slope[axis]));
+        let of_blocks = std::array::from_fn(|block| sum_f64(&each[self.edges[block]..self.edges[block + 1]]));
+        let slope = [0, 1].map(|axis: usize| dot_f64(&each, &self.slope[axis]));
         Weights { each, of_blocks, slope, sensitivity }
     }
 
@@ -135,7 +135,7 @@ impl AxisModel {
     /// none are, or where most of the weight would go.
     pub fn agreeing(&self, error: &[f32], noise: f64) -> Option<Weights> {
         let mut each = agreeing(&self.weights.each, error, &self.unit, (MOST_SIGMA * MOST_SIGMA * noise) as f32);
-        let share = total(&each);
+        let share = sum_f64(&each);
         (LEAST_AGREEING..NEARLY_ALL).contains(&share).then(|| {
             each.iter_mut().for_each(|weight| *weight = (f64::from(*weight) / share) as f32);
             self.weighted(each, self.weights.sensitivity / share)
@@ -151,7 +151,7 @@ impl AxisModel {
             .filter(|&block| weights.of_blocks[block] > 0.0)
             .map(|block| {
                 let part = self.edges[block]..self.edges[block + 1];
-                [dot(&weights.each[part.clone()], &error[part]), weights.of_blocks[block]]
+                [dot_f64(&weights.each[part.clone()], &error[part]), weights.of_blocks[block]]
             })
             .collect();
         if parts.len() < LEAST_BLOCKS {
@@ -169,7 +169,7 @@ impl AxisModel {
     /// Correlation of the responses once the translation is taken out: 1 for a perfect match.
     pub fn coherence(&self, phases: &Phases, error: &[f32]) -> f64 {
         let both = correlations(&phases.power, &self.even, &self.odd, error);
-        both / (total(&phases.power) * self.reference_power).max(1e-300).sqrt()
+        both / (sum_f64(&phases.power) * self.reference_power).max(1e-300).sqrt()
     }
 }
 
@@ -248,6 +248,6 @@ fn correlations(power: &[f32], even: &[f32], odd: &[f32], error: &[f32]) -> f64 
     for ((((each, a), even), odd), &e) in each.iter_mut().zip(power).zip(even).zip(odd).zip(error) {
         *each = (a * (even * even + odd * odd)).sqrt() * cosine(e);
     }
-    total(&each)
+    sum_f64(&each)
 }
 }

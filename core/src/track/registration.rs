@@ -9,9 +9,9 @@ use super::bank::{Bank, Plane};
 use super::blocks::PoseValue;
 use super::climb::{ALIKE, Pose, UNDISTURBED_SHARE, View, climb};
 use super::grid::{Grid, Part};
+use super::image::{Image, Pixel};
 use super::kernels::{MAX_PX, held_phases};
 use super::matrix::Matrix;
-use super::pixels::{Pixel, Pixels};
 use super::template::{Fix, Template};
 use super::undisturbed::{Known, Undisturbed};
 use std::sync::Arc;
@@ -101,7 +101,7 @@ impl Registration {
     }
 
     /// Whether all pixels about where a pose puts the window have values.
-    pub fn all_finite<T: Pixel>(&self, image: &Pixels<T>, begin: &PoseValue) -> bool {
+    pub fn all_finite<T: Pixel>(&self, image: &Image<T>, begin: &PoseValue) -> bool {
         let window = &self.whole.window;
         let along = |first: i64, size: usize, moved: f64, pixels: usize| {
             let start = first + moved.clamp(-MAX_PX, MAX_PX).round() as i64;
@@ -109,10 +109,10 @@ impl Registration {
         };
         let [left, right] = along(window.x, window.width, begin[0], image.columns);
         let [top, bottom] = along(window.y, window.height, begin[1], image.rows);
-        image.all_finite(Part { top, bottom, left, right })
+        image.part(Part { top, bottom, left, right }).all_finite()
     }
 
-    fn view<'a, T: Pixel>(&self, image: Pixels<'a, T>, level: f64) -> View<'a, T> {
+    fn view<'a, T: Pixel>(&self, image: Image<'a, T>, level: f64) -> View<'a, T> {
         View { image, level, origin: [self.whole.window.x, self.whole.window.y] }
     }
 
@@ -123,7 +123,7 @@ impl Registration {
     /// most consistent of them err, but the window as a whole does not.
     pub fn look<T: Pixel>(
         &mut self,
-        image: Pixels<T>,
+        image: Image<T>,
         level: f64,
         begin: &PoseValue,
         usual: Option<f64>,
@@ -190,7 +190,7 @@ impl Registration {
     /// The pose of the whole window, or of its large blocks, in a picture of no level whose window begins at the pixel
     /// `origin` (x, y), around `begin`.
     pub fn pose_in(&mut self, picture: &Grid, origin: [i64; 2], begin: &PoseValue, of_window: bool) -> Option<Pose> {
-        let view = View { image: Pixels::of(picture), level: 0.0, origin };
+        let view = View { image: Image::from(picture), level: 0.0, origin };
         if of_window {
             let known = Known { usual: None, at_first: f64::INFINITY, zero: Matrix::default() };
             return self.undisturbed.fit(&view, &self.plane, begin, &known);
@@ -207,7 +207,7 @@ mod tests {
     use super::super::peak::Precision;
     use super::super::spline::{coefficients, combine, weights};
     use super::super::template::Window;
-    use super::super::vectors::both_ways;
+    use super::super::vector::on_both;
     use super::*;
 
     const SIDE: usize = 180;
@@ -255,17 +255,16 @@ mod tests {
         let covered = |r: usize, c: usize, value: f64| if r > 40 && r < 90 && c < 80 { 220.0 } else { value };
         for (moved, tolerance) in [([0.31, -0.42], 2e-4), ([-1.2, 0.77], 2e-4), ([0.06, 0.0], 2e-4)] {
             let frames = [seen(moved, |_, _, value| value), seen(moved, covered)];
-            let [usual, portable] = both_ways(|| {
+            let usual = on_both(|| {
                 let mut registration = opened();
                 frames.each_ref().map(|frame| {
                     let bytes = frame.map(|&value| value.round() as u8);
-                    let image = Pixels::new(&bytes.values, SIDE, SIDE, SIDE).unwrap();
+                    let image = Image::new(&bytes.values, SIDE, SIDE, SIDE).unwrap();
                     let pose = registration.look(image, 120.0, &[0.0; 4], None).unwrap();
-                    let exact = registration.look(Pixels::of(frame), 120.0, &[0.0; 4], None).unwrap();
+                    let exact = registration.look(Image::from(frame), 120.0, &[0.0; 4], None).unwrap();
                     (pose.value, pose.covariance, exact.value, exact.share)
                 })
             });
-            assert_eq!(usual, portable);
             for (whole, exact, share) in usual.map(|(whole, _, exact, share)| (whole, exact, share)) {
                 for k in 0..2 {
                     // Rounding to whole numbers is noise of 0.3 on a contrast of 20.
@@ -284,11 +283,11 @@ mod tests {
     fn nothing_is_found_outside_the_image_or_where_no_picture_is() {
         let mut registration = opened();
         let frame = seen([0.0; 2], |_, _, value| value);
-        assert!(registration.look(Pixels::of(&frame), 120.0, &[400.0, 0.0, 0.0, 0.0], None).is_none());
-        assert!(registration.look(Pixels::of(&Grid::filled(SIDE, SIDE, 9.0)), 120.0, &[0.0; 4], None).is_none());
+        assert!(registration.look(Image::from(&frame), 120.0, &[400.0, 0.0, 0.0, 0.0], None).is_none());
+        assert!(registration.look(Image::from(&Grid::filled(SIDE, SIDE, 9.0)), 120.0, &[0.0; 4], None).is_none());
         let mut holes = frame;
         holes.row_mut(50)[60] = f32::NAN;
-        assert!(!registration.all_finite(&Pixels::of(&holes), &[0.0; 4]));
-        assert!(registration.all_finite(&Pixels::of(&holes), &[200.0, 0.0, 0.0, 0.0]));
+        assert!(!registration.all_finite(&Image::from(&holes), &[0.0; 4]));
+        assert!(registration.all_finite(&Image::from(&holes), &[200.0, 0.0, 0.0, 0.0]));
     }
 }

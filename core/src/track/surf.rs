@@ -7,7 +7,7 @@
 use super::image::Image;
 use super::integral::Integral;
 use super::surf_descriptor::{Descriptor, describe};
-use super::vector::{dot, total, vectorised};
+use super::vector::{dot_f64, sum_f64, vectorised};
 
 /// Scale of a filter, px, by its size.
 pub const SCALE_OF_SIZE: f64 = 1.2 / 9.0;
@@ -65,9 +65,9 @@ pub fn detect(image: &Image<'_, f32>, settings: &Settings) -> Vec<(Blob, Descrip
 fn moments(image: &Image<'_, f32>) -> (f64, f64) {
     let count = (image.rows * image.columns) as f64;
     let rows = || (0..image.rows).map(|r| image.row(r));
-    let mean = rows().map(total).sum::<f64>() / count;
+    let mean = rows().map(sum_f64).sum::<f64>() / count;
     let deviations = |row: &[f32]| row.iter().map(|value| value - mean as f32).collect::<Vec<f32>>();
-    let variance = rows().map(deviations).map(|row| dot(&row, &row)).sum::<f64>() / count;
+    let variance = rows().map(deviations).map(|row| dot_f64(&row, &row)).sum::<f64>() / count;
     (mean, variance)
 }
 

@@ -5,8 +5,9 @@
 
 use super::correlation::{smooth, zncc_map};
 use super::grid::{Grid, Part};
+use super::image::{Image, Pixel};
+use super::patch::values;
 use super::peak::{self, Precision, centred, maximum, spline_products};
-use super::pixels::{Pixel, Pixels};
 use super::spline::translated;
 use std::sync::OnceLock;
 
@@ -105,7 +106,7 @@ impl Template {
     }
 
     /// All positions where the window with so much around it lies inside an image.
-    fn span<T: Pixel>(&self, image: &Pixels<T>, margin: i64) -> Span {
+    fn span<T: Pixel>(&self, image: &Image<T>, margin: i64) -> Span {
         let along = |pixels: usize, size: usize| [margin, pixels as i64 - size as i64 - margin];
         Span { x: along(image.columns, self.window.width), y: along(image.rows, self.window.height) }
     }
@@ -115,17 +116,17 @@ impl Template {
     }
 
     /// The smoothed cut for a whole-pixel search; None where too many pixels have no value.
-    fn patch<T: Pixel>(&self, image: &Pixels<T>, span: &Span, level: f64) -> Option<Patch> {
+    fn patch<T: Pixel>(&self, image: &Image<T>, span: &Span, level: f64) -> Option<Patch> {
         let margin = self.margin();
         let edges =
             |span: [i64; 2], size: usize| [span[0] - margin, span[1] + size as i64 + margin].map(|k| k as usize);
         let ([left, right], [top, bottom]) = (edges(span.x, self.window.width), edges(span.y, self.window.height));
-        let raw = image.values(Part { top, bottom, left, right }, level)?;
+        let raw = values(&image.part(Part { top, bottom, left, right }), level)?;
         Some(Patch { pixels: smooth(&raw, &self.taps), x: span.x[0], y: span.y[0] })
     }
 
     /// The best peak within `radius` (x, y) of the window's place (x, y); one on the rim moves the search there.
-    pub fn near<T: Pixel>(&self, image: &Pixels<T>, level: f64, place: [i64; 2], radius: [i64; 2]) -> Option<Fix> {
+    pub fn near<T: Pixel>(&self, image: &Image<T>, level: f64, place: [i64; 2], radius: [i64; 2]) -> Option<Fix> {
         let whole = self.span(image, self.margin());
         let [mut x, mut y] = place;
         for _ in 0..MAX_MOVES {
@@ -147,7 +148,7 @@ impl Template {
     }
 
     /// The peak within a pixel of the window's place (x, y), however poor.
-    pub fn peak_at<T: Pixel>(&self, image: &Pixels<T>, level: f64, place: [i64; 2]) -> Option<Fix> {
+    pub fn peak_at<T: Pixel>(&self, image: &Image<T>, level: f64, place: [i64; 2]) -> Option<Fix> {
         let span = self.span(image, self.margin() + 1).around(place[0], place[1], [1, 1]);
         if span.is_empty() {
             return None;

@@ -4,8 +4,9 @@
 
 use super::climb::Pose;
 use super::grid::Grid;
+use super::image::{Image, Pixel};
 use super::motion::{Motion, Prediction};
-use super::pixels::{Pixel, Pixels};
+use super::patch::values;
 use super::registration::Registration;
 use super::watch::{LOST, Status, Translation};
 
@@ -121,7 +122,7 @@ impl Tracker {
     }
 
     /// Takes a frame whose target lies where it is expected; else it must be searched for, and the frame is not taken.
-    pub fn track<T: Pixel>(&mut self, image: Pixels<T>, time_ns: i64, prediction: Option<Prediction>) -> Look {
+    pub fn track<T: Pixel>(&mut self, image: Image<T>, time_ns: i64, prediction: Option<Prediction>) -> Look {
         self.learnable = false;
         let place = self.memory.motion.expected(time_ns, prediction);
         let Some(filled) = self.filled(&image, place) else { return Look::Known(self.miss(false)) };
@@ -138,7 +139,7 @@ impl Tracker {
     }
 
     /// The pose about a place (px) since the reference frame.
-    pub fn look<T: Pixel>(&mut self, image: Pixels<T>, place: [f64; 2]) -> Option<Fix> {
+    pub fn look<T: Pixel>(&mut self, image: Image<T>, place: [f64; 2]) -> Option<Fix> {
         let filled = self.filled(&image, place)?;
         self.registered(image, filled.as_ref(), place)
     }
@@ -196,18 +197,18 @@ impl Tracker {
     }
 
     /// The image less its level with the holes filled, where there are any about a place; None: there are too many.
-    fn filled<T: Pixel>(&self, image: &Pixels<T>, place: [f64; 2]) -> Option<Option<Grid>> {
+    fn filled<T: Pixel>(&self, image: &Image<T>, place: [f64; 2]) -> Option<Option<Grid>> {
         if self.registration.all_finite(image, &[place[0], place[1], 0.0, 0.0]) {
             return Some(None);
         }
-        image.values(image.whole(), self.given.level).map(Some)
+        values(image, self.given.level).map(Some)
     }
 
-    fn registered<T: Pixel>(&mut self, image: Pixels<T>, filled: Option<&Grid>, place: [f64; 2]) -> Option<Fix> {
+    fn registered<T: Pixel>(&mut self, image: Image<T>, filled: Option<&Grid>, place: [f64; 2]) -> Option<Fix> {
         let (begin, usual) = ([place[0], place[1], self.memory.roll_rad, self.memory.zoom], self.usual());
         let pose = match filled {
             None => self.registration.look(image, self.given.level, &begin, usual),
-            Some(filled) => self.registration.look(Pixels::of(filled), 0.0, &begin, usual),
+            Some(filled) => self.registration.look(Image::from(filled), 0.0, &begin, usual),
         };
         pose.map(Fix::from)
     }

@@ -11,10 +11,11 @@
 use super::bank::{Division, Plane};
 use super::blocks::PoseValue;
 use super::climb::{MAX_GAIN, MIN_GAIN, NEAR_PX, OWN_WEIGHT, Pose, View};
+use super::image::{Image, Pixel};
 use super::kernels::{PHASES, Quantised, phase_slot};
 use super::matrix::{Matrix, inverse, inverse_with_pivots, scaled_sum, times};
-use super::pixels::{Pixel, Pixels};
-use super::vectors::{LANES, sum, vectorised};
+use super::products::{Factor, PAIRS};
+use super::vector::{WIDE_LANES as LANES, sum, vectorised};
 use super::window_tables::{GAIN, SPARSE, SUMS, Tables, UNKNOWNS, WANTED};
 use std::ops::Range;
 
@@ -65,7 +66,7 @@ type BlockSums = Vec<[f64; SUMS]>;
 impl Undisturbed {
     /// Tables for `held` phases at most.
     pub fn new(plane: &Plane, held: usize) -> Self {
-        let division = Division::new(&plane.window, DIVISION.0, DIVISION.1);
+        let division = Division::new(&plane.window, DIVISION.0, DIVISION.1).in_eights();
         let parts = division.parts();
         Self {
             centres: parts.iter().map(|part| division.centre(part)).collect(),
@@ -208,7 +209,7 @@ fn is_separable(tables: &Tables) -> bool {
 
 /// The window in a frame.
 struct Seen<'a, T> {
-    image: Pixels<'a, T>,
+    image: Image<'a, T>,
     level: f64,
     top: usize,
     left: usize,
@@ -216,102 +217,93 @@ struct Seen<'a, T> {
 }
 
 impl<T: Pixel> Seen<'_, T> {
-    /// Products of the kernels with the pixels of some rows, summed down each column.
-    fn columns(&self, tables: &Tables, rows: Range<usize>, step: usize, out: &mut [Vec<f32>; SUMS]) {
-        let lines = Lines { image: &self.image, level: self.level, top: self.top, left: self.left, width: self.width };
-        column_sums(&lines, tables, rows, step, out);
-    }
-
     /// The sums of each block.
     fn block_sums(&self, tables: &Tables, division: &Division) -> BlockSums {
-        let mut columns: [Vec<f32>; SUMS] = std::array::from_fn(|_| vec![0.0; self.width.div_ceil(LANES) * LANES]);
         let mut out = Vec::with_capacity((division.down.len() - 1) * (division.across.len() - 1));
+        let mut lines = Lines::new(self.width);
         for rows in division.down.windows(2) {
-            self.columns(tables, rows[0]..rows[1], 1, &mut columns);
-            parts_summed(&columns, &division.across, &mut out);
+            lines.sum(self, tables, rows[0]..rows[1], 1);
+            parts_summed(&lines.sums, &division.across, &mut out);
         }
         out
     }
 
     /// Shift x, y in px, roughly, from one row in `SPARSE`; zeros where they show nothing.
     fn sparse_shift(&self, tables: &Tables, height: usize) -> [f64; 2] {
-        let mut columns: [Vec<f32>; SUMS] = std::array::from_fn(|_| vec![0.0; self.width.div_ceil(LANES) * LANES]);
-        self.columns(tables, SPARSE / 2..height, SPARSE, &mut columns);
-        let sums = columns.each_ref().map(|line| f64::from(sum(line)));
+        let mut lines = Lines::new(self.width);
+        lines.sum(self, tables, SPARSE / 2..height, SPARSE);
+        let sums = lines.sums.each_ref().map(|line| f64::from(sum(line)));
         let found = times(&tables.sparse, &sums);
         if found[2] > MIN_GAIN { [found[0] / found[2], found[1] / found[2]] } else { [0.0; 2] }
     }
 }
 
-/// Where the window's lines are read.
-struct Lines<'a, 'b, T> {
-    image: &'a Pixels<'b, T>,
-    level: f64,
-    top: usize,
-    left: usize,
-    width: usize,
+/// Lines of a window, and the sums of their products with the kernels.
+struct Lines<F> {
+    /// Of each 16 columns, line after line; past the window's last column 0.
+    factors: Vec<[F; LANES]>,
+    /// Of each pair of columns.
+    sums: [Vec<f32>; SUMS],
 }
 
-vectorised! {
-    /// Fill `out` with the products of three kernels with the pixels of a frame less its level, summed over rows.
-    fn column_sums<T: Pixel>(
-        lines: &Lines<T>, tables: &Tables, rows: Range<usize>, step: usize, out: &mut [Vec<f32>; SUMS],
-    ) {
-        for first in (0..lines.width).step_by(LANES) {
-            let sums = if first + LANES <= lines.width {
-                sums_of_columns::<T, true>(lines, tables, rows.clone(), step, first)
-            } else {
-                sums_of_columns::<T, false>(lines, tables, rows.clone(), step, first)
-            };
-            for (out, sums) in out.iter_mut().zip(&sums) {
-                out[first..first + LANES].copy_from_slice(sums);
-            }
-        }
+impl<F: Factor> Lines<F> {
+    fn new(width: usize) -> Self {
+        let groups = width.div_ceil(LANES);
+        Self { factors: Vec::new(), sums: std::array::from_fn(|_| vec![0.0; groups * PAIRS]) }
+    }
+
+    /// Sum the products of three kernels with each `step`th of some rows of a frame's window less its level.
+    fn sum<T: Pixel<Factor = F>>(&mut self, seen: &Seen<T>, tables: &Tables, rows: Range<usize>, step: usize) {
+        let count = rows.len().div_ceil(step);
+        self.factors.resize(count * seen.width.div_ceil(LANES), [F::default(); LANES]);
+        read(seen, rows.clone(), step, &mut self.factors);
+        multiplied(&self.factors, count, tables, rows, step, &mut self.sums);
     }
 }
 
-/// See [`column_sums`]; of 16 columns from `first` on, `WHOLE`: all of which are in the window.
-#[inline(always)]
-fn sums_of_columns<T: Pixel, const WHOLE: bool>(
-    lines: &Lines<T>,
-    tables: &Tables,
-    rows: Range<usize>,
-    step: usize,
-    first: usize,
-) -> [[f32; LANES]; SUMS] {
-    let mut sums = [[0.0f32; LANES]; SUMS];
-    let (left, end) = (lines.left + first, lines.left + lines.width.min(first + LANES));
-    let kernels = tables.kernels(first)[rows.clone()].iter().step_by(step);
-    for (r, kernels) in rows.step_by(step).zip(kernels) {
-        let line = lines.image.line(lines.top + r, left, end);
-        let mut pixels = [0.0f32; LANES];
-        if WHOLE {
-            if let Some(line) = line.first_chunk::<LANES>() {
-                for c in 0..LANES {
-                    pixels[c] = line[c].less(lines.level);
+vectorised! {
+    /// Fill `out` with rows of a window; a frame's memory is gone through in its order, which is the quickest.
+    fn read<T: Pixel>(seen: &Seen<T>, rows: Range<usize>, step: usize, out: &mut [[T::Factor; LANES]]) {
+        let count = rows.len().div_ceil(step);
+        for (n, r) in rows.step_by(step).enumerate() {
+            let line = seen.image.line(seen.top + r, seen.left, seen.left + seen.width);
+            for (group, pixels) in line.chunks(LANES).enumerate() {
+                let out = &mut out[group * count + n];
+                if let Some(pixels) = pixels.first_chunk::<LANES>() {
+                    for c in 0..LANES {
+                        out[c] = pixels[c].factor(seen.level);
+                    }
+                } else {
+                    *out = [T::Factor::default(); LANES];
+                    out.iter_mut().zip(pixels).for_each(|(out, pixel)| *out = pixel.factor(seen.level));
                 }
             }
-        } else {
-            for (value, pixel) in pixels.iter_mut().zip(line) {
-                *value = pixel.less(lines.level);
-            }
-        }
-        for (sums, kernel) in sums.iter_mut().zip(kernels) {
-            for c in 0..LANES {
-                sums[c] += f32::from(kernel[c]) * pixels[c];
-            }
         }
     }
-    sums
 }
 
 vectorised! {
-    /// Put the sums of three lines between the edges into `out`.
+    /// Fill `out` with the sums of products of `count` lines with the kernels of each `step`th row.
+    fn multiplied<F: Factor>(
+        factors: &[[F; LANES]], count: usize, tables: &Tables, rows: Range<usize>, step: usize, out: &mut [Vec<f32>; SUMS],
+    ) {
+        for (group, lines) in factors.chunks_exact(count).enumerate() {
+            let kernels = &tables.kernels(group * LANES)[rows.clone()];
+            let sums = F::products(lines, kernels, step);
+            for (out, sums) in out.iter_mut().zip(&sums) {
+                out[group * PAIRS..(group + 1) * PAIRS].copy_from_slice(sums);
+            }
+        }
+    }
+}
+
+vectorised! {
+    /// Put the sums of three lines of pairs of columns between the edges into `out`.
     fn parts_summed(lines: &[Vec<f32>; SUMS], edges: &[usize], out: &mut BlockSums) {
         for edges in edges.windows(2) {
             let mut sums = [0.0; SUMS];
             for (sum_of, line) in sums.iter_mut().zip(lines) {
-                *sum_of = f64::from(sum(&line[edges[0]..edges[1]]));
+                *sum_of = f64::from(sum(&line[edges[0] / 2..edges[1].div_ceil(2)]));
             }
             out.push(sums);
         }

@@ -75,14 +75,14 @@ pub fn sums<T: Pixel, const I: usize, const N: usize>(
     from_fn(|n| (lanes[0][n].number() + lanes[1][n].number()) + (lanes[2][n].number() + lanes[3][n].number()))
 }
 
-/// Partial sums of `total` and `dot`.
-const WIDE_LANES: usize = 8;
+/// Partial sums of `sum_f64` and `dot_f64`.
+const DOUBLE_LANES: usize = 8;
 
 vectorised! {
 /// The sum of the products of single precision numbers, in double precision.
-pub fn dot(one: &[f32], other: &[f32]) -> f64 {
-    let mut lanes = [0.0; WIDE_LANES];
-    let (one_parts, other_parts) = (one.chunks_exact(WIDE_LANES), other.chunks_exact(WIDE_LANES));
+pub fn dot_f64(one: &[f32], other: &[f32]) -> f64 {
+    let mut lanes = [0.0; DOUBLE_LANES];
+    let (one_parts, other_parts) = (one.chunks_exact(DOUBLE_LANES), other.chunks_exact(DOUBLE_LANES));
     let rest = one_parts.remainder().iter().zip(other_parts.remainder());
     for (one, other) in one_parts.zip(other_parts) {
         for (lane, (a, b)) in lanes.iter_mut().zip(one.iter().zip(other)) {
@@ -98,9 +98,9 @@ pub fn dot(one: &[f32], other: &[f32]) -> f64 {
 
 vectorised! {
 /// The sum of single precision numbers, in double precision.
-pub fn total(values: &[f32]) -> f64 {
-    let mut lanes = [0.0; WIDE_LANES];
-    let parts = values.chunks_exact(WIDE_LANES);
+pub fn sum_f64(values: &[f32]) -> f64 {
+    let mut lanes = [0.0; DOUBLE_LANES];
+    let parts = values.chunks_exact(DOUBLE_LANES);
     let rest = parts.remainder();
     for part in parts {
         for (lane, &value) in lanes.iter_mut().zip(part) {
@@ -115,9 +115,85 @@ pub fn total(values: &[f32]) -> f64 {
 }
 
 #[inline(always)]
-fn lane_sum(lanes: [f64; WIDE_LANES]) -> f64 {
+fn lane_sum(lanes: [f64; DOUBLE_LANES]) -> f64 {
     let [a, b, c, d, e, f, g, h] = lanes;
     ((a + b) + (c + d)) + ((e + f) + (g + h))
+}
+
+/// How many single precision numbers a sum takes at once.
+pub const WIDE_LANES: usize = 16;
+
+/// The lanes' sum, in pairs.
+#[inline(always)]
+pub fn gathered<const N: usize>(mut lanes: [f32; N]) -> f32 {
+    let mut half = N / 2;
+    while half > 0 {
+        for k in 0..half {
+            lanes[k] += lanes[k + half];
+        }
+        half /= 2;
+    }
+    lanes[0]
+}
+
+/// Sum of the products of two equally long slices.
+#[inline(always)]
+pub fn dot(one: &[f32], other: &[f32]) -> f32 {
+    let mut lanes = [0.0f32; WIDE_LANES];
+    let (blocks, others) = (one.chunks_exact(WIDE_LANES), other.chunks_exact(WIDE_LANES));
+    let (rest, rest_of_other) = (blocks.remainder(), others.remainder());
+    for (a, b) in blocks.zip(others) {
+        for k in 0..WIDE_LANES {
+            lanes[k] += a[k] * b[k];
+        }
+    }
+    for (lane, (a, b)) in lanes.iter_mut().zip(rest.iter().zip(rest_of_other)) {
+        *lane += a * b;
+    }
+    gathered(lanes)
+}
+
+/// The sum of a slice.
+#[inline(always)]
+pub fn sum(values: &[f32]) -> f32 {
+    let mut lanes = [0.0f32; WIDE_LANES];
+    let blocks = values.chunks_exact(WIDE_LANES);
+    let rest = blocks.remainder();
+    for a in blocks {
+        for k in 0..WIDE_LANES {
+            lanes[k] += a[k];
+        }
+    }
+    for (lane, a) in lanes.iter_mut().zip(rest) {
+        *lane += a;
+    }
+    gathered(lanes)
+}
+
+/// Fill `out` with the sums of N lines, each times its weight; each line is at least as long as `out`.
+#[inline(always)]
+pub fn weighted<const N: usize>(lines: [&[f32]; N], weight: [f32; N], out: &mut [f32]) {
+    let lines = lines.map(|line| &line[..out.len()]);
+    for c in 0..out.len() {
+        let mut total = weight[0] * lines[0][c];
+        for j in 1..N {
+            total += weight[j] * lines[j][c];
+        }
+        out[c] = total;
+    }
+}
+
+/// Add to `out` the sums of N lines, each times its weight; each line is at least as long as `out`.
+#[inline(always)]
+pub fn add_weighted<const N: usize>(lines: [&[f32]; N], weight: [f32; N], out: &mut [f32]) {
+    let lines = lines.map(|line| &line[..out.len()]);
+    for c in 0..out.len() {
+        let mut total = weight[0] * lines[0][c];
+        for j in 1..N {
+            total += weight[j] * lines[j][c];
+        }
+        out[c] += total;
+    }
 }
 
 /// Whether the loops for AVX2 are used.
@@ -165,5 +241,21 @@ mod tests {
     fn wide_rows_do_not_overflow_their_lanes() {
         let row = vec![255u8; 300_001];
         assert_eq!(sums([&row[..]], |[v]| [v * v]), [300_001.0 * 255.0 * 255.0]);
+    }
+
+    vectorised! {
+        fn product(one: &[f32], other: &[f32]) -> f32 {
+            dot(one, other)
+        }
+    }
+
+    #[test]
+    fn sums_are_the_same_bits_on_every_processor_and_right() {
+        let one: Vec<f32> = (0..77).map(|k| (k as f32).sin()).collect();
+        let other: Vec<f32> = (0..77).map(|k| (0.3 * k as f32).cos()).collect();
+        let usual = on_both(|| product(&one, &other).to_bits());
+        let exact: f64 = one.iter().zip(&other).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum();
+        assert!((f64::from(f32::from_bits(usual)) - exact).abs() < 1e-5);
+        assert!((sum(&one) - one.iter().sum::<f32>()).abs() < 1e-5);
     }
 }

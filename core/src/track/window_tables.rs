@@ -7,7 +7,7 @@ use super::fine_spline::{Curvatures, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
 use super::kernels::phase_shift;
 use super::matrix::{Matrix, inverse};
-use super::vectors::{LANES, dot, vectorised};
+use super::vector::{WIDE_LANES as LANES, dot, vectorised};
 
 /// Kernels are whole numbers of 8 bits, a quarter of the memory that they are read from in each frame. What they respond to
 /// is computed from these: their rounding only costs precision, less than a thousandth of it.
@@ -72,20 +72,14 @@ impl Tables {
             share: Default::default(),
             sparse: Matrix::default(),
         };
-        let mut scratch = Responding::new(&division.across);
         let mut kernels = Kernels { values: vec![0; height * SUMS * width], width };
-        for (j, edges) in division.down.windows(2).enumerate() {
-            let rows = edges[0]..edges[1];
-            kernels.fill(&seen.smooth, &plane.weight, rows.clone(), &division.across);
-            let responses = scratch.responses(&seen, &plane.weight, &kernels, rows);
-            for (i, response) in responses.iter().enumerate() {
-                let block = j * (division.across.len() - 1) + i;
-                let size = [width as f64, height as f64];
-                let mut rows = response.map(|one| row(&one, centres[block], size));
-                let inverse = inverse_covariance(&rows, share[block]);
-                rows.iter_mut().zip(inverse).for_each(|(row, inverse)| row.inverse = inverse);
-                tables.rows.extend(rows);
-            }
+        for (block, part) in division.parts().iter().enumerate() {
+            kernels.fill(&seen.smooth, &plane.weight, *part);
+            let responses = kernels.responses(&seen, &plane.weight, *part);
+            let mut rows = responses.map(|sum| row(&sum, centres[block], [width as f64, height as f64]));
+            let inverse = inverse_covariance(&rows, share[block]);
+            rows.iter_mut().zip(inverse).for_each(|(row, inverse)| row.inverse = inverse);
+            tables.rows.extend(rows);
         }
         tables.weigh();
         tables.sparse = kernels.sparse_fit(&seen.moved);
@@ -158,22 +152,24 @@ impl Kernels {
         &self.values[first..first + self.width]
     }
 
-    /// Low-passed slopes along x and y (both negative) and values of a row of blocks, weighted, each without its block's
-    /// mean, as whole numbers.
-    fn fill(&mut self, smooth: &Slopes, weight: &Grid, rows: std::ops::Range<usize>, across: &[usize]) {
-        let mut rest = Vec::new();
+    /// Low-passed slopes along x and y (both negative) and values of a block, weighted, without its mean, as whole numbers.
+    fn fill(&mut self, smooth: &Slopes, weight: &Grid, part: Part) {
         for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
             let sign = if sum == 2 { 1.0 } else { -1.0 };
-            for edges in across.windows(2) {
-                let part = Part { top: rows.start, bottom: rows.end, left: edges[0], right: edges[1] };
-                let largest = without_mean(plane, weight, part, &mut rest);
-                let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
-                for (r, line) in rows.clone().zip(rest.chunks_exact(part.columns())) {
-                    let first = (r * SUMS + sum) * self.width;
-                    rounded(line, factor, &mut self.values[first + edges[0]..first + edges[1]]);
-                }
+            let (mean, largest) = mean_and_largest(plane, weight, part);
+            let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
+            for r in part.top..part.bottom {
+                let first = (r * SUMS + sum) * self.width;
+                let (line, w) = (inside(plane, r, part), inside(weight, r, part));
+                rounded(line, w, mean, factor, &mut self.values[first + part.left..first + part.right]);
             }
         }
+    }
+
+    /// Responses of a block's sums to the unknowns, the second order of a shift, and each other: covariance for noise of
+    /// scale 1.
+    fn responses(&self, seen: &Seen, weight: &Grid, part: Part) -> [[f64; RESPONSES]; SUMS] {
+        std::array::from_fn(|k| responses_of(self, k, seen, weight, part).map(f64::from))
     }
 
     /// See [`Tables::sparse`]; zeros where one row in this many shows nothing.
@@ -199,47 +195,60 @@ impl Kernels {
 }
 
 vectorised! {
-    /// Fill `out` with a part of a plane without its weighted mean, each times its weight; the largest of them.
-    fn without_mean(plane: &Grid, weight: &Grid, part: Part, out: &mut Vec<f32>) -> f32 {
+    /// The weighted mean of a part of a plane, and the largest weighted distance from it.
+    fn mean_and_largest(plane: &Grid, weight: &Grid, part: Part) -> (f32, f32) {
+        let lines = |r: usize| (inside(plane, r, part), inside(weight, r, part));
         let (mut total, mut weights) = (0.0f64, 0.0f64);
         for r in part.top..part.bottom {
-            let (line, w) = (&plane.row(r)[part.left..part.right], &weight.row(r)[part.left..part.right]);
+            let (line, w) = lines(r);
             total += f64::from(dot(line, w));
-            weights += f64::from(super::vectors::sum(w));
+            weights += f64::from(super::vector::sum(w));
         }
         let mean = (total / weights) as f32;
-        out.clear();
-        out.resize(part.size(), 0.0);
-        let mut largest = [0.0f32; LANES];
-        for (r, out) in (part.top..part.bottom).zip(out.chunks_exact_mut(part.columns())) {
-            let (line, w) = (&plane.row(r)[part.left..part.right], &weight.row(r)[part.left..part.right]);
-            for ((out, value), w) in out.iter_mut().zip(line).zip(w) {
-                *out = w * (value - mean);
-            }
-            let blocks = out.chunks_exact(LANES);
-            let rest = blocks.remainder();
-            for values in blocks {
-                for c in 0..LANES {
-                    largest[c] = if values[c].abs() > largest[c] { values[c].abs() } else { largest[c] };
+        let mut largest = [0.0f32; EIGHT];
+        for r in part.top..part.bottom {
+            let (line, w) = lines(r);
+            for c in (0..line.len()).step_by(EIGHT) {
+                let (values, weights) = (eight(line, c, mean), eight(w, c, 0.0));
+                for k in 0..EIGHT {
+                    let far = (weights[k] * (values[k] - mean)).abs();
+                    largest[k] = if far > largest[k] { far } else { largest[k] };
                 }
             }
-            for (largest, value) in largest.iter_mut().zip(rest) {
-                *largest = if value.abs() > *largest { value.abs() } else { *largest };
-            }
         }
-        largest.into_iter().fold(0.0, f32::max)
+        (mean, largest.into_iter().fold(0.0, f32::max))
     }
 }
 
 vectorised! {
-    /// Fill `out` with a line's values times a factor as whole numbers.
-    fn rounded(line: &[f32], factor: f32, out: &mut [i8]) {
+    /// Fill `out` with the weighted distances of a line from a mean, times a factor, as whole numbers.
+    fn rounded(line: &[f32], weight: &[f32], mean: f32, factor: f32, out: &mut [i8]) {
         // Compared with this number those of single precision are the whole ones.
         const WHOLE: f32 = 12_582_912.0;
-        for (out, value) in out.iter_mut().zip(line) {
-            *out = ((factor * value + WHOLE).to_bits() as i32 - WHOLE.to_bits() as i32) as i8;
+        for ((out, value), weight) in out.iter_mut().zip(line).zip(weight) {
+            *out = ((factor * (weight * (value - mean)) + WHOLE).to_bits() as i32 - WHOLE.to_bits() as i32) as i8;
         }
     }
+}
+
+/// Numbers that are taken at once: the sums of a block stay in the processor's registers.
+const EIGHT: usize = 8;
+
+/// A row of a part of a plane.
+#[inline(always)]
+fn inside(plane: &Grid, r: usize, part: Part) -> &[f32] {
+    &plane.row(r)[part.left..part.right]
+}
+
+/// Eight values of a line from a column on; past its end the `rest`.
+#[inline(always)]
+fn eight<T: Copy>(line: &[T], column: usize, rest: T) -> [T; EIGHT] {
+    if let Some(whole) = line[column..].first_chunk::<EIGHT>() {
+        return *whole;
+    }
+    let mut out = [rest; EIGHT];
+    out.iter_mut().zip(&line[column..]).for_each(|(out, value)| *out = *value);
+    out
 }
 
 /// The template at a phase.
@@ -249,119 +258,50 @@ struct Seen {
     smooth: Slopes,
 }
 
-/// What the responses of a row of blocks are summed in.
-struct Responding {
-    across: Vec<usize>,
-    /// Where each column lies from its block's middle, px.
-    x: Vec<f32>,
-    model: Grid,
-    kernels: Grid,
-    sums: Grid,
-}
-
-impl Responding {
-    fn new(across: &[usize]) -> Self {
-        let columns = across.last().copied().unwrap_or(0);
-        let middle = |edges: &[usize]| 0.5 * (edges[0] as f64 + edges[1] as f64 - 1.0);
-        let x = across.windows(2).flat_map(|edges| {
-            let middle = middle(edges);
-            (edges[0]..edges[1]).map(move |c| c as f32 - middle as f32)
-        });
-        Self {
-            x: x.collect(),
-            model: Grid::filled(RESPONSES, columns, 0.0),
-            kernels: Grid::filled(SUMS, columns, 0.0),
-            sums: Grid::filled(SUMS * RESPONSES, columns, 0.0),
-            across: across.to_vec(),
-        }
-    }
-
-    /// Responses of the sums of a row of blocks to the unknowns, the second order of a shift, and each other: covariance
-    /// for noise of scale 1.
-    fn responses(
-        &mut self,
-        seen: &Seen,
-        weight: &Grid,
-        kernels: &Kernels,
-        rows: std::ops::Range<usize>,
-    ) -> Vec<[[f64; RESPONSES]; SUMS]> {
-        self.sums.values.fill(0.0);
-        let middle = 0.5 * (rows.start as f64 + rows.end as f64 - 1.0);
-        for r in rows {
-            self.fill_model(seen, r, r as f32 - middle as f32);
-            for k in 0..SUMS {
-                let kernel = kernels.line(r, k);
-                quotients(kernel, weight.row(r), self.kernels.row_mut(k), self.model.row_mut(UNKNOWNS + 3 + k));
-            }
-            accumulate(&self.kernels, &self.model, &mut self.sums);
-        }
-        let total = |edges: &[usize], k: usize, m: usize| {
-            f64::from(super::vectors::sum(&self.sums.row(m * SUMS + k)[edges[0]..edges[1]]))
-        };
-        let of_block = |edges: &[usize]| std::array::from_fn(|k| std::array::from_fn(|m| total(edges, k, m)));
-        self.across.windows(2).map(of_block).collect()
-    }
-
-    /// How the pixels of a row change with x, y, roll and zoom about their block's middle, gain, ramps of gain and of level
-    /// about that, in px, and with the second order of a shift.
-    fn fill_model(&mut self, seen: &Seen, r: usize, y: f32) {
+vectorised! {
+    /// Sums over a block of the products of one of its kernels with what changes with x, y, roll and zoom about its middle,
+    /// gain, ramps of gain and of level about that, in px, and the second order of a shift; and with the three kernels over
+    /// the weight.
+    fn responses_of(kernels: &Kernels, k: usize, seen: &Seen, weight: &Grid, part: Part) -> [f32; RESPONSES] {
         let Seen { moved, curved, .. } = seen;
-        let planes = [&moved.value, &moved.x, &moved.y, &curved.xx, &curved.xy, &curved.yy].map(|grid| grid.row(r));
-        model_rows(planes, &self.x, y, &mut self.model);
-    }
-}
-
-vectorised! {
-    /// See [`Responding::fill_model`]; `planes`: value, slopes along x and y, curvatures.
-    fn model_rows(planes: [&[f32]; 6], x: &[f32], y: f32, out: &mut Grid) {
-        let [value, along, down, xx, xy, yy] = planes;
-        let columns = out.columns;
-        let mut rows = out.values.chunks_exact_mut(columns);
-        let mut fill = |of: &dyn Fn(usize) -> f32| {
-            if let Some(row) = rows.next() {
-                row.iter_mut().enumerate().for_each(|(c, out)| *out = of(c));
-            }
-        };
-        fill(&|c| -along[c]);
-        fill(&|c| -down[c]);
-        fill(&|c| y * along[c] - x[c] * down[c]);
-        fill(&|c| -x[c] * along[c] - y * down[c]);
-        fill(&|c| value[c]);
-        fill(&|c| x[c] * value[c]);
-        fill(&|c| y * value[c]);
-        fill(&|c| x[c]);
-        fill(&|_| y);
-        fill(&|c| xx[c]);
-        fill(&|c| xy[c]);
-        fill(&|c| yy[c]);
-    }
-}
-
-vectorised! {
-    /// Fill `line` with a kernel, and `over` with that over the weight.
-    fn quotients(kernel: &[i8], weight: &[f32], line: &mut [f32], over: &mut [f32]) {
-        for (((kernel, weight), line), over) in kernel.iter().zip(weight).zip(line).zip(over) {
-            *line = f32::from(*kernel);
-            *over = *line / weight;
-        }
-    }
-}
-
-vectorised! {
-    /// Add to each column of `sums` (3 m, n) the products of each of m rows of the model with each of 3 kernels.
-    fn accumulate(kernels: &Grid, model: &Grid, sums: &mut Grid) {
-        let n = kernels.columns;
-        let [k0, k1, k2] = [0, 1, 2].map(|k| &kernels.row(k)[..n]);
-        for (m, into) in sums.values.chunks_exact_mut(SUMS * n).enumerate() {
-            let line = &model.row(m)[..n];
-            let (s0, rest) = into.split_at_mut(n);
-            let (s1, s2) = rest.split_at_mut(n);
-            for c in 0..n {
-                s0[c] += k0[c] * line[c];
-                s1[c] += k1[c] * line[c];
-                s2[c] += k2[c] * line[c];
+        let middle = |first: usize, end: usize| 0.5 * (first as f32 + end as f32 - 1.0);
+        let [left, top] = [middle(part.left, part.right), middle(part.top, part.bottom)];
+        let mut sums = [[0.0f32; EIGHT]; RESPONSES];
+        for r in part.top..part.bottom {
+            let y = r as f32 - top;
+            // One after another: what an array's `map` does is not always compiled into this loop.
+            let (along, down, value) = (inside(&moved.x, r, part), inside(&moved.y, r, part), inside(&moved.value, r, part));
+            let (xx, xy, yy) = (inside(&curved.xx, r, part), inside(&curved.xy, r, part), inside(&curved.yy, r, part));
+            let [first, second, third] = [kernels.line(r, 0), kernels.line(r, 1), kernels.line(r, 2)];
+            let weight = inside(weight, r, part);
+            for c in (0..weight.len()).step_by(EIGHT) {
+                let (along, down, value) = (eight(along, c, 0.0), eight(down, c, 0.0), eight(value, c, 0.0));
+                let (xx, xy, yy) = (eight(xx, c, 0.0), eight(xy, c, 0.0), eight(yy, c, 0.0));
+                let weight = eight(weight, c, 1.0);
+                let part_of = |line: &[i8]| eight(&line[part.left..part.right], c, 0);
+                let all = [part_of(first), part_of(second), part_of(third)];
+                for i in 0..EIGHT {
+                    let x = (part.left + c + i) as f32 - left;
+                    let kernel = f32::from(all[k][i]);
+                    let over = kernel / weight[i];
+                    let model = [
+                        -along[i], -down[i], y * along[i] - x * down[i], -x * along[i] - y * down[i], value[i], x * value[i],
+                        y * value[i], x, y, xx[i], xy[i], yy[i],
+                    ];
+                    for m in 0..UNKNOWNS + 3 {
+                        sums[m][i] += kernel * model[m];
+                    }
+                    for m in 0..SUMS {
+                        sums[UNKNOWNS + 3 + m][i] += over * f32::from(all[m][i]);
+                    }
+                }
             }
         }
+        let mut out = [0.0; RESPONSES];
+        for m in 0..RESPONSES {
+            out[m] = super::vector::gathered(sums[m]);
+        }
+        out
     }
 }
 

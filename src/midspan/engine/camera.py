@@ -144,6 +144,20 @@ class TargetChain:
             row, events = core.push(frame.pixels, frame.time_ns, found), found.events
         return translation_of(row, events)
 
+    def rows(self, frames: Sequence[Frame]) -> bytes:
+        """The rows of frames as `=qdddddBdddB`, up to one that has to be pushed by itself, without predictions.
+
+        While the tracker learns, and where it is none of the core's, that is the first.
+        """
+        if self.tracker.core is None or not self.tracker.settled:
+            return b""
+        try:
+            return self._core.track_all(self.tracker.core, frames)
+        except ValueError:
+            for frame in frames:
+                check_size(frame, self.tracker.reference)
+            raise
+
     def blur_s(self, exposure_s: float | None) -> float:
         """The time a translation is averaged over: the exposure, and the read-out of the region's rows.
 

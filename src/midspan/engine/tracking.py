@@ -33,6 +33,8 @@ from midspan.vision.target import UNSEEN
 
 # Frames that were looked at are kept until they are tracked; so much memory at most.
 MOST_AHEAD_BYTES = 200_000_000
+# Frames that the core is given at once: the calls around it then cost nothing, and of large ones few are in memory.
+BLOCK_FRAMES, BLOCK_BYTES = 64, 32_000_000
 # The first columns of a target's rows.
 _track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
 STRENGTH, REFERENCE_X, REFERENCE_Y = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 3)
@@ -57,6 +59,13 @@ class Columns:
         """Add a row, a number for each column."""
         self._rows += self._row.pack(*row)
         self._count += 1
+
+    def extend(self, rows: bytes) -> int:
+        """Add packed rows; how many."""
+        count = len(rows) // self._row.size
+        self._rows += rows
+        self._count += count
+        return count
 
     def row(self, number: int) -> tuple[Any, ...]:
         """The row of this number, from 0."""
@@ -105,6 +114,17 @@ class TargetTracking:
             self._events[len(self._columns)] = found.events
         self._columns.append(*_track_row(found), found.strength, *reference, UNSEEN.index(found.unseen))
         self._track = None
+
+    def push_all(self, frames: Sequence[Frame]) -> None:
+        """Keep what is found in frames, without predictions."""
+        done = 0
+        while done < len(frames):
+            if rows := self.chain.rows(frames[done:]):
+                done += self._columns.extend(rows)
+                self._track = None
+            if done < len(frames):
+                self.add(self.chain.push(frames[done]))
+                done += 1
 
     @property
     def events(self) -> list[Event]:
@@ -257,11 +277,28 @@ class CameraTracking:
 
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
-        while self.done < len(self.time_ns) and self.time_ns[self.done] <= time_ns:
-            if (frame := self.take()) is None:
-                break
-            self.push(frame)
+        last = int(np.searchsorted(self.time_ns, time_ns, side="right"))
+        while (wanted := last - self.done) > 0 and (frames := self.take_block(wanted)):
+            self.push_block(frames)
         return self.tracks
+
+    def take_block(self, most: int) -> list[Frame]:
+        """The next frames that have not been tracked, as many as are handed to the core at once; none at the end."""
+        frames, size = list[Frame](), 0
+        while len(frames) < min(most, BLOCK_FRAMES) and size < BLOCK_BYTES:
+            frame = self._ahead.popleft() if self._ahead else next(self._frames, None)
+            if frame is None:
+                break
+            frames.append(frame)
+            size += frame.pixels.nbytes
+        self.progress(self.done, len(self.time_ns), "tracking")
+        return frames
+
+    def push_block(self, frames: Sequence[Frame]) -> None:
+        """Track the frames that were taken, without predictions; what is found is kept."""
+        for target in self.targets:
+            target.push_all(frames)
+        self.done += len(frames)
 
     def take(self) -> Frame | None:
         """The next frame that has not been tracked, None at the end."""

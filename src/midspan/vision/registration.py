@@ -127,6 +127,11 @@ class RegistrationTracker(Tracker):
         return self.core.most_kernel_bytes
 
     @property
+    def settled(self) -> bool:  # type: ignore[override]
+        """Whether nothing more is to be learned."""
+        return self._samples is None
+
+    @property
     def state(self) -> RegistrationState:
         """Everything that changes from frame to frame."""
         return RegistrationState(*self.core.state, self._samples, self._learnt)

@@ -28,6 +28,8 @@ class Tracker(ABC):
     _state: Any = None
     # The core's tracker, where one call may take a frame through it and the rest of a target's chain, see `search`.
     core: Registration | None = None
+    # Whether nothing more is to be learned from frames: many at once may go to the core then.
+    settled = True
 
     def __init__(self, reference: Frame, region: Region) -> None:
         self._reference, self._region = reference, region

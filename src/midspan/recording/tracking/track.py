@@ -119,8 +119,8 @@ def track(
         settings = replace(settings, targets=(Target(region),))
     with in_words_of(settings.sensor):
         tracking = CameraTracking(frames, settings, progress)
-        while (frame := tracking.take()) is not None:
-            tracking.push(frame)
+        while block := tracking.take_block(len(tracking.time_ns)):
+            tracking.push_block(block)
         tracking.close()
         rows = tracking.tracks
     progress(1, 1, "tracking")
