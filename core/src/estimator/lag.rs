@@ -140,6 +140,9 @@ impl Lag {
 
     /// Takes samples, and adds what is due.
     pub fn push(&mut self, samples: View, whole: &mut Option<Output>) {
+        if samples.len() > self.hop {
+            whole.get_or_insert_default().rows.get_or_insert_default().reserve(samples.len());
+        }
         let mut first = 0;
         while first < samples.len() {
             let done = (self.pushed % self.hop as u64) as usize;

@@ -64,7 +64,7 @@ impl MotionMean {
 }
 
 /// The covariance of one axis' motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionCovariance {
     /// Of the displacement, m².
     pub xx: f64,

@@ -14,7 +14,7 @@ use super::layout::motion_of;
 use super::model::{Model, instant};
 use super::motion::{AxisMotion, Clock, Way, shift_velocity};
 use super::predict::{add_noise, predict_covariance, predict_mean};
-use super::rows::{Innovations, Rows, leave_row};
+use super::rows::{Innovations, Rows};
 use super::samples::View;
 use super::settings::{MAX_AXES, Settings};
 use super::situation::GATE;
@@ -140,31 +140,19 @@ impl Filter {
     ) {
         self.note_uncertain(model, judge, work);
         let (mut next, mut ordered, mut k) = (0, 0, 0);
-        let (mut place, all_rows) =
-            (rows.as_ref().map_or(0, |rows| rows.len()), block.samples.all_rows(block.first_ns));
         while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let leave = &mut Leave { rows: rows.as_deref_mut(), place: &mut place, all_rows, back: judge.back() };
-                let reached = self.coast(model, block, k, before_s, &work.uncertain, leave);
+                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back() };
+                let reached = self.coast(model, block, (k, before_s), leave, work);
                 if reached > k {
                     k = reached;
                     continue;
                 }
             }
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
-            if let Some(rows) = rows.as_deref_mut().filter(|_| block.samples.is_row(k, block.first_ns)) {
-                rows.make_room(model.axes(), place, 1);
-                leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), (rows, place));
-                place += 1;
-            }
-            if let Some(back) = judge.back() {
-                back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
-            }
+            self.leave_sample(model, (block, k), &mut Leave { rows: rows.as_deref_mut(), back: judge.back() }, work);
             k += 1;
-        }
-        if let Some(rows) = rows {
-            rows.truncate(place);
         }
     }
 

@@ -57,6 +57,14 @@ impl Samples {
         self.kind.extend_from_slice(other.kind);
     }
 
+    /// Takes memory for more.
+    pub fn reserve(&mut self, more: usize) {
+        self.time_ns.reserve(more);
+        self.value.reserve(more * self.axes);
+        self.density.reserve(more * self.axes);
+        self.kind.reserve(more);
+    }
+
     /// Drops the first ones.
     pub fn drop_first(&mut self, count: usize) {
         self.time_ns.drain(..count);

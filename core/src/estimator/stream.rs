@@ -183,6 +183,9 @@ impl Estimator {
             if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
                 rows.reserve(samples.len() - first);
             }
+            if let Some(log) = self.log.as_mut() {
+                log.samples.reserve(samples.len() - first);
+            }
             self.push_block(samples.part(first, end), back.as_deref_mut(), found);
         }
     }
