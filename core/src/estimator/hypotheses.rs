@@ -84,17 +84,6 @@ impl Hypotheses {
         &mut self.slots[0]
     }
 
-    /// The others to change.
-    #[inline]
-    pub fn others_mut(&mut self) -> &mut [Hypothesis] {
-        &mut self.slots[1..self.count]
-    }
-
-    /// Those in use alone.
-    pub fn saved(&self) -> Self {
-        Self { count: self.count, slots: self.all().to_vec(), ..Self::default() }
-    }
-
     /// Whether there is at least one and all are of the model's shape.
     pub fn fit(&self, model: &Model) -> bool {
         self.count >= 1
@@ -119,7 +108,7 @@ impl Hypotheses {
 
     /// Brings all but the best to a channel's measurement.
     pub fn meet_others(&mut self, scene: &Scene) {
-        for hyp in self.others_mut() {
+        for hyp in &mut self.all_mut()[1..] {
             meet_zero(hyp, scene);
             follow_clock(hyp, scene);
         }

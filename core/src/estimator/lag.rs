@@ -78,7 +78,7 @@ pub struct Lag {
 impl Lag {
     /// Rows come this many samples later; the estimator keeps a log and gives no rows.
     pub fn new(estimator: Estimator, lag: usize) -> Self {
-        let (adjoint, work) = (Adjoint::nothing(estimator.model()), Work::new(estimator.model()));
+        let (adjoint, work) = (Adjoint::nothing(&estimator.model), Work::new(&estimator.model));
         Self {
             estimator,
             lag,
@@ -97,19 +97,13 @@ impl Lag {
         }
     }
 
-    /// How many samples, decided and undecided measurements are held.
-    pub fn held(&self) -> (usize, usize, usize) {
-        let (samples, decided) = self.estimator.log().map_or((0, 0), |log| (log.samples.len(), log.decided.len()));
-        (samples, decided, self.estimator.undecided().len())
-    }
-
     /// All that is remembered.
     pub fn memory(&self) -> LagMemory {
-        let log = self.estimator.log();
+        let log = self.estimator.log.as_ref();
         LagMemory {
-            estimator: self.estimator.memory().clone(),
+            estimator: self.estimator.memory.clone(),
             begin: log.map(|log| log.begin.clone()),
-            samples: log.map_or_else(|| Samples::none(self.estimator.model().axes()), |log| log.samples.clone()),
+            samples: log.map_or_else(|| Samples::none(self.estimator.model.axes()), |log| log.samples.clone()),
             decided: log.map_or_else(Decided::default, |log| log.decided.clone()),
             before: self.before.clone(),
             given: self.given,
@@ -119,7 +113,7 @@ impl Lag {
 
     /// Goes on from what a stream with the same settings remembered; false: it does not fit.
     pub fn restore(&mut self, memory: LagMemory) -> bool {
-        let model = self.estimator.model();
+        let model = &self.estimator.model;
         let fits = memory.samples.consistent(model.axes())
             && memory.decided.fits(model.channels.len())
             && memory.before.as_ref().is_none_or(|one| one.fits(model))
@@ -128,10 +122,10 @@ impl Lag {
         if !fits || !self.estimator.restore(memory.estimator) {
             return false;
         }
-        let (first_s, origin_ns) = (self.estimator.first_s(), self.estimator.origin_ns());
+        let (first_s, origin_ns) = (self.estimator.memory.first_s, self.estimator.origin_ns());
         let (samples, decided) = (memory.samples, memory.decided);
         let filled = |begin| Log { samples, decided, ..Log::new(begin, first_s, origin_ns, 0) };
-        self.estimator.set_log(memory.begin.map(filled));
+        self.estimator.log = memory.begin.map(filled);
         (self.before, self.given, self.pushed) = (memory.before, memory.given, memory.pushed);
         self.pieces.clear();
         (self.own, self.counting) = (None, None);
@@ -169,20 +163,20 @@ impl Lag {
     /// Lets the estimator's own run over the next hop leave what it finds, where the last piece ends in its filter.
     fn begin_hop(&mut self) {
         self.spare.extend(self.own.take());
-        let (Some(last), Some(filter)) = (self.pieces.back(), self.estimator.filter()) else { return };
+        let (Some(last), Some(filter)) = (self.pieces.back(), &self.estimator.memory.filter) else { return };
         if last.settled && self.estimator.one_past && (last.own || last.after.is_at(filter)) {
             let mut piece = self.spare.pop().unwrap_or_else(|| Piece::new(filter.best_alone()));
-            piece.way.restart(self.estimator.model(), filter.clock.time_s);
+            piece.way.restart(&self.estimator.model, filter.clock.time_s);
             self.own = Some(piece);
         }
     }
 
     /// Gives out the rows that are older than the lag, and drops what is decided and not needed any more.
     fn move_on(&mut self, lag: usize, whole: &mut Option<Output>) {
-        let model = self.estimator.model();
-        let Some(log) = self.estimator.log() else { return };
+        let model = &self.estimator.model;
+        let Some(log) = &self.estimator.log else { return };
         if self.before.is_none() {
-            self.before = Some(Filter::begun(&log.begin, self.estimator.settings(), model));
+            self.before = Some(Filter::begun(&log.begin, &self.estimator.settings, model));
         }
         let due = log.samples.len().saturating_sub(lag);
         self.take_own();
@@ -195,10 +189,10 @@ impl Lag {
 
     /// Adds the rows of the window from those given out on up to before sample `due`.
     fn smoothed(&mut self, due: usize, rows: &mut Rows) {
-        let open = self.estimator.undecided().best();
+        let open = self.estimator.memory.undecided.best();
         self.run_forward(&open);
-        let (Some(log), Some(before)) = (self.estimator.log(), &self.before) else { return };
-        let model = self.estimator.model();
+        let (Some(log), Some(before)) = (&self.estimator.log, &self.before) else { return };
+        let model = &self.estimator.model;
         let parts = [&log.decided, &open];
         let recounted = !self.counting.as_ref().is_some_and(|one| one.holds(model, before.hyps.best(), &parts));
         if recounted {
@@ -233,7 +227,7 @@ impl Lag {
     /// Takes what the estimator's own run left of the last hop as a piece, where it is whole.
     fn take_own(&mut self) {
         let (Some(mut piece), Some(filter), Some(log)) =
-            (self.own.take(), self.estimator.filter(), self.estimator.log())
+            (self.own.take(), &self.estimator.memory.filter, &self.estimator.log)
         else {
             return;
         };
@@ -251,8 +245,8 @@ impl Lag {
     ///
     /// Pieces are hops, counted from the first sample that was pushed.
     fn run_forward(&mut self, open: &Decided) {
-        let (Some(log), Some(before)) = (self.estimator.log(), &self.before) else { return };
-        let (model, samples, count) = (self.estimator.model(), log.samples.view(), log.samples.len());
+        let (Some(log), Some(before)) = (&self.estimator.log, &self.before) else { return };
+        let (model, samples, count) = (&self.estimator.model, log.samples.view(), log.samples.len());
         // The window's first sample was, from the beginning of a hop on, the one of this number.
         let ahead = self.hop - (count + self.hop - (self.pushed % self.hop as u64) as usize) % self.hop;
         let (mut first, mut number, mut done) = (0, 0, 0);
@@ -288,8 +282,8 @@ impl Lag {
 
     /// Drops the pieces before what is given out and decided.
     fn drop_settled(&mut self, due: usize) {
-        let first_s = self.estimator.undecided().first_s();
-        let (Some(log), Some(before)) = (self.estimator.log_mut(), &mut self.before) else { return };
+        let first_s = self.estimator.memory.undecided.first_s();
+        let (Some(log), Some(before)) = (&mut self.estimator.log, &mut self.before) else { return };
         let settled = match first_s {
             Some(first_s) => log.samples.time_ns.partition_point(|&one| since(one, log.origin_ns) < first_s),
             None => due,

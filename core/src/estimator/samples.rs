@@ -130,11 +130,6 @@ impl View<'_> {
         time_s.extend(self.time_ns.iter().map(|&time_ns| since(time_ns, origin_ns)));
     }
 
-    /// Whether all samples are rows, given the stamp of the first one.
-    pub fn all_rows(&self, first_ns: i64) -> bool {
-        self.time_ns.first().is_none_or(|&time_ns| time_ns >= first_ns) && !self.kind.contains(&INSERTED)
-    }
-
     /// Whether a sample is a row, given the stamp of the first one.
     #[inline]
     pub fn is_row(&self, k: usize, first_ns: i64) -> bool {

@@ -29,41 +29,41 @@ pub struct Limits {
 /// All that an estimator remembers besides its log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Remembered {
-    pub(super) origin_ns: Option<i64>,
+    pub(crate) origin_ns: Option<i64>,
     /// Measurements before the first sample, from which times are counted.
-    pub(super) early: VecDeque<(i64, Measurement)>,
+    pub(crate) early: VecDeque<(i64, Measurement)>,
     /// Samples while rows are held back.
-    pub(super) held: Option<Samples>,
-    pub(super) waiting: VecDeque<Timed>,
+    pub(crate) held: Option<Samples>,
+    pub(crate) waiting: VecDeque<Timed>,
     /// Until the filter, and all zeros, have begun.
-    pub(super) alone: Option<Integrated>,
-    pub(super) filter: Option<Filter>,
-    pub(super) first_s: f64,
-    pub(super) undecided: Undecided,
-    pub(super) reports: Reports,
+    pub(crate) alone: Option<Integrated>,
+    pub(crate) filter: Option<Filter>,
+    pub(crate) first_s: f64,
+    pub(crate) undecided: Undecided,
+    pub(crate) reports: Reports,
     /// Of each channel whether its last measurements came too late.
-    pub(super) late: Vec<bool>,
-    pub(super) overflown: bool,
+    pub(crate) late: Vec<bool>,
+    pub(crate) overflown: bool,
     /// Events that wait for the next rows.
-    pub(super) pending: Vec<Report>,
+    pub(crate) pending: Vec<Report>,
 }
 
 /// The estimator of one measuring point.
 #[derive(Clone, Debug)]
 pub struct Estimator {
-    pub(super) settings: Settings,
-    pub(super) model: Model,
-    pub(super) limits: Limits,
-    pub(super) keep_log: bool,
-    pub(super) give_rows: bool,
-    pub(super) memory: Remembered,
-    pub(super) log: Option<Log>,
+    pub(crate) settings: Settings,
+    pub(crate) model: Model,
+    pub(crate) limits: Limits,
+    pub(crate) keep_log: bool,
+    pub(crate) give_rows: bool,
+    pub(crate) memory: Remembered,
+    pub(crate) log: Option<Log>,
     /// Whether what is decided is the past of all hypotheses.
-    pub(super) one_past: bool,
-    pub(super) work: Work,
-    pub(super) time_s: Vec<f64>,
+    pub(crate) one_past: bool,
+    pub(crate) work: Work,
+    pub(crate) time_s: Vec<f64>,
     /// The items of a run.
-    pub(super) items: Vec<Timed>,
+    pub(crate) items: Vec<Timed>,
 }
 
 impl Estimator {
@@ -100,69 +100,9 @@ impl Estimator {
         }
     }
 
-    /// The settings.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// What stays as it is.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    /// What a second pass needs.
-    pub fn log(&self) -> Option<&Log> {
-        self.log.as_ref()
-    }
-
-    /// The same to change.
-    pub fn log_mut(&mut self) -> Option<&mut Log> {
-        self.log.as_mut()
-    }
-
-    /// Puts a log in place, as a restored stream needs it.
-    pub fn set_log(&mut self, log: Option<Log>) {
-        self.log = log;
-    }
-
-    /// All that is remembered besides the log.
-    pub fn memory(&self) -> &Remembered {
-        &self.memory
-    }
-
-    /// The filter, once it has begun.
-    pub fn filter(&self) -> Option<&Filter> {
-        self.memory.filter.as_ref()
-    }
-
-    /// Samples that are run at once.
-    pub fn block(&self) -> usize {
-        self.limits.block
-    }
-
     /// What times in s count from, ns.
     pub fn origin_ns(&self) -> i64 {
         self.memory.origin_ns.unwrap_or(0)
-    }
-
-    /// Time of the first measurement, s.
-    pub fn first_s(&self) -> f64 {
-        self.memory.first_s
-    }
-
-    /// The items of which the hypotheses do not say the same yet.
-    pub fn undecided(&self) -> &Undecided {
-        &self.memory.undecided
-    }
-
-    /// The measurements and marks that wait for samples.
-    pub fn waiting(&self) -> &VecDeque<Timed> {
-        &self.memory.waiting
-    }
-
-    /// How many measurements wait for the first sample.
-    pub fn early(&self) -> usize {
-        self.memory.early.len()
     }
 
     /// Goes on from what an estimator with the same settings remembered; false: it does not fit.
