@@ -92,13 +92,6 @@ impl Hypotheses {
             && self.slots.iter().all(|one| one.fits(model))
     }
 
-    /// Lets the clock of a channel be in doubt in all of them.
-    pub fn doubt_channel(&mut self, c: usize, doubt: Doubt) {
-        for hyp in self.all_mut() {
-            hyp.marks[c].doubt = doubt;
-        }
-    }
-
     /// Lets all clocks be in doubt at the next measurement.
     pub fn doubt_all(&mut self) {
         for mark in self.all_mut().iter_mut().flat_map(|hyp| hyp.marks.iter_mut()) {
@@ -165,8 +158,8 @@ impl Hypotheses {
         }
         self.weights.clear();
         for hyp in &self.slots[..self.count] {
-            let seen = look(hyp, scene, work);
-            let at = Situation::new(hyp, scene, seen, &work.gain, (first, sharpest));
+            let innovation = look(hyp, scene, work);
+            let at = Situation::new(hyp, scene, innovation, &work.gain, (first, sharpest));
             // Where an error of the acceleration goes on, it may just have ended.
             let stays = if hyp.memory.burst.is_some() { scene.model.rates.stays.ln() } else { 0.0 };
             let prior = hyp.memory.weight + stays;

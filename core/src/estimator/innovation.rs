@@ -74,18 +74,18 @@ pub struct Innovation {
     /// Measured minus expected, with the parameters as estimated.
     pub error: f64,
     /// Variance of the prediction without the parameters' part.
-    pub known: f64,
+    pub predicted: f64,
     /// Variance of the prediction with it.
-    pub wider: f64,
+    pub with_parameters: f64,
     /// Variance of the measurement's own noise.
-    pub own: f64,
+    pub noise: f64,
 }
 
 impl Innovation {
     /// Its variance.
     #[inline]
     pub fn total(&self) -> f64 {
-        self.wider + self.own
+        self.with_parameters + self.noise
     }
 
     /// Whether it lies within this many standard deviations.
@@ -155,14 +155,14 @@ pub fn look(hyp: &Hypothesis, scene: &Scene, work: &mut Work) -> Innovation {
     let (row, e) = (&scene.channel.row, &mut work.e);
     let motion = &scene.motion[row.axis];
     innovate(&hyp.x, scene.channel, motion, scene.acceleration, scene.row.value, e);
-    let known = project(&hyp.p, row, &mut work.gain);
-    let (mut error, mut wider) = (e[0], known);
+    let predicted = project(&hyp.p, row, &mut work.gain);
+    let (mut error, mut with_parameters) = (e[0], predicted);
     if !hyp.parameters.is_empty() {
         linearise(hyp.x.row(row.motion()), &hyp.parameters, row, e);
         error = e[0] + hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum::<f64>();
-        wider += quadratic(&e[1..], &hyp.spread);
+        with_parameters += quadratic(&e[1..], &hyp.spread);
     }
-    Innovation { error, known, wider, own: scene.row.variance * hyp.marks[scene.row.channel].factor }
+    Innovation { error, predicted, with_parameters, noise: scene.row.variance * hyp.marks[scene.row.channel].factor }
 }
 
 /// Innovation of a `value` and its sensitivities, to `e` (1 + k).

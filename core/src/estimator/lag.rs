@@ -72,7 +72,7 @@ pub struct Lag {
     counting: Option<Counting>,
     work: Work,
     time_s: Vec<f64>,
-    found: Vec<Mixed>,
+    smoothed: Vec<Mixed>,
 }
 
 impl Lag {
@@ -93,7 +93,7 @@ impl Lag {
             counting: None,
             work,
             time_s: Vec::new(),
-            found: Vec::new(),
+            smoothed: Vec::new(),
         }
     }
 
@@ -210,8 +210,8 @@ impl Lag {
             let first = end - piece.way.len();
             let own = first.max(self.given)..end.min(due).max(first);
             let wanted = own.start.min(own.end) - first..own.end - first;
-            self.adjoint.pass(&piece.way, &view, wanted.clone(), &mut self.found);
-            for (k, one) in wanted.zip(self.found.chunks(samples.axes)).rev() {
+            self.adjoint.pass(&piece.way, &view, wanted.clone(), &mut self.smoothed);
+            for (k, one) in wanted.zip(self.smoothed.chunks(samples.axes)).rev() {
                 if samples.is_row(first + k, first_ns) {
                     place -= 1;
                     rows.put(place, samples.time_ns[first + k], one, |a| piece.way.status(k, a));

@@ -125,12 +125,12 @@ pub struct Innovations {
 }
 
 impl Innovations {
-    /// Adds what a measurement at an instant was taken for, and what that told.
+    /// Adds what a measurement at an instant was taken for, and the evidence for it.
     #[inline]
-    pub fn push(&mut self, time_ns: i64, units_per_m: f64, told: &Contradiction, decision: Decision) {
+    pub fn push(&mut self, time_ns: i64, units_per_m: f64, evidence: &Contradiction, decision: Decision) {
         self.time_ns.push(time_ns);
-        self.value.push(told.size / units_per_m);
-        self.variance.push(told.variance / (units_per_m * units_per_m));
+        self.value.push(evidence.size / units_per_m);
+        self.variance.push(evidence.variance / (units_per_m * units_per_m));
         self.verdict.push(match decision.cause {
             Cause::Outlier => Verdict::Rejected,
             Cause::Lost => Verdict::Reacquired,
@@ -221,16 +221,16 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
 const BACK_STD_S: f64 = 0.02;
 
 /// What several hypotheses found as one: means and variances by their weights.
-pub fn mixed(found: &[Rows], weights: &[f64]) -> Rows {
-    let Some(first) = found.first() else { return Rows::default() };
+pub fn mixed(runs: &[Rows], weights: &[f64]) -> Rows {
+    let Some(first) = runs.first() else { return Rows::default() };
     let (mut whole, total) = (first.clone(), weights.iter().sum::<f64>());
     for (a, out) in whole.axes.iter_mut().enumerate() {
         for k in 0..out.displacement.len() {
             let mean = |of: fn(&AxisRows) -> &Vec<f64>| -> f64 {
-                found.iter().zip(weights).map(|(one, weight)| weight / total * of(&one.axes[a])[k]).sum()
+                runs.iter().zip(weights).map(|(one, weight)| weight / total * of(&one.axes[a])[k]).sum()
             };
             let value = mean(|one| &one.displacement);
-            let spread = found.iter().zip(weights).map(|(one, weight)| {
+            let spread = runs.iter().zip(weights).map(|(one, weight)| {
                 let off = one.axes[a].displacement[k] - value;
                 weight / total * (one.axes[a].variance[k] + off * off)
             });

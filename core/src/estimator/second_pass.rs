@@ -116,7 +116,7 @@ impl SecondPass<'_> {
         let Some((first, last)) = parts.first().zip(parts.last()) else { return rows };
         let (before, mut after) = (first.before.hyps.best().clone(), last.before.clone());
         let (samples, items) = (last.samples.clone(), last.items.clone());
-        let (mut way, mut found) = (WayBack::default(), Vec::new());
+        let (mut way, mut smoothed) = (WayBack::default(), Vec::new());
         way.restart(&self.model, after.clock.time_s);
         self.forward(&mut after, samples, items, Some(&mut way));
         let model = self.model.clone();
@@ -128,11 +128,11 @@ impl SecondPass<'_> {
                 way.restart(&model, part.before.clock.time_s);
                 self.forward(&mut part.before, part.samples.clone(), part.items.clone(), Some(&mut way));
             }
-            adjoint.pass(&way, &counted, 0..part.samples.len(), &mut found);
+            adjoint.pass(&way, &counted, 0..part.samples.len(), &mut smoothed);
             end -= given[i];
             let own = part.samples.clone().enumerate().filter(|(_, k)| view.is_row(*k, self.first_ns));
             for (place, (k, sample)) in own.enumerate() {
-                let one = &found[k * view.axes..(k + 1) * view.axes];
+                let one = &smoothed[k * view.axes..(k + 1) * view.axes];
                 rows.put(end + place, view.time_ns[sample], one, |a| way.status(k, a));
             }
         }
@@ -180,7 +180,7 @@ fn unforeseen(decided: &Decided, model: &Model) -> (Vec<Error>, Vec<Decision>) {
             if let (Cause::Wrong | Cause::Lost, Some(first)) = (decision.cause, last_good) {
                 let at_s = decided.items[j].at_s;
                 let lapse = (at_s - decided.items[own[first]].at_s).max(SHORTEST_S);
-                let density = led_away(decided.told[j].size / channel.row.units_per_m, lapse);
+                let density = led_away(decided.evidence[j].size / channel.row.units_per_m, lapse);
                 errors.push(Error { from_s: at_s - lapse, until_s: at_s, axis: channel.row.axis, density });
                 for &between in &own[first + 1..=place] {
                     again[between] = true;
@@ -213,7 +213,7 @@ fn outliers_of_one_cause(own: &[usize], decided: &Decided) -> Vec<usize> {
     same.iter().copied().filter(|&j| decided.decisions[j].is_outlier()).collect()
 }
 
-/// Puts the steps that later measurements told where they were, as shifts of all targets of a sensor.
+/// Puts the steps that later measurements showed where they were, as shifts of all targets of a sensor.
 fn put_steps_in_place(decided: &mut Decided, model: &Model) {
     let steps: Vec<usize> = (0..decided.len()).filter(|&j| decided.decisions[j].cause == Cause::StepBefore).collect();
     for &j in &steps {
@@ -221,7 +221,7 @@ fn put_steps_in_place(decided: &mut Decided, model: &Model) {
     }
     for j in steps {
         let Some(of) = decided.items[j].channel() else { continue };
-        let since_s = decided.items[j].at_s - decided.told[j].ago_s - SHORTEST_S;
+        let since_s = decided.items[j].at_s - decided.evidence[j].ago_s - SHORTEST_S;
         let first = decided.items.partition_point(|one| one.at_s < since_s);
         for (c, channel) in model.channels.iter().enumerate() {
             if channel.group != model.channels[of].group {
@@ -262,7 +262,7 @@ mod tests {
         let decided = Decided {
             items: (0..19).map(|j| measured(f64::from(j) / 3.0, 0, 0.0, 1.0)).collect(),
             decisions: (0..19).map(|j| Decision::of(cause(j))).collect(),
-            told: vec![Contradiction { size: 1.0, variance: 1.0, ago_s: 0.0 }; 19],
+            evidence: vec![Contradiction { size: 1.0, variance: 1.0, ago_s: 0.0 }; 19],
         };
         let model = Model::new(&settings(vec![channel()], rates()), 0);
         let (errors, decisions) = unforeseen(&decided, &model);

@@ -94,9 +94,8 @@ impl Adjoint {
         whole
     }
 
-    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the
-    /// wanted samples.
-    pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, found: &mut Vec<Mixed>) {
+    /// Runs back over a block; smoothed: takes the rows (samples · axes) of the wanted samples.
+    pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, smoothed: &mut Vec<Mixed>) {
         self.find_live(way, view.counting);
         self.least.clear();
         self.least.extend((0..way.axes).map(|a| zero_variance(view.last, a, view.model)));
@@ -104,8 +103,8 @@ impl Adjoint {
             self.narrow();
         }
         let axes = way.axes;
-        found.clear();
-        found.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
+        smoothed.clear();
+        smoothed.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
         let mut next = way.records.len();
         let mut at_s = way.time_s.last().copied().unwrap_or(way.start_s);
         let mut span = usize::MAX;
@@ -113,7 +112,7 @@ impl Adjoint {
             next = self.back_through_all(way, (next, k + 1), &mut at_s, view);
             span = way.span_of(k, span);
             for a in 0..axes {
-                found[(k - wanted.start) * axes + a] = self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
+                smoothed[(k - wanted.start) * axes + a] = self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
             }
         }
         self.back_through_all(way, (next, 0), &mut at_s, view);

@@ -117,20 +117,20 @@ impl Estimator {
 
     /// Takes samples, which are later than all before, and adds what is due; back: takes what a pass back needs, while one
     /// hypothesis takes all measurements as good.
-    pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         for first in (0..samples.len()).step_by(self.limits.block) {
             let end = samples.len().min(first + self.limits.block);
-            if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
+            if let Some(rows) = outputs.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
                 rows.reserve(samples.len() - first);
             }
             if let Some(log) = self.log.as_mut() {
                 log.samples.reserve(samples.len() - first);
             }
-            self.push_block(samples.part(first, end), back.as_deref_mut(), found);
+            self.push_block(samples.part(first, end), back.as_deref_mut(), outputs);
         }
     }
 
-    fn push_block(&mut self, samples: View, back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    fn push_block(&mut self, samples: View, back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         if self.memory.origin_ns.is_none() {
             self.memory.origin_ns = samples.time_ns.first().copied();
             let origin_ns = self.origin_ns();
@@ -144,9 +144,9 @@ impl Estimator {
             self.memory.alone = Integrated::after(alone, samples, origin_ns, &self.settings.bias_m_s2);
         }
         if self.memory.filter.is_some() {
-            self.run(samples, back, found);
+            self.run(samples, back, outputs);
         } else {
-            self.hold(samples, found);
+            self.hold(samples, outputs);
         }
         let mut channels = 0..self.settings.channels.len();
         if self.memory.alone.is_some() && self.memory.filter.is_some() && channels.all(|c| self.counts(c)) {
@@ -168,7 +168,7 @@ impl Estimator {
     }
 
     /// Holds samples until rows are given out.
-    fn hold(&mut self, samples: View, found: &mut Option<Output>) {
+    fn hold(&mut self, samples: View, outputs: &mut Option<Output>) {
         let held = match self.memory.held.take() {
             Some(mut held) => {
                 held.extend(samples);
@@ -176,26 +176,26 @@ impl Estimator {
             }
             None => samples.owned(),
         };
-        self.begin(held, false, found);
+        self.begin(held, false, outputs);
     }
 
     /// The rows of samples; where they are logged, run up to where the log keeps the filter, and then on.
-    pub(super) fn run(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    pub(super) fn run(&mut self, samples: View, mut back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         let mut first = 0;
         while first < samples.len() {
             let logged = self.log.as_ref().map_or(0, |log| log.samples.len());
             let end = samples.len().min(first + self.limits.block - logged % self.limits.block);
-            self.run_on(samples.part(first, end), back.as_deref_mut(), found);
+            self.run_on(samples.part(first, end), back.as_deref_mut(), outputs);
             first = end;
         }
     }
 
-    fn run_on(&mut self, samples: View, back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    fn run_on(&mut self, samples: View, back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         let origin_ns = self.origin_ns();
         samples.seconds(origin_ns, &mut self.time_s);
         let (Some(&end_s), Some(mut filter)) = (self.time_s.last(), self.memory.filter.take()) else { return };
         self.take_due(end_s);
-        let output = found.get_or_insert_default();
+        let output = outputs.get_or_insert_default();
         output.innovations.resize_with(self.settings.channels.len(), Innovations::default);
         let rows = self.give_rows.then(|| output.rows.get_or_insert_default());
         let first_ns = instant(self.memory.first_s, origin_ns);
@@ -256,10 +256,10 @@ impl Estimator {
     }
 
     /// Adds the rows that are held back still, and events that the record's end completes.
-    pub fn finish(&mut self, found: &mut Option<Output>) {
+    pub fn finish(&mut self, outputs: &mut Option<Output>) {
         if self.memory.filter.is_none() {
             if let Some(held) = self.memory.held.take() {
-                self.begin(held, true, found);
+                self.begin(held, true, outputs);
             }
         }
         let mut output = Output::default();
@@ -272,7 +272,7 @@ impl Estimator {
             output.reports.extend(self.memory.reports.ended(self.origin_ns()));
         }
         if !output.reports.is_empty() {
-            found.get_or_insert_default().reports.append(&mut output.reports);
+            outputs.get_or_insert_default().reports.append(&mut output.reports);
         }
     }
 

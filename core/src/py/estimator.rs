@@ -175,8 +175,8 @@ fn matrix<'py>(py: Python<'py>, one: &Matrix) -> Bound<'py, PyArray2<f64>> {
 
 /// A stream: rows as they come, or a lag later.
 enum Stream {
-    Causal(stream::Estimator),
-    Lagged(Lag),
+    Causal(Box<stream::Estimator>),
+    Lagged(Box<Lag>),
 }
 
 /// See [`stream::Estimator`] and [`Lag`].
@@ -218,8 +218,8 @@ impl Estimator {
         let limits = Limits { waiting: waiting.max(1), block: block.max(1) };
         let own = stream::Estimator::new(settings, limits, log || lagged, rows && !lagged);
         let stream = match lag_samples {
-            Some(lag_samples) => Stream::Lagged(Lag::new(own, lag_samples)),
-            None => Stream::Causal(own),
+            Some(lag_samples) => Stream::Lagged(Box::new(Lag::new(own, lag_samples))),
+            None => Stream::Causal(Box::new(own)),
         };
         Ok(Self { stream })
     }

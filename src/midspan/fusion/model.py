@@ -5,6 +5,9 @@ from enum import IntEnum
 
 from midspan.records import Channel
 
+# The state starts this long before the first sample (s); the same however the record is cut.
+START_S = 0.01
+
 
 class ParameterKind(IntEnum):
     """What a parameter is: the relative error of a scale, a clock's offset in s (measured late by so much), or the
