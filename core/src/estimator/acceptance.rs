@@ -16,35 +16,35 @@ use super::situation::{DECADES, OUTLIER_MEMORY, SHORTEST_S};
 use super::steps::{APART_BY, Instant, Weighed, begin_instant, carry_all, meet_innovation};
 use super::update::{begin_zero, update};
 
-/// Updates one hypothesis with a measurement; seen: of `look`, with P h and sensitivities in `work`.
+/// Updates one hypothesis with a measurement; innovation: of `look`, with P h and sensitivities in `work`.
 ///
 /// Returns the innovation's variance that it was taken with, infinite where it began the channel's zero.
 #[inline]
-pub fn accept(hyp: &mut Hypothesis, scene: &Scene, seen: &Innovation, work: &mut Work) -> f64 {
+pub fn accept(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work: &mut Work) -> f64 {
     let (model, row, c) = (scene.model, &scene.channel.row, scene.row.channel);
     if model.looks_for_steps() {
-        ask_for_step(hyp, scene, seen.known / (seen.known + seen.own));
+        ask_for_step(hyp, scene, innovation.predicted / (innovation.predicted + innovation.noise));
     }
-    hyp.memory.met.size = seen.error;
-    hyp.memory.met.variance = seen.total();
+    hyp.memory.met.size = innovation.error;
+    hyp.memory.met.variance = innovation.total();
     let (gain, e) = (&mut work.gain, &mut work.e);
-    let (mut total, mut own) = (f64::INFINITY, seen.own);
+    let (mut total, mut own) = (f64::INFINITY, innovation.noise);
     if hyp.marks[c].begun {
-        adapt(&mut hyp.marks[c], seen.error, seen.wider, seen.own, model.noise_memory);
+        adapt(&mut hyp.marks[c], innovation.error, innovation.with_parameters, innovation.noise, model.noise_memory);
         own = scene.row.variance * hyp.marks[c].factor;
-        total = seen.known + own;
+        total = innovation.predicted + own;
         if !hyp.parameters.is_empty() {
-            let told = Told {
+            let observed = Observed {
                 e,
-                error: seen.error,
-                predicted: seen.known,
-                total: seen.wider + own,
+                error: innovation.error,
+                predicted: innovation.predicted,
+                total: innovation.with_parameters + own,
                 at_s: scene.at_s,
                 last_s: hyp.memory.last_s,
             };
-            learn(&mut hyp.parameters, &mut hyp.spread, &model.parameters, &told, &mut work.parameters);
+            learn(&mut hyp.parameters, &mut hyp.spread, &model.parameters, &observed, &mut work.parameters);
             hyp.memory.last_s = scene.at_s;
-            move_to_updated(e, row, &model.parameters, scene.at_s, seen.error * seen.known / total);
+            move_to_updated(e, row, &model.parameters, scene.at_s, innovation.error * innovation.predicted / total);
         }
         update(&mut hyp.x, &mut hyp.p, gain, e, total);
     } else {
@@ -183,7 +183,7 @@ pub fn move_to_updated(e: &mut [f64], row: &Row, parameters: &[ParameterModel], 
 }
 
 /// An innovation by which parameters are estimated.
-pub struct Told<'a> {
+pub struct Observed<'a> {
     /// Its sensitivities, after itself (1 + k).
     pub e: &'a [f64],
     /// Itself with the parameters as estimated.
@@ -202,23 +202,29 @@ pub struct Told<'a> {
 ///
 /// The gain of those that are not estimated is 0, and the covariance stays that of the errors (S. F. Schmidt's consider
 /// parameters). scratch (2 k): to work with.
-pub fn learn(values: &mut [f64], spread: &mut Matrix, table: &[ParameterModel], told: &Told, scratch: &mut Vec<f64>) {
+pub fn learn(
+    values: &mut [f64],
+    spread: &mut Matrix,
+    table: &[ParameterModel],
+    observed: &Observed,
+    scratch: &mut Vec<f64>,
+) {
     let k = values.len();
     scratch.clear();
     scratch.resize(2 * k, 0.0);
     let (gain, mu) = scratch.split_at_mut(k);
     for (q, parameter) in table.iter().enumerate() {
-        spread[(q, q)] += parameter.walk * (told.at_s - told.last_s).max(0.0);
-        let sensitivity = told.e[1 + q];
-        mu[q] = spread.row(q).iter().zip(&told.e[1..]).map(|(a, b)| a * b).sum();
-        if told.at_s >= parameter.from_s && sensitivity * sensitivity >= parameter.clear * told.predicted {
-            gain[q] = mu[q] / told.total;
+        spread[(q, q)] += parameter.walk * (observed.at_s - observed.last_s).max(0.0);
+        let sensitivity = observed.e[1 + q];
+        mu[q] = spread.row(q).iter().zip(&observed.e[1..]).map(|(a, b)| a * b).sum();
+        if observed.at_s >= parameter.from_s && sensitivity * sensitivity >= parameter.clear * observed.predicted {
+            gain[q] = mu[q] / observed.total;
         }
     }
     for q in 0..k {
-        values[q] -= gain[q] * told.error;
+        values[q] -= gain[q] * observed.error;
         for r in 0..k {
-            spread[(q, r)] += gain[q] * gain[r] * told.total - gain[q] * mu[r] - mu[q] * gain[r];
+            spread[(q, r)] += gain[q] * gain[r] * observed.total - gain[q] * mu[r] - mu[q] * gain[r];
         }
     }
 }

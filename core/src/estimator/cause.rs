@@ -96,11 +96,11 @@ impl Cause {
 
     /// Logarithm of how often it is met times how likely it makes the innovation; -inf: it is not considered.
     pub fn log_weight(self, at: &Situation) -> f64 {
-        let (seen, rates) = (&at.seen, &at.scene.model.rates);
+        let (innovation, rates) = (&at.innovation, &at.scene.model.rates);
         if at.mark.stepped {
             // What it measures of another instant neither is an outlier nor says that the motion's state is wrong.
             return match self {
-                Self::Good => log_normal(seen.error, seen.total().max(seen.error * seen.error)),
+                Self::Good => log_normal(innovation.error, innovation.total().max(innovation.error * innovation.error)),
                 Self::Shift(Prior::FormerZero) => weight_of_return(at),
                 _ => f64::NEG_INFINITY,
             };
@@ -108,7 +108,9 @@ impl Cause {
         match self {
             Self::Good => (1.0 - at.p_outlier()).ln() + at.normal(),
             Self::Outlier if at.mark.outliers > 0.0 => 0.5f64.ln() + at.wrong_or_kept() + at.p_outlier().ln(),
-            Self::Outlier if at.runs || at.first || !at.inside || seen.wider > VAGUE * seen.own => {
+            Self::Outlier
+                if at.runs || at.first || !at.inside || innovation.with_parameters > VAGUE * innovation.noise =>
+            {
                 at.wrong_or_kept() + at.p_outlier().ln()
             }
             Self::Shift(Prior::FormerZero) if at.mark.shifted && !at.inside => weight_of_return(at),
@@ -126,8 +128,8 @@ impl Cause {
 fn weight_of_return(at: &Situation) -> f64 {
     let (g, (mean, variance, ph)) = (at.scene.channel.row.units_per_m, at.shift);
     // Without the shift's state: its mean comes back to the innovation, its variance goes.
-    let rest = at.seen.wider - 2.0 * g * ph + g * g * variance;
-    let returned = log_normal(at.seen.error + g * mean, rest.max(0.0) + at.seen.own);
+    let rest = at.innovation.with_parameters - 2.0 * g * ph + g * g * variance;
+    let returned = log_normal(at.innovation.error + g * mean, rest.max(0.0) + at.innovation.noise);
     let rates = &at.scene.model.rates;
     let lapse = (at.scene.at_s - at.mark.met_s).max(SHORTEST_S);
     met_within(if at.mark.stepped { rates.clock } else { rates.back }, lapse).ln() + returned
@@ -139,7 +141,7 @@ fn weight_of_shift(at: &Situation) -> f64 {
     match at.memory.shift.filter(same_frame) {
         // The sensor moved: all its targets shift, mostly by the same.
         Some(shift) => {
-            let alike = log_normal(at.seen.error - g * shift.size_m, 2.0 * at.seen.own);
+            let alike = log_normal(at.innovation.error - g * shift.size_m, 2.0 * at.innovation.noise);
             (0.5 * rates.stays).ln() + at.any_size().max(alike)
         }
         None => met_within(rates.shift, at.lapse).ln() + at.any_size(),
@@ -166,14 +168,14 @@ fn weight_of_clock(at: &Situation) -> f64 {
     if at.mark.shifted || at.apart() == 0.0 {
         return f64::NEG_INFINITY;
     }
-    at.clock_rate().ln() + log_normal(at.seen.error, at.seen.total() + at.apart())
+    at.clock_rate().ln() + log_normal(at.innovation.error, at.innovation.total() + at.apart())
 }
 
 /// How likely a sensor's noise rose within a lapse.
 fn noise_within(at: &Situation) -> f64 {
     let rates = &at.scene.model.rates;
     let noisier = met_within(rates.noise, at.lapse);
-    if rates.noise > 0.0 && at.mark.doubt.lasts() && at.seen.wider <= VAGUE * at.seen.own {
+    if rates.noise > 0.0 && at.mark.doubt.lasts() && at.innovation.with_parameters <= VAGUE * at.innovation.noise {
         // A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
         return noisier.max(P_STEPPED * P_STEPPED);
     }
@@ -197,17 +199,17 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
     hyp.memory.age = if decision == Decision::GOOD { hyp.memory.age + 1.0 } else { 0.0 };
     hyp.marks[c].met_s = scene.at_s;
     let doubt = hyp.marks[c].doubt;
-    let mut seen = look(hyp, scene, work);
-    let (rate_s, is_sharp) = (scene.channel.apart.rate_s, tells_step(scene, seen.total()));
+    let mut innovation = look(hyp, scene, work);
+    let (rate_s, is_sharp) = (scene.channel.apart.rate_s, tells_step(scene, innovation.total()));
     hyp.marks[c].doubt = doubt.after(decision.cause, scene.at_s, rate_s, is_sharp);
     // Whether the samples' noise since then explains it: then it was the prediction that was wrong.
-    let explained = decision.explained && seen.within(GATE);
-    let told = Contradiction { size: seen.error, variance: seen.total(), ago_s: 0.0 };
+    let explained = decision.explained && innovation.within(GATE);
+    let evidence = Contradiction { size: innovation.error, variance: innovation.total(), ago_s: 0.0 };
     let mut shift_scaled = 1.0;
     match decision.cause {
         Cause::Outlier if !explained => {
             reject(hyp, scene);
-            hyp.memory.met = told;
+            hyp.memory.met = evidence;
             if decision.burst_ended {
                 hyp.memory.burst = None;
             }
@@ -218,19 +220,19 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
             if cause == Cause::Shift(Prior::FormerZero) {
                 shift_scaled = 0.0;
             }
-            change(cause, hyp, scene, &Change { seen, doubt, lapse, explained }, work);
-            seen = look(hyp, scene, work);
+            change(cause, hyp, scene, &Change { innovation, doubt, lapse, explained }, work);
+            innovation = look(hyp, scene, work);
         }
     }
-    if hyp.marks[c].stepped && !seen.within(GATE) {
+    if hyp.marks[c].stepped && !innovation.within(GATE) {
         // The two instants are farther apart than usual, as in a passage: rejected, or taken for an error of the motion's
         // state, it would leave the acceleration alone or begin a velocity that nothing moves with.
-        let (s, off) = (scene.channel.shift, seen.error / scene.channel.row.units_per_m);
+        let (s, off) = (scene.channel.shift, innovation.error / scene.channel.row.units_per_m);
         hyp.p[(s, s)] += off * off;
-        seen = look(hyp, scene, work);
+        innovation = look(hyp, scene, work);
     }
-    let total = accept(hyp, scene, &seen, work);
-    hyp.memory.met = told;
+    let total = accept(hyp, scene, &innovation, work);
+    hyp.memory.met = evidence;
     if decision.cause == Cause::StepBefore {
         find_step(hyp, scene, f64::NEG_INFINITY);
     } else if decision.burst_ended {
@@ -253,7 +255,7 @@ fn reject(hyp: &mut Hypothesis, scene: &Scene) {
 
 /// What a change of the filter starts from.
 struct Change {
-    seen: Innovation,
+    innovation: Innovation,
     doubt: Doubt,
     lapse: f64,
     /// The samples' noise holds the error already.
@@ -264,7 +266,7 @@ struct Change {
 fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: &mut Work) {
     let (channel, c, group) = (scene.channel, scene.row.channel, scene.channel.group);
     let (row, s) = (&channel.row, channel.shift);
-    let (error, total, size) = (at.seen.error, at.seen.total(), at.seen.error / row.units_per_m);
+    let (error, total, size) = (at.innovation.error, at.innovation.total(), at.innovation.error / row.units_per_m);
     match cause {
         Cause::Good | Cause::Outlier | Cause::StepBefore => {}
         Cause::Shift(Prior::FormerZero) => {
@@ -321,14 +323,14 @@ fn restore_zero(hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) {
     let (channel, c) = (scene.channel, scene.row.channel);
     scale_state(&mut hyp.x, &mut hyp.p, channel.shift, 0.0);
     if !hyp.marks[c].stepped {
-        let seen = look(hyp, scene, work);
+        let innovation = look(hyp, scene, work);
         let recent = hyp
             .memory
             .shift
             .is_some_and(|one| one.sensor == channel.sensor && (scene.at_s - one.at_s) * scene.model.rates.back <= 1.0);
         if !recent {
             let g = channel.row.units_per_m;
-            hyp.p[(channel.shift, channel.shift)] += seen.total() / (g * g);
+            hyp.p[(channel.shift, channel.shift)] += innovation.total() / (g * g);
         }
     }
     hyp.marks[c].shifted = false;
@@ -385,9 +387,9 @@ mod tests {
                 acceleration: 0.0,
                 density: 0.0,
             };
-            let seen = look(&hyp, &scene, &mut work);
-            let at = Situation::new(&hyp, &scene, seen, &work.gain, (false, 2e-8));
-            let any_size = log_any_size(seen.error, seen.total());
+            let innovation = look(&hyp, &scene, &mut work);
+            let at = Situation::new(&hyp, &scene, innovation, &work.gain, (false, 2e-8));
+            let any_size = log_any_size(innovation.error, innovation.total());
             for cause in [Cause::Shift(Prior::AnySize), Cause::Wrong, Cause::Noise, Cause::Lost] {
                 let prior = (cause.log_weight(&at) - any_size).exp();
                 // Once an hour, as a Poisson process.
@@ -398,7 +400,9 @@ mod tests {
                 true => (Cause::Shift(Prior::FormerZero), 0.0),
                 false => (Cause::Clock, channel.apart.variance_m2),
             };
-            assert!((cause.log_weight(&at) - log_normal(seen.error, seen.total() + more)).exp() <= 1.0 + 1e-12);
+            assert!(
+                (cause.log_weight(&at) - log_normal(innovation.error, innovation.total() + more)).exp() <= 1.0 + 1e-12
+            );
         }
     }
 }

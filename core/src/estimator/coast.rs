@@ -1,96 +1,222 @@
 //! The samples between two measurements, while there is one hypothesis: most of a record.
 //!
 //! It does what [`super::run`] does of a sample without a measurement, by the same sums in the same order, so that the bits
-//! are the same; axis by axis, with the motion's state at hand, and what stays as it is between measurements looked up once.
+//! of the filter are the same; quantity by quantity, each in a loop of its own over the samples of a segment, with what
+//! stays as it is between measurements looked up once.
 
 use super::hypothesis::Hypothesis;
+use super::innovation::{Mixed, Mixture, Work};
 use super::layout::{MOTION_STATES, motion_of};
+use super::matrix::Matrix;
 use super::model::Model;
-use super::motion::{AxisMotion, lead_of, shift_sensitivities};
-use super::predict::{
-    MotionCovariance, MotionMean, mirror_others, predict_across, predict_others, predict_sensitivities, predict_walks,
-};
-use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_variance};
+use super::motion::{AxisMotion, Response, lead_of};
+use super::predict::{MotionCovariance, MotionMean, mirror_others, predict_across, predict_walks};
+use super::rows::{Rows, Standing, zero_variance};
 use super::run::{Block, Filter};
-use super::samples::{BRIDGED, View};
+use super::samples::View;
+use super::settings::MAX_AXES;
 use super::way_back::WayBack;
 use crate::track::vector::vectorised;
+
+/// So many samples at once stay in the nearest memory.
+const MAX_SEGMENT: usize = 128;
 
 /// Where rows and nodes go.
 pub struct Leave<'a> {
     /// Rows.
     pub rows: Option<&'a mut Rows>,
-    /// The place of the next row.
-    pub place: &'a mut usize,
-    /// Whether all samples of the block are rows.
-    pub all_rows: bool,
     /// What the way back needs.
     pub back: Option<&'a mut WayBack>,
 }
 
-/// The samples of a segment without measurements.
-#[derive(Clone, Copy)]
-struct Segment<'a> {
-    samples: View<'a>,
-    time_s: &'a [f64],
-    /// The stamp of the first row, ns; None: all are rows.
-    first_ns: Option<i64>,
+/// A quantity along one axis at each sample of a segment, of the displacement and of the velocity.
+#[derive(Clone, Debug)]
+pub(super) struct Pair {
+    pub(super) x: Vec<f64>,
+    pub(super) v: Vec<f64>,
 }
 
-impl Segment<'_> {
-    #[inline(always)]
-    fn is_row(&self, k: usize) -> bool {
-        self.first_ns.is_none_or(|first_ns| self.samples.is_row(k, first_ns))
+impl Pair {
+    fn new() -> Self {
+        Self { x: vec![0.0; MAX_SEGMENT], v: vec![0.0; MAX_SEGMENT] }
+    }
+}
+
+/// What the samples of a segment leave along one axis.
+#[derive(Clone, Debug)]
+pub struct Course {
+    /// How many samples there are.
+    pub(super) count: usize,
+    /// Lengths of the intervals, s.
+    dt: Vec<f64>,
+    /// What the velocity state is moved by at the start of each, m/s, and what its input adds.
+    led: Vec<f64>,
+    moved: Vec<Response>,
+    /// Displacement and true velocity.
+    pub(super) mean: Pair,
+    /// Of the motion.
+    pub(super) covariance: Vec<MotionCovariance>,
+    /// Of the displacement, and then of the row, m².
+    variance: Vec<f64>,
+    /// Of each parameter.
+    pub(super) sensitivities: Vec<Pair>,
+    /// Covariances with each of the other states that are uncertain.
+    pub(super) others: Vec<Pair>,
+}
+
+impl Course {
+    /// For a model.
+    pub fn new(model: &Model) -> Self {
+        Self {
+            count: 0,
+            dt: vec![0.0; MAX_SEGMENT],
+            led: vec![0.0; MAX_SEGMENT],
+            moved: vec![Response::default(); MAX_SEGMENT],
+            mean: Pair::new(),
+            covariance: vec![MotionCovariance::default(); MAX_SEGMENT],
+            variance: vec![0.0; MAX_SEGMENT],
+            sensitivities: vec![Pair::new(); model.columns() - 1],
+            others: vec![Pair::new(); model.size()],
+        }
+    }
+
+    /// What one sample leaves: what a hypothesis is now; ahead: what its velocity state is ahead of the true velocity, m/s.
+    fn set(&mut self, hyp: &Hypothesis, a: usize, ahead: f64, others: &[usize]) {
+        let (i, x, p) = (motion_of(a), &hyp.x, &hyp.p);
+        self.count = 1;
+        (self.mean.x[0], self.mean.v[0]) = (x[(i, 0)], x[(i + 1, 0)] - ahead);
+        self.covariance[0] = MotionCovariance::of(p, i);
+        for (q, pair) in self.sensitivities.iter_mut().enumerate() {
+            (pair.x[0], pair.v[0]) = (x[(i, 1 + q)], x[(i + 1, 1 + q)]);
+        }
+        for (pair, &j) in self.others.iter_mut().zip(others) {
+            (pair.x[0], pair.v[0]) = (p[(i, j)], p[(i + 1, j)]);
+        }
+    }
+
+    /// Turns what the samples left into displacement relative to the datum, its variance, and the velocity, with the
+    /// parameters' part.
+    fn relate(&mut self, hyp: &Hypothesis, model: &Model, a: usize, others: &[usize]) {
+        let Self { count, mean, covariance, variance, sensitivities, .. } = self;
+        let (count, misfit, datum) = (*count, model.misfit[a], model.datum.as_ref().map(|datum| datum[a]));
+        let (value, velocity, variance) = (&mut mean.x[..count], &mut mean.v[..count], &mut variance[..count]);
+        for (variance, covariance) in variance.iter_mut().zip(covariance.iter()) {
+            *variance = covariance.xx;
+        }
+        if let Some(d) = datum {
+            let common = others.iter().position(|&j| j == d).map(|place| &self.others[place].x);
+            for (k, (value, variance)) in value.iter_mut().zip(variance.iter_mut()).enumerate() {
+                *value -= hyp.x[(d, 0)];
+                *variance += hyp.p[(d, d)] - 2.0 * common.map_or(0.0, |common| common[k]);
+            }
+        }
+        variance.iter_mut().for_each(|variance| *variance = misfit * variance.max(0.0));
+        for (q, &parameter) in hyp.parameters.iter().enumerate() {
+            let at_datum = datum.map_or(0.0, |d| hyp.x[(d, 1 + q)]);
+            let Pair { x, v } = &mut sensitivities[q];
+            for (((value, velocity), x), v) in value.iter_mut().zip(velocity.iter_mut()).zip(x).zip(v.iter()) {
+                *x -= at_datum;
+                *value += *x * parameter;
+                *velocity += v * parameter;
+            }
+        }
+        for (q, one) in sensitivities.iter().enumerate() {
+            for (r, other) in sensitivities.iter().enumerate() {
+                let spread = hyp.spread[(q, r)];
+                for ((variance, x), y) in variance.iter_mut().zip(&one.x).zip(&other.x) {
+                    *variance += x * spread * y;
+                }
+            }
+        }
+    }
+
+    /// Displacement relative to the datum, its variance and the velocity of one sample; after [`Self::relate`].
+    fn row(&self) -> Mixed {
+        Mixed { value: self.mean.x[0], variance: self.variance[0], velocity: self.mean.v[0] }
+    }
+
+    /// Puts the row of one sample.
+    fn set_row(&mut self, row: Mixed) {
+        (self.mean.x[0], self.variance[0], self.mean.v[0]) = (row.value, row.variance, row.velocity);
+    }
+
+    /// Adds the rows along an axis; after [`Self::relate`].
+    fn add_rows(&mut self, hyp: &Hypothesis, model: &Model, a: usize, standing: &Standing, rows: &mut Rows) {
+        let (out, count) = (&mut rows.axes[a], self.count);
+        let (least, unseen) = (zero_variance(hyp, a, model), model.unseen_m2[a]);
+        out.displacement.extend_from_slice(&self.mean.x[..count]);
+        out.velocity.extend_from_slice(&self.mean.v[..count]);
+        let known = self.variance[..count].iter().zip(&self.mean.v);
+        out.variance
+            .extend(known.map(|(variance, v)| (variance + standing.clock_variance * v * v).max(least) + unseen));
+        out.source.extend(std::iter::repeat_n(standing.source, count));
+        out.status.extend(std::iter::repeat_n(standing.status as u8, count));
     }
 }
 
 impl Filter {
-    /// Goes on from sample `first` to before the first one from `before_s` on, or behind a gap; returns that one's number.
+    /// Goes on from sample `first` over the next ones of the same kind, to before the first one from `before_s` on, or
+    /// behind a gap, or whose row stands otherwise; returns that one's number.
     pub fn coast(
         &mut self,
         model: &Model,
         block: &Block,
-        first: usize,
-        before_s: f64,
-        uncertain: &[usize],
+        (first, before_s): (usize, f64),
         leave: &mut Leave,
+        work: &mut Work,
     ) -> usize {
-        let (axes, mut clock, mut end) = (model.axes(), self.clock, first);
-        while let Some(&end_s) = block.time_s.get(end).filter(|&&end_s| end_s < before_s && !clock.is_gap(end_s)) {
+        let (axes, samples) = (model.axes(), block.samples);
+        // Nodes of several axes need the covariances between them sample by sample.
+        if axes > 1 && leave.back.is_some() {
+            return first;
+        }
+        let (is_row, kind, mut until_s) = (samples.is_row(first, block.first_ns), samples.kind[first], before_s);
+        let mut standing = [Standing::default(); MAX_AXES];
+        if leave.back.is_some() || (leave.rows.is_some() && is_row) {
+            for (a, standing) in standing.iter_mut().enumerate().take(axes) {
+                *standing = Standing::at(self.hyps.best(), model, a, block.time_s[first], kind);
+                until_s = until_s.min(standing.until_s);
+            }
+        }
+        let (mut clock, mut end, last) = (self.clock, first, block.time_s.len().min(first + MAX_SEGMENT));
+        while end < last && !clock.is_gap(block.time_s[end]) {
+            let end_s = block.time_s[end];
+            let stays = samples.kind[end] == kind && samples.is_row(end, block.first_ns) == is_row;
+            if end_s >= before_s || (end > first && (end_s >= until_s || !stays)) {
+                break;
+            }
             clock.advance(end_s);
             end += 1;
         }
-        // Nodes of several axes need the covariances between them sample by sample.
-        if end == first || (axes > 1 && leave.back.is_some()) {
+        if end == first {
             return first;
         }
-        let samples = block.samples.part(first, end);
-        let segment = Segment {
-            samples,
-            time_s: &block.time_s[first..end],
-            first_ns: (!leave.all_rows).then_some(block.first_ns),
-        };
+        let (segment, time_s) = (samples.part(first, end), &block.time_s[first..end]);
+        let Work { course, uncertain, .. } = work;
+        if let Some(rows) = leave.rows.as_deref_mut().filter(|_| is_row) {
+            rows.add_stamps(axes, segment.time_ns);
+        }
+        if let Some(back) = leave.back.as_deref_mut() {
+            back.add_samples(time_s);
+        }
         let hyp = self.hyps.best_mut();
-        let begin = *leave.place;
-        if let Some(rows) = leave.rows.as_deref_mut() {
-            rows.make_room(axes, begin, samples.len());
-            for k in (0..samples.len()).filter(|&k| segment.is_row(k)) {
-                rows.time_ns[*leave.place] = samples.time_ns[k];
-                *leave.place += 1;
+        for (a, standing) in standing.iter().enumerate().take(axes) {
+            coast_along(hyp, model, (a, &mut self.motion[a], self.clock.time_s), (segment, time_s), uncertain, course);
+            if let Some(back) = leave.back.as_deref_mut() {
+                back.add_nodes(hyp, model, a, course);
+                back.add_statuses(time_s.len(), (standing.source, standing.status as u8));
+            }
+            if let Some(rows) = leave.rows.as_deref_mut().filter(|_| is_row) {
+                course.relate(hyp, model, a, uncertain);
+                course.add_rows(hyp, model, a, standing, rows);
             }
         }
-        let number = leave.back.as_deref_mut().map(|back| back.add_samples(segment.time_s));
-        for a in 0..axes {
-            let out = leave.rows.as_deref_mut().map(|rows| OutRows::of(&mut rows.axes[a], begin));
-            let back = leave.back.as_deref_mut().zip(number);
-            coast_along(hyp, model, (a, &mut self.motion[a], self.clock.time_s), &segment, uncertain, (out, back));
-        }
         if axes > 1 || !uncertain.is_empty() {
-            let mut begun_s = self.clock.time_s;
-            for &end_s in segment.time_s {
-                predict_walks(&mut hyp.p, model.layout.walks(), end_s - begun_s, uncertain);
-                predict_between(hyp, axes, end_s - begun_s);
-                begun_s = end_s;
+            for &dt in &course.dt[..course.count] {
+                predict_walks(&mut hyp.p, model.layout.walks(), dt, uncertain);
+                for (a, b) in (0..axes).flat_map(|a| (a + 1..axes).map(move |b| (a, b))) {
+                    predict_across(&mut hyp.p, motion_of(a), motion_of(b), dt);
+                }
             }
         }
         self.clock = clock;
@@ -98,43 +224,39 @@ impl Filter {
     }
 }
 
-/// The covariances between the motions of all axes.
-fn predict_between(hyp: &mut Hypothesis, axes: usize, dt: f64) {
-    for i in (0..axes * MOTION_STATES).step_by(MOTION_STATES) {
-        for other in (i + MOTION_STATES..axes * MOTION_STATES).step_by(MOTION_STATES) {
-            predict_across(&mut hyp.p, i, other, dt);
+impl Filter {
+    /// Leaves rows and nodes of a sample that the filter has just stepped to.
+    pub(super) fn leave_sample(&self, model: &Model, (block, k): (&Block, usize), leave: &mut Leave, work: &mut Work) {
+        let (samples, best, moving) = (block.samples, self.hyps.best(), model.layout.moving());
+        let Work { course, uncertain, others, .. } = work;
+        if let Some(rows) = leave.rows.as_deref_mut().filter(|_| samples.is_row(k, block.first_ns)) {
+            rows.add_stamps(model.axes(), &samples.time_ns[k..=k]);
+            for (a, axis) in self.motion.iter().enumerate() {
+                let datum = model.datum.as_ref().map_or(&[][..], |datum| &datum[a..=a]);
+                let mut mixture = Mixture::default();
+                for hyp in self.hyps.all() {
+                    course.set(hyp, a, axis.ahead(), datum);
+                    course.relate(hyp, model, a, datum);
+                    mixture.add(hyp.memory.weight.exp(), course.row());
+                }
+                if self.hyps.count() > 1 {
+                    course.set_row(mixture.mixed());
+                }
+                let standing = Standing::at(best, model, a, self.clock.time_s, samples.kind[k]);
+                course.add_rows(best, model, a, &standing, rows);
+            }
         }
-    }
-}
-
-/// Rows of an axis from a place on.
-struct OutRows<'a> {
-    displacement: &'a mut [f64],
-    variance: &'a mut [f64],
-    velocity: &'a mut [f64],
-    source: &'a mut [u8],
-    status: &'a mut [u8],
-    place: usize,
-}
-
-impl<'a> OutRows<'a> {
-    fn of(rows: &'a mut AxisRows, begin: usize) -> Self {
-        Self {
-            displacement: &mut rows.displacement[begin..],
-            variance: &mut rows.variance[begin..],
-            velocity: &mut rows.velocity[begin..],
-            source: &mut rows.source[begin..],
-            status: &mut rows.status[begin..],
-            place: 0,
+        let Some(back) = leave.back.as_deref_mut() else { return };
+        back.add_samples(&[self.clock.time_s]);
+        for (a, axis) in self.motion.iter().enumerate() {
+            let own = motion_of(a)..motion_of(a) + MOTION_STATES;
+            others.clear();
+            others.extend((0..moving).filter(|i| !own.contains(i)).chain(uncertain.iter().copied()));
+            course.set(best, a, axis.ahead(), others);
+            back.add_nodes(best, model, a, course);
+            let standing = Standing::at(best, model, a, self.clock.time_s, samples.kind[k]);
+            back.add_statuses(1, (standing.source, standing.status as u8));
         }
-    }
-
-    #[inline(always)]
-    fn put(&mut self, (value, variance, velocity): (f64, f64, f64), (source, status): (u8, u8)) {
-        let place = self.place;
-        (self.displacement[place], self.variance[place], self.velocity[place]) = (value, variance, velocity);
-        (self.source[place], self.status[place]) = (source, status);
-        self.place += 1;
     }
 }
 
@@ -144,135 +266,98 @@ vectorised! {
         hyp: &mut Hypothesis,
         model: &Model,
         along: (usize, &mut AxisMotion, f64),
-        segment: &Segment,
+        segment: (View, &[f64]),
         uncertain: &[usize],
-        leave: (Option<OutRows>, Option<(&mut WayBack, usize)>),
+        course: &mut Course,
     ) {
-        let ((a, axis, mut begun_s), (mut out, mut back)) = (along, leave);
-        let (axes, i, lean, walk) = (model.axes(), motion_of(a), model.lean[a], model.layout.walks()[motion_of(a) + 2]);
-        let burst = hyp.memory.burst.filter(|burst| burst.axis == a).map(|burst| burst.density);
-        let (mut motion, mut mean, mut covariance) = (*axis, MotionMean::of(&hyp.x, i), MotionCovariance::of(&hyp.p, i));
-        let known = Known::of(hyp, model, a);
-        let mut standing = Standing { source: 0, status: Status::Lost, clock_variance: 0.0, until_s: f64::NEG_INFINITY };
-        let accelerations = segment.samples.value.iter().skip(a).step_by(axes);
-        let densities = segment.samples.density.iter().skip(a).step_by(axes);
-        for (k, ((&end_s, &value), &density)) in segment.time_s.iter().zip(accelerations).zip(densities).enumerate() {
-            let dt = end_s - begun_s;
-            begun_s = end_s;
-            // Without lean the input does not wait for the state.
-            let now = if lean == 0.0 { value } else { value + lean * (mean.x + dt * mean.v) };
-            let led = motion.begin(now, dt, lead_of(dt));
-            let moved = motion.response(dt);
-            mean.v += led;
-            mean = mean.moved(dt, moved);
-            if !model.gain_of.is_empty() {
-                shift_sensitivities(&mut hyp.x, a, led, &model.gain_of);
-                predict_sensitivities(&mut hyp.x, a, dt, moved, &model.gain_of);
-            }
+        let ((a, motion, begun_s), (samples, time_s)) = (along, segment);
+        let (i, axes, count) = (motion_of(a), model.axes(), time_s.len());
+        let (accelerations, densities) = (&samples.value[a..], &samples.density[a..]);
+        course.count = count;
+        let mut mean = MotionMean::of(&hyp.x, i);
+        let input = (accelerations, axes, model.lean[a]);
+        if input.2 == 0.0 {
+            move_mean::<false>(&mut mean, motion, (begun_s, time_s), input, course);
+        } else {
+            move_mean::<true>(&mut mean, motion, (begun_s, time_s), input, course);
+        }
+        mean.put(&mut hyp.x, i);
+        let burst = hyp.memory.burst.filter(|burst| burst.axis == a).map_or(0.0, |burst| burst.density);
+        let mut covariance = MotionCovariance::of(&hyp.p, i);
+        let walk = model.layout.walks()[i + 2];
+        let Course { dt, led, moved, sensitivities, others, .. } = course;
+        let (dt, led, moved) = (&dt[..count], &led[..count], &moved[..count]);
+        let steps = dt.iter().zip(densities.iter().step_by(axes)).zip(&mut course.covariance);
+        for ((&dt, &density), out) in steps {
             covariance = covariance.moved(dt, walk).with_noise(dt, density);
-            if let Some(density) = burst {
-                covariance = covariance.with_noise(dt, density);
+            if burst != 0.0 {
+                covariance = covariance.with_noise(dt, burst);
             }
-            if !uncertain.is_empty() {
-                predict_others(&mut hyp.p, i, dt, uncertain);
-            }
-            motion.input = now;
-            if out.is_none() && back.is_none() {
-                continue;
-            }
-            if end_s > standing.until_s {
-                standing = Standing::at(hyp, model, a, end_s);
-            }
-            let bridged = segment.samples.kind[k] == BRIDGED;
-            let status = if bridged { standing.status.max(Status::Coasting) } else { standing.status };
-            let codes = (standing.source, status as u8);
-            if let Some(out) = out.as_mut().filter(|_| segment.is_row(k)) {
-                out.put(known.row(hyp, a, (&mean, &covariance, motion.ahead()), standing.clock_variance), codes);
-            }
-            if let Some((back, first)) = back.as_mut() {
-                back.add_node(a, (&mean, &covariance, motion.ahead()), hyp, known.datum);
-                back.put_status(*first + k, a, codes);
-            }
+            *out = covariance;
         }
         covariance.put(&mut hyp.p, i);
-        mean.put(&mut hyp.x, i);
+        for (q, (pair, &of)) in sensitivities.iter_mut().zip(&model.gain_of).enumerate() {
+            let input = (of == Some(a)).then_some((led, moved));
+            move_pair(&mut hyp.x, (i, 1 + q), dt, input, pair);
+        }
+        for (pair, &j) in others.iter_mut().zip(uncertain) {
+            move_pair(&mut hyp.p, (i, j), dt, None, pair);
+        }
         mirror_others(&mut hyp.p, i, uncertain);
-        *axis = motion;
     }
 }
 
-/// What is known of an axis' rows until the next measurement.
-#[derive(Clone, Copy)]
-struct Known {
-    datum: Option<usize>,
-    datum_variance: f64,
-    /// Variance that no row is more certain than.
-    least: f64,
-    /// Variance that is added to each.
-    unseen: f64,
-    misfit: f64,
+/// The motion's estimate at each sample; lean: see [`Model::lean`]. Without it (a loop of its own) the input does not wait
+/// for the state.
+#[inline(always)]
+fn move_mean<const LEANS: bool>(
+    mean: &mut MotionMean,
+    motion: &mut AxisMotion,
+    (mut begun_s, time_s): (f64, &[f64]),
+    (accelerations, stride, lean): (&[f64], usize, f64),
+    course: &mut Course,
+) {
+    let (mut state, mut axis) = (*mean, *motion);
+    let out = course.dt.iter_mut().zip(&mut course.led).zip(&mut course.moved);
+    let out = out.zip(course.mean.x.iter_mut().zip(&mut course.mean.v));
+    let samples = time_s.iter().zip(accelerations.iter().step_by(stride));
+    for ((&end_s, &value), (((out_dt, out_led), out_moved), (x, v))) in samples.zip(out) {
+        let dt = end_s - begun_s;
+        begun_s = end_s;
+        let now = if LEANS { value + lean * (state.x + dt * state.v) } else { value };
+        let led = axis.begin(now, dt, lead_of(dt));
+        let moved = axis.response(dt);
+        state.v += led;
+        state = state.moved(dt, moved);
+        axis.input = now;
+        (*out_dt, *out_led, *out_moved) = (dt, led, moved);
+        (*x, *v) = (state.x, state.v - axis.ahead());
+    }
+    (*mean, *motion) = (state, axis);
 }
 
-impl Known {
-    fn of(hyp: &Hypothesis, model: &Model, a: usize) -> Self {
-        let datum = model.datum.as_ref().map(|datum| datum[a]);
-        Self {
-            datum,
-            datum_variance: datum.map_or(0.0, |d| hyp.p[(d, d)]),
-            least: zero_variance(hyp, a, model),
-            unseen: model.unseen_m2[a],
-            misfit: model.misfit[a],
+/// A sensitivity of the motion from state `i` on, or its covariance with another state, at each sample: in column `j` of a
+/// matrix. input: what the velocity state is moved by, and what the input adds, both with the opposite sign.
+#[inline(always)]
+fn move_pair(
+    matrix: &mut Matrix,
+    (i, j): (usize, usize),
+    dt: &[f64],
+    input: Option<(&[f64], &[Response])>,
+    out: &mut Pair,
+) {
+    let (mut x, mut v, b) = (matrix[(i, j)], matrix[(i + 1, j)], matrix[(i + 2, j)]);
+    for (k, (&dt, (out_x, out_v))) in dt.iter().zip(out.x.iter_mut().zip(&mut out.v)).enumerate() {
+        if let Some((led, _)) = input {
+            v -= led[k];
         }
+        x += dt * v - 0.5 * dt * dt * b;
+        v -= dt * b;
+        if let Some((_, moved)) = input {
+            x -= moved[k].x;
+            v -= moved[k].v;
+        }
+        (*out_x, *out_v) = (x, v);
     }
-
-    /// Displacement, variance and velocity of a row.
-    #[inline(always)]
-    fn row(
-        &self,
-        hyp: &Hypothesis,
-        a: usize,
-        (mean, covariance, ahead): (&MotionMean, &MotionCovariance, f64),
-        clock_variance: f64,
-    ) -> (f64, f64, f64) {
-        let (mut value, mut variance, mut velocity) = (mean.x, covariance.xx, mean.v);
-        if let Some(d) = self.datum {
-            value -= hyp.x[(d, 0)];
-            variance += self.datum_variance - 2.0 * hyp.p[(motion_of(a), d)];
-        }
-        variance = self.misfit * variance.max(0.0);
-        if !hyp.parameters.is_empty() {
-            hyp.add_parameters(a, self.datum, (&mut value, &mut variance, &mut velocity));
-        }
-        velocity -= ahead;
-        variance += clock_variance * velocity * velocity;
-        (value, variance.max(self.least) + self.unseen, velocity)
-    }
-}
-
-/// What rows rest on up to a time, s.
-#[derive(Clone, Copy)]
-struct Standing {
-    source: u8,
-    status: Status,
-    /// Of the clock, s².
-    clock_variance: f64,
-    until_s: f64,
-}
-
-impl Standing {
-    /// At a time; it stays until shortly before the first limit of an age that is not past.
-    fn at(hyp: &Hypothesis, model: &Model, a: usize, time_s: f64) -> Self {
-        // Ages are differences that are rounded: near a limit each row is looked at.
-        const NEAR_S: f64 = 1e-6;
-        let (source, status) = status_of(hyp, a, model, time_s);
-        let mut until_s = f64::INFINITY;
-        for (mark, channel) in hyp.marks.iter().zip(&model.channels).filter(|one| one.1.row.axis == a) {
-            for limit in [mark.accepted_s + channel.coasting_s, mark.accepted_s + channel.lost_s] {
-                if limit + NEAR_S >= time_s {
-                    until_s = until_s.min(limit - NEAR_S);
-                }
-            }
-        }
-        Self { source, status, clock_variance: clock_variance(hyp, a, model, time_s), until_s }
-    }
+    (matrix[(i, j)], matrix[(i + 1, j)]) = (x, v);
 }

@@ -18,32 +18,32 @@ pub const MAX_UNDECIDED: usize = 2048;
 pub struct Survivor {
     parent: usize,
     decision: Decision,
-    told: Contradiction,
+    evidence: Contradiction,
 }
 
 impl Survivor {
     /// Of a hypothesis that has just met an item.
     pub fn of(hyp: &Hypothesis) -> Self {
         let memory = &hyp.memory;
-        let told = if memory.decision.cause == Cause::StepBefore { memory.step } else { memory.met };
-        Self { parent: memory.parent, decision: memory.decision, told }
+        let evidence = if memory.decision.cause == Cause::StepBefore { memory.step } else { memory.met };
+        Self { parent: memory.parent, decision: memory.decision, evidence }
     }
 
     /// Of the hypothesis `b` that went on as it was.
     pub fn unchanged(b: usize) -> Self {
-        Self { parent: b, decision: Decision::GOOD, told: Contradiction::default() }
+        Self { parent: b, decision: Decision::GOOD, evidence: Contradiction::default() }
     }
 }
 
-/// An item, what it was taken for and what that told.
+/// Items, what each was taken for, and the evidence for it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Decided {
     /// The items, in time order.
     pub items: Vec<Timed>,
     /// What each was taken for.
     pub decisions: Vec<Decision>,
-    /// What that told.
-    pub told: Vec<Contradiction>,
+    /// The evidence for it.
+    pub evidence: Vec<Contradiction>,
 }
 
 impl Decided {
@@ -61,7 +61,7 @@ impl Decided {
     pub fn extend(&mut self, other: &Self) {
         self.items.extend_from_slice(&other.items);
         self.decisions.extend_from_slice(&other.decisions);
-        self.told.extend_from_slice(&other.told);
+        self.evidence.extend_from_slice(&other.evidence);
     }
 
     /// Forgets all.
@@ -73,19 +73,19 @@ impl Decided {
     pub fn drop_first(&mut self, count: usize) {
         self.items.drain(..count);
         self.decisions.drain(..count);
-        self.told.drain(..count);
+        self.evidence.drain(..count);
     }
 
     /// Whether all parts are as long as each other and all channels exist.
     pub fn fits(&self, channels: usize) -> bool {
         let n = self.len();
-        self.decisions.len() == n && self.told.len() == n && channels_exist(self.items.iter(), channels)
+        self.decisions.len() == n && self.evidence.len() == n && channels_exist(self.items.iter(), channels)
     }
 
     fn push(&mut self, item: Timed, one: &Survivor) {
         self.items.push(item);
         self.decisions.push(one.decision);
-        self.told.push(one.told);
+        self.evidence.push(one.evidence);
     }
 }
 
@@ -162,11 +162,11 @@ impl Undecided {
 
     /// What the best one says of all items that are not final.
     pub fn best(&self) -> Decided {
-        let mut found = Decided::default();
+        let mut best = Decided::default();
         for (j, &place) in self.path(0).iter().enumerate() {
-            found.push(self.items[j], &self.of(j)[place]);
+            best.push(self.items[j], &self.of(j)[place]);
         }
-        found
+        best
     }
 
     /// What a hypothesis took each item for, those that are final too.

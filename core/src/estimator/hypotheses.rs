@@ -84,30 +84,12 @@ impl Hypotheses {
         &mut self.slots[0]
     }
 
-    /// The others to change.
-    #[inline]
-    pub fn others_mut(&mut self) -> &mut [Hypothesis] {
-        &mut self.slots[1..self.count]
-    }
-
-    /// Those in use alone.
-    pub fn saved(&self) -> Self {
-        Self { count: self.count, slots: self.all().to_vec(), ..Self::default() }
-    }
-
     /// Whether there is at least one and all are of the model's shape.
     pub fn fit(&self, model: &Model) -> bool {
         self.count >= 1
             && self.count <= MAX_FIRST
             && self.slots.len() >= self.count
             && self.slots.iter().all(|one| one.fits(model))
-    }
-
-    /// Lets the clock of a channel be in doubt in all of them.
-    pub fn doubt_channel(&mut self, c: usize, doubt: Doubt) {
-        for hyp in self.all_mut() {
-            hyp.marks[c].doubt = doubt;
-        }
     }
 
     /// Lets all clocks be in doubt at the next measurement.
@@ -119,7 +101,7 @@ impl Hypotheses {
 
     /// Brings all but the best to a channel's measurement.
     pub fn meet_others(&mut self, scene: &Scene) {
-        for hyp in self.others_mut() {
+        for hyp in &mut self.all_mut()[1..] {
             meet_zero(hyp, scene);
             follow_clock(hyp, scene);
         }
@@ -176,8 +158,8 @@ impl Hypotheses {
         }
         self.weights.clear();
         for hyp in &self.slots[..self.count] {
-            let seen = look(hyp, scene, work);
-            let at = Situation::new(hyp, scene, seen, &work.gain, (first, sharpest));
+            let innovation = look(hyp, scene, work);
+            let at = Situation::new(hyp, scene, innovation, &work.gain, (first, sharpest));
             // Where an error of the acceleration goes on, it may just have ended.
             let stays = if hyp.memory.burst.is_some() { scene.model.rates.stays.ln() } else { 0.0 };
             let prior = hyp.memory.weight + stays;

@@ -97,7 +97,7 @@ pub struct LastShift {
     pub size_m: f64,
 }
 
-/// What a measurement told of its cause: an innovation and its variance in the channel's unit, or of a step that began
+/// The evidence of a measurement for its cause: an innovation and its variance in the channel's unit, or of a step that began
 /// earlier its size (m), variance (m²) and how long ago it was.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
@@ -120,7 +120,7 @@ pub struct Memory {
     pub parent: usize,
     /// What the last measurement was taken for.
     pub decision: Decision,
-    /// What that told: innovation with the parameters as estimated.
+    /// The evidence for it: the innovation with the parameters as estimated.
     pub met: Contradiction,
     /// The last shift of a zero.
     pub shift: Option<LastShift>,
@@ -132,7 +132,7 @@ pub struct Memory {
     pub last_s: f64,
     /// When the record began, s.
     pub began_s: f64,
-    /// The step that the last measurement told.
+    /// The step that the last measurement showed.
     pub step: Contradiction,
 }
 

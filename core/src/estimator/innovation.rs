@@ -1,6 +1,7 @@
 //! A measurement as a hypothesis expects it: zero and clock at that instant, the innovation and its variance.
 
 use super::acceptance::linearise;
+use super::coast::Course;
 use super::hypotheses::Hypotheses;
 use super::hypothesis::Hypothesis;
 use super::layout::motion_of;
@@ -37,7 +38,7 @@ pub struct Scene<'a> {
 }
 
 /// To work with, so that nothing is allocated in the loop.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Work {
     /// P h of the last look, and K after the update (n,).
     pub gain: Vec<f64>,
@@ -49,12 +50,21 @@ pub struct Work {
     pub uncertain: Vec<usize>,
     /// Those of another.
     pub others: Vec<usize>,
+    /// What the samples between two measurements leave.
+    pub course: Course,
 }
 
 impl Work {
     /// For a model.
     pub fn new(model: &Model) -> Self {
-        Self { gain: vec![0.0; model.size()], e: vec![0.0; model.columns()], ..Self::default() }
+        Self {
+            gain: vec![0.0; model.size()],
+            e: vec![0.0; model.columns()],
+            parameters: Vec::new(),
+            uncertain: Vec::new(),
+            others: Vec::new(),
+            course: Course::new(model),
+        }
     }
 }
 
@@ -64,18 +74,18 @@ pub struct Innovation {
     /// Measured minus expected, with the parameters as estimated.
     pub error: f64,
     /// Variance of the prediction without the parameters' part.
-    pub known: f64,
+    pub predicted: f64,
     /// Variance of the prediction with it.
-    pub wider: f64,
+    pub with_parameters: f64,
     /// Variance of the measurement's own noise.
-    pub own: f64,
+    pub noise: f64,
 }
 
 impl Innovation {
     /// Its variance.
     #[inline]
     pub fn total(&self) -> f64 {
-        self.wider + self.own
+        self.with_parameters + self.noise
     }
 
     /// Whether it lies within this many standard deviations.
@@ -145,14 +155,14 @@ pub fn look(hyp: &Hypothesis, scene: &Scene, work: &mut Work) -> Innovation {
     let (row, e) = (&scene.channel.row, &mut work.e);
     let motion = &scene.motion[row.axis];
     innovate(&hyp.x, scene.channel, motion, scene.acceleration, scene.row.value, e);
-    let known = project(&hyp.p, row, &mut work.gain);
-    let (mut error, mut wider) = (e[0], known);
+    let predicted = project(&hyp.p, row, &mut work.gain);
+    let (mut error, mut with_parameters) = (e[0], predicted);
     if !hyp.parameters.is_empty() {
         linearise(hyp.x.row(row.motion()), &hyp.parameters, row, e);
         error = e[0] + hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum::<f64>();
-        wider += quadratic(&e[1..], &hyp.spread);
+        with_parameters += quadratic(&e[1..], &hyp.spread);
     }
-    Innovation { error, known, wider, own: scene.row.variance * hyp.marks[scene.row.channel].factor }
+    Innovation { error, predicted, with_parameters, noise: scene.row.variance * hyp.marks[scene.row.channel].factor }
 }
 
 /// Innovation of a `value` and its sensitivities, to `e` (1 + k).
@@ -185,7 +195,7 @@ pub fn predict_value(
 ) -> (f64, f64) {
     let dt = (time_s - clock.time_s).max(0.0);
     let channel = &model.channels[c];
-    let (mut work, still) = (Work::new(model), AxisMotion::default());
+    let (mut gain, mut e, mut uncertain) = (vec![0.0; model.size()], vec![0.0; model.columns()], Vec::new());
     let mut mixture = Mixture::default();
     for hyp in all.all() {
         // A hypothesis in which a zero of which nothing is known has not begun says nothing; in the first it has.
@@ -193,14 +203,14 @@ pub fn predict_value(
         let Some(zero_variance) = zero_variance else { continue };
         let (mut x, mut p) = (hyp.x.clone(), hyp.p.clone());
         hold(&mut x, motion, dt);
-        model.layout.find_uncertain(&p, &mut work.uncertain);
-        predict_covariance(&mut p, &model.layout, dt, &work.uncertain, &[]);
+        model.layout.find_uncertain(&p, &mut uncertain);
+        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[]);
         let input = motion[channel.row.axis].input;
-        innovate(&x, channel, &still, input, 0.0, &mut work.e);
-        let told: f64 = hyp.parameters.iter().zip(&work.e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();
-        let variance = project(&p, &channel.row, &mut work.gain) + quadratic(&work.e[1..], &hyp.spread);
+        innovate(&x, channel, &AxisMotion::default(), input, 0.0, &mut e);
+        let told: f64 = hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();
+        let variance = project(&p, &channel.row, &mut gain) + quadratic(&e[1..], &hyp.spread);
         let variance = variance + channel.row.units_per_m * channel.row.units_per_m * zero_variance;
-        mixture.add(hyp.memory.weight.exp(), -work.e[0] - told, variance, 0.0);
+        mixture.add(hyp.memory.weight.exp(), Mixed { value: -e[0] - told, variance, velocity: 0.0 });
     }
     let mixed = mixture.mixed();
     (mixed.value, mixed.variance)
@@ -243,7 +253,7 @@ pub struct Mixed {
 
 impl Mixture {
     /// Adds what one hypothesis says.
-    pub fn add(&mut self, weight: f64, value: f64, variance: f64, velocity: f64) {
+    pub fn add(&mut self, weight: f64, Mixed { value, variance, velocity }: Mixed) {
         let off = value - *self.first.get_or_insert(value);
         self.whole += weight;
         self.mean += weight * off;

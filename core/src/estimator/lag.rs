@@ -72,13 +72,13 @@ pub struct Lag {
     counting: Option<Counting>,
     work: Work,
     time_s: Vec<f64>,
-    found: Vec<Mixed>,
+    smoothed: Vec<Mixed>,
 }
 
 impl Lag {
     /// Rows come this many samples later; the estimator keeps a log and gives no rows.
     pub fn new(estimator: Estimator, lag: usize) -> Self {
-        let (adjoint, work) = (Adjoint::nothing(estimator.model()), Work::new(estimator.model()));
+        let (adjoint, work) = (Adjoint::nothing(&estimator.model), Work::new(&estimator.model));
         Self {
             estimator,
             lag,
@@ -93,23 +93,17 @@ impl Lag {
             counting: None,
             work,
             time_s: Vec::new(),
-            found: Vec::new(),
+            smoothed: Vec::new(),
         }
-    }
-
-    /// How many samples, decided and undecided measurements are held.
-    pub fn held(&self) -> (usize, usize, usize) {
-        let (samples, decided) = self.estimator.log().map_or((0, 0), |log| (log.samples.len(), log.decided.len()));
-        (samples, decided, self.estimator.undecided().len())
     }
 
     /// All that is remembered.
     pub fn memory(&self) -> LagMemory {
-        let log = self.estimator.log();
+        let log = self.estimator.log.as_ref();
         LagMemory {
-            estimator: self.estimator.memory().clone(),
+            estimator: self.estimator.memory.clone(),
             begin: log.map(|log| log.begin.clone()),
-            samples: log.map_or_else(|| Samples::none(self.estimator.model().axes()), |log| log.samples.clone()),
+            samples: log.map_or_else(|| Samples::none(self.estimator.model.axes()), |log| log.samples.clone()),
             decided: log.map_or_else(Decided::default, |log| log.decided.clone()),
             before: self.before.clone(),
             given: self.given,
@@ -119,7 +113,7 @@ impl Lag {
 
     /// Goes on from what a stream with the same settings remembered; false: it does not fit.
     pub fn restore(&mut self, memory: LagMemory) -> bool {
-        let model = self.estimator.model();
+        let model = &self.estimator.model;
         let fits = memory.samples.consistent(model.axes())
             && memory.decided.fits(model.channels.len())
             && memory.before.as_ref().is_none_or(|one| one.fits(model))
@@ -128,10 +122,10 @@ impl Lag {
         if !fits || !self.estimator.restore(memory.estimator) {
             return false;
         }
-        let (first_s, origin_ns) = (self.estimator.first_s(), self.estimator.origin_ns());
+        let (first_s, origin_ns) = (self.estimator.memory.first_s, self.estimator.origin_ns());
         let (samples, decided) = (memory.samples, memory.decided);
         let filled = |begin| Log { samples, decided, ..Log::new(begin, first_s, origin_ns, 0) };
-        self.estimator.set_log(memory.begin.map(filled));
+        self.estimator.log = memory.begin.map(filled);
         (self.before, self.given, self.pushed) = (memory.before, memory.given, memory.pushed);
         self.pieces.clear();
         (self.own, self.counting) = (None, None);
@@ -140,6 +134,9 @@ impl Lag {
 
     /// Takes samples, and adds what is due.
     pub fn push(&mut self, samples: View, whole: &mut Option<Output>) {
+        if samples.len() > self.hop {
+            whole.get_or_insert_default().rows.get_or_insert_default().reserve(samples.len());
+        }
         let mut first = 0;
         while first < samples.len() {
             let done = (self.pushed % self.hop as u64) as usize;
@@ -166,20 +163,20 @@ impl Lag {
     /// Lets the estimator's own run over the next hop leave what it finds, where the last piece ends in its filter.
     fn begin_hop(&mut self) {
         self.spare.extend(self.own.take());
-        let (Some(last), Some(filter)) = (self.pieces.back(), self.estimator.filter()) else { return };
+        let (Some(last), Some(filter)) = (self.pieces.back(), &self.estimator.memory.filter) else { return };
         if last.settled && self.estimator.one_past && (last.own || last.after.is_at(filter)) {
             let mut piece = self.spare.pop().unwrap_or_else(|| Piece::new(filter.best_alone()));
-            piece.way.restart(self.estimator.model(), filter.clock.time_s);
+            piece.way.restart(&self.estimator.model, filter.clock.time_s);
             self.own = Some(piece);
         }
     }
 
     /// Gives out the rows that are older than the lag, and drops what is decided and not needed any more.
     fn move_on(&mut self, lag: usize, whole: &mut Option<Output>) {
-        let model = self.estimator.model();
-        let Some(log) = self.estimator.log() else { return };
+        let model = &self.estimator.model;
+        let Some(log) = &self.estimator.log else { return };
         if self.before.is_none() {
-            self.before = Some(Filter::begun(&log.begin, self.estimator.settings(), model));
+            self.before = Some(Filter::begun(&log.begin, &self.estimator.settings, model));
         }
         let due = log.samples.len().saturating_sub(lag);
         self.take_own();
@@ -192,10 +189,10 @@ impl Lag {
 
     /// Adds the rows of the window from those given out on up to before sample `due`.
     fn smoothed(&mut self, due: usize, rows: &mut Rows) {
-        let open = self.estimator.undecided().best();
+        let open = self.estimator.memory.undecided.best();
         self.run_forward(&open);
-        let (Some(log), Some(before)) = (self.estimator.log(), &self.before) else { return };
-        let model = self.estimator.model();
+        let (Some(log), Some(before)) = (&self.estimator.log, &self.before) else { return };
+        let model = &self.estimator.model;
         let parts = [&log.decided, &open];
         let recounted = !self.counting.as_ref().is_some_and(|one| one.holds(model, before.hyps.best(), &parts));
         if recounted {
@@ -213,8 +210,8 @@ impl Lag {
             let first = end - piece.way.len();
             let own = first.max(self.given)..end.min(due).max(first);
             let wanted = own.start.min(own.end) - first..own.end - first;
-            self.adjoint.pass(&piece.way, &view, wanted.clone(), &mut self.found);
-            for (k, one) in wanted.zip(self.found.chunks(samples.axes)).rev() {
+            self.adjoint.pass(&piece.way, &view, wanted.clone(), &mut self.smoothed);
+            for (k, one) in wanted.zip(self.smoothed.chunks(samples.axes)).rev() {
                 if samples.is_row(first + k, first_ns) {
                     place -= 1;
                     rows.put(place, samples.time_ns[first + k], one, |a| piece.way.status(k, a));
@@ -230,7 +227,7 @@ impl Lag {
     /// Takes what the estimator's own run left of the last hop as a piece, where it is whole.
     fn take_own(&mut self) {
         let (Some(mut piece), Some(filter), Some(log)) =
-            (self.own.take(), self.estimator.filter(), self.estimator.log())
+            (self.own.take(), &self.estimator.memory.filter, &self.estimator.log)
         else {
             return;
         };
@@ -248,8 +245,8 @@ impl Lag {
     ///
     /// Pieces are hops, counted from the first sample that was pushed.
     fn run_forward(&mut self, open: &Decided) {
-        let (Some(log), Some(before)) = (self.estimator.log(), &self.before) else { return };
-        let (model, samples, count) = (self.estimator.model(), log.samples.view(), log.samples.len());
+        let (Some(log), Some(before)) = (&self.estimator.log, &self.before) else { return };
+        let (model, samples, count) = (&self.estimator.model, log.samples.view(), log.samples.len());
         // The window's first sample was, from the beginning of a hop on, the one of this number.
         let ahead = self.hop - (count + self.hop - (self.pushed % self.hop as u64) as usize) % self.hop;
         let (mut first, mut number, mut done) = (0, 0, 0);
@@ -285,8 +282,8 @@ impl Lag {
 
     /// Drops the pieces before what is given out and decided.
     fn drop_settled(&mut self, due: usize) {
-        let first_s = self.estimator.undecided().first_s();
-        let (Some(log), Some(before)) = (self.estimator.log_mut(), &mut self.before) else { return };
+        let first_s = self.estimator.memory.undecided.first_s();
+        let (Some(log), Some(before)) = (&mut self.estimator.log, &mut self.before) else { return };
         let settled = match first_s {
             Some(first_s) => log.samples.time_ns.partition_point(|&one| since(one, log.origin_ns) < first_s),
             None => due,

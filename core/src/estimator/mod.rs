@@ -47,7 +47,6 @@ pub mod start;
 pub mod state;
 pub mod steps;
 pub mod stream;
-pub mod unforeseen;
 pub mod update;
 pub mod waiting;
 pub mod way_back;

@@ -37,9 +37,7 @@ impl AxisMotion {
         let (a, slope) = (self.input, self.slope);
         Response { x: t * (t * (0.5 * a + slope * t / 6.0) - self.lead * slope), v: t * (a + 0.5 * slope * t) }
     }
-}
 
-impl AxisMotion {
     /// Begins an interval of length `dt` at whose end the acceleration is `now`; returns what the velocity state is moved by
     /// for it (m/s), see [`shift_velocity`].
     ///
@@ -54,21 +52,13 @@ impl AxisMotion {
     }
 }
 
-/// Moves the velocity state of an axis.
+/// Moves the velocity state of an axis; its sensitivity to the gain of its accelerometer goes the other way.
 #[inline]
 pub fn shift_velocity(x: &mut Matrix, a: usize, moved: f64, gain_of: &[Option<usize>]) {
-    x[(motion_of(a) + 1, 0)] += moved;
-    shift_sensitivities(x, a, moved, gain_of);
-}
-
-/// Moves its sensitivity to the gain of its accelerometer, which goes the other way.
-#[inline]
-pub fn shift_sensitivities(x: &mut Matrix, a: usize, moved: f64, gain_of: &[Option<usize>]) {
     let i = motion_of(a) + 1;
-    for (q, &of) in gain_of.iter().enumerate() {
-        if of == Some(a) {
-            x[(i, 1 + q)] -= moved;
-        }
+    x[(i, 0)] += moved;
+    for (q, _) in gain_of.iter().enumerate().filter(|one| *one.1 == Some(a)) {
+        x[(i, 1 + q)] -= moved;
     }
 }
 

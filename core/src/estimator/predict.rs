@@ -9,24 +9,18 @@ use super::motion::{Response, Way};
 /// gain_of (k,): the axis whose accelerometer's gain error a parameter is.
 #[inline]
 pub fn predict_mean(x: &mut Matrix, axes: usize, way: &Way, gain_of: &[Option<usize>]) {
+    let half = 0.5 * way.dt * way.dt;
     for (a, &moved) in way.moved.iter().enumerate().take(axes) {
         let i = motion_of(a);
         MotionMean::of(x, i).moved(way.dt, moved).put(x, i);
-        predict_sensitivities(x, a, way.dt, moved, gain_of);
-    }
-}
-
-/// The sensitivities of one axis' motion to the parameters.
-#[inline(always)]
-pub fn predict_sensitivities(x: &mut Matrix, a: usize, dt: f64, moved: Response, gain_of: &[Option<usize>]) {
-    let (half, i) = (0.5 * dt * dt, motion_of(a));
-    for (q, &of) in gain_of.iter().enumerate() {
-        let (v, b) = (x[(i + 1, 1 + q)], x[(i + 2, 1 + q)]);
-        x[(i, 1 + q)] += dt * v - half * b;
-        x[(i + 1, 1 + q)] -= dt * b;
-        if of == Some(a) {
-            x[(i, 1 + q)] -= moved.x;
-            x[(i + 1, 1 + q)] -= moved.v;
+        for (q, &of) in gain_of.iter().enumerate() {
+            let (v, b) = (x[(i + 1, 1 + q)], x[(i + 2, 1 + q)]);
+            x[(i, 1 + q)] += way.dt * v - half * b;
+            x[(i + 1, 1 + q)] -= way.dt * b;
+            if of == Some(a) {
+                x[(i, 1 + q)] -= moved.x;
+                x[(i + 1, 1 + q)] -= moved.v;
+            }
         }
     }
 }
@@ -64,7 +58,7 @@ impl MotionMean {
 }
 
 /// The covariance of one axis' motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionCovariance {
     /// Of the displacement, m².
     pub xx: f64,

@@ -111,16 +111,16 @@ impl Reports {
 
     /// The events that final decisions complete, in time order.
     pub fn after(&mut self, decided: &Decided, model: &Model, origin_ns: i64) -> Vec<Report> {
-        let mut found = Vec::new();
-        for ((item, decision), told) in decided.items.iter().zip(&decided.decisions).zip(&decided.told) {
+        let mut reports = Vec::new();
+        for ((item, decision), evidence) in decided.items.iter().zip(&decided.decisions).zip(&decided.evidence) {
             let Some(c) = item.channel() else { continue };
             let before = decision.cause == Cause::StepBefore;
             let unit = if before { 1.0 } else { model.channels[c].row.units_per_m.abs() };
-            let (size_mm, std_mm) = (1e3 * told.size / unit, 1e3 * told.variance.sqrt() / unit);
-            let at_s = if before { item.at_s - told.ago_s } else { item.at_s };
+            let (size_mm, std_mm) = (1e3 * evidence.size / unit, 1e3 * evidence.variance.sqrt() / unit);
+            let at_s = if before { item.at_s - evidence.ago_s } else { item.at_s };
             let run = &mut self.runs[c];
             let Some((what, kind)) = reported(decision.cause) else {
-                found.extend(end_run(run, c, origin_ns));
+                reports.extend(end_run(run, c, origin_ns));
                 continue;
             };
             if kind == Kind::Wild {
@@ -134,14 +134,14 @@ impl Reports {
                     continue;
                 }
             } else {
-                found.extend(end_run(run, c, origin_ns));
+                reports.extend(end_run(run, c, origin_ns));
             }
             if self.is_new(LastCause { kind, group: model.channels[c].group, at_s }) {
-                found.push(Report { time_ns: instant(at_s, origin_ns), channel: c, what, size_mm, std_mm });
+                reports.push(Report { time_ns: instant(at_s, origin_ns), channel: c, what, size_mm, std_mm });
             }
         }
-        found.sort_by_key(|one| one.time_ns);
-        found
+        reports.sort_by_key(|one| one.time_ns);
+        reports
     }
 
     /// Whether a cause is another one than the last of its kind, which it becomes.
@@ -162,12 +162,12 @@ impl Reports {
 
     /// The runs of outliers that the record's end cut off.
     pub fn ended(&mut self, origin_ns: i64) -> Vec<Report> {
-        let mut found = Vec::new();
+        let mut reports = Vec::new();
         for (c, run) in self.runs.iter_mut().enumerate() {
             let mut last = *run;
-            found.extend(end_run(&mut last, c, origin_ns));
+            reports.extend(end_run(&mut last, c, origin_ns));
         }
-        found
+        reports
     }
 }
 

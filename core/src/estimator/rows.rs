@@ -1,22 +1,21 @@
 //! What is given out of each sample and axis, and of each measurement.
 
 use super::cause::{Cause, Decision};
-use super::hypothesis::{Contradiction, Hypothesis, Mark};
-use super::innovation::{Mixed, Mixture};
-use super::layout::motion_of;
-use super::model::{ChannelModel, Model};
-use super::motion::{AxisMotion, Clock};
+use super::hypothesis::{Contradiction, Hypothesis};
+use super::innovation::Mixed;
+use super::model::Model;
 use super::reports::Report;
-use super::samples::{BRIDGED, View};
+use super::samples::BRIDGED;
 
 /// What a row rests on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Status {
     /// A measurement that is not too old.
     Tracking,
     /// The acceleration alone.
     Coasting,
     /// The acceleration alone, for longer.
+    #[default]
     Lost,
 }
 
@@ -55,14 +54,10 @@ impl Rows {
         self.time_ns.is_empty()
     }
 
-    /// Makes room from a place on for some rows to be filled; for so many at once that they stay in the nearest memory.
-    #[inline]
-    pub fn make_room(&mut self, axes: usize, place: usize, count: usize) {
-        const MANY: usize = 256;
-        if place + count > self.len() || self.axes.len() < axes {
-            let taken = self.time_ns.capacity().saturating_sub(place);
-            self.resize(axes, place + count.max(MANY.min(taken)));
-        }
+    /// Adds stamps, of rows that are to follow along each axis.
+    pub fn add_stamps(&mut self, axes: usize, time_ns: &[i64]) {
+        self.time_ns.extend_from_slice(time_ns);
+        self.axes.resize_with(axes, AxisRows::default);
     }
 
     /// Takes memory for more.
@@ -77,19 +72,9 @@ impl Rows {
         }
     }
 
-    /// Keeps the first ones.
-    pub fn truncate(&mut self, count: usize) {
-        self.resize(self.axes.len(), count);
-    }
-
     /// Adds rows to be filled, as a day of them must not exist twice; returns how many there are then.
     pub fn add_zeros(&mut self, axes: usize, more: usize) -> usize {
         let count = self.len() + more;
-        self.resize(axes, count);
-        count
-    }
-
-    fn resize(&mut self, axes: usize, count: usize) {
         self.time_ns.resize(count, 0);
         self.axes.resize_with(axes, AxisRows::default);
         for one in &mut self.axes {
@@ -99,6 +84,7 @@ impl Rows {
             one.source.resize(count, 0);
             one.status.resize(count, 0);
         }
+        count
     }
 
     /// Fills the row at a place with the estimate (axes,) of a sample, and source and status of each axis.
@@ -139,12 +125,12 @@ pub struct Innovations {
 }
 
 impl Innovations {
-    /// Adds what a measurement at an instant was taken for, and what that told.
+    /// Adds what a measurement at an instant was taken for, and the evidence for it.
     #[inline]
-    pub fn push(&mut self, time_ns: i64, units_per_m: f64, told: &Contradiction, decision: Decision) {
+    pub fn push(&mut self, time_ns: i64, units_per_m: f64, evidence: &Contradiction, decision: Decision) {
         self.time_ns.push(time_ns);
-        self.value.push(told.size / units_per_m);
-        self.variance.push(told.variance / (units_per_m * units_per_m));
+        self.value.push(evidence.size / units_per_m);
+        self.variance.push(evidence.variance / (units_per_m * units_per_m));
         self.verdict.push(match decision.cause {
             Cause::Outlier => Verdict::Rejected,
             Cause::Lost => Verdict::Reacquired,
@@ -168,25 +154,52 @@ pub struct Output {
     pub zero_variance: Vec<f64>,
 }
 
-/// Source and status of an axis's row: of the channels that are not too old, the most informative one.
-#[inline]
-pub fn status_of(hyp: &Hypothesis, axis: usize, model: &Model, time_s: f64) -> (u8, Status) {
-    let (mut source, mut status, mut best) = (0, Status::Lost, f64::INFINITY);
-    for (mark, channel) in hyp.marks.iter().zip(&model.channels) {
-        if channel.row.axis != axis {
-            continue;
-        }
-        let age = time_s - mark.accepted_s;
-        if age <= channel.coasting_s {
-            status = Status::Tracking;
-            if mark.accepted_variance < best {
-                (best, source) = (mark.accepted_variance, channel.source);
+/// What an axis' rows rest on, up to a time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Standing {
+    /// Code of the most informative of the channels that are not too old.
+    pub source: u8,
+    /// By the youngest channel; bridged samples are coasting at best.
+    pub status: Status,
+    /// Variance of the clock, s²: where all sensors that measure the axis are just back.
+    pub clock_variance: f64,
+    /// Shortly before the first limit of an age that is not past, s.
+    pub until_s: f64,
+}
+
+impl Standing {
+    /// At a time, of a sample of this kind.
+    #[inline]
+    pub fn at(hyp: &Hypothesis, model: &Model, axis: usize, time_s: f64, kind: u8) -> Self {
+        // Ages are differences that are rounded: near a limit each row is looked at.
+        const NEAR_S: f64 = 1e-6;
+        let mut standing = Self { until_s: f64::INFINITY, ..Self::default() };
+        let (mut best, mut measuring, mut back) = (f64::INFINITY, false, true);
+        for (mark, channel) in hyp.marks.iter().zip(&model.channels).filter(|one| one.1.row.axis == axis) {
+            let age = time_s - mark.accepted_s;
+            if age <= channel.coasting_s {
+                (standing.status, measuring) = (Status::Tracking, true);
+                back = back && mark.doubt.lasts() && channel.apart.variance_m2 != 0.0;
+                if mark.accepted_variance < best {
+                    (best, standing.source) = (mark.accepted_variance, channel.source);
+                }
+            } else if age <= channel.lost_s {
+                standing.status = standing.status.min(Status::Coasting);
             }
-        } else if age <= channel.lost_s {
-            status = status.min(Status::Coasting);
+            for limit in [mark.accepted_s + channel.coasting_s, mark.accepted_s + channel.lost_s] {
+                if limit + NEAR_S >= time_s {
+                    standing.until_s = standing.until_s.min(limit - NEAR_S);
+                }
+            }
         }
+        if measuring && back {
+            standing.clock_variance = BACK_STD_S * BACK_STD_S;
+        }
+        if kind == BRIDGED {
+            standing.status = standing.status.max(Status::Coasting);
+        }
+        standing
     }
-    (source, status)
 }
 
 /// Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it.
@@ -207,86 +220,17 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
 /// is farther off is a clock that has stepped.
 const BACK_STD_S: f64 = 0.02;
 
-/// Variance (s²) of the clock that an axis' row rests on, where all sensors that measure it are just back.
-#[inline]
-pub fn clock_variance(hyp: &Hypothesis, axis: usize, model: &Model, time_s: f64) -> f64 {
-    let mut measuring = hyp
-        .marks
-        .iter()
-        .zip(&model.channels)
-        .filter(|(mark, channel)| channel.row.axis == axis && time_s - mark.accepted_s <= channel.coasting_s);
-    let in_doubt = |(mark, channel): (&Mark, &ChannelModel)| mark.doubt.lasts() && channel.apart.variance_m2 != 0.0;
-    let Some(first) = measuring.next() else { return 0.0 };
-    if in_doubt(first) && measuring.all(in_doubt) { BACK_STD_S * BACK_STD_S } else { 0.0 }
-}
-
-/// Displacement of an axis relative to its datum, its variance, and the velocity state, in one hypothesis.
-#[inline]
-pub fn row_of(hyp: &Hypothesis, axis: usize, model: &Model) -> Mixed {
-    let (i, x, p) = (motion_of(axis), &hyp.x, &hyp.p);
-    let (mut value, mut variance, mut velocity) = (x[(i, 0)], p[(i, i)], x[(i + 1, 0)]);
-    let datum = model.datum.as_ref().map(|datum| datum[axis]);
-    if let Some(d) = datum {
-        value -= x[(d, 0)];
-        variance += p[(d, d)] - 2.0 * p[(i, d)];
-    }
-    variance = model.misfit[axis] * variance.max(0.0);
-    if !hyp.parameters.is_empty() {
-        hyp.add_parameters(axis, datum, (&mut value, &mut variance, &mut velocity));
-    }
-    Mixed { value, variance, velocity }
-}
-
-/// Fills the row at a place with that of a sample, where the clock is.
-#[inline]
-pub fn leave_row(
-    hyps: &[Hypothesis],
-    motion: &[AxisMotion],
-    clock: &Clock,
-    model: &Model,
-    at: (View, usize),
-    (rows, place): (&mut Rows, usize),
-) {
-    let best = &hyps[0];
-    rows.time_ns[place] = at.0.time_ns[at.1];
-    for (a, out) in rows.axes.iter_mut().enumerate() {
-        let mut row = row_of(best, a, model);
-        if hyps.len() > 1 {
-            let mut mixture = Mixture::default();
-            for hyp in hyps {
-                let one = row_of(hyp, a, model);
-                mixture.add(hyp.memory.weight.exp(), one.value, one.variance, one.velocity);
-            }
-            row = mixture.mixed();
-        }
-        let velocity = row.velocity - motion[a].ahead();
-        let variance = row.variance + clock_variance(best, a, model, clock.time_s) * velocity * velocity;
-        out.displacement[place] = row.value;
-        out.variance[place] = variance.max(zero_variance(best, a, model)) + model.unseen_m2[a];
-        out.velocity[place] = velocity;
-        (out.source[place], out.status[place]) = status_at(best, a, clock, model, at);
-    }
-}
-
-/// Codes of source and status of an axis' row; bridged samples are coasting at best.
-#[inline]
-pub fn status_at(hyp: &Hypothesis, a: usize, clock: &Clock, model: &Model, at: (View, usize)) -> (u8, u8) {
-    let (source, status) = status_of(hyp, a, model, clock.time_s);
-    let bridged = at.0.kind[at.1] == BRIDGED;
-    (source, if bridged { status.max(Status::Coasting) } else { status } as u8)
-}
-
 /// What several hypotheses found as one: means and variances by their weights.
-pub fn mixed(found: &[Rows], weights: &[f64]) -> Rows {
-    let Some(first) = found.first() else { return Rows::default() };
+pub fn mixed(runs: &[Rows], weights: &[f64]) -> Rows {
+    let Some(first) = runs.first() else { return Rows::default() };
     let (mut whole, total) = (first.clone(), weights.iter().sum::<f64>());
     for (a, out) in whole.axes.iter_mut().enumerate() {
         for k in 0..out.displacement.len() {
             let mean = |of: fn(&AxisRows) -> &Vec<f64>| -> f64 {
-                found.iter().zip(weights).map(|(one, weight)| weight / total * of(&one.axes[a])[k]).sum()
+                runs.iter().zip(weights).map(|(one, weight)| weight / total * of(&one.axes[a])[k]).sum()
             };
             let value = mean(|one| &one.displacement);
-            let spread = found.iter().zip(weights).map(|(one, weight)| {
+            let spread = runs.iter().zip(weights).map(|(one, weight)| {
                 let off = one.axes[a].displacement[k] - value;
                 weight / total * (one.axes[a].variance[k] + off * off)
             });
@@ -296,25 +240,4 @@ pub fn mixed(found: &[Rows], weights: &[f64]) -> Rows {
         }
     }
     whole
-}
-
-impl Hypothesis {
-    /// Adds the parameters' part to a row of an axis.
-    pub fn add_parameters(
-        &self,
-        axis: usize,
-        datum: Option<usize>,
-        (value, variance, velocity): (&mut f64, &mut f64, &mut f64),
-    ) {
-        let (i, x) = (motion_of(axis), &self.x);
-        let relative = |q: usize| x[(i, 1 + q)] - datum.map_or(0.0, |d| x[(d, 1 + q)]);
-        for (q, &parameter) in self.parameters.iter().enumerate() {
-            let own = relative(q);
-            *value += own * parameter;
-            *velocity += x[(i + 1, 1 + q)] * parameter;
-            for r in 0..self.parameters.len() {
-                *variance += own * self.spread[(q, r)] * relative(r);
-            }
-        }
-    }
 }

@@ -14,7 +14,7 @@ use super::layout::motion_of;
 use super::model::{Model, instant};
 use super::motion::{AxisMotion, Clock, Way, shift_velocity};
 use super::predict::{add_noise, predict_covariance, predict_mean};
-use super::rows::{Innovations, Rows, leave_row};
+use super::rows::{Innovations, Rows};
 use super::samples::View;
 use super::settings::{MAX_AXES, Settings};
 use super::situation::GATE;
@@ -140,31 +140,19 @@ impl Filter {
     ) {
         self.note_uncertain(model, judge, work);
         let (mut next, mut ordered, mut k) = (0, 0, 0);
-        let (mut place, all_rows) =
-            (rows.as_ref().map_or(0, |rows| rows.len()), block.samples.all_rows(block.first_ns));
         while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let leave = &mut Leave { rows: rows.as_deref_mut(), place: &mut place, all_rows, back: judge.back() };
-                let reached = self.coast(model, block, k, before_s, &work.uncertain, leave);
+                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back() };
+                let reached = self.coast(model, block, (k, before_s), leave, work);
                 if reached > k {
                     k = reached;
                     continue;
                 }
             }
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
-            if let Some(rows) = rows.as_deref_mut().filter(|_| block.samples.is_row(k, block.first_ns)) {
-                rows.make_room(model.axes(), place, 1);
-                leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), (rows, place));
-                place += 1;
-            }
-            if let Some(back) = judge.back() {
-                back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
-            }
+            self.leave_sample(model, (block, k), &mut Leave { rows: rows.as_deref_mut(), back: judge.back() }, work);
             k += 1;
-        }
-        if let Some(rows) = rows {
-            rows.truncate(place);
         }
     }
 
@@ -324,8 +312,8 @@ impl Filter {
         let mut off: Vec<(f64, Timed)> = Vec::with_capacity(end - j);
         for item in &items[j..end] {
             let Item::Measured(row) = &item.item else { continue };
-            let seen = look(self.hyps.best(), &scene_of(model, &self.motion, row, at_s, place), work);
-            off.push((seen.error * seen.error / seen.total(), *item));
+            let innovation = look(self.hyps.best(), &scene_of(model, &self.motion, row, at_s, place), work);
+            off.push((innovation.error * innovation.error / innovation.total(), *item));
         }
         off.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (item, (_, ordered)) in items[j..end].iter_mut().zip(off) {
@@ -361,7 +349,7 @@ fn judge_open(
 ) -> bool {
     let c = scene.row.channel;
     if scene.at_s - hyps.best().marks[c].met_s > scene.channel.coasting_s {
-        hyps.doubt_channel(c, Doubt::Gap);
+        hyps.all_mut().iter_mut().for_each(|hyp| hyp.marks[c].doubt = Doubt::Gap);
     }
     let count = hyps.count();
     let best = hyps.best_mut();
@@ -370,9 +358,9 @@ fn judge_open(
     let mark = &best.marks[c];
     let usual = best.memory.burst.is_none() && mark.outliers == 0.0 && !mark.stepped && mark.doubt == Doubt::None;
     if count == 1 && *judged == 0 && usual {
-        let seen = look(best, scene, work);
-        if seen.within(GATE) && seen.wider <= VAGUE * seen.own {
-            let total = take_good(best, scene, &seen, work);
+        let innovation = look(best, scene, work);
+        if innovation.within(GATE) && innovation.with_parameters <= VAGUE * innovation.noise {
+            let total = take_good(best, scene, &innovation, work);
             if let Some(back) = back {
                 back.leave_record(scene.at_s, c, Some(total), (1.0, reference_scaled), work);
             }
@@ -398,11 +386,11 @@ fn pass_first(hyps: &mut Hypotheses, judged: &mut usize) {
 
 /// Takes a measurement of a sound channel as a good one.
 #[inline]
-fn take_good(hyp: &mut Hypothesis, scene: &Scene, seen: &Innovation, work: &mut Work) -> f64 {
+fn take_good(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work: &mut Work) -> f64 {
     hyp.marks[scene.row.channel].met_s = scene.at_s;
     hyp.memory.parent = 0;
     hyp.memory.decision = Decision::GOOD;
-    accept(hyp, scene, seen, work)
+    accept(hyp, scene, innovation, work)
 }
 
 /// Takes a measurement as was decided, and leaves its record for the pass back.
@@ -414,8 +402,8 @@ fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: O
     let (total, scaled) =
         if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained && !hyp.marks[c].stepped {
             hyp.marks[c].doubt = Doubt::None;
-            let seen = look(hyp, scene, work);
-            (Some(take_good(hyp, scene, &seen, work)), 1.0)
+            let innovation = look(hyp, scene, work);
+            (Some(take_good(hyp, scene, &innovation, work)), 1.0)
         } else {
             let taken = apply(decision, hyp, scene, work);
             (taken.total, taken.shift_scaled)

@@ -57,6 +57,14 @@ impl Samples {
         self.kind.extend_from_slice(other.kind);
     }
 
+    /// Takes memory for more.
+    pub fn reserve(&mut self, more: usize) {
+        self.time_ns.reserve(more);
+        self.value.reserve(more * self.axes);
+        self.density.reserve(more * self.axes);
+        self.kind.reserve(more);
+    }
+
     /// Drops the first ones.
     pub fn drop_first(&mut self, count: usize) {
         self.time_ns.drain(..count);
@@ -120,11 +128,6 @@ impl View<'_> {
     pub fn seconds(&self, origin_ns: i64, time_s: &mut Vec<f64>) {
         time_s.clear();
         time_s.extend(self.time_ns.iter().map(|&time_ns| since(time_ns, origin_ns)));
-    }
-
-    /// Whether all samples are rows, given the stamp of the first one.
-    pub fn all_rows(&self, first_ns: i64) -> bool {
-        self.time_ns.first().is_none_or(|&time_ns| time_ns >= first_ns) && !self.kind.contains(&INSERTED)
     }
 
     /// Whether a sample is a row, given the stamp of the first one.

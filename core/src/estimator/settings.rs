@@ -1,5 +1,6 @@
 //! What the estimator is given of its channels, its parameters and its rates.
 
+use pyo3::FromPyObject;
 use serde::{Deserialize, Serialize};
 
 /// Nanoseconds in a second.
@@ -77,7 +78,7 @@ pub struct Parameter {
 }
 
 /// How often each cause is met, and what decides; see `cause`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, FromPyObject)]
 pub struct Rates {
     /// Least share of measurements that are wrong by any amount; more is learnt.
     pub outlier: f64,

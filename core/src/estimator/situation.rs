@@ -26,7 +26,7 @@ pub struct Situation<'a> {
     pub(super) mark: &'a Mark,
     pub(super) memory: &'a Memory,
     pub(super) marks: &'a [Mark],
-    pub(super) seen: Innovation,
+    pub(super) innovation: Innovation,
     /// Mean of the shift's state, its variance, and its entry of P h.
     pub(super) shift: (f64, f64, f64),
     /// Whether it is one of the first and may be an outlier even inside the gate.
@@ -45,7 +45,7 @@ impl<'a> Situation<'a> {
     pub fn new(
         hyp: &'a Hypothesis,
         scene: &'a Scene,
-        seen: Innovation,
+        innovation: Innovation,
         ph: &[f64],
         (first, sharpest): (bool, f64),
     ) -> Self {
@@ -59,10 +59,10 @@ impl<'a> Situation<'a> {
             shift: (hyp.x[(s, 0)], hyp.p[(s, s)], ph[s]),
             first,
             sharpest,
-            inside: seen.within(GATE),
+            inside: innovation.within(GATE),
             runs: mark.outliers > 0.0 || same_frame,
             lapse: (scene.at_s - mark.accepted_s.max(memory.began_s)).max(SHORTEST_S),
-            seen,
+            innovation,
         }
     }
 
@@ -74,24 +74,26 @@ impl<'a> Situation<'a> {
     /// Whether it is asked what else than an outlier it may be: of the first measurements it is not, as what is met once an
     /// hour is not met just then.
     pub(super) fn asked(&self) -> bool {
-        let wild = self.mark.outliers == 0.0 && self.seen.error * self.seen.error > WILD * self.seen.total();
+        let wild =
+            self.mark.outliers == 0.0 && self.innovation.error * self.innovation.error > WILD * self.innovation.total();
         !self.inside && !self.first && !wild
     }
 
     pub(super) fn normal(&self) -> f64 {
-        log_normal(self.seen.error, self.seen.total())
+        log_normal(self.innovation.error, self.innovation.total())
     }
 
     pub(super) fn any_size(&self) -> f64 {
-        log_any_size(self.seen.error, self.seen.total())
+        log_any_size(self.innovation.error, self.innovation.total())
     }
 
     /// The density of a wrong measurement; a value near the first outlier's says nothing against the sensor where no
     /// hypothesis can tell the motion.
     pub(super) fn wrong_or_kept(&self) -> f64 {
-        let wrong = log_wrong(self.seen.error, self.seen.total(), self.seen.own);
+        let wrong = log_wrong(self.innovation.error, self.innovation.total(), self.innovation.noise);
         if self.mark.outliers > 0.0 {
-            let again = log_normal(self.scene.row.value - self.mark.kept, (2.0 * self.seen.own).max(self.sharpest));
+            let again =
+                log_normal(self.scene.row.value - self.mark.kept, (2.0 * self.innovation.noise).max(self.sharpest));
             return wrong.max(again);
         }
         wrong
@@ -122,7 +124,7 @@ impl<'a> Situation<'a> {
     /// Whether a step of the clock is asked for inside the gate: not where the prediction may be off by more than what one
     /// makes.
     pub(super) fn doubted(&self) -> bool {
-        matches!(self.mark.doubt, Doubt::Once | Doubt::Gap) && tells_step(self.scene, self.seen.total())
+        matches!(self.mark.doubt, Doubt::Once | Doubt::Gap) && tells_step(self.scene, self.innovation.total())
     }
 }
 

@@ -38,6 +38,8 @@ pub struct Adjoint {
     /// States that are uncertain as they are counted.
     live: Vec<usize>,
     unknown: Vec<bool>,
+    /// As of the block before.
+    uncertain: Vec<bool>,
     /// Each channel's row, of live states alone.
     live_rows: Vec<Vec<Entry>>,
     /// To work with.
@@ -63,6 +65,7 @@ impl Adjoint {
             used: columns,
             live: Vec::new(),
             unknown: Vec::new(),
+            uncertain: Vec::new(),
             live_rows: Vec::new(),
             moved: vec![[0.0; LANES]; n * width],
             gain: vec![0.0; n],
@@ -91,9 +94,8 @@ impl Adjoint {
         whole
     }
 
-    /// Runs back over a block; found: takes the smoothed rows (samples · axes) of the
-    /// wanted samples.
-    pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, found: &mut Vec<Mixed>) {
+    /// Runs back over a block; smoothed: takes the rows (samples · axes) of the wanted samples.
+    pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, smoothed: &mut Vec<Mixed>) {
         self.find_live(way, view.counting);
         self.least.clear();
         self.least.extend((0..way.axes).map(|a| zero_variance(view.last, a, view.model)));
@@ -101,21 +103,16 @@ impl Adjoint {
             self.narrow();
         }
         let axes = way.axes;
-        found.clear();
-        found.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
+        smoothed.clear();
+        smoothed.resize(wanted.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
         let mut next = way.records.len();
         let mut at_s = way.time_s.last().copied().unwrap_or(way.start_s);
         let mut span = usize::MAX;
         for k in wanted.clone().rev() {
             next = self.back_through_all(way, (next, k + 1), &mut at_s, view);
-            let before = span;
             span = way.span_of(k, span);
-            if span != before {
-                self.pc.fill(0.0);
-                self.pv.fill(0.0);
-            }
             for a in 0..axes {
-                found[(k - wanted.start) * axes + a] = self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
+                smoothed[(k - wanted.start) * axes + a] = self.smoothed(way, (span, k, a), at_s - way.time_s[k], view);
             }
         }
         self.back_through_all(way, (next, 0), &mut at_s, view);
@@ -144,12 +141,12 @@ impl Adjoint {
     /// A state that is certain in all of the block is so before it too, until a measurement whose record scales it by 0: its
     /// adjoint is of no weight.
     fn find_live(&mut self, way: &WayBack, counting: &Counting) {
-        let now = way.uncertain.iter().zip(&counting.counted).map(|(&one, &counted)| one || counted);
-        if self.live_rows.len() == counting.rows.len() && now.clone().eq(self.unknown.iter().copied()) {
+        if self.live_rows.len() == counting.rows.len() && way.uncertain == self.uncertain {
             return;
         }
+        self.uncertain.clone_from(&way.uncertain);
         self.unknown.clear();
-        self.unknown.extend(now);
+        self.unknown.extend(way.uncertain.iter().zip(&counting.counted).map(|(&one, &counted)| one || counted));
         let unknown = &self.unknown;
         self.live.clear();
         self.live.extend((0..unknown.len()).filter(|&j| unknown[j]));
@@ -292,39 +289,44 @@ impl Adjoint {
     /// the sample the adjoint is.
     fn smoothed(&mut self, way: &WayBack, (span, k, a): (usize, usize, usize), ahead: f64, view: &Counted) -> Mixed {
         let Counted { model, counting, last } = view;
-        let (columns, used, width) = (self.columns, self.used, self.width);
-        if counting.counts() {
-            self.pc.fill(0.0);
-            self.pv.fill(0.0);
-        }
-        let node = way.node(span, k, a);
-        for ((&j, &c), &v) in node.live.iter().zip(node.pc).zip(node.pv) {
-            (self.pc[j], self.pv[j]) = (c, v);
-        }
-        let datum = model.datum.as_ref().map(|datum| datum[a]);
-        let filtered = self.pc[motion_of(a)] - datum.map_or(0.0, |d| self.pc[d]);
-        for covariances in [&mut self.pc, &mut self.pv] {
-            move_on(&mut covariances[..MOTION_STATES * way.axes], ahead);
-            counting.count(covariances);
-        }
-        for (lanes, met) in self.met[..used.div_ceil(LANES)].iter_mut().enumerate() {
-            *met = [0.0; LANES];
-            for &j in &self.live {
-                add_times(met, &self.rows[j * width + lanes], self.pc[j]);
+        let Self { rows, width, columns, used, live, pc, pv, met, sensitivity, .. } = self;
+        let (columns, used, width, node) = (*columns, *used, *width, way.node(span, k, a));
+        // The filtered variance: of the displacement relative to the datum.
+        let d = model.datum.as_ref().and_then(|datum| node.live.iter().position(|&j| j == datum[a]));
+        let filtered = node.pc[motion_of(a)] - d.map_or(0.0, |d| node.pc[d]);
+        let states: &[usize] = if counting.counts() { live } else { node.live };
+        for (all, covariances) in [(&mut *pc, node.pc), (&mut *pv, node.pv)] {
+            if counting.counts() {
+                all.fill(0.0);
+                node.live.iter().zip(covariances).for_each(|(&j, &c)| all[j] = c);
+                move_on(&mut all[..MOTION_STATES * way.axes], ahead);
+                counting.count(all);
+                // Live states come in their order: each moves to its place among them.
+                live.iter().enumerate().for_each(|(place, &j)| all[place] = all[j]);
+            } else {
+                all[..covariances.len()].copy_from_slice(covariances);
+                move_on(&mut all[..MOTION_STATES * way.axes], ahead);
             }
         }
-        let (rows, met) = (self.rows.as_flattened(), self.met.as_flattened());
+        for (lanes, met) in met[..used.div_ceil(LANES)].iter_mut().enumerate() {
+            let mut sum = [0.0; LANES];
+            for (&j, &c) in states.iter().zip(pc.iter()) {
+                add_times(&mut sum, &rows[j * width + lanes], c);
+            }
+            *met = sum;
+        }
+        let (rows, met) = (rows.as_flattened(), met.as_flattened());
         let (mut value, mut velocity) = (0.0, 0.0);
         for c in 0..columns {
             let share = if c == 0 { 1.0 } else { last.parameters[c - 1] };
             let place = node.places[c] - met[c];
-            self.sensitivity[c] = place;
+            sensitivity[c] = place;
             value += place * share;
-            let moved: f64 = self.live.iter().map(|&j| self.pv[j] * rows[j * width * LANES + c]).sum();
+            let moved: f64 = states.iter().zip(pv.iter()).map(|(&j, v)| v * rows[j * width * LANES + c]).sum();
             velocity += (node.speeds[c] - moved) * share;
         }
         let known = squared(&met[columns..used]);
-        let uncertain = quadratic(&self.sensitivity[1..], &last.spread);
+        let uncertain = quadratic(&sensitivity[1..], &last.spread);
         let variance = model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
         Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a], velocity }
     }

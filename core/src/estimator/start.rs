@@ -102,14 +102,14 @@ struct Scatter {
 impl Scatter {
     fn of(items: &[Timed], c: usize, model: &Model) -> Self {
         let g = model.channels[c].row.units_per_m;
-        let mut found = Self { time_s: Vec::new(), value_m: Vec::new(), max_std_m: 0.0 };
+        let mut scatter = Self { time_s: Vec::new(), value_m: Vec::new(), max_std_m: 0.0 };
         for item in items {
             let Some(one) = item.item.measured().filter(|one| one.channel == c) else { continue };
-            found.time_s.push(item.at_s);
-            found.value_m.push(one.value / g);
-            found.max_std_m = found.max_std_m.max(one.variance.sqrt() / g.abs());
+            scatter.time_s.push(item.at_s);
+            scatter.value_m.push(one.value / g);
+            scatter.max_std_m = scatter.max_std_m.max(one.variance.sqrt() / g.abs());
         }
-        found
+        scatter
     }
 
     /// Speed of the sound steps, m/s.
@@ -210,7 +210,7 @@ const BEFORE_SAMPLES_S: f64 = 2.0;
 
 impl Estimator {
     /// Starts once enough measurements are there; until then holds the samples from before the first one on.
-    pub(super) fn begin(&mut self, mut held: Samples, ended: bool, found: &mut Option<Output>) {
+    pub(super) fn begin(&mut self, mut held: Samples, ended: bool, outputs: &mut Option<Output>) {
         let (origin_ns, mut time_s) = (self.origin_ns(), Vec::new());
         held.view().seconds(origin_ns, &mut time_s);
         let (Some(&sampled_s), Some(&end_s)) = (time_s.first(), time_s.last()) else { return };
@@ -243,9 +243,9 @@ impl Estimator {
         }
         let whole = held.view();
         let begun = with_start(whole.part(0, last + 1), start_s, origin_ns);
-        self.start(begun.view(), first_s, found.get_or_insert_default());
+        self.start(begun.view(), first_s, outputs.get_or_insert_default());
         if last + 1 < whole.len() {
-            self.run(whole.part(last + 1, whole.len()), None, found);
+            self.run(whole.part(last + 1, whole.len()), None, outputs);
         }
     }
 
@@ -311,10 +311,10 @@ impl Estimator {
         output.innovations.resize_with(count, Innovations::default);
         let best = undecided.best();
         for one in [&undecided.settled, &best] {
-            for ((item, told), &decision) in one.items.iter().zip(&one.told).zip(&one.decisions) {
+            for ((item, evidence), &decision) in one.items.iter().zip(&one.evidence).zip(&one.decisions) {
                 let Some(c) = item.channel() else { continue };
                 let units_per_m = self.model.channels[c].row.units_per_m;
-                output.innovations[c].push(instant(item.at_s, origin_ns), units_per_m, told, decision);
+                output.innovations[c].push(instant(item.at_s, origin_ns), units_per_m, evidence, decision);
             }
         }
         self.memory.filter = Some(filter);

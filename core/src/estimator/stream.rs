@@ -29,41 +29,41 @@ pub struct Limits {
 /// All that an estimator remembers besides its log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Remembered {
-    pub(super) origin_ns: Option<i64>,
+    pub(crate) origin_ns: Option<i64>,
     /// Measurements before the first sample, from which times are counted.
-    pub(super) early: VecDeque<(i64, Measurement)>,
+    pub(crate) early: VecDeque<(i64, Measurement)>,
     /// Samples while rows are held back.
-    pub(super) held: Option<Samples>,
-    pub(super) waiting: VecDeque<Timed>,
+    pub(crate) held: Option<Samples>,
+    pub(crate) waiting: VecDeque<Timed>,
     /// Until the filter, and all zeros, have begun.
-    pub(super) alone: Option<Integrated>,
-    pub(super) filter: Option<Filter>,
-    pub(super) first_s: f64,
-    pub(super) undecided: Undecided,
-    pub(super) reports: Reports,
+    pub(crate) alone: Option<Integrated>,
+    pub(crate) filter: Option<Filter>,
+    pub(crate) first_s: f64,
+    pub(crate) undecided: Undecided,
+    pub(crate) reports: Reports,
     /// Of each channel whether its last measurements came too late.
-    pub(super) late: Vec<bool>,
-    pub(super) overflown: bool,
+    pub(crate) late: Vec<bool>,
+    pub(crate) overflown: bool,
     /// Events that wait for the next rows.
-    pub(super) pending: Vec<Report>,
+    pub(crate) pending: Vec<Report>,
 }
 
 /// The estimator of one measuring point.
 #[derive(Clone, Debug)]
 pub struct Estimator {
-    pub(super) settings: Settings,
-    pub(super) model: Model,
-    pub(super) limits: Limits,
-    pub(super) keep_log: bool,
-    pub(super) give_rows: bool,
-    pub(super) memory: Remembered,
-    pub(super) log: Option<Log>,
+    pub(crate) settings: Settings,
+    pub(crate) model: Model,
+    pub(crate) limits: Limits,
+    pub(crate) keep_log: bool,
+    pub(crate) give_rows: bool,
+    pub(crate) memory: Remembered,
+    pub(crate) log: Option<Log>,
     /// Whether what is decided is the past of all hypotheses.
-    pub(super) one_past: bool,
-    pub(super) work: Work,
-    pub(super) time_s: Vec<f64>,
+    pub(crate) one_past: bool,
+    pub(crate) work: Work,
+    pub(crate) time_s: Vec<f64>,
     /// The items of a run.
-    pub(super) items: Vec<Timed>,
+    pub(crate) items: Vec<Timed>,
 }
 
 impl Estimator {
@@ -100,69 +100,9 @@ impl Estimator {
         }
     }
 
-    /// The settings.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// What stays as it is.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    /// What a second pass needs.
-    pub fn log(&self) -> Option<&Log> {
-        self.log.as_ref()
-    }
-
-    /// The same to change.
-    pub fn log_mut(&mut self) -> Option<&mut Log> {
-        self.log.as_mut()
-    }
-
-    /// Puts a log in place, as a restored stream needs it.
-    pub fn set_log(&mut self, log: Option<Log>) {
-        self.log = log;
-    }
-
-    /// All that is remembered besides the log.
-    pub fn memory(&self) -> &Remembered {
-        &self.memory
-    }
-
-    /// The filter, once it has begun.
-    pub fn filter(&self) -> Option<&Filter> {
-        self.memory.filter.as_ref()
-    }
-
-    /// Samples that are run at once.
-    pub fn block(&self) -> usize {
-        self.limits.block
-    }
-
     /// What times in s count from, ns.
     pub fn origin_ns(&self) -> i64 {
         self.memory.origin_ns.unwrap_or(0)
-    }
-
-    /// Time of the first measurement, s.
-    pub fn first_s(&self) -> f64 {
-        self.memory.first_s
-    }
-
-    /// The items of which the hypotheses do not say the same yet.
-    pub fn undecided(&self) -> &Undecided {
-        &self.memory.undecided
-    }
-
-    /// The measurements and marks that wait for samples.
-    pub fn waiting(&self) -> &VecDeque<Timed> {
-        &self.memory.waiting
-    }
-
-    /// How many measurements wait for the first sample.
-    pub fn early(&self) -> usize {
-        self.memory.early.len()
     }
 
     /// Goes on from what an estimator with the same settings remembered; false: it does not fit.
@@ -177,17 +117,20 @@ impl Estimator {
 
     /// Takes samples, which are later than all before, and adds what is due; back: takes what a pass back needs, while one
     /// hypothesis takes all measurements as good.
-    pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         for first in (0..samples.len()).step_by(self.limits.block) {
             let end = samples.len().min(first + self.limits.block);
-            if let Some(rows) = found.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
+            if let Some(rows) = outputs.as_mut().and_then(|one| one.rows.as_mut()).filter(|_| self.give_rows) {
                 rows.reserve(samples.len() - first);
             }
-            self.push_block(samples.part(first, end), back.as_deref_mut(), found);
+            if let Some(log) = self.log.as_mut() {
+                log.samples.reserve(samples.len() - first);
+            }
+            self.push_block(samples.part(first, end), back.as_deref_mut(), outputs);
         }
     }
 
-    fn push_block(&mut self, samples: View, back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    fn push_block(&mut self, samples: View, back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         if self.memory.origin_ns.is_none() {
             self.memory.origin_ns = samples.time_ns.first().copied();
             let origin_ns = self.origin_ns();
@@ -201,9 +144,9 @@ impl Estimator {
             self.memory.alone = Integrated::after(alone, samples, origin_ns, &self.settings.bias_m_s2);
         }
         if self.memory.filter.is_some() {
-            self.run(samples, back, found);
+            self.run(samples, back, outputs);
         } else {
-            self.hold(samples, found);
+            self.hold(samples, outputs);
         }
         let mut channels = 0..self.settings.channels.len();
         if self.memory.alone.is_some() && self.memory.filter.is_some() && channels.all(|c| self.counts(c)) {
@@ -225,7 +168,7 @@ impl Estimator {
     }
 
     /// Holds samples until rows are given out.
-    fn hold(&mut self, samples: View, found: &mut Option<Output>) {
+    fn hold(&mut self, samples: View, outputs: &mut Option<Output>) {
         let held = match self.memory.held.take() {
             Some(mut held) => {
                 held.extend(samples);
@@ -233,26 +176,26 @@ impl Estimator {
             }
             None => samples.owned(),
         };
-        self.begin(held, false, found);
+        self.begin(held, false, outputs);
     }
 
     /// The rows of samples; where they are logged, run up to where the log keeps the filter, and then on.
-    pub(super) fn run(&mut self, samples: View, mut back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    pub(super) fn run(&mut self, samples: View, mut back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         let mut first = 0;
         while first < samples.len() {
             let logged = self.log.as_ref().map_or(0, |log| log.samples.len());
             let end = samples.len().min(first + self.limits.block - logged % self.limits.block);
-            self.run_on(samples.part(first, end), back.as_deref_mut(), found);
+            self.run_on(samples.part(first, end), back.as_deref_mut(), outputs);
             first = end;
         }
     }
 
-    fn run_on(&mut self, samples: View, back: Option<&mut WayBack>, found: &mut Option<Output>) {
+    fn run_on(&mut self, samples: View, back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         let origin_ns = self.origin_ns();
         samples.seconds(origin_ns, &mut self.time_s);
         let (Some(&end_s), Some(mut filter)) = (self.time_s.last(), self.memory.filter.take()) else { return };
         self.take_due(end_s);
-        let output = found.get_or_insert_default();
+        let output = outputs.get_or_insert_default();
         output.innovations.resize_with(self.settings.channels.len(), Innovations::default);
         let rows = self.give_rows.then(|| output.rows.get_or_insert_default());
         let first_ns = instant(self.memory.first_s, origin_ns);
@@ -313,10 +256,10 @@ impl Estimator {
     }
 
     /// Adds the rows that are held back still, and events that the record's end completes.
-    pub fn finish(&mut self, found: &mut Option<Output>) {
+    pub fn finish(&mut self, outputs: &mut Option<Output>) {
         if self.memory.filter.is_none() {
             if let Some(held) = self.memory.held.take() {
-                self.begin(held, true, found);
+                self.begin(held, true, outputs);
             }
         }
         let mut output = Output::default();
@@ -329,7 +272,7 @@ impl Estimator {
             output.reports.extend(self.memory.reports.ended(self.origin_ns()));
         }
         if !output.reports.is_empty() {
-            found.get_or_insert_default().reports.append(&mut output.reports);
+            outputs.get_or_insert_default().reports.append(&mut output.reports);
         }
     }
 

@@ -309,7 +309,7 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     let mut items: Vec<Timed> =
         (0..40).map(|k| measured(0.03 + 0.047 * f64::from(k), 0, 1e-3 * f64::from(k % 5), 1e-6)).collect();
     let (before, last, rows, way) = run(&model, &set, &mut items);
-    let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
+    let decided = Decided { decisions: vec![Decision::GOOD; items.len()], evidence: Vec::new(), items };
     let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
     let view = Counted { model: &model, counting: &counting, last: last.hyps.best() };
     let (mut adjoint, mut found) = (Adjoint::nothing(&model), Vec::new());
@@ -335,7 +335,7 @@ fn certain_states_may_be_left_out_on_the_way_back() {
         .map(|k| measured(0.03 + 0.047 * f64::from(k), (k % 2) as usize, 1e-3 * f64::from(k % 5), 1e-6))
         .collect();
     let (before, last, _, mut way) = run(&model, &set, &mut items);
-    let decided = Decided { decisions: vec![Decision::GOOD; items.len()], told: Vec::new(), items };
+    let decided = Decided { decisions: vec![Decision::GOOD; items.len()], evidence: Vec::new(), items };
     let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
     let view = Counted { model: &model, counting: &counting, last: last.hyps.best() };
     let (mut quick, mut whole) = (Vec::new(), Vec::new());

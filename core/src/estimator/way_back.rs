@@ -1,13 +1,10 @@
 //! What a run leaves of a block for the pass back: of each sample what the filter found, of each item what it did to it.
 
+use super::coast::Course;
 use super::hypothesis::Hypothesis;
 use super::innovation::Work;
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
-use super::motion::{AxisMotion, Clock};
-use super::predict::{MotionCovariance, MotionMean};
-use super::rows::status_at;
-use super::samples::View;
 use super::waiting::{Item, Timed};
 
 /// What an item did to the filter.
@@ -152,74 +149,55 @@ impl WayBack {
         Node { places, speeds, live, pc, pv }
     }
 
-    /// Adds samples at these times (s), whose nodes and statuses are to be put; returns the number of the first.
-    pub fn add_samples(&mut self, time_s: &[f64]) -> usize {
-        let first = self.time_s.len();
+    /// Adds samples at these times (s), whose nodes and statuses are to follow.
+    pub fn add_samples(&mut self, time_s: &[f64]) {
         self.time_s.extend_from_slice(time_s);
-        self.statuses.resize(self.time_s.len() * self.axes, (0, 0));
-        first
     }
 
-    /// Adds the node of the next sample along the next axis, of what the filter found: the motion's mean and covariance, and
-    /// what the velocity state is ahead; datum: the state that its rows count from.
-    #[inline(always)]
-    pub fn add_node(
-        &mut self,
-        a: usize,
-        (mean, own, ahead): (&MotionMean, &MotionCovariance, f64),
-        hyp: &Hypothesis,
-        datum: Option<usize>,
-    ) {
+    /// Adds source and status of so many samples' rows along the next axis.
+    pub fn add_statuses(&mut self, count: usize, status: (u8, u8)) {
+        self.statuses.extend(std::iter::repeat_n(status, count));
+    }
+
+    /// Adds the nodes of the next samples along the next axis, of what the filter left; its other states are the live ones
+    /// but the axis' motion.
+    pub(super) fn add_nodes(&mut self, hyp: &Hypothesis, model: &Model, a: usize, course: &Course) {
         let (i, x, p, columns) = (motion_of(a), &hyp.x, &hyp.p, self.columns);
         let live = &self.live[self.spans.last().map_or(0, |span| span.live)..];
+        let datum = model.datum.as_ref().map(|datum| datum[a]);
+        let other = |place: usize| if place < i { place } else { place - MOTION_STATES };
+        let stride = 2 * (columns + live.len());
         let first = self.nodes.len();
-        self.nodes.resize(first + 2 * (columns + live.len()), 0.0);
-        let (places, rest) = self.nodes[first..].split_at_mut(columns);
-        let (speeds, rest) = rest.split_at_mut(columns);
-        let (pc, pv) = rest.split_at_mut(live.len());
-        (places[0], speeds[0]) = (mean.x, mean.v - ahead);
-        for q in 1..columns {
-            (places[q], speeds[q]) = (x[(i, q)], x[(i + 1, q)]);
-        }
-        if live.len() > MOTION_STATES {
-            for ((c, v), &j) in pc.iter_mut().zip(pv.iter_mut()).zip(live) {
-                (*c, *v) = (p[(i, j)], p[(i + 1, j)]);
+        self.nodes.resize(first + course.count * stride, 0.0);
+        for (k, node) in self.nodes[first..].chunks_exact_mut(stride).enumerate() {
+            let (places, rest) = node.split_at_mut(columns);
+            let (speeds, rest) = rest.split_at_mut(columns);
+            let (pc, pv) = rest.split_at_mut(live.len());
+            (places[0], speeds[0]) = (course.mean.x[k], course.mean.v[k]);
+            for (q, pair) in course.sensitivities.iter().enumerate() {
+                (places[1 + q], speeds[1 + q]) = (pair.x[k], pair.v[k]);
             }
-        }
-        pc[i..i + MOTION_STATES].copy_from_slice(&[own.xx, own.xv, own.xb]);
-        pv[i..i + MOTION_STATES].copy_from_slice(&[own.xv, own.vv, own.vb]);
-        if let Some(d) = datum {
+            for place in (0..i).chain(i + MOTION_STATES..live.len()) {
+                (pc[place], pv[place]) = (course.others[other(place)].x[k], course.others[other(place)].v[k]);
+            }
+            let own = &course.covariance[k];
+            pc[i..i + MOTION_STATES].copy_from_slice(&[own.xx, own.xv, own.xb]);
+            pv[i..i + MOTION_STATES].copy_from_slice(&[own.xv, own.vv, own.vb]);
+            let Some(d) = datum else { continue };
             for (q, place) in places.iter_mut().enumerate() {
                 *place -= x[(d, q)];
             }
-            // The motion's rows hold its covariances with the datum; the datum's may be behind.
+            let Some(common) = live.iter().position(|&j| j == d) else { continue };
             for (c, &j) in pc.iter_mut().zip(live) {
-                *c -= if j / MOTION_STATES == a { p[(j, d)] } else { p[(d, j)] };
+                *c -= p[(d, j)];
             }
-        }
-    }
-
-    /// Puts source and status of a sample's row along an axis.
-    #[inline]
-    pub fn put_status(&mut self, k: usize, a: usize, status: (u8, u8)) {
-        self.statuses[k * self.axes + a] = status;
-    }
-
-    /// Adds a sample with all its nodes.
-    pub fn leave_node(
-        &mut self,
-        hyp: &Hypothesis,
-        motion: &[AxisMotion],
-        clock: &Clock,
-        model: &Model,
-        at: (View, usize),
-    ) {
-        let k = self.add_samples(&[clock.time_s]);
-        for (a, axis) in motion.iter().enumerate() {
-            let (mean, own) = (MotionMean::of(&hyp.x, motion_of(a)), MotionCovariance::of(&hyp.p, motion_of(a)));
-            let datum = model.datum.as_ref().map(|datum| datum[a]);
-            self.add_node(a, (&mean, &own, axis.ahead()), hyp, datum);
-            self.put_status(k, a, status_at(hyp, a, clock, model, at));
+            // The covariances of the motion with the datum are those of the sample.
+            let common = &course.others[other(common)];
+            pc[i..i + MOTION_STATES].copy_from_slice(&[
+                own.xx - common.x[k],
+                own.xv - common.v[k],
+                own.xb - p[(i + 2, d)],
+            ]);
         }
     }
 

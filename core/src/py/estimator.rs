@@ -148,7 +148,7 @@ fn measure(
     numbers: [&PyReadonlyArray1<'_, f64>; 3],
 ) -> PyResult<()> {
     let (stamps, channel) = (elements("time_ns", time_ns)?, elements("channel", channel)?);
-    let count = own.settings().channels.len();
+    let count = own.settings.channels.len();
     if channel.iter().any(|&c| usize::try_from(c).map_or(true, |c| c >= count)) {
         return Err(PyValueError::new_err(format!("channel: there are {count}")));
     }
@@ -168,47 +168,60 @@ fn measure(
     Ok(())
 }
 
-fn predict(own: &stream::Estimator, channel: usize, time_ns: i64) -> PyResult<Option<(f64, f64)>> {
-    if channel >= own.settings().channels.len() {
-        return Err(PyValueError::new_err(format!("channel: {channel}")));
-    }
-    Ok(own.predict(channel, time_ns))
-}
-
 fn matrix<'py>(py: Python<'py>, one: &Matrix) -> Bound<'py, PyArray2<f64>> {
     let rows: Vec<Vec<f64>> = (0..one.height()).map(|i| one.row(i).to_vec()).collect();
     PyArray2::from_vec2(py, &rows).unwrap_or_else(|_| PyArray2::zeros(py, [0, 0], false))
 }
 
-/// Parameters (k,) and their variances (k,).
-type Parameters = (Vec<f64>, Vec<f64>);
+/// A stream: rows as they come, or a lag later.
+enum Stream {
+    Causal(Box<stream::Estimator>),
+    Lagged(Box<Lag>),
+}
 
-fn parameters(own: &stream::Estimator) -> Parameters {
-    match own.filter().map(|filter| filter.hyps.best()) {
-        Some(best) => {
-            let k = best.parameters.len();
-            (best.parameters.clone(), (0..k).map(|q| best.spread[(q, q)]).collect())
+/// See [`stream::Estimator`] and [`Lag`].
+#[pyclass(module = "midspan._core")]
+struct Estimator {
+    stream: Stream,
+}
+
+impl Estimator {
+    fn own(&self) -> &stream::Estimator {
+        match &self.stream {
+            Stream::Causal(own) => own,
+            Stream::Lagged(lag) => &lag.estimator,
         }
-        None => {
-            let stds = own.settings().parameters.iter();
-            (vec![0.0; stds.len()], stds.map(|one| one.std * one.std).collect())
+    }
+
+    fn own_mut(&mut self) -> &mut stream::Estimator {
+        match &mut self.stream {
+            Stream::Causal(own) => own,
+            Stream::Lagged(lag) => &mut lag.estimator,
         }
     }
 }
 
-/// See [`stream::Estimator`].
-#[pyclass(module = "midspan._core")]
-struct Estimator {
-    own: stream::Estimator,
-}
-
 #[pymethods]
 impl Estimator {
+    /// lag_samples: rows come so many samples later, whatever `log` and `rows` say; None: as they come.
     #[new]
-    #[pyo3(signature = (settings, *, log, rows, waiting, block))]
-    fn new(settings: PySettings, log: bool, rows: bool, waiting: usize, block: usize) -> PyResult<Self> {
+    #[pyo3(signature = (settings, *, log, rows, waiting, block, lag_samples))]
+    fn new(
+        settings: PySettings,
+        log: bool,
+        rows: bool,
+        waiting: usize,
+        block: usize,
+        lag_samples: Option<usize>,
+    ) -> PyResult<Self> {
+        let (settings, lagged) = (settings.converted()?, lag_samples.is_some());
         let limits = Limits { waiting: waiting.max(1), block: block.max(1) };
-        Ok(Self { own: stream::Estimator::new(settings.converted()?, limits, log, rows) })
+        let own = stream::Estimator::new(settings, limits, log || lagged, rows && !lagged);
+        let stream = match lag_samples {
+            Some(lag_samples) => Stream::Lagged(Box::new(Lag::new(own, lag_samples))),
+            None => Stream::Causal(Box::new(own)),
+        };
+        Ok(Self { stream })
     }
 
     fn push<'py>(
@@ -219,10 +232,13 @@ impl Estimator {
         density: PyReadonlyArray2<'py, f64>,
         kind: PyReadonlyArray1<'py, u8>,
     ) -> PyResult<Vec<OutputTuple<'py>>> {
-        let samples = PySamples { axes: self.own.settings().axes, time_ns, value, density, kind };
-        let (view, own) = (samples.view()?, &mut self.own);
+        let samples = PySamples { axes: self.own().settings.axes, time_ns, value, density, kind };
+        let (view, stream) = (samples.view()?, &mut self.stream);
         let mut output = None;
-        py.detach(|| own.push(view, None, &mut output));
+        py.detach(|| match stream {
+            Stream::Causal(own) => own.push(view, None, &mut output),
+            Stream::Lagged(lag) => lag.push(view, &mut output),
+        });
         Ok(output.into_iter().map(|one| output_tuple(py, one)).collect())
     }
 
@@ -234,35 +250,64 @@ impl Estimator {
         variance: PyReadonlyArray1<'_, f64>,
         reference_variance: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<()> {
-        measure(&mut self.own, &time_ns, &channel, [&value, &variance, &reference_variance])
+        measure(self.own_mut(), &time_ns, &channel, [&value, &variance, &reference_variance])
     }
 
     fn doubt(&mut self, time_ns: i64) {
-        self.own.doubt(time_ns);
+        self.own_mut().doubt(time_ns);
     }
 
     fn finish<'py>(&mut self, py: Python<'py>) -> Vec<OutputTuple<'py>> {
-        let own = &mut self.own;
+        let stream = &mut self.stream;
         let mut output = None;
-        py.detach(|| own.finish(&mut output));
+        py.detach(|| match stream {
+            Stream::Causal(own) => own.finish(&mut output),
+            Stream::Lagged(lag) => lag.finish(&mut output),
+        });
         output.into_iter().map(|one| output_tuple(py, one)).collect()
     }
 
     fn predict(&self, channel: usize, time_ns: i64) -> PyResult<Option<(f64, f64)>> {
-        predict(&self.own, channel, time_ns)
+        let own = self.own();
+        if channel >= own.settings.channels.len() {
+            return Err(PyValueError::new_err(format!("channel: {channel}")));
+        }
+        Ok(own.predict(channel, time_ns))
     }
 
-    fn parameters(&self) -> Parameters {
-        parameters(&self.own)
+    /// Parameters (k,) and their variances (k,).
+    fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        let own = self.own();
+        match own.memory.filter.as_ref().map(|filter| filter.hyps.best()) {
+            Some(best) => {
+                let k = best.parameters.len();
+                (best.parameters.clone(), (0..k).map(|q| best.spread[(q, q)]).collect())
+            }
+            None => own.settings.parameters.iter().map(|one| (0.0, one.std * one.std)).unzip(),
+        }
     }
 
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        Ok(PyBytes::new(py, &to_bytes(self.own.memory()).map_err(state_error)?))
+        let bytes = match &self.stream {
+            Stream::Causal(own) => to_bytes(&own.memory),
+            Stream::Lagged(lag) => to_bytes(&lag.memory()),
+        };
+        Ok(PyBytes::new(py, &bytes.map_err(state_error)?))
     }
 
     fn restore(&mut self, state: &[u8]) -> PyResult<()> {
-        let memory = from_bytes(state).map_err(state_error)?;
-        if self.own.restore(memory) { Ok(()) } else { Err(state_error(StateError::OtherSettings)) }
+        let fits = match &mut self.stream {
+            Stream::Causal(own) => own.restore(from_bytes(state).map_err(state_error)?),
+            Stream::Lagged(lag) => lag.restore(from_bytes(state).map_err(state_error)?),
+        };
+        if fits { Ok(()) } else { Err(state_error(StateError::OtherSettings)) }
+    }
+
+    /// How many samples, decided and undecided measurements are held.
+    fn held(&self) -> (usize, usize, usize) {
+        let own = self.own();
+        let (samples, decided) = own.log.as_ref().map_or((0, 0), |log| (log.samples.len(), log.decided.len()));
+        (samples, decided, own.memory.undecided.len())
     }
 
     /// Times (s) and channels of what waits for samples, -1 for the datum and -2 for stamps that went back.
@@ -272,136 +317,60 @@ impl Estimator {
             Item::Datum => -1,
             Item::WentBack => -2,
         };
-        self.own.waiting().iter().map(|one| (one.at_s, channel(&one.item))).unzip()
+        self.own().memory.waiting.iter().map(|one| (one.at_s, channel(&one.item))).unzip()
     }
 
     /// How many measurements wait for the first sample.
     fn early(&self) -> usize {
-        self.own.early()
+        self.own().memory.early.len()
     }
 
     /// Time (s), states (n, 1 + k) and covariance (n, n) of the best hypothesis; None before the filter has begun.
     fn filter<'py>(&self, py: Python<'py>) -> Option<FilterTuple<'py>> {
-        let filter: &Filter = self.own.filter()?;
+        let filter: &Filter = self.own().memory.filter.as_ref()?;
         let best = filter.hyps.best();
         Some((filter.clock.time_s, matrix(py, &best.x), matrix(py, &best.p)))
     }
 
     /// Whether there is a log.
     fn logs(&self) -> bool {
-        self.own.log().is_some()
+        self.own().log.is_some()
     }
 
     /// The rows of each axis, smoothed by the whole record that was logged.
     fn smooth<'py>(&self, py: Python<'py>, settings: PySettings, logged: bool) -> PyResult<RowArrays<'py>> {
         let settings = settings.converted()?;
-        let log = self.own.log().ok_or_else(|| PyValueError::new_err("no log"))?;
-        let known = self.own.settings();
+        let own = self.own();
+        let log = own.log.as_ref().ok_or_else(|| PyValueError::new_err("no log"))?;
+        let known = &own.settings;
         let same_table = settings.channels.len() == known.channels.len() && settings.axes == known.axes;
         if !same_table {
             return Err(PyValueError::new_err("settings: of other channels or axes"));
         }
         let logged = logged && settings.parameters.len() == known.parameters.len();
-        let rows = py.detach(|| smooth(log, &settings, logged, self.own.block()));
+        let rows = py.detach(|| smooth(log, &settings, logged, own.limits.block));
         Ok(row_arrays(py, rows))
     }
 
     /// Stamps (k,) from which on clocks were in doubt in what was logged.
     fn went_back_ns(&self) -> Vec<i64> {
-        let log = self.own.log();
+        let log = self.own().log.as_ref();
         log.map_or_else(Vec::new, |log| log.went_back_s().iter().map(|&at_s| instant(at_s, log.origin_ns)).collect())
     }
 
     /// After how many samples the filter was logged.
     fn logged_filters(&self) -> Vec<usize> {
-        self.own.log().map_or_else(Vec::new, |log| log.filters.keys().copied().collect())
+        self.own().log.as_ref().map_or_else(Vec::new, |log| log.filters.keys().copied().collect())
     }
 
     /// Stamps (n,), values and densities (n · axes,) and kinds (n,) of what was logged.
     fn logged_samples<'py>(&self, py: Python<'py>) -> Option<SampleArrays<'py>> {
-        let one = &self.own.log()?.samples;
+        let one = &self.own().log.as_ref()?.samples;
         let (time_ns, kind) = (PyArray1::from_slice(py, &one.time_ns), PyArray1::from_slice(py, &one.kind));
         Some((time_ns, PyArray1::from_slice(py, &one.value), PyArray1::from_slice(py, &one.density), kind))
     }
 }
 
-/// See [`Lag`].
-#[pyclass(module = "midspan._core", name = "Lag")]
-struct PyLag {
-    own: Lag,
-}
-
-#[pymethods]
-impl PyLag {
-    #[new]
-    #[pyo3(signature = (settings, lag_samples, *, waiting, block))]
-    fn new(settings: PySettings, lag_samples: usize, waiting: usize, block: usize) -> PyResult<Self> {
-        let limits = Limits { waiting: waiting.max(1), block: block.max(1) };
-        let estimator = stream::Estimator::new(settings.converted()?, limits, true, false);
-        Ok(Self { own: Lag::new(estimator, lag_samples) })
-    }
-
-    fn push<'py>(
-        &mut self,
-        py: Python<'py>,
-        time_ns: PyReadonlyArray1<'py, i64>,
-        value: PyReadonlyArray2<'py, f64>,
-        density: PyReadonlyArray2<'py, f64>,
-        kind: PyReadonlyArray1<'py, u8>,
-    ) -> PyResult<Vec<OutputTuple<'py>>> {
-        let samples = PySamples { axes: self.own.estimator.settings().axes, time_ns, value, density, kind };
-        let (view, own) = (samples.view()?, &mut self.own);
-        let mut output = None;
-        py.detach(|| own.push(view, &mut output));
-        Ok(output.into_iter().map(|one| output_tuple(py, one)).collect())
-    }
-
-    fn measure(
-        &mut self,
-        time_ns: PyReadonlyArray1<'_, i64>,
-        channel: PyReadonlyArray1<'_, i64>,
-        value: PyReadonlyArray1<'_, f64>,
-        variance: PyReadonlyArray1<'_, f64>,
-        reference_variance: PyReadonlyArray1<'_, f64>,
-    ) -> PyResult<()> {
-        measure(&mut self.own.estimator, &time_ns, &channel, [&value, &variance, &reference_variance])
-    }
-
-    fn doubt(&mut self, time_ns: i64) {
-        self.own.estimator.doubt(time_ns);
-    }
-
-    fn finish<'py>(&mut self, py: Python<'py>) -> Vec<OutputTuple<'py>> {
-        let own = &mut self.own;
-        let mut output = None;
-        py.detach(|| own.finish(&mut output));
-        output.into_iter().map(|one| output_tuple(py, one)).collect()
-    }
-
-    fn predict(&self, channel: usize, time_ns: i64) -> PyResult<Option<(f64, f64)>> {
-        predict(&self.own.estimator, channel, time_ns)
-    }
-
-    fn parameters(&self) -> Parameters {
-        parameters(&self.own.estimator)
-    }
-
-    /// How many samples, decided and undecided measurements are held.
-    fn held(&self) -> (usize, usize, usize) {
-        self.own.held()
-    }
-
-    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        Ok(PyBytes::new(py, &to_bytes(&self.own.memory()).map_err(state_error)?))
-    }
-
-    fn restore(&mut self, state: &[u8]) -> PyResult<()> {
-        let memory = from_bytes(state).map_err(state_error)?;
-        if self.own.restore(memory) { Ok(()) } else { Err(state_error(StateError::OtherSettings)) }
-    }
-}
-
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Estimator>()?;
-    module.add_class::<PyLag>()
+    module.add_class::<Estimator>()
 }

@@ -15,7 +15,7 @@ pub struct PySettings {
     bias_walk: f64,
     velocity_std_m_s: Option<Vec<f64>>,
     displacement_std_m: Option<f64>,
-    rates: PyRates,
+    rates: Rates,
     noise_memory: f64,
     noise_weight: f64,
     motion: Vec<(f64, f64)>,
@@ -53,19 +53,6 @@ struct PyParameter {
     axis: usize,
 }
 
-#[derive(FromPyObject)]
-struct PyRates {
-    outlier: f64,
-    stays: f64,
-    shift: f64,
-    back: f64,
-    wrong: f64,
-    noise: f64,
-    lost: f64,
-    clock: f64,
-    odds: f64,
-}
-
 impl PySettings {
     /// The same for the core.
     pub fn converted(self) -> PyResult<settings::Settings> {
@@ -77,7 +64,6 @@ impl PySettings {
         let parameters = self.parameters.into_iter().map(PyParameter::converted).collect::<PyResult<_>>()?;
         let own = |std: &f64| if self.zero_ns.is_some() { std * std } else { 0.0 };
         let both = self.unseen_std_m.iter().zip(&self.unseen_zero_std_m);
-        let rates = &self.rates;
         let settings = settings::Settings {
             channels,
             axes: self.axes,
@@ -89,17 +75,7 @@ impl PySettings {
             bias_walk: self.bias_walk,
             velocity_std_m_s: self.velocity_std_m_s,
             displacement_std_m: self.displacement_std_m,
-            rates: Rates {
-                outlier: rates.outlier,
-                stays: rates.stays,
-                shift: rates.shift,
-                back: rates.back,
-                wrong: rates.wrong,
-                noise: rates.noise,
-                lost: rates.lost,
-                clock: rates.clock,
-                odds: rates.odds,
-            },
+            rates: self.rates,
             noise_memory: self.noise_memory,
             noise_weight: self.noise_weight,
             motion: self.motion,

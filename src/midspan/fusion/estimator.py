@@ -24,10 +24,19 @@ State = NDArray[np.uint8]
 class Stream:
     """What `Estimator` and `Lag` have in common: records in, rows out, by a stream of the core."""
 
-    core: _core.Estimator | _core.Lag
-
-    def __init__(self, settings: EstimatorSettings, max_waiting: int | None) -> None:
+    def __init__(
+        self,
+        settings: EstimatorSettings,
+        max_waiting: int | None,
+        *,
+        log: bool,
+        rows: bool,
+        lag_samples: int | None = None,
+    ) -> None:
         self.settings, self._max_waiting = settings, max_waiting or MAX_WAITING
+        self.core = _core.Estimator(
+            settings, log=log, rows=rows, waiting=self._max_waiting, block=BLOCK, lag_samples=lag_samples
+        )
 
     def push(self, record: Samples | Measured | Event) -> list[Rows]:
         """Take one block; returns for samples the rows that are due, if any.
@@ -93,13 +102,10 @@ class Estimator(Stream):
     so many measurements may wait for samples, older ones are dropped; None: MAX_WAITING.
     """
 
-    core: _core.Estimator
-
     def __init__(
         self, settings: EstimatorSettings, *, log: bool = False, rows: bool = True, max_waiting: int | None = None
     ) -> None:
-        super().__init__(settings, max_waiting)
-        self.core = _core.Estimator(settings, log=log, rows=rows, waiting=self._max_waiting, block=BLOCK)
+        super().__init__(settings, max_waiting, log=log, rows=rows)
 
     @property
     def logged_samples(self) -> Samples:
@@ -134,12 +140,11 @@ class Lag(Stream):
     """
 
     def __init__(self, settings: EstimatorSettings, lag_samples: int, *, max_waiting: int | None = None) -> None:
-        super().__init__(settings, max_waiting)
+        super().__init__(settings, max_waiting, log=True, rows=False, lag_samples=lag_samples)
         self.lag_samples = lag_samples
-        self.core = _core.Lag(settings, lag_samples, waiting=self._max_waiting, block=BLOCK)
 
 
-def restore(core: _core.Estimator | _core.Lag | _core.PrintedFilter, state: State) -> None:
+def restore(core: _core.Estimator | _core.PrintedFilter, state: State) -> None:
     """Let the core go on from its own bytes; DataError where they are not of a stream with the same settings."""
     try:
         core.restore(state.tobytes())
