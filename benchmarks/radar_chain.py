@@ -109,7 +109,7 @@ def phasors(moved: Floats, snr_db: float, seed: int) -> Floats:
 def slip(phase: Floats, moved: Floats) -> bool:
     """Whether an error of a cycle is left anywhere; noise at 6 dB reaches half a cycle."""
     error = phase / UNIT - moved
-    return bool(np.nanmax(np.abs(error - np.nanmedian(error[:100]))) > 0.8 * CHIRP.cycle_m)
+    return bool(np.nanmax(np.abs(error - np.nanmedian(error[:100]))) > 0.8 * CHIRP.axis.cycle_m)
 
 
 def unwrapping() -> None:
