@@ -37,18 +37,18 @@ def frame(camera: CameraResult) -> Picture:
     figure = sheet(tall + 3.2)
     grid = figure.add_gridspec(2, 2, height_ratios=(tall, 2.8))
     whole, close, path = (figure.add_subplot(place) for place in (grid[0, :], grid[1, 0], grid[1, 1]))
-    _image(whole, pixels)
+    image(whole, pixels)
     for name, place in regions.items():
-        _box(whole, place, color=Colour.VERMILLION, linewidth=1.6)
+        box(whole, place, color=Colour.VERMILLION, linewidth=1.6)
         if len(regions) > 1:
-            _label(whole, place, name)
+            label(whole, place, name)
     for target in camera.calibrations[0].targets:
         if not target.used:
-            _box(whole, target.region, color=Colour.ORANGE, linewidth=1.2, linestyle="--")
-            _label(whole, target.region, target.name)
+            box(whole, target.region, color=Colour.ORANGE, linewidth=1.2, linestyle="--")
+            label(whole, target.region, target.name)
     _scale_bar(whole, pixels.shape, 1e3 * abs(camera.calibrations[0].scale.value_m_per_px))
     whole.set_title(f"first frame, {pixels.shape[1]} × {pixels.shape[0]} px", fontsize=9)
-    _image(close, pixels, region)
+    image(close, pixels, region)
     close.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
     _path(path, camera.track)
     return picture(figure)
@@ -65,7 +65,7 @@ def _scale_bar(axes: "Axes", shape: tuple[int, ...], mm_per_px: float) -> None:
     axes.text(left, bottom - 0.02 * rows, text, color="white", fontsize=8, va="bottom", bbox=LABEL_GROUND)
 
 
-def _image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
+def image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
     """An image, or a region of it, in its own pixel coordinates, thinned to what the page can show."""
     rows, columns = pixels.shape
     place = region or Region(0, 0, columns, rows)
@@ -80,14 +80,15 @@ def _image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
     axes.set_ylabel("y (px)")
 
 
-def _box(axes: "Axes", region: Region, **options: Any) -> None:
+def box(axes: "Axes", region: Region, **options: Any) -> None:
+    """The outline of a region."""
     from matplotlib.patches import Rectangle
 
     corner = (region.x - 0.5, region.y - 0.5)
     axes.add_patch(Rectangle(corner, region.width, region.height, fill=False, **options))
 
 
-def _label(axes: "Axes", region: Region, text: str) -> None:
+def label(axes: "Axes", region: Region, text: str) -> None:
     """A word in the upper left corner of a region."""
     spot = (region.x + 0.06 * region.width, region.y + 0.06 * region.height)
     axes.text(*spot, text, color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=LABEL_GROUND)
@@ -112,20 +113,20 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
     # A picture of one place to choose has no map.
     known = has_map(found)
     places, *scores = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
-    _image(places, pixels)
+    image(places, pixels)
     # Where the accelerometer was heard it decides, else what most of the picture does.
     heard = any(np.isfinite(candidate.displacement_std_m) for candidate in found.candidates)
     for number, candidate in enumerate(found.candidates, start=1):
         fits = candidate.fixed if not heard else bool(np.isfinite(candidate.displacement_std_m))
         fits = fits and not partly_static(candidate, found)
         colour, line = (Colour.SKY, "-") if fits else (Colour.ORANGE, "--")
-        _box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
-        _label(places, candidate.region, str(number))
+        box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
+        label(places, candidate.region, str(number))
     for axes in scores:
         _scores(axes, found)
     for axes in (places, *scores):
         for region in found.regions:
-            _box(axes, region, color=Colour.VERMILLION, linewidth=2.0, zorder=2.5)
+            box(axes, region, color=Colour.VERMILLION, linewidth=2.0, zorder=2.5)
         axes.set_aspect("equal")
         axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
         axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
@@ -163,11 +164,11 @@ def tracker(camera: CameraResult, clock: Clock) -> Picture:
     std = np.sqrt(learnt.variance_factor * variance)
     figure = sheet(3.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for axes, value, label in ((upper, track.quality, "quality"), (lower, std, f"σ along {learnt.direction} (px)")):
+    for axes, value, name in ((upper, track.quality, "quality"), (lower, std, f"σ along {learnt.direction} (px)")):
         known = np.isfinite(value)
         if known.any():
-            draw_line(axes, envelope(t[known], value[known], value[known]), Colour.BLUE, label, linewidth=0.8)
-        axes.set_ylabel(label)
+            draw_line(axes, envelope(t[known], value[known], value[known]), Colour.BLUE, name, linewidth=0.8)
+        axes.set_ylabel(name)
         axes.margins(x=0.005)
     lost = track.status == Status.LOST
     if lost.any():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.radar.chirp import RadarInfo
 from midspan.records import Floats, Nanoseconds
+from midspan.sources.accelerometer.select import RATE_TOLERANCE
 from midspan.sources.boundary import reading, require_memory
 from midspan.sources.hdf5_members import dataset, open_hdf5, values
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
@@ -21,8 +22,6 @@ CARRIER_HZ = 60.5e9
 _SESSIONS = ("sessions/session_0", "session")
 _ENTRY = "group_0/entry_0"
 _A111_MEMBERS = ("mode", "data", "session_info", "sensor_config_dump")
-# The recorder's clock may differ from the rate that was set by this share before the clock counts.
-_RATE_TOLERANCE = 0.01
 
 
 def reader_of(path: Path) -> type[RadarSource] | None:
@@ -216,7 +215,7 @@ def _a111_times(path: Path, count: int, set_hz: float | None, recorded_s: Floats
     """Times (count,) from 0 on, s, and where they are from."""
     is_clock = recorded_s.shape == (count,) and count > 1 and bool(np.all(np.diff(recorded_s) > 0.0))
     recorded_hz = (count - 1) / float(recorded_s[-1] - recorded_s[0]) if is_clock else None
-    if set_hz and (recorded_hz is None or abs(recorded_hz / set_hz - 1.0) < _RATE_TOLERANCE):
+    if set_hz and (recorded_hz is None or abs(recorded_hz / set_hz - 1.0) < RATE_TOLERANCE):
         return np.arange(count) / float(set_hz), f"times by the update rate of {set_hz:g} Hz"
     if recorded_hz is None:
         raise DataError(
