@@ -21,12 +21,11 @@ from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
-from midspan.service.notify import notify
 from midspan.service.opening import head_of, opened, resumed
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, running
-from midspan.service.web import application, figures, listening, server
+from midspan.service.web import application, figures, listening, notify, server
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site, captures_of
 from midspan.store.archive import archive

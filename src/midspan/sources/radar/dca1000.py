@@ -12,8 +12,8 @@ from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.iq_order import MIN_DB, decide_order, swapped, weigh_orders
-from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
-from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products, whole_channels
+from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack
+from midspan.radar.range_profile import averaged, range_profile, slow_time, whole_channels
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
@@ -112,9 +112,8 @@ class RawCapture(RadarSource):
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """Only the wanted bins, straight from the stored words."""
         times, profile = self.times_ns(), self._layout.profile
-        weights = word_weights(bin_kernel(np.asarray(bins, dtype=np.float64), profile), self._layout)
         for first, words, valid in self._blocks(start, stop):
-            block = averaged(weighted_products(words, self._layout, weights), profile)
+            block = slow_time(words, self._layout, bins)
             yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, profile))
 
     def words(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
