@@ -12,7 +12,7 @@ from midspan.report.drawing import WIDTH_IN, Colour, Picture, draw_line, draw_po
 from midspan.report.history_data import round_below
 from midspan.report.material import Clock
 from midspan.report.tables import partly_static
-from midspan.report.thinning import envelope
+from midspan.report.thinning import envelope, starts
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 # The longer side of the picture that is kept of a frame, px.
 MAX_FRAME_PX = 960
-MAX_PATH_POINTS = 3000
 # The height of a camera's frame across the page, inches.
 MAX_FRAME_IN = 6.0
 # Under white text on a photograph, in a dark page too.
@@ -97,7 +96,7 @@ def label(axes: "Axes", region: Region, text: str) -> None:
 def _path(axes: "Axes", track: PixelTrack) -> None:
     """Translation of the target in the image, its start marked."""
     known = np.flatnonzero(np.isfinite(track.x_px) & np.isfinite(track.y_px))
-    known = known[:: max(1, len(known) // MAX_PATH_POINTS)]
+    known = known[starts(len(known), MAX_FRAME_PX)]
     axes.plot(track.x_px[known], track.y_px[known], color=Colour.BLUE, linewidth=0.4, alpha=0.7)
     axes.plot(0.0, 0.0, marker="o", color=Colour.VERMILLION, markersize=4)
     axes.set_aspect("equal", adjustable="datalim")
@@ -237,9 +236,6 @@ def explained(found: ScaleCalibration) -> float:
     return float(1.0 - fit.noise * np.sum(fit.residual**2) / whole)
 
 
-TINT = 0.45  # of the colour over an active pixel
-
-
 def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
     """The region in the `reference` frame (rows, columns), and its active pixels along x and y tinted."""
     region = found.region
@@ -269,5 +265,5 @@ def _tinted(grey: Any, active: Any, colour: str) -> Any:
 
     out = np.repeat(grey[:, :, None], 3, axis=2)
     if active is not None:
-        out[active] = (1.0 - TINT) * out[active] + TINT * np.array(to_rgb(colour))
+        out[active] = 0.5 * (out[active] + np.array(to_rgb(colour)))
     return out

@@ -22,8 +22,6 @@ FURTHER = (Colour.PURPLE, Colour.GREEN, Colour.BLACK)
 CAMERAS = (Source.CAMERA, Source.INFRARED)
 # Trackers whose strength is a number of matches; of the others it is the quality.
 MATCHING = ("features",)
-# A strip of sources needs no more segments than it has dots.
-STRIP_STRETCHES = 1500
 # The marks of each camera below the standard deviations take this share of the height.
 MARK_HEIGHT = 0.09
 # Digits of °C on the surface of temperature ranges.
@@ -158,7 +156,7 @@ def _strip(axes: "Axes", material: Material) -> None:
 def source_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
     """Start and length (s) of the segments in which the rows rest on each source."""
     source = material.result.estimate.source
-    return {code: spans(material.t, source == code, STRIP_STRETCHES) for code, _ in shares(source)}
+    return {code: spans(material.t, source == code) for code, _ in shares(source)}
 
 
 def shares(source: NDArray[np.uint8]) -> list[tuple[Source, float]]:

@@ -31,8 +31,6 @@ COLOURS = (
 )
 # Length of the part that is drawn larger, s: a few cycles of a structure of 1 Hz.
 CLOSE_S = 5.0
-# Segments drawn of the whole record.
-MAX_SEGMENTS = 2000
 
 
 def draw_methods(runs: Sequence[MethodRun], reference: TimeSeries | None, path: Path) -> Path:
@@ -62,7 +60,7 @@ def _line(axes: "Axes", series: tuple[Floats, Floats], span: tuple[float, float]
     """A series (time in s, mm) within a span as a line of a colour, label and width; long ones as their extremes."""
     (time_s, value), (colour, label, width) = series, look
     inside = (time_s >= span[0]) & (time_s <= span[1])
-    drawn = envelope(time_s[inside], value[inside], value[inside], MAX_SEGMENTS).line()
+    drawn = envelope(time_s[inside], value[inside], value[inside]).line()
     axes.plot(*drawn, color=colour, label=label, linewidth=width)
     axes.margins(x=0.005)
 

@@ -14,12 +14,10 @@ from midspan.errors import DataError
 from midspan.radar.chirp import RadarInfo
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
+from midspan.service.opening import BLOCK_S
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.sources.live.camera import Stamped, StampKind
 from midspan.sources.live.instants import SourceFault
-
-# Readings come in blocks of this length.
-BLOCK_S = 0.1
 
 
 def _opened(address: str) -> tuple[Recording, Any, int]:

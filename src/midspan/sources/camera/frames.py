@@ -16,8 +16,6 @@ from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.vision.frame_source import FrameSource
 
-# Frames without any time are counted, one a second.
-COUNTING_RATE_HZ = 1.0
 # A frame of which a larger share is no number is passed over: what would be filled in would be tracked.
 MAX_MISSING = 0.2
 # Frames or pixels that a message names.
@@ -85,7 +83,7 @@ class StoredFrames(FrameSource):
 
 
 def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[FrameSource, bool]:
-    """A source with its own times, or counting frames where it has none; and whether they are its own.
+    """A source with its own times, or counting frames, one a second, where it has none; and whether they are its own.
 
     opened: opens it at a rate, Hz; None: with its own times.
     """
@@ -94,7 +92,7 @@ def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[Fra
         source.times_ns()
         return source, True
     except UsageError:
-        source = opened(COUNTING_RATE_HZ)
+        source = opened(1.0)
         source.times_ns()
         return source, False
 

@@ -23,6 +23,7 @@ from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.records import Nanoseconds
 from midspan.signals.health import clock
+from midspan.sources.boundary import HEAD_BYTES, head_of
 
 # Containers whose clock starts anywhere: their first stamp counts as zero.
 _FREE_RUNNING = ("mpegts", "mpeg")
@@ -37,7 +38,6 @@ _MAX_XML_BYTES = 1 << 20
 _MIN_FACTOR = 1.5
 # Phones declare up to this rate of ordinary films, too, whose frames poor light can make longer.
 _MAX_ORDINARY_HZ = 60.0
-HEAD_BYTES = 1024
 # Bytes of a packet of a transport stream, plain, with a time stamp of 4 bytes before it, with 16 bytes of parity.
 _TRANSPORT_PACKETS = (188, 192, 204)
 _SYNC = 0x47
@@ -228,15 +228,12 @@ class _CutOff:
 def _cut_off(path: Path) -> _CutOff | None:
     """How a video file ends too early; None where it is whole, or where its container does not say."""
     size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
-        file.seek(0)
-        check = next((check for begins, check in _CHECKS if begins(head)), None)
-        try:
-            return check(file, size) if check else None
-        except (struct.error, IndexError, ValueError):
-            # A header that cannot be taken apart says nothing about the end.
-            return None
+    head = head_of(path)
+    check = next((check for begins, check in _CHECKS if begins(head)), None)
+    # A header that cannot be taken apart says nothing about the end.
+    with path.open("rb") as file, suppress(struct.error, IndexError, ValueError):
+        return check(file, size) if check else None
+    return None
 
 
 def _short(missing: int, declared: int) -> _CutOff | None:

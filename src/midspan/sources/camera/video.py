@@ -16,11 +16,10 @@ from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Frame, Nanoseconds
 from midspan.signals.health import clock
 from midspan.sources.accelerometer.select import RATE_TOLERANCE
-from midspan.sources.boundary import require_memory
+from midspan.sources.boundary import head_of, require_memory
 from midspan.sources.camera.decoded import depth_of, luma_of, turn_of
 from midspan.sources.camera.frames import FrameRequest, file_times, grid, named, rate_times
 from midspan.sources.camera.packets import (
-    HEAD_BYTES,
     Packets,
     declared_rate,
     missing_frames,
@@ -58,9 +57,8 @@ class VideoFrames(FrameSource):
         self._notices: list[Notice] = []
         self._lost: set[int] = set()
         self._kind: tuple[tuple[int, ...], np.dtype[Any]] | None = None
-        with path.open("rb") as file:
-            # Of pictures that FFmpeg reads (GIF).
-            require_memory(path, picture_bytes(file.read(HEAD_BYTES)), "a picture")
+        # Of pictures that FFmpeg reads (GIF).
+        require_memory(path, picture_bytes(head_of(path)), "a picture")
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._size = (int(stream.codec_context.width), int(stream.codec_context.height))

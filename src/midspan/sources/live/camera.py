@@ -17,7 +17,6 @@ OPEN_S, READ_S = 3.0, 3.0
 # A network camera's reports agree within this time (the first comes within 4 s, the others every 2 to 7 s, RFC 3550);
 # frames before are left out: dated by their arrival they would be tens of milliseconds off.
 REPORT_S = 20.0
-MICROSECONDS = 1_000
 
 
 class StampKind(Enum):
@@ -121,5 +120,5 @@ def _sent_ns(packet: Any) -> int | None:
     for item in sidedata() if sidedata is not None else ():
         kind, data = str(getattr(item, "data_type", "")).lower(), bytes(item)
         if ("prft" in kind or "producer" in kind) and len(data) >= 8:
-            return int(struct.unpack_from("<q", data)[0]) * MICROSECONDS
+            return int(struct.unpack_from("<q", data)[0]) * 1_000  # it is in microseconds
     return None

@@ -19,7 +19,6 @@ from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_fil
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
-FRAMES_AT_A_TIME = 256
 PROBED_FRAMES = 64
 # Zeros after the last frame are looked at up to this many bytes.
 MOST_PADDING = 1 << 24
@@ -37,7 +36,7 @@ _GROUP = 4
 class RawCapture(RadarSource):
     """Frames of a `.bin`; what was lost is told by `valid`, never taken for data."""
 
-    file_kind = "raw ADC data"
+    file_kind, at_a_time = "raw ADC data", 256
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
@@ -125,8 +124,8 @@ class RawCapture(RadarSource):
         """First frame, words and valid (frames, chirps, receivers) of each block."""
         size = self._layout.frame_bytes
         begin, end, _ = slice(start, stop).indices(self._count)
-        for first in range(begin, end, FRAMES_AT_A_TIME):
-            count = min(FRAMES_AT_A_TIME, end - first)
+        for first in range(begin, end, self.at_a_time):
+            count = min(self.at_a_time, end - first)
             words, holes = self._read(first * size, count * size)
             valid = ~holes
             self._missing += int(np.count_nonzero(~valid.all(axis=(1, 2))))
