@@ -100,19 +100,21 @@ class Stored(BaseModel):
     def values(self, record: type) -> dict[str, Any]:
         """The fields of a record, in SI units, as far as the section holds them."""
         keys = {self.field_of(key): key for key in type(self).model_fields}
-        found = {}
+        si_values = {}
         for item in dataclasses.fields(record):
             key = keys.get(item.name, item.name)
             value = getattr(self, key, dataclasses.MISSING)
             if value is not dataclasses.MISSING:
-                found[item.name] = value / MM if "_mm" in key and value is not None else value
-        return found
+                si_values[item.name] = value / MM if "_mm" in key and value is not None else value
+        return si_values
 
     @classmethod
     def tree(cls, record: Any) -> dict[str, Any]:
         """The section of a record, without what is None."""
-        own = {key: getattr(record, cls.field_of(key), None) for key in cls.model_fields}
-        return {key: _plain(MM * value if "_mm" in key else value) for key, value in own.items() if value is not None}
+        si_values = {key: getattr(record, cls.field_of(key), None) for key in cls.model_fields}
+        return {
+            key: _plain(MM * value if "_mm" in key else value) for key, value in si_values.items() if value is not None
+        }
 
 
 def _plain(value: Any) -> Any:
@@ -205,8 +207,8 @@ class StoredTarget(Stored):
 
     def record(self, number: int) -> TargetCalibration:
         """The target, which is called by its number where it has no name."""
-        own = {"region": Region(*self.roi), "scale": _factor(self), "name": self.name or str(number)}
-        return TargetCalibration(**self.values(TargetCalibration) | own)
+        more = {"region": Region(*self.roi), "scale": _factor(self), "name": self.name or str(number)}
+        return TargetCalibration(**self.values(TargetCalibration) | more)
 
     @classmethod
     def tree(cls, record: TargetCalibration) -> dict[str, Any]:
@@ -230,9 +232,9 @@ class StoredScale(Stored):
     def along(self) -> dict[str, Any]:
         """The fields of a camera along one image axis; the section's own keys count for its only target in use."""
         common = set(StoredTarget.model_fields) - {"name", "used", "reason"}
-        own = {key: getattr(self, key) for key in common if key in self.model_fields_set}
+        stated = {key: getattr(self, key) for key in common if key in self.model_fields_set}
         alone = sum(target.used for target in self.targets) == 1
-        targets = [one.model_copy(update=own) if alone and one.used else one for one in self.targets]
+        targets = [one.model_copy(update=stated) if alone and one.used else one for one in self.targets]
         records = tuple(one.record(number) for number, one in enumerate(targets, start=1))
         return self.values(CameraCalibration) | {"scale": _factor(self), "targets": records}
 
@@ -274,14 +276,14 @@ class StoredAxis(StoredScale):
     def _without_prefix(cls, tree: Any) -> Any:
         if not isinstance(tree, dict):
             return tree
-        own = {key.removeprefix(PREFIX): value for key, value in tree.items() if str(key).startswith(PREFIX)}
-        return tree | {"accelerometer": own}
+        section = {key.removeprefix(PREFIX): value for key, value in tree.items() if str(key).startswith(PREFIX)}
+        return tree | {"accelerometer": section}
 
     @classmethod
     def axis_tree(cls, camera: CameraCalibration, calibration: Any) -> dict[str, Any]:
         """The section of a camera and its accelerometer along one image axis."""
-        own = StoredAccelerometer.tree(calibration)
-        return cls.tree(camera) | {f"{PREFIX}{key}": value for key, value in own.items()}
+        section = StoredAccelerometer.tree(calibration)
+        return cls.tree(camera) | {f"{PREFIX}{key}": value for key, value in section.items()}
 
 
 class StoredAxes(Stored):
@@ -341,17 +343,17 @@ class StoredCamera(StoredSensor, StoredScale):
     def record(self, kind: str) -> CameraCalibration:
         """The camera along its main axis."""
         direction = self.axis if self.direction == "xy" and self.axis is not None else self.direction
-        own = {"region": Region(*self.roi), "direction": direction, "source": Source[kind.upper()]}
-        return CameraCalibration(**self.along() | own)
+        more = {"region": Region(*self.roi), "direction": direction, "source": Source[kind.upper()]}
+        return CameraCalibration(**self.along() | more)
 
     def across(self, main: CameraCalibration) -> tuple[CameraCalibration, StoredAccelerometer]:
         """The same camera along its second axis, and the accelerometer there."""
         assert self.axes is not None
         part = self.axes.x if main.direction == "y" else self.axes.y
-        found = dataclasses.replace(main, **part.along(), direction="x" if main.direction == "y" else "y")
+        second = dataclasses.replace(main, **part.along(), direction="x" if main.direction == "y" else "y")
         # The best target along this axis may be another one than along the main axis: the one with the axis's scale.
-        regions = [target.region for target in found.targets if target.used and target.scale == found.scale]
-        return dataclasses.replace(found, region=(*regions, main.region)[0]), part.accelerometer
+        regions = [target.region for target in second.targets if target.used and target.scale == second.scale]
+        return dataclasses.replace(second, region=(*regions, main.region)[0]), part.accelerometer
 
     @classmethod
     def tree(cls, record: CameraCalibration) -> dict[str, Any]:
@@ -458,18 +460,18 @@ class StoredRadar(StoredSensor):
         factor = {"conversion_factor": self.conversion_factor, "conversion_factor_std": self.conversion_factor_std}
         target = dataclasses.replace(best.target, **factor)  # type: ignore[arg-type]
         spread = best.target.relative_std if self.relative_std is None else self.relative_std
-        own = {"targets": (dataclasses.replace(best, target=target), *others), "relative_std": spread}
-        return RadarCalibration(**self.values(RadarCalibration) | own)
+        more = {"targets": (dataclasses.replace(best, target=target), *others), "relative_std": spread}
+        return RadarCalibration(**self.values(RadarCalibration) | more)
 
     @classmethod
     def tree(cls, record: RadarCalibration) -> dict[str, Any]:
         """The section of a radar; range and noise of the best target inform alone."""
         best = StoredRadarTarget.tree(record.best)
-        own = {key: best[key] for key in ("conversion_factor", "conversion_factor_std", "noise_std_mm")}
+        of_best = {key: best[key] for key in ("conversion_factor", "conversion_factor_std", "noise_std_mm")}
         targets = [
             StoredRadarTarget.tree(one.target) | {"used": one.used, "reason": one.reason} for one in record.targets
         ]
-        return super().tree(record) | own | {"target_range_m": best["range_m"], "targets": targets}
+        return super().tree(record) | of_best | {"target_range_m": best["range_m"], "targets": targets}
 
     @staticmethod
     def summary(radar: RadarCalibration) -> str:
