@@ -48,7 +48,7 @@ _FORMATS = (
     Format("CSMIP and COSMOS V1 and V2", (".v2", ".v2c", ".v1", ".v1c"), "midspan", "strong_motion"),
     Format("K-NET and KiK-net", _KNET_SUFFIXES, _OBSPY, "seismic", "read_knet", re.compile(rb"Origin Time\s+\d{4}/")),
     Format("SAC", (".sac",), _OBSPY, "seismic", "read_sac", _SAC_HEAD),
-    Format("GSE2", (".gse", ".gse2"), _OBSPY, "seismic", "read_gse2", re.compile(rb"(BEGIN GSE2|WID2 )")),
+    Format("GSE2", (".gse", ".gse2"), "midspan", "seismic", "read_gse2", re.compile(rb"(BEGIN GSE2|WID2 )")),
 )
 
 FORMATS = tuple(row[:3] for row in _FORMATS)

@@ -1,5 +1,9 @@
-"""Seismology's formats: miniSEED (version 2 and 3) with pymseed, also the data records of a full SEED volume; GSE2,
+"""Seismology's formats: miniSEED (version 2 and 3) with pymseed, also the data records of a full SEED volume; GSE2;
 K-NET, KiK-net and SAC with ObsPy, which is an extra of this package.
+
+GSE2: a header WID2 of fixed columns, samples as whole numbers (INT) or packed (CM6), a checksum CHK2. CM6 writes the
+second differences with six bits a character: the first of a sample holds its sign (16) and four bits, the others five;
+32 says that another follows. Source: GSE 2.0 (Group of Scientific Experts, CRP/243, 1995), waveforms.
 
 K-NET's counts become m/s² by the scale factor of their header, and their start is in UTC without the 15 s of delay that
 the header's time has (NIED, K-NET ASCII format). SAC holds numbers whose unit the file does not say surely.
@@ -8,14 +12,16 @@ the header's time has (NIED, K-NET ASCII format). SAC holds numbers whose unit t
 import importlib
 import re
 import warnings
-from dataclasses import dataclass, replace
-from io import BytesIO
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from midspan.errors import DataError, MidspanError, UsageError
+from midspan.errors import DataError, UsageError
+from midspan.records import Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, even_ns
 from midspan.sources.boundary import require_memory
 
@@ -39,12 +45,22 @@ _OWN_CHANNELS = {
 }
 # A word of four bytes holds seven samples at most (Steim 2), so no record holds more than two a byte.
 _MAX_SAMPLES_PER_BYTE = 2
-# A block of GSE2, from one header to the next; some writers leave out the header's last fields, the sensor's angles.
-_BLOCK = re.compile(rb"^(WID2 [^\r\n]*)(.*?)(?=^WID2 |\Z)", re.MULTILINE | re.DOTALL)
-_NO_ANGLES = b"-1.0 -1.0"
+_BLOCK = re.compile(rb"^WID2 (?P<header>[^\r\n]*)[\r\n]+(?P<rest>.*?)(?=^WID2 |\Z)", re.MULTILINE | re.DOTALL)
+_DATA = re.compile(rb"^DAT2[^\r\n]*[\r\n]+(?P<packed>.*?)^CHK2\s+(?P<checksum>-?\d+)", re.MULTILINE | re.DOTALL)
+# Columns of the header behind `WID2 `: first, and behind the last.
+_COLUMNS = {
+    **{"start": (0, 23), "station": (24, 29), "channel": (30, 33), "auxiliary": (34, 38), "form": (39, 42)},
+    **{"count": (43, 51), "rate": (52, 63), "calibration": (64, 74)},
+}
+_CHARACTERS = b"+-0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
+# A sample of 32 bits takes seven characters at most: 4 + 6 · 5 bits.
+_MAX_CHARACTERS = 7
+_MODULO = 100_000_000
+# Eight bytes of a code, of its bits and of a sample, and what they are worked out of.
+_GSE2_BYTES_OF_A_BYTE = 48
 INSTALL = "pip install 'midspan[seismic]'"
-# A byte of the file is a sample at most (GSE2): as it is decoded (4 bytes), its value and its stamp (8 bytes each).
-_BYTES_OF_A_BYTE = 20
+# A number of four bytes (SAC) becomes eight bytes of value, and what they are worked out of; one of K-NET has nine.
+_BYTES_OF_A_BYTE = 8
 
 
 def read_miniseed(path: Path) -> ChannelSet:
@@ -170,22 +186,78 @@ def _rate(segment: Any) -> float:
 
 
 def read_gse2(path: Path) -> ChannelSet:
-    """The channels as `STA.CHA` in counts without a unit; gaps stay gaps. A block that is damaged is left out."""
-    blocks = _BLOCK.findall(path.read_bytes())
-    if not blocks:
-        raise DataError(f"{path} has no header WID2. Give a GSE2 file with waveforms.")
-    traces: list[Any] = []
+    """The channels as `STA.CHA` in counts without a unit; gaps stay gaps. A block with a wrong checksum is left out."""
+    require_memory(path, _GSE2_BYTES_OF_A_BYTE * path.stat().st_size, "its samples")
+    groups: dict[str, list[tuple[Nanoseconds, NDArray[np.int64], float]]] = {}
+    notes: list[str] = []
     damage: list[str] = []
-    for number, (header, rest) in enumerate(blocks, start=1):
-        whole = header if len(header) > 101 else header.ljust(96) + _NO_ANGLES
+    for block in _BLOCK.finditer(path.read_bytes()):
+        text = block["header"].decode("latin-1")
+        field = {name: text[first:last].strip() for name, (first, last) in _COLUMNS.items()}
+        name = ".".join(part for part in (field["station"], field["auxiliary"], field["channel"]) if part)
         try:
-            # The library takes one blank between whole numbers.
-            traces += _traces(path, "GSE2", BytesIO(whole + re.sub(rb" +", b" ", rest)))
-        except MidspanError:
-            raise
-        except Exception as error:  # the library raises whatever it meets in a damaged block
-            damage.append(f"its block {number} is damaged and left out: {error}")
-    return replace(_channels(traces, "GSE2"), damage=tuple(damage))
+            samples = _gse2_samples(block["rest"], field["form"], int(field["count"]))
+            rate_hz = float(field["rate"])
+            times = _gse2_times(field["start"], len(samples), rate_hz)
+        except (ValueError, OverflowError) as error:
+            damage.append(f"{name}: a block is damaged and left out: {error}")
+            continue
+        groups.setdefault(name, []).append((times, samples, rate_hz))
+        note = f"{name}: its header has a calibration of {field['calibration']} nm a count, which is not applied"
+        if note not in notes and field["calibration"]:
+            notes.append(note)
+    if not groups and not damage:
+        raise DataError(f"{path} has no header WID2. Give a GSE2 file with waveforms.")
+    channels = []
+    for name, parts in groups.items():
+        parts.sort(key=lambda part: int(part[0][0]))
+        values = np.concatenate([samples for _, samples, _ in parts]).astype(np.float64)
+        time_ns = np.concatenate([times for times, _, _ in parts])
+        channels.append(Channel(name, values, None, parts[0][2], None, time_ns))
+    return ChannelSet(tuple(channels), tuple(notes), tuple(damage))
+
+
+def _gse2_times(start: str, count: int, rate_hz: float) -> Nanoseconds:
+    begin = datetime.strptime(start, "%Y/%m/%d %H:%M:%S.%f").replace(tzinfo=UTC)
+    if not 0.0 < rate_hz < float("inf"):
+        raise ValueError(f"its rate is {rate_hz} Hz")
+    return even_ns(int(begin.timestamp()) * 1_000_000_000 + begin.microsecond * 1_000, count, rate_hz)
+
+
+def _gse2_samples(rest: bytes, form: str, count: int) -> NDArray[np.int64]:
+    """The samples of a block; ValueError where they are not what its header and checksum state."""
+    data = _DATA.search(rest)
+    if data is None:
+        raise ValueError("no samples between DAT2 and CHK2")
+    if form not in ("INT", "CM6"):
+        raise ValueError(f"samples in the form {form!r}; INT and CM6 are read")
+    found = _unpacked(data["packed"]) if form == "CM6" else np.array(data["packed"].split(), dtype=np.int64)
+    if not count or len(found) != count:
+        raise ValueError(f"{len(found)} of {count} samples are there")
+    # The writer keeps the sum's sign while it takes multiples off, and may state its size alone.
+    left = sum(int(part.sum()) for part in np.array_split(found, 1 + len(found) // 1_000_000)) % _MODULO
+    if abs(int(data["checksum"])) not in (left, _MODULO - left):
+        raise ValueError("its checksum is wrong")
+    return found
+
+
+def _unpacked(packed: bytes) -> NDArray[np.int64]:
+    """The samples of CM6 characters, blanks and line ends among them; ValueError for what is none."""
+    table = np.full(256, -1, dtype=np.int64)
+    table[np.frombuffer(_CHARACTERS, dtype=np.uint8)] = np.arange(64)
+    codes = table[np.frombuffer(b"".join(packed.split()), dtype=np.uint8)]
+    if not codes.size or codes.min() < 0 or codes[-1] & 32:
+        raise ValueError("characters that CM6 does not have, or an end amid a sample")
+    last = np.flatnonzero((codes & 32) == 0)
+    first = np.concatenate(([0], last[:-1] + 1))
+    if (last - first).max() >= _MAX_CHARACTERS:
+        raise ValueError("a sample of more than 32 bits")
+    bits = codes & 31
+    bits[first] &= 15
+    place = np.repeat(last, last - first + 1) - np.arange(len(codes))
+    differences = np.add.reduceat(bits << (5 * place), first)
+    differences[(codes[first] & 16) != 0] *= -1
+    return np.asarray(np.cumsum(np.cumsum(differences)), dtype=np.int64)
 
 
 def read_knet(path: Path) -> ChannelSet:
@@ -199,13 +271,6 @@ def read_sac(path: Path) -> ChannelSet:
 
 
 def _read_obspy(path: Path, kind: str) -> ChannelSet:
-    # An open file: in a path the library would read patterns and addresses.
-    with path.open("rb") as file:
-        return _channels(_traces(path, kind, file), kind)
-
-
-def _traces(path: Path, kind: str, file: BinaryIO) -> list[Any]:
-    """The traces that ObsPy reads from an open file."""
     try:
         obspy = importlib.import_module("obspy")
     except ImportError:
@@ -213,16 +278,14 @@ def _traces(path: Path, kind: str, file: BinaryIO) -> list[Any]:
     require_memory(path, _BYTES_OF_A_BYTE * path.stat().st_size, "its samples")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return list(obspy.read(file, format=kind, check_compression=False))
-
-
-def _channels(traces: list[Any], kind: str) -> ChannelSet:
+        # An open file: in a path the library would read patterns and addresses.
+        with path.open("rb") as file:
+            stream = obspy.read(file, format=kind, check_compression=False)
     groups: dict[str, list[Any]] = {}
-    for trace in traces:
-        parts = (trace.stats.station, trace.stats.gse2.auxid.strip(), trace.stats.channel) if kind == "GSE2" else ()
-        groups.setdefault(".".join(filter(None, parts)) or trace.id.strip(".") or kind, []).append(trace)
+    for trace in stream:
+        groups.setdefault(trace.id.strip("."), []).append(trace)
     notes: list[str] = []
-    channels = [_obspy_channel(name, traces, kind, notes) for name, traces in groups.items()]
+    channels = [_obspy_channel(name or kind, traces, kind, notes) for name, traces in groups.items()]
     return ChannelSet(tuple(channels), tuple(notes))
 
 
@@ -236,7 +299,5 @@ def _obspy_channel(name: str, traces: list[Any], kind: str, notes: list[str]) ->
     if kind == "KNET":
         values, unit = values * float(stats.calib), "m/s^2"
         notes.append(f"{name}: counts times the scale factor of the header; the zero is the recorder's")
-    if kind == "GSE2":
-        notes.append(f"{name}: its header has a calibration of {stats.calib:g} nm a count, which is not applied")
     times = [even_ns(t.stats.starttime.ns, int(t.stats.npts), float(t.stats.sampling_rate)) for t in traces]
     return Channel(name, values, unit, float(stats.sampling_rate), None, np.concatenate(times))
