@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.cases import fused, rms
 from benchmarks.table import goal, show
 from midspan.papers.printed.fir import FirSettings, fir
-from midspan.papers.printed.radar_phase import grid_factor
+from midspan.papers.printed.radar_phase import grid_factor, unwrap_aided
 from midspan.papers.radar_002 import unwrap_plain
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
@@ -16,7 +16,6 @@ from midspan.radar.layout import Layout, pack
 from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.range_profile import averaged, hann, range_profile, slow_time
 from midspan.radar.target import find_targets, ranked
-from midspan.radar.unwrap import unwrap_aided
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Motion, Sines, Window, random_motion
 from midspan.simulate.radar.signal import SHORT_RANGE, RadarModel, Reflector, noise_for, phase_bound_m
@@ -109,7 +108,7 @@ def phasors(moved: Floats, snr_db: float, seed: int) -> Floats:
 def slip(phase: Floats, moved: Floats) -> bool:
     """Whether an error of a cycle is left anywhere; noise at 6 dB reaches half a cycle."""
     error = phase / UNIT - moved
-    return bool(np.nanmax(np.abs(error - np.nanmedian(error[:100]))) > 0.8 * CHIRP.cycle_m)
+    return bool(np.nanmax(np.abs(error - np.nanmedian(error[:100]))) > 0.8 * CHIRP.axis.cycle_m)
 
 
 def unwrapping() -> None:

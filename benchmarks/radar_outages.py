@@ -66,7 +66,7 @@ def told(found: Run, moved: Floats, at: Floats, chirp: ChirpProfile, end_s: floa
     jump = np.nanmedian(error[at > end_s + SETTLED_S]) - np.nanmedian(error[at < START_S])
     if found.reference_rad2[-1, 0] > 1.0:
         return "new datum"
-    if abs(jump) > chirp.cycle_m / 2:
+    if abs(jump) > chirp.axis.cycle_m / 2:
         return "wrong"
     return "by its range" if any(event.kind == "cycle" for event in found.events) else "sure"
 

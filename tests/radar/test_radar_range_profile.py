@@ -27,7 +27,7 @@ def test_the_phase_moves_with_the_frequency_at_the_centre_of_the_window_less_the
         assert slope == pytest.approx(profile.phase_per_m(7.46), rel=2e-6)
         assert slope * C / (4 * np.pi) / 77e9 == pytest.approx({SHORT: 1.0229, LONG_RANGE: 1.0053}[profile], abs=2e-4)
     assert pytest.approx(CARRIER) == SHORT.carrier_hz
-    assert SHORT.cycle_m == pytest.approx(CYCLE)
+    assert SHORT.axis.cycle_m == pytest.approx(CYCLE)
     assert SHORT.limit_speed_m_s == pytest.approx(CYCLE / 2 * 100)
 
 

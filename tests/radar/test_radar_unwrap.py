@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from radar_cases import CYCLE, RATE, UNIT, accelerometer, phasors, sine
 
+from midspan.papers.printed.radar_phase import unwrap_aided
 from midspan.papers.radar_002 import unwrap_plain
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
-from midspan.radar.unwrap import inertial_steps, unwrap_aided, wrapped
+from midspan.radar.unwrap import inertial_steps, wrapped
 from midspan.simulate.motion.motion import Sines
 
 TIME = np.arange(0, 20, 1 / RATE)

@@ -14,7 +14,7 @@ from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import Layout, pack
 from midspan.simulate.radar.setup import packets
-from midspan.sources.radar.udp import LiveCapture, PacketOrder, UdpSettings
+from midspan.sources.live.radar import LiveCapture, PacketOrder, UdpSettings
 
 # A busy machine may keep a sender or the receiving thread waiting this long, s; a quiet one takes milliseconds.
 WAIT_S = 100.0

@@ -5,8 +5,7 @@ import pytest
 
 from midspan.engine.target_opening import ThermalTarget
 from midspan.records import Frame, Region
-from midspan.thermal.pattern import estimate_pattern
-from midspan.thermal.pattern_share import Pictured, kept_share
+from midspan.thermal.pattern import Pictured, estimate_pattern, kept_share
 from midspan.vision.tracker import open_tracker
 
 SIZE_PX, CANVAS_PX, NOISE_K = 72, 112, 0.05

@@ -8,7 +8,7 @@ from midspan.papers.claims import Curve, Row
 from midspan.papers.published import PAPERS, Paper
 from midspan.papers.table import Outcome
 from midspan.report import page
-from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, sheet, style, write_picture
+from midspan.report.drawing import Colour, picture, sheet, style, write_picture
 from midspan.writing import write_whole
 
 if TYPE_CHECKING:
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
 # Ours is blue in every figure; what the papers compare with has the colours after it.
-OURS, OTHERS = ("smoother", "ours"), (VERMILLION, GREEN, ORANGE, PURPLE, GREY, "#8C564B")
+OURS, OTHERS = (
+    ("smoother", "ours"),
+    (Colour.VERMILLION, Colour.GREEN, Colour.ORANGE, Colour.PURPLE, Colour.GREY, "#8C564B"),
+)
 
 
 def write_papers(outcomes: Sequence[Outcome], path: Path, command: str) -> Path:
@@ -58,7 +61,7 @@ def _axes(curve: Curve) -> "Figure":
     axes = figure.subplots()
     others = iter(OTHERS)
     for name, (x, y) in curve.lines.items():
-        colour = BLUE if name.startswith(OURS) else next(others)
+        colour = Colour.BLUE if name.startswith(OURS) else next(others)
         axes.plot(x, y, marker="o" if curve.dots else "", markersize=3.5, color=colour, label=name)
     axes.set_xlabel(curve.x)
     axes.set_ylabel(curve.y)

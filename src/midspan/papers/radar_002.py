@@ -16,13 +16,12 @@ from midspan.checks import refuse
 from midspan.fusion.runners import run_method
 from midspan.papers.claims import Curve, Effort, Measured
 from midspan.papers.printed.fir import FirSettings, fir
-from midspan.papers.printed.radar_phase import best_on_grid
+from midspan.papers.printed.radar_phase import best_on_grid, unwrap_aided
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.range_profile import averaged, range_profile
 from midspan.radar.target import Target, find_targets, ranked
-from midspan.radar.unwrap import unwrap_aided
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Motion, Sines, Window, random_motion
 from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for

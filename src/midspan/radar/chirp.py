@@ -90,12 +90,8 @@ class ChirpProfile:
         return self.centre_s + 0.5 * (self.chirps - 1) * self.chirp_period_s
 
     def phase_per_m(self, range_m: float = 0.0) -> float:
-        """Phase in rad that one metre more of range adds, for a target at `range_m`.
-
-        The echo is late on the ramp by its delay: slope · delay is 7e-5 of the carrier at 12 m with 65 MHz/µs.
-        """
-        hertz = self.carrier_hz - self.slope_hz_s * 2.0 * range_m / SPEED_OF_LIGHT_M_S
-        return 4.0 * np.pi * hertz / SPEED_OF_LIGHT_M_S
+        """Phase in rad that one metre more of range adds, for a target at `range_m`."""
+        return self.axis.phase_per_m(range_m)
 
     @property
     def axis(self) -> "RangeAxis":
@@ -103,14 +99,9 @@ class ChirpProfile:
         return RangeAxis(np.arange(self.bins, dtype=np.float64) * self.bin_m, self.carrier_hz, self.slope_hz_s)
 
     @property
-    def cycle_m(self) -> float:
-        """Change of range that turns the phase once: half a wavelength, m."""
-        return SPEED_OF_LIGHT_M_S / (2.0 * self.carrier_hz)
-
-    @property
     def limit_speed_m_s(self) -> float:
         """Line-of-sight speed from which plain unwrapping fails: a quarter of a wavelength a frame, m/s."""
-        return 0.5 * self.cycle_m * self.frame_rate_hz
+        return 0.5 * self.axis.cycle_m * self.frame_rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +115,20 @@ class RangeAxis:
     carrier_hz: float
     slope_hz_s: float = 0.0
 
+    @property
+    def cycle_m(self) -> float:
+        """Change of range that turns the phase once: half a wavelength, m."""
+        return SPEED_OF_LIGHT_M_S / (2.0 * self.carrier_hz)
+
     def range_at(self, place_bin: float) -> float:
         """Range in m at a fractional bin."""
         return float(np.interp(place_bin, np.arange(len(self.range_m)), self.range_m))
 
     def phase_per_m(self, range_m: float = 0.0) -> float:
-        """Phase in rad that one metre more of range adds, for a target at `range_m` (not known: NaN)."""
+        """Phase in rad that one metre more of range adds, for a target at `range_m` (not known: NaN).
+
+        The echo is late on the ramp by its delay: slope · delay is 7e-5 of the carrier at 12 m with 65 MHz/µs.
+        """
         delay = 2.0 * range_m / SPEED_OF_LIGHT_M_S if np.isfinite(range_m) else 0.0
         return float(4.0 * np.pi * (self.carrier_hz - self.slope_hz_s * delay) / SPEED_OF_LIGHT_M_S)
 
@@ -177,11 +176,6 @@ class RadarInfo:
         return RangeAxis(self.range_m, self.carrier_hz, self.profile.slope_hz_s if self.profile else 0.0)
 
     @property
-    def cycle_m(self) -> float:
-        """Change of range that turns the phase once: half a wavelength, m."""
-        return SPEED_OF_LIGHT_M_S / (2.0 * self.carrier_hz)
-
-    @property
     def limit_speed_m_s(self) -> float:
         """Line-of-sight speed from which plain unwrapping fails, m/s."""
-        return 0.5 * self.cycle_m * self.frame_rate_hz
+        return 0.5 * self.axis.cycle_m * self.frame_rate_hz

@@ -68,23 +68,6 @@ def bin_m_of(info: RadarInfo) -> float:
     return float(np.median(np.diff(info.range_m)))
 
 
-def fetched(
-    blocks: Iterable[RangeFrames], target: Target, total: int, progress: Progress
-) -> tuple[Nanoseconds, NDArray[np.complex64]]:
-    """Stamps (n,) and phasors (n,) of a target that stays in its place; blocks: of the one bin of it.
-
-    total: frames that are expected, for the progress.
-    """
-    times, parts, done = [], [], 0
-    for block in blocks:
-        times.append(block.time_ns)
-        parts.append(together(block.phasors, target, block.valid)[:, 0])
-        done += len(block.time_ns)
-        progress(done, total, "reading the radar")
-    progress(1, 1, "reading the radar")
-    return np.concatenate(times), np.concatenate(parts)
-
-
 def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
     """The displacement at one target on the even grid of `even_places`; samples: of `samples_of`, counted as stamps.
 

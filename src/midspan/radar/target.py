@@ -36,14 +36,14 @@ from midspan.radar.evidence import (
 from midspan.radar.following import (
     MIN_EXCURSION_BINS,
     Background,
+    at_place,
     at_places,
     bins_within,
+    peaks,
     places_of,
     static_in_bins,
     tracked_places,
 )
-from midspan.radar.following import at_place as at_place
-from midspan.radar.following import peaks as peaks
 from midspan.records import Floats
 
 # What a target must show to be chosen.

@@ -1,9 +1,8 @@
-"""Unwrapping of the radar's phase: from one frame to the next, and with the accelerometer's help."""
+"""What unwrapping the radar's phase rests on: wrapped angles, limits, and what the acceleration does between frames."""
 
 import numpy as np
 
-from midspan import _core
-from midspan.checks import finite, increasing, same_length
+from midspan.checks import increasing
 from midspan.records import Floats
 
 TURN = 2.0 * np.pi
@@ -16,22 +15,6 @@ UNSURE_CYCLES = 0.2
 def wrapped(angle: Floats) -> Floats:
     """Angles (…,) in rad brought into -π … π."""
     return np.asarray(np.remainder(np.asarray(angle) + np.pi, TURN) - np.pi)
-
-
-def unwrap_aided(phase_rad: Floats, acceleration_m_s2: Floats, *, period_s: float, phase_per_m: float) -> Floats:
-    """Unwrapped phase (n,) in rad, predicted from the last two phases and the acceleration.
-
-    phase_rad: (n,), NaN where a frame is missing; acceleration_m_s2: (n,) in the line of sight at the frames'
-    instants (structural acceleration divided by the conversion factor); period_s: from frame to frame;
-    phase_per_m: rad per m of range. The first two frames must not wrap.
-
-    The prediction carries √6 of the phase's noise, so it needs about 12 dB, and it does not recover from a wrong cycle.
-    Ma et al., "Structural displacement estimation using accelerometer and FMCW millimeter wave radar", equations 12-15.
-    """
-    phase = np.asarray(phase_rad, dtype=np.float64)
-    acceleration = finite("acceleration_m_s2", acceleration_m_s2)
-    same_length(phase_rad=phase, acceleration_m_s2=acceleration)
-    return _core.unwrap_aided(np.ascontiguousarray(phase), acceleration * period_s**2, phase_per_m)
 
 
 def inertial_steps(frame_s: Floats, samples: Floats) -> Floats:

@@ -8,26 +8,11 @@ from numpy.typing import NDArray
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.sensor_series import CameraResult
 from midspan.records import PixelTrack, Region, Status
-from midspan.report.drawing import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    SKY,
-    VERMILLION,
-    WIDTH_IN,
-    Picture,
-    draw_line,
-    draw_points,
-    legend,
-    picture,
-    sheet,
-)
+from midspan.report.drawing import WIDTH_IN, Colour, Picture, draw_line, draw_points, legend, picture, sheet
 from midspan.report.history_data import round_below
 from midspan.report.material import Clock
 from midspan.report.tables import partly_static
-from midspan.report.thinning import envelope
+from midspan.report.thinning import envelope, starts
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
 
@@ -36,7 +21,6 @@ if TYPE_CHECKING:
 
 # The longer side of the picture that is kept of a frame, px.
 MAX_FRAME_PX = 960
-MAX_PATH_POINTS = 3000
 # The height of a camera's frame across the page, inches.
 MAX_FRAME_IN = 6.0
 # Under white text on a photograph, in a dark page too.
@@ -52,18 +36,18 @@ def frame(camera: CameraResult) -> Picture:
     figure = sheet(tall + 3.2)
     grid = figure.add_gridspec(2, 2, height_ratios=(tall, 2.8))
     whole, close, path = (figure.add_subplot(place) for place in (grid[0, :], grid[1, 0], grid[1, 1]))
-    _image(whole, pixels)
+    image(whole, pixels)
     for name, place in regions.items():
-        _box(whole, place, color=VERMILLION, linewidth=1.6)
+        box(whole, place, color=Colour.VERMILLION, linewidth=1.6)
         if len(regions) > 1:
-            _label(whole, place, name)
+            label(whole, place, name)
     for target in camera.calibrations[0].targets:
         if not target.used:
-            _box(whole, target.region, color=ORANGE, linewidth=1.2, linestyle="--")
-            _label(whole, target.region, target.name)
+            box(whole, target.region, color=Colour.ORANGE, linewidth=1.2, linestyle="--")
+            label(whole, target.region, target.name)
     _scale_bar(whole, pixels.shape, 1e3 * abs(camera.calibrations[0].scale.value_m_per_px))
     whole.set_title(f"first frame, {pixels.shape[1]} × {pixels.shape[0]} px", fontsize=9)
-    _image(close, pixels, region)
+    image(close, pixels, region)
     close.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
     _path(path, camera.track)
     return picture(figure)
@@ -80,7 +64,7 @@ def _scale_bar(axes: "Axes", shape: tuple[int, ...], mm_per_px: float) -> None:
     axes.text(left, bottom - 0.02 * rows, text, color="white", fontsize=8, va="bottom", bbox=LABEL_GROUND)
 
 
-def _image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
+def image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
     """An image, or a region of it, in its own pixel coordinates, thinned to what the page can show."""
     rows, columns = pixels.shape
     place = region or Region(0, 0, columns, rows)
@@ -95,14 +79,15 @@ def _image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
     axes.set_ylabel("y (px)")
 
 
-def _box(axes: "Axes", region: Region, **options: Any) -> None:
+def box(axes: "Axes", region: Region, **options: Any) -> None:
+    """The outline of a region."""
     from matplotlib.patches import Rectangle
 
     corner = (region.x - 0.5, region.y - 0.5)
     axes.add_patch(Rectangle(corner, region.width, region.height, fill=False, **options))
 
 
-def _label(axes: "Axes", region: Region, text: str) -> None:
+def label(axes: "Axes", region: Region, text: str) -> None:
     """A word in the upper left corner of a region."""
     spot = (region.x + 0.06 * region.width, region.y + 0.06 * region.height)
     axes.text(*spot, text, color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=LABEL_GROUND)
@@ -111,9 +96,9 @@ def _label(axes: "Axes", region: Region, text: str) -> None:
 def _path(axes: "Axes", track: PixelTrack) -> None:
     """Translation of the target in the image, its start marked."""
     known = np.flatnonzero(np.isfinite(track.x_px) & np.isfinite(track.y_px))
-    known = known[:: max(1, len(known) // MAX_PATH_POINTS)]
-    axes.plot(track.x_px[known], track.y_px[known], color=BLUE, linewidth=0.4, alpha=0.7)
-    axes.plot(0.0, 0.0, marker="o", color=VERMILLION, markersize=4)
+    known = known[starts(len(known), MAX_FRAME_PX)]
+    axes.plot(track.x_px[known], track.y_px[known], color=Colour.BLUE, linewidth=0.4, alpha=0.7)
+    axes.plot(0.0, 0.0, marker="o", color=Colour.VERMILLION, markersize=4)
     axes.set_aspect("equal", adjustable="datalim")
     axes.invert_yaxis()
     axes.set_xlabel("x (px)")
@@ -127,20 +112,20 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
     # A picture of one place to choose has no map.
     known = has_map(found)
     places, *scores = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
-    _image(places, pixels)
+    image(places, pixels)
     # Where the accelerometer was heard it decides, else what most of the picture does.
     heard = any(np.isfinite(candidate.displacement_std_m) for candidate in found.candidates)
     for number, candidate in enumerate(found.candidates, start=1):
         fits = candidate.fixed if not heard else bool(np.isfinite(candidate.displacement_std_m))
         fits = fits and not partly_static(candidate, found)
-        colour, line = (SKY, "-") if fits else (ORANGE, "--")
-        _box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
-        _label(places, candidate.region, str(number))
+        colour, line = (Colour.SKY, "-") if fits else (Colour.ORANGE, "--")
+        box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
+        label(places, candidate.region, str(number))
     for axes in scores:
         _scores(axes, found)
     for axes in (places, *scores):
         for region in found.regions:
-            _box(axes, region, color=VERMILLION, linewidth=2.0, zorder=2.5)
+            box(axes, region, color=Colour.VERMILLION, linewidth=2.0, zorder=2.5)
         axes.set_aspect("equal")
         axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
         axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
@@ -178,16 +163,16 @@ def tracker(camera: CameraResult, clock: Clock) -> Picture:
     std = np.sqrt(learnt.variance_factor * variance)
     figure = sheet(3.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for axes, value, label in ((upper, track.quality, "quality"), (lower, std, f"σ along {learnt.direction} (px)")):
+    for axes, value, name in ((upper, track.quality, "quality"), (lower, std, f"σ along {learnt.direction} (px)")):
         known = np.isfinite(value)
         if known.any():
-            draw_line(axes, envelope(t[known], value[known], value[known]), BLUE, label, linewidth=0.8)
-        axes.set_ylabel(label)
+            draw_line(axes, envelope(t[known], value[known], value[known]), Colour.BLUE, name, linewidth=0.8)
+        axes.set_ylabel(name)
         axes.margins(x=0.005)
     lost = track.status == Status.LOST
     if lost.any():
         bottom = np.full(int(np.count_nonzero(lost)), 0.03)
-        options = {"marker": "|", "markersize": 8, "color": VERMILLION, "label": f"{len(bottom)} frames lost"}
+        options = {"marker": "|", "markersize": 8, "color": Colour.VERMILLION, "label": f"{len(bottom)} frames lost"}
         draw_points(upper, t[lost], bottom, transform=upper.get_xaxis_transform(), **options)
         upper.legend(handles=upper.lines[-1:], loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
     lower.set_xlabel(clock.label)
@@ -211,12 +196,12 @@ def _regression(axes: "Axes", found: ScaleCalibration) -> None:
     # Innovations just after a pause are uncertain and would only blow up the axes.
     usual = w.variance < 4.0 * np.median(w.variance)
     x, y = 1e3 * w.response[usual], w.translation[usual]
-    draw_points(axes, x, y, marker=".", markersize=3.0, color=GREY, label=f"{len(x)} frames")
+    draw_points(axes, x, y, marker=".", markersize=3.0, color=Colour.GREY, label=f"{len(x)} frames")
     reach = np.array([-1.0, 1.0]) * float(np.max(np.abs(x)))
     slope, std = fit.ratio / 1e3, float(np.sqrt(fit.ratio_variance)) / 1e3
-    axes.plot(reach, slope * reach, color=BLUE, linewidth=1.2, label=f"slope {slope:.4g} ± {std:.2g} px/mm")
+    axes.plot(reach, slope * reach, color=Colour.BLUE, linewidth=1.2, label=f"slope {slope:.4g} ± {std:.2g} px/mm")
     wide = 1.96 * std * np.abs(reach)
-    axes.fill_between(reach, slope * reach - wide, slope * reach + wide, color=SKY, alpha=0.5, linewidth=0)
+    axes.fill_between(reach, slope * reach - wide, slope * reach + wide, color=Colour.SKY, alpha=0.5, linewidth=0)
     axes.set_xlabel("acceleration's response, whitened (mm)")
     axes.set_ylabel("translation in the image, whitened (px)")
     legend(axes, 2)
@@ -225,13 +210,20 @@ def _regression(axes: "Axes", found: ScaleCalibration) -> None:
 def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
     search = found.search
     curve = search.likelihood - search.likelihood.max()
-    axes.plot(search.offsets_s, curve, color=BLUE, label="scanned")
-    axes.axvline(search.fit.offset_s, color=GREEN, linewidth=1.2, linestyle="--", label=f"{search.fit.offset_s:+.4f} s")
+    axes.plot(search.offsets_s, curve, color=Colour.BLUE, label="scanned")
+    axes.axvline(
+        search.fit.offset_s, color=Colour.GREEN, linewidth=1.2, linestyle="--", label=f"{search.fit.offset_s:+.4f} s"
+    )
     if search.runner_up is not None:
         # Refined values do not lie on the scanned curve; the mark does, and the legend says how far behind it is.
         x, lead = search.runner_up.offset_s, search.fit.likelihood - search.runner_up.likelihood
         label = f"runner-up {x:+.4f} s, {lead:.0f} behind"
-        options: dict[str, Any] = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
+        options: dict[str, Any] = {
+            "marker": "v",
+            "linestyle": "none",
+            "color": Colour.ORANGE,
+            "markeredgecolor": Colour.BLACK,
+        }
         axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
     axes.set_ylabel("log-likelihood below the best scanned")
     legend(axes, 2)
@@ -242,9 +234,6 @@ def explained(found: ScaleCalibration) -> float:
     fit = found.search.fit
     whole = np.sum(fit.whitened.translation**2 / fit.whitened.variance)
     return float(1.0 - fit.noise * np.sum(fit.residual**2) / whole)
-
-
-TINT = 0.45  # of the colour over an active pixel
 
 
 def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
@@ -259,7 +248,7 @@ def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
     whole.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
     whole.imshow(_tinted(grey, None, ""))
     for axes, axis, mask, fit, colour in zip(
-        others, "xy", (found.x, found.y), found.r_squared, (ORANGE, SKY), strict=True
+        others, "xy", (found.x, found.y), found.r_squared, (Colour.ORANGE, Colour.SKY), strict=True
     ):
         how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
         axes.set_title(f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})", fontsize=9)
@@ -276,5 +265,5 @@ def _tinted(grey: Any, active: Any, colour: str) -> Any:
 
     out = np.repeat(grey[:, :, None], 3, axis=2)
     if active is not None:
-        out[active] = (1.0 - TINT) * out[active] + TINT * np.array(to_rgb(colour))
+        out[active] = 0.5 * (out[active] + np.array(to_rgb(colour)))
     return out

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +20,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which the colour-blind can tell apart.
-BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
-SKY, ORANGE, PURPLE, GREY, BLACK = "#56B4E9", "#E69F00", "#CC79A7", "#7A7A7A", "#222222"
+
+class Colour(StrEnum):
+    """Okabe and Ito's colours, which the colour-blind can tell apart."""
+
+    BLUE = "#0072B2"
+    VERMILLION = "#D55E00"
+    GREEN = "#009E73"
+    SKY = "#56B4E9"
+    ORANGE = "#E69F00"
+    PURPLE = "#CC79A7"
+    GREY = "#7A7A7A"
+    BLACK = "#222222"
+
 
 WIDTH_IN = 9.6
 # Lines of a drawing that grows beyond this are kept as dots instead.
@@ -31,14 +42,14 @@ DOTS_PER_INCH = 150
 JPEG_QUALITY = 85
 # Colours of a drawing and what they are on a dark page.
 DARK = {
-    BLACK: "#e0e4ea",
+    Colour.BLACK: "#e0e4ea",
     "#444444": "#a9b2bd",
     "#888888": "#66707c",
     "#e3e3e3": "#323a44",
-    BLUE: "#63bdf0",
-    VERMILLION: "#ff8a3d",
-    GREEN: "#35c79c",
-    GREY: "#9aa3ad",
+    Colour.BLUE: "#63bdf0",
+    Colour.VERMILLION: "#ff8a3d",
+    Colour.GREEN: "#35c79c",
+    Colour.GREY: "#9aa3ad",
 }
 _STYLE: dict[Any, Any] = {
     "font.size": 9,
@@ -46,9 +57,9 @@ _STYLE: dict[Any, Any] = {
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "axes.edgecolor": "#888888",
-    "axes.labelcolor": BLACK,
-    "axes.titlecolor": BLACK,
-    "text.color": BLACK,
+    "axes.labelcolor": Colour.BLACK,
+    "axes.titlecolor": Colour.BLACK,
+    "text.color": Colour.BLACK,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,

@@ -10,22 +10,7 @@ from midspan.evaluate.metrics import Band, normalised_innovation, step_of
 from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, hann, spectrum, welch
 from midspan.fusion.blocks import REJECTED
 from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, Status, TimeSeries, part, seconds
-from midspan.report.drawing import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    Picture,
-    draw_line,
-    draw_points,
-    legend,
-    picture,
-    sheet,
-)
+from midspan.report.drawing import Colour, Picture, draw_line, draw_points, legend, picture, sheet
 from midspan.report.material import BAND, Material, Measured
 from midspan.report.thinning import envelope, logarithmic_means, spans
 from midspan.signals.stamps import inside
@@ -50,11 +35,11 @@ def history(material: Material) -> Picture:
     axes = figure.subplots()
     d, s = material.result.displacement_mm, material.result.displacement_std_mm
     band = envelope(material.t, d - BAND * s, d + BAND * s)
-    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
+    axes.fill_between(band.t, band.low, band.high, color=Colour.SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
     reference = _reference_within(material, slice(0, len(material.t)))
     if reference is not None:
-        draw_line(axes, envelope(*reference, reference[1]), VERMILLION, "reference", linewidth=0.9)
-    draw_line(axes, envelope(material.t, d, d), BLUE, "displacement")
+        draw_line(axes, envelope(*reference, reference[1]), Colour.VERMILLION, "reference", linewidth=0.9)
+    draw_line(axes, envelope(material.t, d, d), Colour.BLUE, "displacement")
     _shade(axes, material)
     _finish(axes, material, "displacement (mm)")
     return picture(figure)
@@ -69,11 +54,13 @@ def error(material: Material) -> Picture:
     s = 1e3 * Band(np.sqrt(material.result.estimate.variance_m2), material.result.zero_std_m).without_zero
     band = envelope(material.t, -BAND * s, BAND * s)
     label = "±1.96 σ claimed, the zero's part taken off"
-    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label=label)
+    axes.fill_between(band.t, band.low, band.high, color=Colour.SKY, alpha=0.45, linewidth=0, label=label)
     error_mm = found.error_mm - found.bias_mm
     drawn = envelope(material.clock.at(found.time_ns), error_mm, error_mm)
-    draw_line(axes, drawn, VERMILLION, f"result − reference, its mean {found.bias_mm:.3g} mm taken off", linewidth=0.8)
-    axes.axhline(0.0, color=BLACK, linewidth=0.8, linestyle="--")
+    draw_line(
+        axes, drawn, Colour.VERMILLION, f"result − reference, its mean {found.bias_mm:.3g} mm taken off", linewidth=0.8
+    )
+    axes.axhline(0.0, color=Colour.BLACK, linewidth=0.8, linestyle="--")
     _shade(axes, material)
     # A band that grows beyond all in a gap must not hide the error itself.
     limit = 1.15 * max(float(np.max(np.abs(error_mm))), float(np.quantile(BAND * s, 0.97)), 1e-9)
@@ -85,7 +72,7 @@ def error(material: Material) -> Picture:
 def _shade(axes: "Axes", material: Material) -> None:
     """Coasting and lost segments as coloured grounds over the whole height."""
     status = material.result.estimate.status
-    for code, colour in ((Status.COASTING, ORANGE), (Status.LOST, VERMILLION)):
+    for code, colour in ((Status.COASTING, Colour.ORANGE), (Status.LOST, Colour.VERMILLION)):
         found = spans(material.t, status == code)
         if found:
             ground = axes.get_xaxis_transform()
@@ -121,14 +108,16 @@ def zoom(material: Material) -> Picture:
     s = material.result.displacement_std_mm[which]
     for axes, middle in ((upper, d), (lower, np.zeros_like(d))):
         band = envelope(t, middle - BAND * s, middle + BAND * s, 3000)
-        axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.55, linewidth=0, label="±1.96 σ")
-        draw_line(axes, envelope(t, middle, middle, 3000), BLUE, "displacement", linewidth=1.2)
+        axes.fill_between(band.t, band.low, band.high, color=Colour.SKY, alpha=0.55, linewidth=0, label="±1.96 σ")
+        draw_line(axes, envelope(t, middle, middle, 3000), Colour.BLUE, "displacement", linewidth=1.2)
         _shade(axes, material)
     reference = _reference_within(material, which)
     if reference is not None:
         for axes, value in ((upper, reference[1]), (lower, reference[1] - np.interp(reference[0], t, d))):
-            axes.plot(reference[0], value, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
-    for measured, colour in zip(material.measured, (BLACK, GREEN, PURPLE, ORANGE), strict=False):
+            axes.plot(reference[0], value, color=Colour.VERMILLION, linestyle=(0, (4, 2)), label="reference")
+    for measured, colour in zip(
+        material.measured, (Colour.BLACK, Colour.GREEN, Colour.PURPLE, Colour.ORANGE), strict=False
+    ):
         _measurements((upper, lower), material, measured, (which, colour))
     # Nearly all of the band and all lines but a few points, so that one gap hides nothing else.
     lines = [np.abs(np.asarray(line.get_ydata(), dtype=np.float64)) for line in lower.lines]
@@ -190,7 +179,7 @@ def spectra(material: Material, modes: Sequence[Mode]) -> Picture:
     _densities(axes, material, limit_hz)
     for mode in modes:
         over = axes.get_xaxis_transform()
-        axes.axvline(mode.frequency_hz, color=BLACK, linewidth=0.6, linestyle=":")
+        axes.axvline(mode.frequency_hz, color=Colour.BLACK, linewidth=0.6, linestyle=":")
         axes.text(mode.frequency_hz, 0.99, f" {mode.frequency_hz:.3g} Hz", transform=over, fontsize=7.5, va="top")
     axes.set_xlim(0.0, limit_hz)
     axes.set_ylabel("amplitude density (mm/√Hz)")
@@ -203,32 +192,36 @@ def spectra(material: Material, modes: Sequence[Mode]) -> Picture:
 
 
 def _densities(axes: "Axes", material: Material, limit_hz: float) -> None:
-    result, alone = material.result, (GREY, GREEN, PURPLE, ORANGE)
+    result, alone = material.result, (Colour.GREY, Colour.GREEN, Colour.PURPLE, Colour.ORANGE)
     for number, (measured, colour) in enumerate(zip(material.measured, alone, strict=False)):
         found = density(measured.time_ns, measured.value_mm)
         if found is not None:
             axes.semilogy(found[0], np.sqrt(found[1]), color=colour, label=f"{measured.name} alone")
         if number == 0:
             label = f"alias-free band of the {measured.name}, to {0.5 * measured.rate_hz:.3g} Hz"
-            axes.axvspan(0.0, min(0.5 * measured.rate_hz, limit_hz), color=SKY, alpha=0.13, linewidth=0, label=label)
+            axes.axvspan(
+                0.0, min(0.5 * measured.rate_hz, limit_hz), color=Colour.SKY, alpha=0.13, linewidth=0, label=label
+            )
     reference = material.reference
     found = None if reference is None else density(reference.time_ns, reference.value)
     if found is not None:
-        axes.semilogy(found[0], np.sqrt(found[1]), color=VERMILLION, linewidth=1.8, alpha=0.8, label="reference")
+        axes.semilogy(found[0], np.sqrt(found[1]), color=Colour.VERMILLION, linewidth=1.8, alpha=0.8, label="reference")
     found = density(result.estimate.time_ns, result.displacement_mm)
     if found is not None:
         root = np.sqrt(found[1])
-        axes.semilogy(found[0], root, color=BLUE, linewidth=1.2, label="displacement")
+        axes.semilogy(found[0], root, color=Colour.BLUE, linewidth=1.2, label="displacement")
         # A simulated truth has no noise floor and would squeeze everything else.
         shown = root[found[0] <= limit_hz]
         axes.set_ylim(max(0.3 * float(shown.min()), 1e-8 * float(shown.max()), 1e-15))
 
 
 def _coherences(axes: "Axes", coherent: Sequence[tuple[Measured, tuple[Floats, Floats, float]]]) -> None:
-    for (measured, (frequency, share, chance)), colour in zip(coherent, (GREY, GREEN, PURPLE, ORANGE), strict=False):
+    for (measured, (frequency, share, chance)), colour in zip(
+        coherent, (Colour.GREY, Colour.GREEN, Colour.PURPLE, Colour.ORANGE), strict=False
+    ):
         label = f"{measured.name} and acceleration" if len(coherent) > 1 else None
         axes.plot(frequency, share, color=colour, linewidth=1.2, label=label)
-        axes.axhline(chance, color=BLACK, linewidth=0.7, linestyle="--")
+        axes.axhline(chance, color=Colour.BLACK, linewidth=0.7, linestyle="--")
     axes.set_ylim(0.0, 1.05)
     axes.set_ylabel("coherence")
     if len(coherent) > 1:
@@ -327,17 +320,19 @@ def _met(axes: "Axes", material: Material, found: Innovation) -> None:
     """One sensor's innovations over time between what was expected of them."""
     t, value, std = material.clock.at(found.time_ns), 1e3 * found.value_m, 1e3 * np.sqrt(found.variance_m2)
     drawn = envelope(t, std, std)
-    axes.plot(drawn.t, 2 * drawn.high, color=BLUE, linewidth=0.9, label="±2 σ expected")
-    axes.plot(drawn.t, -2 * drawn.high, color=BLUE, linewidth=0.9)
+    axes.plot(drawn.t, 2 * drawn.high, color=Colour.BLUE, linewidth=0.9, label="±2 σ expected")
+    axes.plot(drawn.t, -2 * drawn.high, color=Colour.BLUE, linewidth=0.9)
     rejected = found.verdict == REJECTED
     usual = max(float(np.median(std)), 1e-9)
     reach = float(np.quantile(np.abs(value[~rejected]), 0.95)) if not rejected.all() else 0.0
     limit = max(CLIPPED_STD * usual, 1.05 * reach)
     beyond = int(np.count_nonzero(np.abs(value) > limit))
     value = np.clip(value, -0.97 * limit, 0.97 * limit)
-    draw_points(axes, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=GREY, label="innovation")
+    draw_points(axes, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=Colour.GREY, label="innovation")
     if rejected.any():
-        draw_points(axes, t[rejected], value[rejected], marker="x", markersize=5, color=VERMILLION, label="rejected")
+        draw_points(
+            axes, t[rejected], value[rejected], marker="x", markersize=5, color=Colour.VERMILLION, label="rejected"
+        )
     if beyond:
         text = f"{beyond} beyond ±{limit / usual:.2g} median σ, at the border"
         axes.text(0.995, 0.98, text, transform=axes.transAxes, ha="right", va="top", fontsize=8)
@@ -349,8 +344,8 @@ def _distribution(axes: "Axes", normalised: Floats) -> None:
     grid = np.linspace(-5.0, 5.0, 201)
     if len(normalised):
         shown = np.clip(normalised, -5.0, 5.0)
-        axes.hist(shown, bins=np.linspace(-5, 5, 41).tolist(), density=True, color=SKY, label="found")
-    axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=BLACK, label="expected")
+        axes.hist(shown, bins=np.linspace(-5, 5, 41).tolist(), density=True, color=Colour.SKY, label="found")
+    axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=Colour.BLACK, label="expected")
     axes.set_xlabel("innovation / σ")
     axes.set_ylabel("probability density")
     legend(axes, 2)

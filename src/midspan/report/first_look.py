@@ -17,7 +17,8 @@ from midspan.recording.cameras import view_of
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of, where_it_sees
 from midspan.records import NANOSECONDS, Floats, Region
-from midspan.report.drawing import BLACK, ORANGE, SKY, VERMILLION, sheet, style, write_picture
+from midspan.report.camera_figures import box, image, label
+from midspan.report.drawing import Colour, sheet, style, write_picture
 from midspan.settings.load import validate
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
@@ -183,9 +184,7 @@ def _frame(axes: "Axes", found: FirstLook) -> None:
     from matplotlib.ticker import MaxNLocator
 
     rows, columns = found.pixels.shape
-    pixels = np.asarray(found.pixels, dtype=np.float64)
-    low, high = np.nanpercentile(pixels, (0.5, 99.5))
-    axes.imshow(pixels, cmap="gray", vmin=low, vmax=max(high, low + 1e-9), interpolation="nearest")
+    image(axes, found.pixels)
     for ticks, count in ((axes.xaxis, columns), (axes.yaxis, rows)):
         lines = max(2, round(GRID_LINES * count / max(rows, columns)))
         ticks.set_major_locator(MaxNLocator(nbins=lines, integer=True, steps=(1, 2, 5, 10)))
@@ -193,25 +192,18 @@ def _frame(axes: "Axes", found: FirstLook) -> None:
     axes.set_axisbelow(False)
     for number, place in enumerate(found.places, start=1):
         if place.region not in found.chosen:
-            _box(axes, place.region, ORANGE, str(number), "--")
+            _box(axes, place.region, Colour.ORANGE, str(number), "--")
     for region in found.chosen:
         number = next((k for k, place in enumerate(found.places, start=1) if place.region == region), 0)
-        _box(axes, region, SKY, str(number or ""), "-")
+        _box(axes, region, Colour.SKY, str(number or ""), "-")
     for target in found.given:
-        _box(axes, target.region, VERMILLION, target.name or "given", "-")
-    axes.set_xlabel("x (px)")
-    axes.set_ylabel("y (px)")
+        _box(axes, target.region, Colour.VERMILLION, target.name or "given", "-")
     axes.set_title(f"first frame used, {columns} × {rows} px", fontsize=9)
 
 
 def _box(axes: "Axes", region: Region, colour: str, text: str, line: str) -> None:
-    from matplotlib.patches import Rectangle
-
-    corner = (region.x - 0.5, region.y - 0.5)
-    options: dict[str, Any] = {"color": colour, "linewidth": 1.8, "linestyle": line, "zorder": 3}
-    axes.add_patch(Rectangle(corner, region.width, region.height, fill=False, **options))
-    ground = {"facecolor": BLACK, "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
-    axes.text(region.x, region.y, text, color="white", fontsize=8, va="top", zorder=4, clip_on=True, bbox=ground)
+    box(axes, region, color=colour, linewidth=1.8, linestyle=line, zorder=3)
+    label(axes, region, text)
 
 
 def _list(axes: "Axes", found: FirstLook) -> None:

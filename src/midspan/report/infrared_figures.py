@@ -7,19 +7,7 @@ from numpy.typing import NDArray
 
 from midspan.engine.sensor_series import CameraResult
 from midspan.records import Event, Floats, Source
-from midspan.report.drawing import (
-    BLACK,
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    VERMILLION,
-    Picture,
-    draw_line,
-    legend,
-    picture,
-    sheet,
-)
+from midspan.report.drawing import Colour, Picture, draw_line, legend, picture, sheet
 from midspan.report.material import Material
 from midspan.report.thinning import envelope, spans
 from midspan.thermal.temperature_range import RangeSurface
@@ -27,15 +15,13 @@ from midspan.thermal.temperature_range import RangeSurface
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = {Source.CAMERA: BLUE, Source.INFRARED: VERMILLION, Source.PREDICTION: ORANGE}
-OTHER = GREEN
+COLOURS = {Source.CAMERA: Colour.BLUE, Source.INFRARED: Colour.VERMILLION, Source.PREDICTION: Colour.ORANGE}
+OTHER = Colour.GREEN
 # Of further cameras of the same kind.
-FURTHER = (PURPLE, GREEN, BLACK)
+FURTHER = (Colour.PURPLE, Colour.GREEN, Colour.BLACK)
 CAMERAS = (Source.CAMERA, Source.INFRARED)
 # Trackers whose strength is a number of matches; of the others it is the quality.
 MATCHING = ("features",)
-# A strip of sources needs no more segments than it has dots.
-STRIP_STRETCHES = 1500
 # The marks of each camera below the standard deviations take this share of the height.
 MARK_HEIGHT = 0.09
 # Digits of °C on the surface of temperature ranges.
@@ -71,7 +57,7 @@ def over_time(material: Material) -> Picture:
         for number, place in enumerate(switches):
             # A line from where on the other camera measures.
             label = "switch" if axes is strengths[0] and number == 0 else None
-            axes.axvline(float(place), color=GREEN, linewidth=1.1, linestyle="--", label=label)
+            axes.axvline(float(place), color=Colour.GREEN, linewidth=1.1, linestyle="--", label=label)
     drawn = {
         label: handle for axes in strengths for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
@@ -108,8 +94,11 @@ def _marks(axes: "Axes", material: Material, camera: CameraResult, height: tuple
     hidden = hidden_spans(material, camera)
     if hidden:
         place = (height[0], height[1] - height[0])
-        axes.broken_barh(hidden, place, transform=over, color=ORANGE, alpha=0.6, label="something in front")
-    for kind, colour, label in (("reference", PURPLE, "another reference frame"), ("shutter", BLACK, "shutter")):
+        axes.broken_barh(hidden, place, transform=over, color=Colour.ORANGE, alpha=0.6, label="something in front")
+    for kind, colour, label in (
+        ("reference", Colour.PURPLE, "another reference frame"),
+        ("shutter", Colour.BLACK, "shutter"),
+    ):
         found = places(material, [event for event in camera.events if event.kind == kind])
         if len(found):
             axes.vlines(found, *height, transform=over, color=colour, linewidth=1.3, label=label)
@@ -139,7 +128,7 @@ def _deviations(axes: "Axes", material: Material) -> None:
             t, std = material.clock.at(block.time_ns[seen]), 1e3 * np.sqrt(block.variance_m2[seen])
             draw_line(axes, envelope(t, std, std), colour_of(material, camera), camera.sensor, linewidth=0.8)
     std = material.result.displacement_std_mm
-    draw_line(axes, envelope(material.t, std, std), BLACK, "result", linewidth=1.2)
+    draw_line(axes, envelope(material.t, std, std), Colour.BLACK, "result", linewidth=1.2)
     axes.set_yscale("log")
     axes.set_ylabel("σ (mm)")
     legend(axes, 4)
@@ -167,7 +156,7 @@ def _strip(axes: "Axes", material: Material) -> None:
 def source_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
     """Start and length (s) of the segments in which the rows rest on each source."""
     source = material.result.estimate.source
-    return {code: spans(material.t, source == code, STRIP_STRETCHES) for code, _ in shares(source)}
+    return {code: spans(material.t, source == code) for code, _ in shares(source)}
 
 
 def shares(source: NDArray[np.uint8]) -> list[tuple[Source, float]]:
@@ -201,9 +190,11 @@ def surface(found: RangeSurface) -> Picture:
     shown = axes.imshow(error, cmap="viridis", origin="lower", aspect="auto", interpolation="nearest")
     figure.colorbar(shown, ax=axes, label="error in the band (px)", use_gridspec=False)
     for row, column in np.argwhere(np.isnan(error)):
-        axes.text(column, row, "lost", ha="center", va="center", fontsize=7, color=BLACK)
+        axes.text(column, row, "lost", ha="center", va="center", fontsize=7, color=Colour.BLACK)
     row, column = chosen_place(found)
-    axes.plot(column, row, marker="s", markersize=17, markerfacecolor="none", color=VERMILLION, markeredgewidth=2.0)
+    axes.plot(
+        column, row, marker="s", markersize=17, markerfacecolor="none", color=Colour.VERMILLION, markeredgewidth=2.0
+    )
     axes.set_xticks(range(len(found.high_c)), told_apart(found.high_c))
     axes.set_yticks(range(len(low)), told_apart(low))
     axes.set_xlabel("upper limit (°C): of the region … of the whole view")

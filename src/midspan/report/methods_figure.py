@@ -11,30 +11,26 @@ from midspan.evaluate.methods import MethodRun
 from midspan.evaluate.result_file import of_result
 from midspan.recording.result import Result
 from midspan.records import Floats, TimeSeries
-from midspan.report.drawing import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    sheet,
-    style,
-    write_picture,
-)
+from midspan.report.drawing import Colour, sheet, style, write_picture
 from midspan.report.thinning import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # One for each row of the table: the methods, then the papers' as printed.
-COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, GREY, "#8C564B", "#BCBD22")
+COLOURS = (
+    Colour.BLUE,
+    Colour.VERMILLION,
+    Colour.GREEN,
+    Colour.ORANGE,
+    Colour.PURPLE,
+    Colour.SKY,
+    Colour.GREY,
+    "#8C564B",
+    "#BCBD22",
+)
 # Length of the part that is drawn larger, s: a few cycles of a structure of 1 Hz.
 CLOSE_S = 5.0
-# Segments drawn of the whole record.
-MAX_SEGMENTS = 2000
 
 
 def draw_methods(runs: Sequence[MethodRun], reference: TimeSeries | None, path: Path) -> Path:
@@ -48,7 +44,7 @@ def draw_methods(runs: Sequence[MethodRun], reference: TimeSeries | None, path: 
         middle_s = _liveliest(first)
         for axes, span in ((whole, (-np.inf, np.inf)), (close, (middle_s - CLOSE_S / 2, middle_s + CLOSE_S / 2))):
             if reference is not None:
-                _line(axes, (reference.time_ns / 1e9, 1e3 * reference.value), span, (BLACK, "reference", 1.6))
+                _line(axes, (reference.time_ns / 1e9, 1e3 * reference.value), span, (Colour.BLACK, "reference", 1.6))
             for colour, run in zip(COLOURS, runs, strict=False):
                 if run.result is not None:
                     _line(axes, (run.result.time_s, run.result.displacement_mm), span, (colour, run.name, 0.8))
@@ -64,7 +60,7 @@ def _line(axes: "Axes", series: tuple[Floats, Floats], span: tuple[float, float]
     """A series (time in s, mm) within a span as a line of a colour, label and width; long ones as their extremes."""
     (time_s, value), (colour, label, width) = series, look
     inside = (time_s >= span[0]) & (time_s <= span[1])
-    drawn = envelope(time_s[inside], value[inside], value[inside], MAX_SEGMENTS).line()
+    drawn = envelope(time_s[inside], value[inside], value[inside]).line()
     axes.plot(*drawn, color=colour, label=label, linewidth=width)
     axes.margins(x=0.005)
 

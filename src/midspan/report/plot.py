@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Segments drawn; a longer record is thinned to the extremes of each.
-MAX_SEGMENTS = 4000
 FIGURE_INCHES = (9.0, 3.0)
 
 
@@ -31,10 +29,10 @@ def plot(result: Result, axes: "Axes | None" = None) -> "Figure":
     instance("axes", axes, kinds.Axes, "axes of matplotlib", "Leave axes out for a figure of its own.")
     for one in (result,) if result.across is None else (result, result.across):
         time_s, value, half = one.time_s, one.displacement_mm, 1.96 * one.displacement_std_mm
-        band = envelope(time_s, value - half, value + half, MAX_SEGMENTS)
+        band = envelope(time_s, value - half, value + half)
         axes.fill_between(band.t, band.low, band.high, alpha=0.3, linewidth=0, label="±1.96 σ")
         label = "displacement" if result.across is None else f"displacement along {one.axis}"
-        axes.plot(*envelope(time_s, value, value, MAX_SEGMENTS).line(), linewidth=0.9, label=label)
+        axes.plot(*envelope(time_s, value, value).line(), linewidth=0.9, label=label)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("displacement (mm)")
     axes.legend(loc="upper right", frameon=False)

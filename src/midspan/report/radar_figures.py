@@ -11,20 +11,7 @@ from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.channels import MIN_BINS
 from midspan.radar.unwrap import TURN
 from midspan.records import Floats, seconds
-from midspan.report.drawing import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    SKY,
-    VERMILLION,
-    Picture,
-    draw_line,
-    draw_points,
-    legend,
-    picture,
-    sheet,
-)
+from midspan.report.drawing import Colour, Picture, draw_line, draw_points, legend, picture, sheet
 from midspan.report.material import Clock
 from midspan.report.thinning import Envelope, spans
 
@@ -44,10 +31,10 @@ def profile(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     known = np.isfinite(found.range_m).all()
     x = found.range_m if known else np.arange(len(found.range_m), dtype=np.float64)
     if len(x) < MIN_BINS:
-        axes.vlines(x, 0.0, found.power_db, color=BLUE, linewidth=3.0, label="power of the stored targets")
+        axes.vlines(x, 0.0, found.power_db, color=Colour.BLUE, linewidth=3.0, label="power of the stored targets")
     else:
-        axes.plot(x, found.power_db, color=BLUE, label="mean power")
-    axes.axhline(0.0, color=BLACK, linewidth=0.8, linestyle="--", label="noise of a frame")
+        axes.plot(x, found.power_db, color=Colour.BLUE, label="mean power")
+    axes.axhline(0.0, color=Colour.BLACK, linewidth=0.8, linestyle="--", label="noise of a frame")
     _marks(axes, radar, found, x)
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -12.0), high + 0.14 * (high - low))
@@ -63,8 +50,8 @@ def _marks(axes: "Axes", radar: RadarCalibration, found: RadarDiagnostics, x: Fl
     bins = np.arange(len(x))
     refused = sorted((item.target for item in radar.targets if not item.used), key=lambda target: -target.amplitude)
     for targets, marker, size, colour, label in (
-        (radar.used, "o", 6, VERMILLION, "used"),
-        (refused[:MAX_REFUSED], "x", 5, GREY, "not used"),
+        (radar.used, "o", 6, Colour.VERMILLION, "used"),
+        (refused[:MAX_REFUSED], "x", 5, Colour.GREY, "not used"),
     ):
         places = np.array([target.place_bin for target in targets])
         x_at, y_at = np.interp(places, bins, x), np.interp(places, bins, found.power_db)
@@ -72,7 +59,9 @@ def _marks(axes: "Axes", radar: RadarCalibration, found: RadarDiagnostics, x: Fl
     for rank, target in enumerate(radar.used, start=1):
         at = (float(np.interp(target.place_bin, bins, x)), float(np.interp(target.place_bin, bins, found.power_db)))
         text = f"{rank}: {target.range_m:.2f} m" if np.isfinite(target.range_m) else f"{rank}"
-        axes.annotate(text, at, xytext=(0, 7), textcoords="offset points", ha="center", fontsize=8, color=VERMILLION)
+        axes.annotate(
+            text, at, xytext=(0, 7), textcoords="offset points", ha="center", fontsize=8, color=Colour.VERMILLION
+        )
 
 
 def circle(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
@@ -81,11 +70,11 @@ def circle(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     left, right = figure.subplots(1, 2)
     raw = found.phasors[np.isfinite(found.phasors)]
     size = radar.best.amplitude
-    draw_points(left, raw.real, raw.imag, marker=".", markersize=2.0, color=BLUE, label="frames")
+    draw_points(left, raw.real, raw.imag, marker=".", markersize=2.0, color=Colour.BLUE, label="frames")
     ring = found.leak + size * np.exp(1j * np.linspace(0.0, TURN, 361))
-    left.plot(ring.real, ring.imag, color=VERMILLION, linewidth=1.0, label="fitted")
-    left.plot(found.leak.real, found.leak.imag, marker="+", markersize=10, color=VERMILLION, linestyle="none")
-    left.plot(0.0, 0.0, marker="x", markersize=6, color=BLACK, linestyle="none", label="zero")
+    left.plot(ring.real, ring.imag, color=Colour.VERMILLION, linewidth=1.0, label="fitted")
+    left.plot(found.leak.real, found.leak.imag, marker="+", markersize=10, color=Colour.VERMILLION, linestyle="none")
+    left.plot(0.0, 0.0, marker="x", markersize=6, color=Colour.BLACK, linestyle="none", label="zero")
     left.set_aspect("equal", adjustable="datalim")
     left.set_xlabel("I (ADC counts)")
     left.set_ylabel("Q (ADC counts)")
@@ -98,9 +87,11 @@ def _radius(axes: "Axes", share: NDArray[np.complex128], leak: complex) -> None:
     """Amplitude over phase, before and after what is static is taken out: flat is right."""
     used = share - leak
     if leak:
-        draw_points(axes, np.angle(share), np.abs(share), marker=".", markersize=2.0, color=GREY, label="as received")
-    draw_points(axes, np.angle(used), np.abs(used), marker=".", markersize=2.0, color=BLUE, label="used")
-    axes.axhline(1.0, color=VERMILLION, linewidth=1.0)
+        draw_points(
+            axes, np.angle(share), np.abs(share), marker=".", markersize=2.0, color=Colour.GREY, label="as received"
+        )
+    draw_points(axes, np.angle(used), np.abs(used), marker=".", markersize=2.0, color=Colour.BLUE, label="used")
+    axes.axhline(1.0, color=Colour.VERMILLION, linewidth=1.0)
     axes.set_xlim(-np.pi, np.pi)
     axes.set_xticks([-np.pi, -np.pi / 2, 0.0, np.pi / 2, np.pi], ["−π", "−π/2", "0", "π/2", "π"])
     axes.set_ylim(0.0, max(1.6, 1.1 * float(np.quantile(np.abs(share), 0.99))))
@@ -116,19 +107,21 @@ def phase(trace: RadarTrace, clock: Clock) -> Picture:
     figure = sheet(4.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1))
     t = clock.at(found.time_ns)
-    upper.plot(t, found.plain / TURN, color=ORANGE, linewidth=4.5, alpha=0.45, label="plain unwrapping")
-    upper.plot(t, found.unwrapped / TURN, color=BLUE, linewidth=1.4, label="as used")
-    draw_points(upper, t, found.wrapped / TURN, marker=".", markersize=3.0, color=BLACK, label="as measured")
+    upper.plot(t, found.plain / TURN, color=Colour.ORANGE, linewidth=4.5, alpha=0.45, label="plain unwrapping")
+    upper.plot(t, found.unwrapped / TURN, color=Colour.BLUE, linewidth=1.4, label="as used")
+    draw_points(upper, t, found.wrapped / TURN, marker=".", markersize=3.0, color=Colour.BLACK, label="as measured")
     upper.set_ylabel("phase (cycles)")
     legend(upper, 3)
     # Half a cycle of range from frame to frame is the limit.
     own_s = seconds(found.time_ns, int(found.time_ns[0]))
     per_cycle = 2.0 * trace.limit_speed_m_s * float(np.median(np.diff(own_s)))
     speed = 1e3 * per_cycle * (np.diff(found.unwrapped) / TURN / np.diff(own_s))
-    lower.plot(0.5 * (t[1:] + t[:-1]), speed, color=BLUE, label="speed in the line of sight")
+    lower.plot(0.5 * (t[1:] + t[:-1]), speed, color=Colour.BLUE, label="speed in the line of sight")
     for sign in (-1.0, 1.0):
         label = f"limit of plain unwrapping, ±{1e3 * trace.limit_speed_m_s:.3g} mm/s" if sign > 0 else None
-        lower.axhline(sign * 1e3 * trace.limit_speed_m_s, color=VERMILLION, linewidth=1.0, linestyle="--", label=label)
+        lower.axhline(
+            sign * 1e3 * trace.limit_speed_m_s, color=Colour.VERMILLION, linewidth=1.0, linestyle="--", label=label
+        )
     lower.set_ylabel("speed (mm/s)")
     lower.set_xlabel(clock.label)
     lower.margins(x=0.005)
@@ -145,10 +138,10 @@ def amplitudes(trace: RadarTrace, clock: Clock) -> Picture:
     figure = sheet(1.7 + 1.15 * len(shown))
     first, *others = figure.subplots(1 + len(shown), 1, sharex=True, height_ratios=(1.5, *(1.0 for _ in shown)))
     t = clock.at(shown[0].time_ns)
-    draw_line(first, Envelope(t, trace.low / TURN, trace.high / TURN, whole=False), BLUE, "unwrapped phase")
+    draw_line(first, Envelope(t, trace.low / TURN, trace.high / TURN, whole=False), Colour.BLUE, "unwrapped phase")
     first.set_ylabel("phase (cycles)")
     for time_s in clock.at(shown[0].restarts_ns):
-        first.axvline(time_s, color=VERMILLION, linewidth=0.9, linestyle=":")
+        first.axvline(time_s, color=Colour.VERMILLION, linewidth=0.9, linestyle=":")
     for rank, (axes, target) in enumerate(zip(others, shown, strict=True), start=1):
         _amplitude(axes, target, clock)
         where = f" at {target.range_m:.2f} m" if np.isfinite(target.range_m) else ""
@@ -162,15 +155,17 @@ def amplitudes(trace: RadarTrace, clock: Clock) -> Picture:
 def _amplitude(axes: "Axes", target: TargetTrace, clock: Clock) -> None:
     t = clock.at(target.time_ns)
     for share in (MIN_SHARE, MAX_SHARE):
-        axes.axhline(20.0 * np.log10(share), color=GREY, linewidth=0.8, linestyle="--")
+        axes.axhline(20.0 * np.log10(share), color=Colour.GREY, linewidth=0.8, linestyle="--")
     blocked = spans(t, target.used < 0.5)
     if blocked:
-        axes.broken_barh(blocked, (0, 1), transform=axes.get_xaxis_transform(), color=ORANGE, alpha=0.3, linewidth=0.4)
+        axes.broken_barh(
+            blocked, (0, 1), transform=axes.get_xaxis_transform(), color=Colour.ORANGE, alpha=0.3, linewidth=0.4
+        )
     low, high = (np.clip(20.0 * np.log10(np.maximum(v, 1e-6)), FLOOR_DB, CEILING_DB) for v in (target.low, target.high))
-    axes.fill_between(t, low, high, color=SKY, alpha=0.6, linewidth=0)
-    axes.plot(t, 0.5 * (low + high), color=BLUE, linewidth=0.8)
+    axes.fill_between(t, low, high, color=Colour.SKY, alpha=0.6, linewidth=0)
+    axes.plot(t, 0.5 * (low + high), color=Colour.BLUE, linewidth=0.8)
     for time_s in clock.at(target.restarts_ns):
-        axes.axvline(time_s, color=VERMILLION, linewidth=0.9, linestyle=":")
+        axes.axvline(time_s, color=Colour.VERMILLION, linewidth=0.9, linestyle=":")
     axes.set_ylim(FLOOR_DB, CEILING_DB)
     axes.set_yticks([-20.0, 0.0])
     axes.set_ylabel("amplitude\n(dB)")

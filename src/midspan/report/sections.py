@@ -45,30 +45,30 @@ def _events(material: Material) -> list[str]:
 
 def displacement(material: Material) -> str:
     """Time history, error against the reference, zoom."""
-    attributes, kept = chart_of(material)
-    caption = (
+    pieces = _motion(
+        material,
         "The line is the estimate, the light area its band of ±1.96 standard deviations σ: 95 % of the truth should "
-        "lie inside. Orange shading: coasting, from the accelerometer alone; red shading: no measurement for long. "
-        f"{_moved(material)}{kept}"
-    )
-    whole = page.figure(figures.history(material), "Displacement", caption, attributes)
-    pieces = [whole]
-    if material.comparison is not None:
-        caption = (
-            "What is left after the reference is taken away, counted from its mean: the two zeros may differ, and the "
-            "legend says by how much. An honest band holds 95 % of it; a slope is a drift; error that looks like the "
-            "motion is a wrong scale or clock."
-        )
-        pieces.append(page.figure(figures.error(material), "Error against the reference", caption))
-    caption = (
+        "lie inside. Orange shading: coasting, from the accelerometer alone; red shading: no measurement for long. ",
+        "What is left after the reference is taken away, counted from its mean: the two zeros may differ, and the "
+        "legend says by how much. An honest band holds 95 % of it; a slope is a drift; error that looks like the "
+        "motion is a wrong scale or clock.",
         "The segment with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
         "deviations, moved to the result's zero: most bars should touch the line. Below, the same minus the "
-        "displacement, so that the band can be seen."
+        "displacement, so that the band can be seen.",
     )
-    pieces.append(page.figure(figures.zoom(material), "The liveliest seconds", caption))
     if material.result.not_in_band:
         pieces += [page.paragraph("The band does not contain:"), page.bullets(material.result.not_in_band, "plain")]
     return page.section("displacement", "Displacement", *pieces)
+
+
+def _motion(material: Material, history: str, error: str, zoom: str, along: str = "") -> list[str]:
+    """The figures of the displacement with their captions; along: the axis in their titles."""
+    attributes, kept = chart_of(material)
+    drawn = figures.history(material)
+    pieces = [page.figure(drawn, f"Displacement{along}", f"{history}{_moved(material)}{kept}", attributes)]
+    if material.comparison is not None:
+        pieces.append(page.figure(figures.error(material), f"Error{along or ' against the reference'}", error))
+    return [*pieces, page.figure(figures.zoom(material), f"The liveliest seconds{along}", zoom)]
 
 
 def _moved(material: Material) -> str:
@@ -90,20 +90,18 @@ def second_axis(material: Material) -> str:
         else "It has no accelerometer: the camera alone was smoothed, so the band opens between frames. Positive is "
         f"where the structure moves {'to the right' if axis == 'x' else 'down'} in the image."
     )
-    pieces = [
-        page.paragraph(f"The axis {axis} of the image; all else on this page is along {material.result.axis}. {how}")
-    ]
-    attributes, kept = chart_of(second)
-    caption = f"As above, along this axis. {_moved(second)}{kept}"
-    pieces.append(page.figure(figures.history(second), f"Displacement along {axis}", caption, attributes))
+    pieces = _motion(
+        second,
+        "As above, along this axis. ",
+        "What is left after the reference along this axis is taken away, counted from its mean.",
+        "The segment with the largest velocity along this axis, with the camera's own measurements.",
+        f" along {axis}",
+    )
     if second.comparison is not None:
-        caption = "What is left after the reference along this axis is taken away, counted from its mean."
-        pieces.append(page.figure(figures.error(second), f"Error along {axis}", caption))
         pieces.append(page.table(tables.comparison(second.comparison)))
-    caption = "The segment with the largest velocity along this axis, with the camera's own measurements."
-    pieces.append(page.figure(figures.zoom(second), f"The liveliest seconds along {axis}", caption))
-    pieces.append(page.table(tables.calibrated(second.result.calibration)))
-    return page.section("second-axis", f"Displacement along {axis}", *pieces)
+    note = page.paragraph(f"The axis {axis} of the image; all else on this page is along {material.result.axis}. {how}")
+    calibrated = page.table(tables.calibrated(second.result.calibration))
+    return page.section("second-axis", f"Displacement along {axis}", note, *pieces, calibrated)
 
 
 def spectra(material: Material) -> str:

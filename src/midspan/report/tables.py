@@ -19,8 +19,9 @@ from midspan.radar.target import Target
 from midspan.records import Event, Region, TimeOffset
 from midspan.report.material import BAND, Material
 from midspan.settings.camera import CameraSettings
-from midspan.settings.plausible import GRAVITY_M_S2, expected_m_per_px
+from midspan.settings.plausible import expected_m_per_px
 from midspan.settings.stored.calibration import Calibration
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.trees import flattened
 from midspan.vision.candidates import Candidate
 from midspan.vision.roi import RegionChoice

@@ -9,7 +9,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from midspan.errors import MidspanError
-from midspan.records import Frame, Region
-from midspan.service.cutting import part_of, whole_frame
+from midspan.records import Region
+from midspan.service.cutting import part_of
 from midspan.sources.live.camera import Stamped, StampKind, frames
 from midspan.sources.live.instants import SourceFault
 
@@ -31,10 +31,9 @@ PART = 0.25
 
 
 class Pauses:
-    """`worked` whenever the source gave something, `next_s` after each failure; clock_s: a monotonic clock, s."""
+    """`worked` whenever the source gave something, `next_s` after each failure."""
 
-    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        self._clock_s = clock_s
+    def __init__(self) -> None:
         self._away_s: float | None = None
 
     def worked(self) -> None:
@@ -43,7 +42,7 @@ class Pauses:
 
     def next_s(self) -> float:
         """How long to wait now, s."""
-        now_s = self._clock_s()
+        now_s = time.monotonic()
         if self._away_s is None:
             self._away_s = now_s
         return min(max(PART * (now_s - self._away_s), SHORTEST_S), LONGEST_S)
@@ -102,21 +101,13 @@ class Delivered:
     skipped: int
 
 
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """Why a camera gives nothing at present."""
-
-    code: str
-    text: str
-
-
 class CameraProcess:
     """Runs a camera's process and hands on what it gives; a process that dies is started again.
 
-    taken: called from a thread for each `Delivered` and `Failed`.
+    taken: called from a thread for each `Delivered` and each fault.
     """
 
-    def __init__(self, address: str, taken: Callable[[Delivered | Failed], None]) -> None:
+    def __init__(self, address: str, taken: Callable[[Delivered | SourceFault], None]) -> None:
         self.address, self._taken = address, taken
         self._context = multiprocessing.get_context("spawn")
         self._region: Region | None = None
@@ -162,7 +153,7 @@ class CameraProcess:
             self._run_once()
             if self._ending.is_set():
                 return
-            self._taken(Failed("process_ended", "the camera's process ended; it is started again"))
+            self._taken(SourceFault("process_ended", "the camera's process ended; it is started again"))
             self._ending.wait(self._pauses.next_s())
 
     def _run_once(self) -> None:
@@ -182,7 +173,7 @@ class CameraProcess:
                     self._taken(item)
                     self._pauses.worked()
                     heard_s = time.monotonic()
-                    if self.address.startswith("replay:") and isinstance(item, Failed) and item.code == "ended":
+                    if self.address.startswith("replay:") and isinstance(item, SourceFault) and item.code == "ended":
                         # Nothing brings a recording back that has been replayed.
                         self._ending.wait()
                 elif not self._process.is_alive() or time.monotonic() - heard_s > HUNG_S:
@@ -203,28 +194,24 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
     stamps: how the frames of an earlier process were dated.
     """
     sender, pauses, replayed = _Sender(pipe), Pauses(), address.startswith("replay:")
+    if replayed:
+        # What reads recordings is imported where one is replayed alone.
+        from midspan.service.replayed import film
     while not sender.ended:
         try:
-            for stamped in _replayed(address) if replayed else frames(address, earlier=stamps):
+            for stamped in film(address) if replayed else frames(address, earlier=stamps):
                 if sender.ended:
                     return
                 sender.give(stamped)
                 stamps = stamped.kind
                 pauses.worked()
         except SourceFault as fault:
-            sender.say(Failed(fault.code, str(fault)))
+            sender.say(fault)
             if fault.code == "ended" and replayed:
                 sender.wait(math.inf)
         except MidspanError as error:
-            sender.say(Failed("damaged", str(error)))
+            sender.say(SourceFault("damaged", str(error)))
         sender.wait(pauses.next_s())
-
-
-def _replayed(address: str) -> Iterator[Stamped]:
-    # What reads recordings is imported where one is replayed alone.
-    from midspan.service.replayed import film
-
-    return film(address)
 
 
 class _Sender:
@@ -255,10 +242,10 @@ class _Sender:
             self._waiting.append(made)
             self._some.notify()
 
-    def say(self, failed: Failed) -> None:
+    def say(self, fault: SourceFault) -> None:
         """Queue why there are no frames."""
         with self._some:
-            self._waiting.append(failed)
+            self._waiting.append(fault)
             self._some.notify()
 
     def wait(self, pause_s: float) -> None:
@@ -288,8 +275,3 @@ class _Sender:
                 self._region = found
         # The end is asked for, or the service is gone.
         self.ended = True
-
-
-def pasted(item: Delivered) -> Frame:
-    """The frame of a camera's part, of the whole frame's size."""
-    return Frame(item.time_ns, whole_frame(item.part, item.place, item.shape), item.number)

@@ -1,11 +1,11 @@
 """How an opened point gets its records: at once, or later those that came while it could not take them."""
 
 import errno
-import os
+import pickle
+import sqlite3
 import tempfile
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,21 +27,14 @@ MAX_BYTES = 2**30
 
 @dataclass(frozen=True, slots=True)
 class FrameInFile:
-    """A frame of which a part of `part_shape` at (x, y) is in the file, from `offset` on; frame: without its pixels."""
+    """A frame of which a part, of `size` bytes, is in the file under `number`; frame: without its pixels."""
 
     stream: str
     sequence: int
     frame: Frame
-    shape: tuple[int, int]
-    place: tuple[int, int]
-    part_shape: tuple[int, int]
-    dtype: np.dtype[Any]
-    offset: int
-
-    @property
-    def size(self) -> int:
-        """How many bytes it takes."""
-        return int(np.prod(self.part_shape)) * self.dtype.itemsize
+    shape: tuple[int, ...]
+    number: int
+    size: int
 
 
 class Waiting:
@@ -54,10 +47,8 @@ class Waiting:
         self._folder = folder
         self.regions: Mapping[str, Region] = {}
         self._records: deque[Arrival | FrameInFile] = deque()
-        self._file: Any = None
-        # Room in the file that is free again, by size.
-        self._free: dict[int, list[int]] = {}
-        self._end = 0
+        self._file: sqlite3.Connection | None = None
+        self._bytes = self._written = 0
         self.dropped = 0
 
     def __len__(self) -> int:
@@ -69,10 +60,12 @@ class Waiting:
     def append(self, arrival: Arrival) -> None:
         """Let a record wait. Raises OSError where its frame cannot be written."""
         frame = arrival.record
-        self._records.append(self._written(arrival, frame) if isinstance(frame, Frame) else arrival)
+        self._records.append(self._write(arrival, frame) if isinstance(frame, Frame) else arrival)
         newest_ns = _stamp(self._records[-1])
         while newest_ns - _stamp(self._records[0]) > MAX_WAIT_S * NANOSECONDS:
             self._drop(0)
+        while self._bytes > MAX_BYTES:
+            self._drop(next(k for k, one in enumerate(self._records) if isinstance(one, FrameInFile)))
 
     def popleft(self) -> Arrival:
         """The record that waits longest. Raises OSError where its frame cannot be read."""
@@ -85,63 +78,50 @@ class Waiting:
     def close(self) -> None:
         """Drop everything; the file's room is free again."""
         self._records.clear()
-        self._free.clear()
-        self._end = 0
+        self._bytes = 0
         if self._file is not None:
-            with suppress(OSError):
-                self._file.close()
+            self._file.close()
             self._file = None
 
+    def _ask(self, question: str, *values: Any) -> list[Any]:
+        """What the file's table gives, which is made first; its faults as OSError."""
+        try:
+            if self._file is None:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                # The file has no name once it is open: nothing of it is left, however the process ends.
+                with tempfile.TemporaryDirectory(dir=self._folder) as folder:
+                    file = sqlite3.connect(f"{folder}/frames", isolation_level=None, check_same_thread=False)
+                    file.execute("PRAGMA journal_mode = OFF")
+                    file.execute("CREATE TABLE part (number INTEGER PRIMARY KEY, body BLOB)")
+                self._file = file
+            return self._file.execute(question, values).fetchall()
+        except sqlite3.Error as error:
+            raise OSError(errno.EIO, str(error)) from error
+
+    def _write(self, arrival: Arrival, frame: Frame) -> FrameInFile:
+        part, place = part_of(frame.pixels, self.regions.get(arrival.stream))
+        self._written += 1
+        self._ask("INSERT INTO part VALUES (?, ?)", self._written, pickle.dumps((part, place)))
+        self._bytes += part.nbytes
+        bare = replace(frame, pixels=np.empty((0, 0), dtype=part.dtype))
+        return FrameInFile(arrival.stream, arrival.sequence, bare, frame.pixels.shape, self._written, part.nbytes)
+
     def _read(self, one: FrameInFile) -> Arrival:
-        self._file.seek(one.offset)
-        data = bytearray(self._file.read(one.size))
-        self._free.setdefault(one.size, []).append(one.offset)
-        part = np.frombuffer(data, dtype=one.dtype).reshape(one.part_shape)
-        frame = replace(one.frame, pixels=whole_frame(part, one.place, one.shape))
+        part, place = pickle.loads(self._ask("SELECT body FROM part WHERE number = ?", one.number)[0][0])
+        self._forget(one)
+        rows, columns = one.shape
+        frame = replace(one.frame, pixels=whole_frame(part, place, (rows, columns)))
         return Arrival(one.stream, one.sequence, frame)
 
-    def _written(self, arrival: Arrival, frame: Frame) -> FrameInFile:
-        part, place = part_of(frame.pixels, self.regions.get(arrival.stream))
-        offset = self._room(part.nbytes)
-        if self._file is None:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            # It has no name: nothing of it is left, however the process ends.
-            # Without a buffer a full disk shows where it is written to.
-            self._file = tempfile.TemporaryFile(dir=self._folder, buffering=0)  # noqa: SIM115
-        self._file.seek(offset)
-        try:
-            if self._file.write(part.tobytes()) < part.nbytes:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        except OSError:
-            self._free.setdefault(part.nbytes, []).append(offset)
-            raise
-        rows, columns = frame.pixels.shape
-        bare = replace(frame, pixels=np.empty((0, 0), dtype=part.dtype))
-        shape = (int(part.shape[0]), int(part.shape[1]))
-        return FrameInFile(
-            arrival.stream, arrival.sequence, bare, (rows, columns), place, shape, part.dtype, offset
-        )  # fmt: skip
-
-    def _room(self, size: int) -> int:
-        """Where so many bytes can be written; frames that wait longest make room for them."""
-        while not self._free.get(size) and self._end + size > MAX_BYTES:
-            oldest = next((k for k, one in enumerate(self._records) if isinstance(one, FrameInFile)), None)
-            if oldest is None:
-                # What is free is of other sizes.
-                self._free.clear()
-                self._end = 0
-                break
-            self._drop(oldest)
-        if self._free.get(size):
-            return self._free[size].pop()
-        offset, self._end = self._end, self._end + size
-        return offset
+    def _forget(self, one: FrameInFile) -> None:
+        self._bytes -= one.size
+        self._ask("DELETE FROM part WHERE number = ?", one.number)
 
     def _drop(self, number: int) -> None:
         one = self._records[number]
         del self._records[number]
         if isinstance(one, FrameInFile):
-            self._free.setdefault(one.size, []).append(one.offset)
+            self._forget(one)
             self.dropped += 1
 
 

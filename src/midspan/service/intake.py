@@ -16,8 +16,8 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
-from midspan.service.camera_process import CameraProcess, Delivered, Failed, ReadingThread, pasted
-from midspan.service.cutting import around, wider
+from midspan.service.camera_process import CameraProcess, Delivered, ReadingThread
+from midspan.service.cutting import around, whole_frame, wider
 from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
@@ -28,8 +28,7 @@ from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
 from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
 from midspan.sources.live.serial_line import blocks
-from midspan.sources.thermal.temperatures import ThermalRequest, count_scale
-from midspan.thermal.radiometry import ICE_K
+from midspan.sources.thermal.temperatures import ThermalRequest, celsius_of, count_scale
 
 # Stamps that far ahead of this machine's clock are refused, s: twice the clock offset that a calibration looks for.
 # What is kept is in the order of stamps: a record of the future would shut out those that come until then.
@@ -137,15 +136,14 @@ class Intake:
             self._refused(one, name, SourceFault("clock_ahead", text))
         return ahead_s > AHEAD_S
 
-    def _refused(self, one: Running, name: str, fault: SourceFault | Failed) -> None:
+    def _refused(self, one: Running, name: str, fault: SourceFault) -> None:
         """Why a source gives nothing that can be used; once an event."""
-        text = fault.text if isinstance(fault, Failed) else str(fault)
-        if one.streams[name].refused(fault.code, text, time.time()):
-            self._tell(one, fault.code, f"{name}: {text}")
+        if one.streams[name].refused(fault.code, str(fault), time.time()):
+            self._tell(one, fault.code, f"{name}: {fault}")
 
-    def _pictured(self, one: Running, name: str, item: Delivered | Failed) -> None:
+    def _pictured(self, one: Running, name: str, item: Delivered | SourceFault) -> None:
         stream = one.streams[name]
-        if isinstance(item, Failed):
+        if isinstance(item, SourceFault):
             self._refused(one, name, item)
             return
         stream.skipped = item.skipped
@@ -162,7 +160,7 @@ class Intake:
             return
         if self._is_ahead(one, name, item.time_ns):
             return
-        frame = pasted(item)
+        frame = Frame(item.time_ns, whole_frame(item.part, item.place, item.shape), item.number)
         try:
             if one.kind(name) == "infrared" and frame.pixels.dtype == np.uint16:
                 frame = self._in_degrees(one, name, frame)
@@ -175,10 +173,7 @@ class Intake:
         """An infrared camera's frame of counts in °C; their scale is what fits the first frame."""
         if name not in one.scales:
             one.scales[name] = count_scale(float(np.median(frame.pixels.astype(np.float64))), ThermalRequest(), name)
-        kelvin_per_count, zero_k = one.scales[name]
-        # In double precision: a count of 0.01 K is below float32's steps at 30 000 counts after a product with 0.01.
-        celsius = frame.pixels.astype(np.float64) * kelvin_per_count + (zero_k - ICE_K)
-        return replace(frame, pixels=celsius.astype(np.float32))
+        return replace(frame, pixels=celsius_of(frame.pixels, *one.scales[name]))
 
     def _begin_thread(self, one: Running, name: str, address: str) -> None:
         if address.startswith(SERIAL):

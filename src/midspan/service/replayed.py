@@ -6,46 +6,52 @@ The stamps of all streams of one recording are moved by the same time, so that t
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from midspan.errors import DataError
 from midspan.radar.chirp import RadarInfo
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
+from midspan.service.opening import BLOCK_S
+from midspan.settings.kinds import ACCELEROMETER
 from midspan.sources.live.camera import Stamped, StampKind
-
-# Readings come in blocks of this length.
-BLOCK_S = 0.1
+from midspan.sources.live.instants import SourceFault
 
 
-def parts(address: str) -> tuple[Recording, str, int]:
-    """The recording of `replay:RECORDING@START#SENSOR`, the sensor's name and when it begins (ns UTC)."""
+def _opened(address: str) -> tuple[Recording, Any, int]:
+    """The recording of `replay:RECORDING@START#SENSOR`, the sensor's view (None: of the accelerometer), and by how much
+    its stamps are moved, so that the accelerometer begins at START (ns UTC).
+    """
     rest, _, sensor = address.removeprefix("replay:").rpartition("#")
     path, _, start = rest.rpartition("@")
-    return open_recording(path), sensor, int(start)
+    recording = open_recording(path)
+    view = None if sensor == ACCELEROMETER else _view(recording, sensor)
+    return recording, view, int(start) - int(recording.acceleration.time_ns[0])
+
+
+def _view(recording: Recording, sensor: str) -> Any:
+    view = next((view for view in recording.views if view.sensor == sensor), None)
+    if view is None:
+        raise DataError(f"{recording.file}: has no [{sensor}].")
+    return view
 
 
 def readings(address: str) -> Iterator[tuple[float, Readings]]:
     """Blocks of the accelerometer or of a displacement sensor, each with the instant (s UTC) that it is due at."""
-    recording, sensor, start_ns = parts(address)
-    series = recording.acceleration
-    if sensor != "accelerometer":
-        series = next(view for view in recording.views if view.sensor == sensor).displacement
-    time_ns = series.time_ns + (start_ns - int(recording.acceleration.time_ns[0]))
-    step_ns = round(BLOCK_S * NANOSECONDS)
-    number = (time_ns - time_ns[0]) // step_ns
-    begin = 0
-    for k in range(1, len(time_ns) + 1):
-        if k == len(time_ns) or number[k] != number[begin]:
-            yield time_ns[k - 1] / NANOSECONDS, Readings(time_ns[begin:k], series.value[begin:k, None])
-            begin = k
+    recording, view, moved_ns = _opened(address)
+    series = recording.acceleration if view is None else view.displacement
+    time_ns = series.time_ns + moved_ns
+    ends = np.flatnonzero(np.diff((time_ns - time_ns[0]) // round(BLOCK_S * NANOSECONDS))) + 1
+    for stamps, value in zip(np.split(time_ns, ends), np.split(series.value[:, None], ends), strict=True):
+        yield stamps[-1] / NANOSECONDS, Readings(stamps, value)
 
 
 def range_frames(address: str) -> Iterator[tuple[float, RangeFrame]]:
     """The range profiles of a radar, each with the instant (s UTC) that it is due at."""
-    recording, sensor, start_ns = parts(address)
-    moved_ns = start_ns - int(recording.acceleration.time_ns[0])
-    source = next(view for view in recording.views if view.sensor == sensor).radar
-    for block in source.profiles():
+    _, view, moved_ns = _opened(address)
+    for block in view.radar.profiles():
         for frame in block:
             stamp = frame.time_ns + moved_ns
             yield stamp / NANOSECONDS, replace(frame, time_ns=stamp)
@@ -53,22 +59,13 @@ def range_frames(address: str) -> Iterator[tuple[float, RangeFrame]]:
 
 def radar_info(address: str, sensor: str) -> RadarInfo:
     """What is known of the radar of a recording at `address`."""
-    recording = open_recording(address)
-    view = next((view for view in recording.views if view.sensor == sensor), None)
-    if view is None:
-        raise DataError(f"{recording.file}: has no [{sensor}].")
-    return view.radar.info
+    info: RadarInfo = _view(open_recording(address), sensor).radar.info
+    return info
 
 
 def film(address: str) -> Iterator[Stamped]:
     """The frames of a camera, each when it is due; the end is a fault."""
-    from midspan.sources.live.instants import SourceFault
-
-    recording, sensor, start_ns = parts(address)
-    view = next((view for view in recording.views if view.sensor == sensor), None)
-    if view is None:
-        raise DataError(f"{recording.file}: has no [{sensor}].")
-    moved_ns = start_ns - int(recording.acceleration.time_ns[0])
+    _, view, moved_ns = _opened(address)
     for frame in view.frames.frames():
         stamp = frame.time_ns + moved_ns
         left_s = stamp / NANOSECONDS - time.time()

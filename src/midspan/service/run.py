@@ -21,12 +21,11 @@ from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
-from midspan.service.notify import notify
 from midspan.service.opening import head_of, opened, resumed
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, running
-from midspan.service.web import application, figures, listening, server
+from midspan.service.web import application, figures, listening, notify, server
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site, captures_of
 from midspan.store.archive import archive
@@ -267,10 +266,7 @@ class Service:
         if one is None:
             listed = ", ".join(point.name for point in self._points)
             text = f"{name}: is no point of this site. Points: {listed}."
-            if self._broker is not None:
-                self._broker.publish(
-                    f"{name}/event", json.dumps(event_tree(Event(time.time_ns(), "command", text))), qos=1
-                )
+            self._publish_event(name, Event(time.time_ns(), "command", text))
         elif command == "calibrate":
             self._event(one, "command", one.live.calibrate())
         elif command == "accept":
@@ -288,15 +284,15 @@ class Service:
     def _event(self, one: Running, kind: str, text: str) -> None:
         now = Event(time.time_ns(), kind, text)
         self._keeper.put(Batch(events=[(one.name, now)]))
-        self._publish_event(one, now)
+        self._publish_event(one.name, now)
 
-    def _publish_event(self, one: Running, event: Event) -> None:
+    def _publish_event(self, point: str, event: Event) -> None:
         """An event in the log and to the broker."""
-        self._say(f"{one.name}: {event.kind}: {event.text}")
+        self._say(f"{point}: {event.kind}: {event.text}")
         if self._note is not None:
-            self._note({"point": one.name, **event_tree(event)})
+            self._note({"point": point, **event_tree(event)})
         if self._broker is not None:
-            self._broker.publish(f"{one.name}/event", json.dumps(event_tree(event)), qos=1)
+            self._broker.publish(f"{point}/event", json.dumps(event_tree(event)), qos=1)
 
     # Out
 
@@ -325,7 +321,7 @@ class Service:
                 for one in self._points:
                     self._event(one, "rows_dropped", f"store: {sentence('rows_dropped')}")
             # Store and broker that are away, or back, are an event of every point.
-            for name, reason in (("store", self._keeper.reason), ("mqtt", self._broker.reason if self._broker else "")):
+            for name, (reason, _) in self._shared().items():
                 if reason != self._away.get(name, "") and reason != "starting":
                     text = f"{name}: {sentence(reason) if reason else 'is there again.'}"
                     for one in self._points:
@@ -376,7 +372,7 @@ class Service:
 
     def _publish(self, one: Running, batch: Batch) -> None:
         for _, event in batch.events:
-            self._publish_event(one, event)
+            self._publish_event(one.name, event)
         if self._broker is None:
             return
         for rows in [chunk for chunk in batch.chunks if chunk.stream == ROWS]:
@@ -387,16 +383,19 @@ class Service:
         """As /readyz shows it."""
         now_s = time.time()
         sources = [stream for one in self._points for stream in self._standing_of(one, now_s)["sources"]]
-        others = []
-        if self._keeper.reason:
-            others.append({"point": "", "source": "store", "reason": self._keeper.reason, "text": self._keeper.text})
-        if self._broker is not None and self._broker.reason:
-            reason = self._broker.reason
-            others.append({"point": "", "source": "mqtt", "reason": reason, "text": sentence(reason)})
-        down = [one for one in (*sources, *others) if one["reason"]]
+        sources += [
+            {"point": "", "source": name, "reason": reason, "text": text}
+            for name, (reason, text) in self._shared().items()
+            if reason
+        ]
         points = [one.ready(now_s) for one in self._points]
-        down += [one for one in points if one["reason"]]
-        return {"ready": not down, "points": points, "sources": [*sources, *others]}
+        ready = not any(one["reason"] for one in (*sources, *points))
+        return {"ready": ready, "points": points, "sources": sources}
+
+    def _shared(self) -> dict[str, tuple[str, str]]:
+        """Why store and broker are away, as code and text, by their names; empty texts where they are there."""
+        reason = "" if self._broker is None else self._broker.reason
+        return {"store": (self._keeper.reason, self._keeper.text), "mqtt": (reason, sentence(reason) if reason else "")}
 
     def _standing_of(self, one: Running, now_s: float) -> dict[str, Any]:
         """As the topic `state` shows it; without the broker its sources are away, not silent."""

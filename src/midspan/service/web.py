@@ -1,10 +1,10 @@
-"""/healthz, /readyz and /metrics, their server and its connections."""
+"""/healthz, /readyz and /metrics, their server and its connections; the messages to systemd."""
 
 import asyncio
 import os
 import socket
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import h11
@@ -143,3 +143,15 @@ def figures(points: Iterable[Running], keeper: Keeper, now_s: float) -> str:
     waiting.set(keeper.waiting)
     Gauge("midspan_store_dropped", "Batches that were lost.", registry=registry).set(keeper.dropped)
     return str(generate_latest(registry).decode())
+
+
+def notify(text: str) -> None:
+    """Send a line such as READY=1, WATCHDOG=1 or STOPPING=1 to systemd's socket in NOTIFY_SOCKET, if any."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    # An abstract address begins with @.
+    name = f"\0{address[1:]}" if address.startswith("@") else address
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as out:
+        out.settimeout(1.0)
+        out.sendto(text.encode(), name)

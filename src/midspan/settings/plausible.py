@@ -8,8 +8,8 @@ from midspan.notices import Notice
 from midspan.settings.camera import CameraSettings
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
+from midspan.signals.acceleration import GRAVITY_M_S2
 
-GRAVITY_M_S2 = 9.80665
 # Bias over gravity of an axis that is level to 17 degrees, or upright to 26: that of a motion up, down or sideways.
 LEVEL, UPRIGHT = 0.3, (0.9, 1.1)
 # A reading this near to 1 m/s² at rest is taken for 1 g in a wrong unit: zero offset and inclination of an upright axis

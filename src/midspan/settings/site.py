@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Field, SecretStr, model_validator
 
@@ -23,19 +23,28 @@ from midspan.sources.live.radar import host_and_port
 from midspan.sources.live.serial_line import device_and_baud
 from midspan.trees import TreeError, read_toml
 
-ADDRESSES = {
-    ACCELEROMETER: ("mqtt:", "serial:", "replay:"),
-    "camera": ("rtsp://", "usb:", "replay:"),
-    "infrared": ("rtsp://", "usb:", "replay:"),
-    "radar": ("udp:", "replay:"),
-    "displacement": ("mqtt:", "serial:", "replay:"),
+
+class LiveKind(NamedTuple):
+    """A kind of sensor on a site: its settings, what the addresses of its sources begin with, its captured file."""
+
+    settings: type[Section]
+    schemes: tuple[str, ...]
+    captured: str
+
+
+LIVE = {
+    ACCELEROMETER: LiveKind(AccelerometerSettings, ("mqtt:", "serial:", "replay:"), "acceleration.npz"),
+    "camera": LiveKind(CameraSettings, ("rtsp://", "usb:", "replay:"), "camera"),
+    "infrared": LiveKind(InfraredSettings, ("rtsp://", "usb:", "replay:"), "infrared"),
+    "radar": LiveKind(RadarSettings, ("udp:", "replay:"), "radar"),
+    "displacement": LiveKind(DisplacementSettings, ("mqtt:", "serial:", "replay:"), "displacement.npz"),
 }
 
 
 def address_of(kind: str, section: dict[str, Any], where: str) -> str:
     """The `source` of a sensor's section; `where` names the section in UsageError."""
     value = section.get("source")
-    known = ADDRESSES[kind]
+    known = LIVE[kind].schemes
     if not isinstance(value, str) or not value.startswith(known) or value in known:
         listed = ", ".join(f"{one}…" for one in known)
         raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
@@ -63,23 +72,8 @@ def without_secrets(address: str) -> str:
 
 
 SITE_FILE = "SITE.toml"
-SENSORS: dict[str, type[Section]] = {
-    ACCELEROMETER: AccelerometerSettings,
-    "camera": CameraSettings,
-    "infrared": InfraredSettings,
-    "radar": RadarSettings,
-    "displacement": DisplacementSettings,
-}
 # Keys of a recording's section that say where its file is: a live section has `source` instead.
 FILE_KEYS = ("file", "times", "time", "value", "value_x", "value_y", "start_s", "cross_values")
-# The files of a point's captured recordings, by the kind of sensor.
-CAPTURED = {
-    ACCELEROMETER: "acceleration.npz",
-    "camera": "camera",
-    "infrared": "infrared",
-    "radar": "radar",
-    "displacement": "displacement.npz",
-}
 VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
@@ -321,12 +315,12 @@ def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: st
 
 def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     """One point of plain values; `where` names it in messages."""
-    _require_known(tree, PointSettings, tuple(SENSORS), f"{where}: ")
-    own = {key: value for key, value in tree.items() if key not in SENSORS}
+    _require_known(tree, PointSettings, tuple(LIVE), f"{where}: ")
+    own = {key: value for key, value in tree.items() if key not in LIVE}
     settings = validate(own, where, PointSettings)
     sections: dict[str, Any] = {}
     addresses: dict[str, Iterator[str]] = {}
-    for kind in SENSORS:
+    for kind in LIVE:
         if kind not in tree:
             continue
         given = tree[kind] if isinstance(tree[kind], list) else [tree[kind]]
@@ -362,11 +356,11 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
         )
     if section.get("direction") == "xy":
         raise UsageError(f'{where}: {kind}.direction = "xy": must be "x" or "y"; both axes are for recordings.')
-    known = ["source", *(key for key in SENSORS[kind].model_fields if key not in FILE_KEYS)]
+    known = ["source", *(key for key in LIVE[kind].settings.model_fields if key not in FILE_KEYS)]
     for key, value in section.items():
         if key not in known:
             raise UsageError(f"{where}: {unknown(f'{kind}.{key}', value, known)}")
-    name = CAPTURED[kind]
+    name = LIVE[kind].captured
     stem, dot, suffix = name.partition(".")
     own = {"file": f"{stem}-{number + 1}{dot}{suffix}" if number else name}
     return {**{key: value for key, value in section.items() if key != "source"}, **own}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from midspan.errors import UsageError
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.trees import toml_value
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
 # Stamps from here on (s) are dates, not seconds after a start: 2001.
 DATED_FROM_S = 1e9
-GRAVITY_M_S2 = 9.80665
 # A mean acceleration within this share of gravity's is that of an axis upright to 25 degrees.
 UPRIGHT = 0.1
 # A video is dated by when it was begun or ended; one that is dated farther away than this, s, is of another clock.

@@ -21,6 +21,8 @@ from midspan.errors import DataError, MidspanError, UsageError
 _SHOWN = 200
 # Where the system does not say how much memory is available, bytes.
 _ASSUMED_BYTES = 4 << 30
+# No mark of a format lies behind this many bytes.
+HEAD_BYTES = 1024
 _CONTAINER = "/sys/fs/cgroup"
 
 
@@ -107,6 +109,12 @@ def _after(file: str, name: str) -> int | None:
         return None
     words = next((line.removeprefix(name).split() for line in lines if line.startswith(name)), [])
     return int(words[0]) if words and words[0].isdigit() else None
+
+
+def head_of(path: Path) -> bytes:
+    """What a file begins with, which tells its kind."""
+    with path.open("rb") as file:
+        return file.read(HEAD_BYTES)
 
 
 def shown_bytes(count: int) -> str:

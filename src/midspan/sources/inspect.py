@@ -244,7 +244,7 @@ def radar_tree(source: RadarSource, every_frame: bool, progress: Progress) -> tu
         "channels": info.channels,
         "bins": info.bins,
         "carrier_hz": info.carrier_hz,
-        "cycle_mm": 1e3 * info.cycle_m,
+        "cycle_mm": 1e3 * info.axis.cycle_m,
         "limit_speed_mm_s": 1e3 * info.limit_speed_m_s,
         "range_resolution_m": float(steps[0]) if len(steps) and np.allclose(steps, steps[0]) else None,
         "largest_range_m": float(np.nanmax(info.range_m)) if np.isfinite(info.range_m).any() else None,

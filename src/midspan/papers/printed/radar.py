@@ -18,7 +18,7 @@ from midspan.notices import Notice, once
 from midspan.papers.printed.one_series import literal_warnings, run_on_series, with_uncertain
 from midspan.papers.printed.radar_series import Printed, printed_displacement
 from midspan.progress import Progress
-from midspan.radar.frames import fetched
+from midspan.radar.frames import collected, together
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import radar_part
 from midspan.recording.result import Result
@@ -53,7 +53,8 @@ def estimate_printed(recording: Recording, calibration: Calibration | None, meth
         margin_ns = round(recording.max_offset_s * NANOSECONDS)
         used = frames_used(source.times_ns(), recording.prepared.time_ns, margin_ns)
         blocks = source.slow_time(np.array([known.best.place_bin]), used.start, used.stop)
-        own = fetched(blocks, known.best, used.stop - used.start, progress)
+        frames = collected(blocks, used.stop - used.start, progress, "reading the radar")
+        own = frames.time_ns, together(frames.phasors, known.best, frames.valid)[:, 0]
         printed = printed_displacement(own, recording.prepared, known, source.info)
         return _fused(recording, calibration, printed, method)
 

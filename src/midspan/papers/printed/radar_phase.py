@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from midspan import _core
 from midspan.checks import finite, positive, same_length
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, RadarInfo
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import Target
-from midspan.radar.unwrap import unwrap_aided
 from midspan.records import Floats
 
 CUT_OFF_HZ = 0.5
@@ -30,6 +30,22 @@ class GridFactor:
 
     conversion_factor: float
     error_m: float
+
+
+def unwrap_aided(phase_rad: Floats, acceleration_m_s2: Floats, *, period_s: float, phase_per_m: float) -> Floats:
+    """Unwrapped phase (n,) in rad, predicted from the last two phases and the acceleration.
+
+    phase_rad: (n,), NaN where a frame is missing; acceleration_m_s2: (n,) in the line of sight at the frames'
+    instants (structural acceleration divided by the conversion factor); period_s: from frame to frame;
+    phase_per_m: rad per m of range. The first two frames must not wrap.
+
+    The prediction carries √6 of the phase's noise, so it needs about 12 dB, and it does not recover from a wrong cycle.
+    Ma et al., "Structural displacement estimation using accelerometer and FMCW millimeter wave radar", equations 12-15.
+    """
+    phase = np.asarray(phase_rad, dtype=np.float64)
+    acceleration = finite("acceleration_m_s2", acceleration_m_s2)
+    same_length(phase_rad=phase, acceleration_m_s2=acceleration)
+    return _core.unwrap_aided(np.ascontiguousarray(phase), acceleration * period_s**2, phase_per_m)
 
 
 def high_passed(displacement_m: Floats, rate_hz: float) -> Floats:

@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from midspan._version import __version__
 from midspan.calibration.direction import Direction
 from midspan.calibration.noise import NoiseCalibration
@@ -20,10 +22,10 @@ from midspan.engine.axis import AxisFigures
 from midspan.errors import DataError
 from midspan.notebook import table
 from midspan.notices import NOTICES, Notice, notice_trees
-from midspan.settings.calibration import StoredCamera, validate_calibration
 from midspan.settings.kinds import KINDS, sensor_names
+from midspan.settings.messages import explain
 from midspan.settings.recording import Sensor
-from midspan.settings.stored.sections import SECTIONS, acceleration_of, acceleration_tree, camera_across, scale_tree
+from midspan.settings.stored.sections import SECTIONS, StoredAccelerometer, StoredAxis, StoredCalibration
 from midspan.trees import TreeError, read_json
 from midspan.writing import write_whole
 
@@ -163,8 +165,7 @@ class Calibration:
             "warnings": list(self.warnings),
             "notices": notice_trees(self.warnings),
             "accelerometer": {
-                **acceleration_tree(self),
-                "scale": self.accelerometer_scale,
+                **StoredAccelerometer.tree(self),
                 **({} if axis is None else {"direction": list(axis.components), "direction_std": list(axis.std)}),
             },
         }
@@ -182,7 +183,8 @@ class Calibration:
         left_out = {"left_out": self.left_out} if self.left_out else {}
         if self.across is None or first is None or other is None:
             return left_out
-        both = {first.direction: _axis_tree(first, self), other.direction: _axis_tree(other, self.across)}
+        along = StoredAxis.axis_tree
+        both = {first.direction: along(first, self), other.direction: along(other, self.across)}
         return left_out | {"direction": "xy", "axis": first.direction, "axes": both}
 
     def save(self, path: str | Path) -> Path:
@@ -191,11 +193,6 @@ class Calibration:
         path = path / CALIBRATION_FILE if path.is_dir() else path
         write_whole(path, (json.dumps(self.to_dict(), indent=2) + "\n").encode())
         return path
-
-
-def _axis_tree(camera: CameraCalibration, part: Calibration) -> dict[str, Any]:
-    """What belongs to one image axis where both are measured."""
-    return {"fused": camera.fused, **scale_tree(camera), **acceleration_tree(part, "accelerometer_")}
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -219,36 +216,29 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
 
     where: names the tree in messages. Raises DataError for a value that cannot be.
     """
-    stored = validate_calibration(tree, where)
+    tree = tree if isinstance(tree, dict) else {}
+    try:
+        stored = StoredCalibration.model_validate(tree)
+    except ValidationError as error:
+        text = explain(error.errors()[0], tree, StoredCalibration).removesuffix(" Add it.")
+        raise DataError(f"{where}: {text} Run `midspan calibrate` again.") from None
     # Earlier versions wrote no codes.
     codes = {one.text: one.code for one in stored.notices if one.code in NOTICES}
     own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
-    sensors = [section.record(part) for kind, section in SECTIONS.items() for part in getattr(stored, kind)]
+    sensors = [part.record(kind) for kind in SECTIONS for part in getattr(stored, kind)]
+    made: dict[str, Any] = {"created": stored.created, "version": stored.version}
     found = Calibration(
-        **acceleration_of(own),
+        **own.values(Calibration),
+        **placed(sensors),
+        **made,
         warnings=tuple(Notice(codes.get(text, "uncoded"), text) for text in stored.warnings),
         left_out="" if first is None else first.left_out,
-        created=stored.created,
-        version=stored.version,
-        **placed(sensors),
-        accelerometer_scale=own.scale,
         sensor_axis=Direction(own.direction, own.direction_std) if own.direction else None,
     )
-    return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
-
-
-def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
-    """The calibration with the part of the second image axis."""
     main = found.first_camera
-    assert main is not None
-    assert first.axes is not None
-    part = first.axes.x if main.direction == "y" else first.axes.y
-    camera = camera_across(main, part)
-    across = Calibration(
-        **acceleration_of(part, "accelerometer_"),
-        camera=camera if found.camera is not None else None,
-        infrared=camera if found.camera is None else None,
-        created=found.created,
-        version=found.version,
-    )
+    if first is None or main is None or first.direction != "xy":
+        return found
+    camera, accelerometer = first.across(main)
+    made |= {camera.kind: camera}
+    across = Calibration(**accelerometer.values(Calibration), **made)
     return replace(found, across=across)

@@ -1,183 +1,248 @@
-"""The sections of `calibration.json` (mm, px, s) and the records that they stand for (SI): each way by sensor."""
+"""The sections of `calibration.json`: keys with unit, range and default, and the record in SI units that each means.
 
+A key stands for the record's field of the same name, in mm for one in m; `Stored.fields` has those of other names. What
+is not known is left out, or null where a number can be infinite. Unknown keys are ignored, so that files of other
+versions can be read.
+"""
+
+import dataclasses
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WrapValidator, model_validator
 
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
+from midspan.checks import ValueRange, shown
 from midspan.engine.axis import AxisFigures
+from midspan.errors import UsageError
 from midspan.radar.following import Background
 from midspan.radar.target import Target
 from midspan.records import Region, ScaleFactor, Source, TimeOffset
-from midspan.settings.calibration import (
-    Stored,
-    StoredAxis,
-    StoredCamera,
-    StoredDisplacement,
-    StoredRadar,
-    StoredRadarTarget,
-    StoredScale,
-    StoredTarget,
-    StoredUsual,
+from midspan.settings.camera import Celsius
+from midspan.settings.fields import (
+    Carrier,
+    Duration,
+    IsNumber,
+    Time,
+    limited,
+    region_is_positive,
+    second_is_larger,
 )
+from midspan.settings.kinds import KINDS, Listed, SensorName, sensor_names
+from midspan.vision.lens import Lens
 
 MM = 1e3
-# What the camera and its only target have in common.
-OWN_KEYS = ("roi", "scale_mm_per_px", "scale_std_mm_per_px", "noise_std_px", "variance_factor")
-# What a radar's target has under the same name and in the same unit in the file.
-SAME = (
-    "place_bin", "range_m", "snr_db", "amplitude", "conversion_factor", "conversion_factor_std", "time_offset_s",
-    "time_offset_std_s", "coherence", "clutter", "disagreement_rad", "reach_bins", "modulation_rad", "phase_noise_rad2",
-    "own_hz",
-)  # fmt: skip
-# The keys of the accelerometer's section and the fields that they are; a second axis has them with a prefix.
-ACCELERATION = {
-    "noise_std_m_s2": "noise_std_m_s2", "motion_noise_s": "motion_noise_s", "bias_m_s2": "bias_m_s2",
-    "bias_std_m_s2": "bias_std_m_s2", "bias_drift_m_s3": "bias_drift_m_s3", "scale_std": "accelerometer_scale_std",
-    "misfit": "misfit", "slope_rad_m": "slope",
-}  # fmt: skip
-USUAL = {key: "variance" if key == "variance_m2_s4" else key for key in StoredUsual.model_fields}
+# The size of any scale or conversion factor.
+FACTOR = ValueRange(1e-9, 1e9)
+# What a radar's target in use must have, either sign of its factor; its coherence is 1 but for rounding.
+USED = {"amplitude": ValueRange(1e-30, 1e30), "conversion_factor": FACTOR, "coherence": ValueRange(0.01, 1.001)}
 
 
-def finite_or_none(value: float) -> float | None:
-    """The value as it is written: None for one that is not finite."""
-    return float(value) if math.isfinite(value) else None
+def _is_a_factor(value: float) -> float:
+    if abs(value) not in FACTOR:
+        raise ValueError(f"must not be 0, its size {FACTOR}")
+    return value
 
 
-def camera_tree(camera: CameraCalibration) -> dict[str, Any]:
-    """The section of a camera along its main axis."""
-    own = {"roi": _roi(camera.region), "direction": camera.direction, "tracker": camera.tracker}
-    more = {
-        "exposure_s": camera.exposure_s or None,
-        "literal": camera.literal or None,
-        "lens": None if camera.lens is None else camera.lens.to_dict(),
-        "temperature_range_c": None if camera.temperature_range_c is None else list(camera.temperature_range_c),
+def _lens(value: Any) -> Lens | None:
+    try:
+        return None if value is None else Lens.from_dict(value)
+    except (KeyError, TypeError, ValueError, OverflowError, UsageError) as error:
+        raise ValueError(f"is no lens: {error}".rstrip(".")) from None
+
+
+def _null(unknown: float) -> WrapValidator:
+    """What null stands for."""
+    return WrapValidator(lambda value, number: unknown if value is None else number(value))
+
+
+# The squares of all numbers stay finite.
+Number = Annotated[float, IsNumber, limited(-1e30, 1e30)]
+Std = Annotated[float, IsNumber, limited(0.0, 1e30)]
+Factor = Annotated[float, IsNumber, limited(-1e30, 1e30), AfterValidator(_is_a_factor)]
+Ratio = Annotated[float, IsNumber, limited(1e-12, 1e12)]
+# Noise of one sample, from that of computed data without any (rounding) to the full scale of a shock sensor.
+AccelerationNoise = Annotated[float, IsNumber, limited(1e-15, 1e6, "m/s²")]
+Bias = Annotated[float, IsNumber, limited(-1e4, 1e4, "m/s²")]
+# Of a sensor's axis along a cross axis of the accelerometer, for one along its main axis: up to 84 degrees.
+Component = Annotated[float, IsNumber, limited(-10.0, 10.0)]
+# From rounding to above any range.
+Noise = Annotated[float, IsNumber, limited(1e-15, 1e6, "(px or mm)")]
+# Of a range profile, whose transform has fewer places.
+Bin = Annotated[float, IsNumber, limited(0.0, 1e6, "bins")]
+Decibel = Annotated[float, IsNumber, limited(-300.0, 300.0, "dB")]
+Whole = Annotated[int, Field(strict=True)]
+Roi = Annotated[tuple[Whole, Whole, Whole, Whole], AfterValidator(region_is_positive)]
+Complex = tuple[Number, Number]
+NumberOrNan = Annotated[Number, _null(math.nan)]
+NumberOrInf = Annotated[Number, _null(math.inf)]
+NumberOrZero = Annotated[Number, _null(0.0)]
+StdOrInf = Annotated[Std, _null(math.inf)]
+Text = Annotated[str, BeforeValidator(str)]
+Yes = Annotated[bool, Field(strict=True)]
+
+
+class Stored(BaseModel):
+    """A part of the file; fields: the record's names of keys that are called otherwise, empty for none."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True, defer_build=True)
+    fields: ClassVar[dict[str, str]] = {}
+
+    @classmethod
+    def field_of(cls, key: str) -> str:
+        """The record's field that a key stands for."""
+        return cls.fields.get(key, key.replace("_mm", "_m"))
+
+    def values(self, record: type) -> dict[str, Any]:
+        """The fields of a record, in SI units, as far as the section holds them."""
+        keys = {self.field_of(key): key for key in type(self).model_fields}
+        si_values = {}
+        for item in dataclasses.fields(record):
+            key = keys.get(item.name, item.name)
+            value = getattr(self, key, dataclasses.MISSING)
+            if value is not dataclasses.MISSING:
+                si_values[item.name] = value / MM if "_mm" in key and value is not None else value
+        return si_values
+
+    @classmethod
+    def tree(cls, record: Any) -> dict[str, Any]:
+        """The section of a record, without what is None."""
+        si_values = {key: getattr(record, cls.field_of(key), None) for key in cls.model_fields}
+        return {
+            key: _plain(MM * value if "_mm" in key else value) for key, value in si_values.items() if value is not None
+        }
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON holds it: null for a number that is not finite, complex numbers as [real, imaginary]."""
+    match value:
+        case float():
+            return float(value) if math.isfinite(value) else None
+        case complex():
+            return [value.real, value.imag]
+        case tuple() | np.ndarray():
+            return [_plain(one) for one in (value.tolist() if isinstance(value, np.ndarray) else value)]
+        case AxisFigures():
+            return StoredUsual.tree(value)
+        case Background():
+            return StoredBackground.tree(value)
+        case Lens():
+            return value.to_dict()
+    return value
+
+
+def _complex(pairs: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
+    return np.array([complex(*pair) for pair in pairs])
+
+
+class StoredUsual(Stored):
+    """What is usual of the acceleration along one axis: from it holes are bridged and clipped samples are found."""
+
+    fields = {"variance_m2_s4": "variance"}
+    mean_m_s2: Bias
+    variance_m2_s4: Std
+    dominant_hz: Std
+    low_m_s2: Number
+    high_m_s2: Number
+    resolution_m_s2: StdOrInf = math.inf
+    moved_m: Std
+
+
+class StoredAccelerometer(Stored):
+    """Noise and bias of the accelerometer, and its gain relative to a displacement sensor."""
+
+    fields = {
+        **{"scale": "accelerometer_scale", "scale_std": "accelerometer_scale_std", "slope_rad_m": "slope"},
+        **{"direction": "", "direction_std": ""},
     }
-    return _sensor_tree(camera) | scale_tree(camera) | own | _known(more)
+    noise_std_m_s2: AccelerationNoise
+    motion_noise_s: Std = 0.0
+    bias_m_s2: Bias = 0.0
+    bias_std_m_s2: StdOrInf = math.inf
+    bias_drift_m_s3: Number = 0.0
+    scale: Factor = 1.0
+    scale_std: Std = 0.0
+    misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
+    slope_rad_m: Number = 0.0
+    direction: Annotated[tuple[Component, ...], Field(max_length=2)] = ()
+    direction_std: tuple[Std, ...] = ()
+    usual: StoredUsual | None = None
+
+    @model_validator(mode="after")
+    def _has_pairs(self) -> "StoredAccelerometer":
+        if len(self.direction) != len(self.direction_std):
+            raise ValueError("must have one direction_std for each component of direction")
+        return self
+
+    def values(self, record: type) -> dict[str, Any]:
+        """The fields of a `Calibration` that are the accelerometer's."""
+        usual = self.usual and AxisFigures(**self.usual.values(AxisFigures))
+        return super().values(record) | {"usual": usual}
 
 
-def scale_tree(camera: CameraCalibration) -> dict[str, Any]:
-    """What of it belongs to one image axis."""
-    phase = camera.phase_scale_m_per_rad
-    more = {
-        "phase_scale_mm_per_rad": None if phase is None else MM * phase,
-        "apart_std_mm": MM * camera.apart_std_m or None,
-        "relative_scale_std": camera.relative_scale_std,
-    }
-    noise = {"noise_std_px": camera.noise_std_px, "variance_factor": camera.variance_factor}
-    return (
-        _factor_tree(camera.scale) | noise | _known(more) | {"targets": [_target_tree(one) for one in camera.targets]}
-    )
+class StoredTarget(Stored):
+    """One target of a camera; one that is not used may lack what was not estimated of it."""
+
+    name: Text | None = None
+    roi: Roi
+    scale_mm_per_px: Factor | None = None
+    scale_std_mm_per_px: Std | None = 0.0
+    noise_std_px: Annotated[Noise, _null(math.nan)] = math.nan
+    variance_factor: Annotated[Ratio, _null(math.nan)] = math.nan
+    used: Yes = True
+    reason: Text = ""
+
+    @model_validator(mode="after")
+    def _has_what_is_used(self) -> "StoredTarget":
+        wanted = ["scale_mm_per_px", "noise_std_px", "variance_factor"] if self.used else []
+        wanted += ["scale_std_mm_per_px"] if self.scale_mm_per_px is not None else []
+        for key in wanted:
+            if getattr(self, key) is None or math.isnan(getattr(self, key)):
+                raise ValueError(f"{key} is missing")
+        return self
+
+    def record(self, number: int) -> TargetCalibration:
+        """The target, which is called by its number where it has no name."""
+        more = {"region": Region(*self.roi), "scale": _factor(self), "name": self.name or str(number)}
+        return TargetCalibration(**self.values(TargetCalibration) | more)
+
+    @classmethod
+    def tree(cls, record: TargetCalibration) -> dict[str, Any]:
+        """The section of a target."""
+        return super().tree(record) | _region_tree(record.region) | _factor_tree(record.scale)
 
 
-def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
-    """The section of a radar; complex numbers as [real, imaginary]."""
-    best = radar.best
-    return _sensor_tree(radar) | {
-        "conversion_factor": best.conversion_factor,
-        "conversion_factor_std": best.conversion_factor_std,
-        "relative_std": radar.relative_std,
-        "target_range_m": finite_or_none(best.range_m),
-        "noise_std_mm": MM * best.noise_m,
-        "variance_factor": radar.variance_factor,
-        "carrier_hz": radar.carrier_hz,
-        "channels": radar.channels,
-        "literal": radar.literal,
-        "targets": [_radar_target_tree(item) for item in radar.targets],
-    }
+class StoredScale(Stored):
+    """What is estimated along one image axis; the targets' own values are in `targets`."""
 
+    fields = {"targets": ""}
+    scale_mm_per_px: Factor
+    scale_std_mm_per_px: Std = 0.0
+    relative_scale_std: Std | None = None
+    phase_scale_mm_per_rad: Factor | None = None
+    apart_std_mm: Std = 0.0
+    noise_std_px: Noise = 0.02
+    variance_factor: Ratio = 1.0
+    targets: tuple[StoredTarget, ...] = ()
 
-def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
-    """The section of a displacement sensor; what is 0 is not written."""
-    ends = {"low_m": finite_or_none(sensor.low_m), "high_m": finite_or_none(sensor.high_m)}
-    groups: tuple[tuple[float, dict[str, float]], ...] = (
-        (sensor.exposure_s, {"exposure_s": sensor.exposure_s}),
-        (sensor.apart_std_m, {"apart_std_mm": MM * sensor.apart_std_m}),
-        (sensor.clock_rate, {"clock_rate": sensor.clock_rate, "clock_reference_s": sensor.clock_reference_s}),
-        (sensor.slow_std_m, {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s}),
-        (sensor.scale_std, {"scale": sensor.scale, "scale_std": sensor.scale_std}),
-    )
-    more = {key: value for written, keys in groups if written for key, value in keys.items()}
-    own = {"noise_std_mm": MM * sensor.noise_std_m} | _known({"resolution_m": sensor.resolution_m, **ends})
-    return _sensor_tree(sensor) | own | more
+    def along(self) -> dict[str, Any]:
+        """The fields of a camera along one image axis; the section's own keys count for its only target in use."""
+        common = set(StoredTarget.model_fields) - {"name", "used", "reason"}
+        stated = {key: getattr(self, key) for key in common if key in self.model_fields_set}
+        alone = sum(target.used for target in self.targets) == 1
+        targets = [one.model_copy(update=stated) if alone and one.used else one for one in self.targets]
+        records = tuple(one.record(number) for number, one in enumerate(targets, start=1))
+        return self.values(CameraCalibration) | {"scale": _factor(self), "targets": records}
 
-
-def acceleration_tree(part: Any, prefix: str = "") -> dict[str, Any]:
-    """Noise, bias and what is usual of the acceleration along one axis, of a `Calibration`."""
-    usual = part.usual
-    own = {} if usual is None else {f"{prefix}usual": {key: _of(usual, name) for key, name in USUAL.items()}}
-    return own | {f"{prefix}{key}": _of(part, name) for key, name in ACCELERATION.items()}
-
-
-def acceleration_of(part: Stored, prefix: str = "") -> dict[str, Any]:
-    """The fields of a `Calibration` that `acceleration_tree` writes."""
-    usual: StoredUsual | None = getattr(part, f"{prefix}usual")
-    figures = None if usual is None else AxisFigures(**{name: getattr(usual, key) for key, name in USUAL.items()})
-    own = {name: getattr(part, f"{prefix}{key}") for key, name in ACCELERATION.items()}
-    return {**own, "usual": figures}
-
-
-def _of(record: Any, name: str) -> float | None:
-    return finite_or_none(getattr(record, name))
-
-
-def camera_of(part: StoredCamera, source: Source) -> CameraCalibration:
-    """The camera along its main axis."""
-    direction = part.axis if part.direction == "xy" and part.axis is not None else part.direction
-    own = _same(CameraCalibration, part) | _along(part)
-    return CameraCalibration(**own | {"region": Region(*part.roi), "direction": direction, "source": source})
-
-
-def camera_across(main: CameraCalibration, part: StoredAxis) -> CameraCalibration:
-    """The same camera along its second axis."""
-    found = replace(main, **_along(part), direction="x" if main.direction == "y" else "y", fused=part.fused)
-    # The best target along this axis may be another one than along the main axis: the one with the axis's own scale.
-    regions = [target.region for target in found.targets if target.used and target.scale == found.scale]
-    return replace(found, region=(*regions, main.region)[0])
-
-
-def radar_of(part: StoredRadar) -> RadarCalibration:
-    """The radar; the section's own conversion factor is that of the best target."""
-    best, *others = sorted((_radar_target(one, part) for one in part.targets), key=lambda item: not item.used)
-    factor, std = part.conversion_factor, part.conversion_factor_std
-    told = replace(best, target=replace(best.target, conversion_factor=factor, conversion_factor_std=std))
-    spread = best.target.relative_std if part.relative_std is None else part.relative_std
-    return RadarCalibration(**_same(RadarCalibration, part) | {"targets": (told, *others), "relative_std": spread})
-
-
-def displacement_of(part: StoredDisplacement) -> DisplacementCalibration:
-    """The displacement sensor."""
-    metres = {f"{name}_m": getattr(part, f"{name}_mm") / MM for name in ("noise_std", "slow_std", "apart_std")}
-    return DisplacementCalibration(**metres, **_same(DisplacementCalibration, part))
-
-
-def _same(record: type, part: Stored) -> dict[str, Any]:
-    """What a record has under the same name and in the same unit in the file."""
-    return {item.name: getattr(part, item.name) for item in fields(record) if hasattr(part, item.name)}
-
-
-def _known(tree: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in tree.items() if value is not None}
-
-
-def _sensor_tree(sensor: CameraCalibration | RadarCalibration | DisplacementCalibration) -> dict[str, Any]:
-    offset = sensor.offset
-    std = finite_or_none(math.sqrt(offset.variance))
-    return _known({"name": sensor.name}) | {"time_offset_s": offset.value_s, "time_offset_std_s": std}
-
-
-def _roi(region: Region) -> list[int]:
-    return [region.x, region.y, region.width, region.height]
-
-
-def _factor_tree(scale: ScaleFactor | None) -> dict[str, float | None]:
-    value, std = (None, None) if scale is None else (MM * scale.value_m_per_px, MM * math.sqrt(scale.variance))
-    return {"scale_mm_per_px": value, "scale_std_mm_per_px": std}
+    @classmethod
+    def tree(cls, record: CameraCalibration) -> dict[str, Any]:
+        """The section of a camera along one image axis."""
+        targets = [StoredTarget.tree(target) for target in record.targets]
+        return super().tree(record) | _factor_tree(record.scale) | {"targets": targets}
 
 
 def _factor(part: StoredScale | StoredTarget) -> ScaleFactor | None:
@@ -185,114 +250,297 @@ def _factor(part: StoredScale | StoredTarget) -> ScaleFactor | None:
     return None if value is None else ScaleFactor(value / MM, (std / MM) ** 2)
 
 
-def _target_tree(target: TargetCalibration) -> dict[str, Any]:
-    return {
-        "name": target.name,
-        "roi": _roi(target.region),
-        **_factor_tree(target.scale),
-        "noise_std_px": finite_or_none(target.noise_std_px),
-        "variance_factor": finite_or_none(target.variance_factor),
-        "used": target.used,
-        "reason": target.reason,
-    }
+def _factor_tree(scale: ScaleFactor | None) -> dict[str, float | None]:
+    value, std = (None, None) if scale is None else (MM * scale.value_m_per_px, MM * math.sqrt(scale.variance))
+    return {"scale_mm_per_px": value, "scale_std_mm_per_px": std}
 
 
-def _along(part: StoredScale) -> dict[str, Any]:
-    """What of a camera belongs to one image axis; its own keys count for its only target in use."""
-    own = {key: getattr(part, key) for key in OWN_KEYS if key in part.model_fields_set}
-    alone = sum(target.used for target in part.targets) == 1
-    targets = [one.model_copy(update=own) if alone and one.used else one for one in part.targets]
-    records = tuple(
-        TargetCalibration(
-            **_same(TargetCalibration, one)
-            | {"region": Region(*one.roi), "name": one.name or str(number), "scale": _factor(one)}
-        )
-        for number, one in enumerate(targets, start=1)
-    )
-    phase = part.phase_scale_mm_per_rad
-    return {
-        **{key: getattr(part, key) for key in ("noise_std_px", "variance_factor", "relative_scale_std")},
-        "scale": _factor(part),
-        "phase_scale_m_per_rad": None if phase is None else phase / MM,
-        "targets": records,
-        "apart_std_m": part.apart_std_mm / MM,
-    }
+def _region_tree(region: Region) -> dict[str, list[int]]:
+    return {"roi": [region.x, region.y, region.width, region.height]}
 
 
-def _radar_target_tree(item: RadarTarget) -> dict[str, Any]:
-    target, still = item.target, item.target.background
-    background = None if still is None else {"bins": still.bins.tolist(), "phasors": _pairs(still.phasors)}
-    return {key: finite_or_none(getattr(target, key)) for key in SAME} | {
-        "noise_std_mm": finite_or_none(MM * target.noise_m),
-        "own_std_mm": MM * target.own_m,
-        "leak": [target.leak.real, target.leak.imag],
-        **_known({"background": background}),
-        "weights": _pairs(target.weights),
-        "used": item.used,
-        "reason": item.reason,
-    }
+# What the keys of the accelerometer along an image axis begin with.
+PREFIX = "accelerometer_"
 
 
-def _radar_target(part: StoredRadarTarget, radar: StoredRadar) -> RadarTarget:
-    """One target; what is not known of it is another thing for one that is used than for one that is not."""
-    std, offset_s, coherence = (0.0, radar.time_offset_s, 1.0) if part.used else (math.inf, math.nan, 0.0)
-    unknown = {"conversion_factor_std": std, "time_offset_s": offset_s, "coherence": coherence}
-    still = part.background
-    more = {
-        "noise_m": part.noise_std_mm / MM,
-        "own_m": part.own_std_mm / MM,
-        "leak": complex(*part.leak),
-        "background": None if still is None else Background(np.array(still.bins), _complex(still.phasors)),
-        "weights": _complex(part.weights),
-    }
-    return RadarTarget(
-        Target(**unknown | _known({key: getattr(part, key) for key in SAME}) | more), part.used, part.reason
-    )
+class StoredAxis(StoredScale):
+    """One of both image axes, with the noise and bias of its own accelerometer, whose keys have a prefix."""
+
+    noise_std_px: Noise
+    variance_factor: Ratio
+    fused: Yes = True
+    accelerometer: StoredAccelerometer
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_prefix(cls, tree: Any) -> Any:
+        if not isinstance(tree, dict):
+            return tree
+        section = {key.removeprefix(PREFIX): value for key, value in tree.items() if str(key).startswith(PREFIX)}
+        return tree | {"accelerometer": section}
+
+    @classmethod
+    def axis_tree(cls, camera: CameraCalibration, calibration: Any) -> dict[str, Any]:
+        """The section of a camera and its accelerometer along one image axis."""
+        section = StoredAccelerometer.tree(calibration)
+        return cls.tree(camera) | {f"{PREFIX}{key}": value for key, value in section.items()}
 
 
-def _pairs(values: np.ndarray[Any, np.dtype[np.complex128]]) -> list[list[float]]:
-    return [[float(value.real), float(value.imag)] for value in values]
+class StoredAxes(Stored):
+    """Both image axes."""
+
+    x: StoredAxis
+    y: StoredAxis
 
 
-def _complex(pairs: tuple[tuple[float, float], ...]) -> np.ndarray[Any, np.dtype[np.complex128]]:
-    return np.array([complex(*pair) for pair in pairs])
+class StoredSensor(Stored):
+    """What all sensors have: a name where there are several of a kind, and a clock."""
 
+    name: SensorName | None = None
+    time_offset_s: Time
+    time_offset_std_s: StdOrInf = 0.0
 
-def camera_summary(camera: CameraCalibration) -> str:
-    """Scale factor and clock offset."""
-    value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-    return f"{value:.5g} ± {std:.2g} mm/px along {camera.direction}, {_offset(camera.offset)}"
+    @property
+    def offset(self) -> TimeOffset:
+        """The clock offset, its variance infinite where it is not known."""
+        return TimeOffset(self.time_offset_s, self.time_offset_std_s**2)
 
-
-def radar_summary(radar: RadarCalibration) -> str:
-    """Conversion factor, range of the target and clock offset."""
-    target = radar.targets[0].target
-    value, std = target.conversion_factor, target.conversion_factor_std
-    return f"conversion factor {value:.5g} ± {std:.2g}, target at {target.range_m:.4g} m, {_offset(radar.offset)}"
-
-
-def displacement_summary(sensor: DisplacementCalibration) -> str:
-    """Noise, scale where it was estimated, and clock offset."""
-    scale = "" if sensor.scale == 1.0 else f", scale {sensor.scale:.5g} ± {sensor.scale_std:.2g}"
-    return f"noise {1e3 * sensor.noise_std_m:.3g} mm{scale}, {_offset(sensor.offset)}"
+    @classmethod
+    def tree(cls, record: Any) -> dict[str, Any]:
+        """The section of a sensor."""
+        offset = {
+            "time_offset_s": record.offset.value_s,
+            "time_offset_std_s": _plain(math.sqrt(record.offset.variance)),
+        }
+        return super().tree(record) | offset
 
 
 def _offset(offset: TimeOffset) -> str:
     return f"clock offset {1e3 * offset.value_s:.2f} ± {1e3 * math.sqrt(offset.variance):.2f} ms"
 
 
-@dataclass(frozen=True, slots=True)
-class SectionKind:
-    """The section of a kind of sensor: written, read, and shown in a line."""
+class StoredCamera(StoredSensor, StoredScale):
+    """A camera of light or infrared."""
 
-    tree: Callable[[Any], dict[str, Any]]
-    record: Callable[[Any], CameraCalibration | RadarCalibration | DisplacementCalibration]
-    summary: Callable[[Any], str]
+    fields = {"targets": "", "axis": "", "axes": ""}
+    roi: Roi
+    direction: Literal["x", "y", "xy"] = "y"
+    axis: Literal["x", "y"] | None = None
+    axes: StoredAxes | None = None
+    left_out: Literal["", "x", "y"] = ""
+    tracker: Text = "template"
+    lens: Annotated[Lens | None, BeforeValidator(_lens)] = None
+    temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = None
+    exposure_s: Duration = 0.0
+    literal: Yes = False
+
+    @model_validator(mode="after")
+    def _has_both_axes(self) -> "StoredCamera":
+        if self.direction == "xy" and (self.axis is None or self.axes is None):
+            raise ValueError('must hold axis, "x" or "y", and axes with x and y, where direction = "xy"')
+        return self
+
+    def record(self, kind: str) -> CameraCalibration:
+        """The camera along its main axis."""
+        direction = self.axis if self.direction == "xy" and self.axis is not None else self.direction
+        more = {"region": Region(*self.roi), "direction": direction, "source": Source[kind.upper()]}
+        return CameraCalibration(**self.along() | more)
+
+    def across(self, main: CameraCalibration) -> tuple[CameraCalibration, StoredAccelerometer]:
+        """The same camera along its second axis, and the accelerometer there."""
+        assert self.axes is not None
+        part = self.axes.x if main.direction == "y" else self.axes.y
+        second = dataclasses.replace(main, **part.along(), direction="x" if main.direction == "y" else "y")
+        # The best target along this axis may be another one than along the main axis: the one with the axis's scale.
+        regions = [target.region for target in second.targets if target.used and target.scale == second.scale]
+        return dataclasses.replace(second, region=(*regions, main.region)[0]), part.accelerometer
+
+    @classmethod
+    def tree(cls, record: CameraCalibration) -> dict[str, Any]:
+        """The section of a camera along its main axis."""
+        return super().tree(record) | _region_tree(record.region)
+
+    @staticmethod
+    def summary(camera: CameraCalibration) -> str:
+        """Scale factor and clock offset."""
+        value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
+        return f"{value:.5g} ± {std:.2g} mm/px along {camera.direction}, {_offset(camera.offset)}"
 
 
-SECTIONS = {
-    "camera": SectionKind(camera_tree, lambda part: camera_of(part, Source.CAMERA), camera_summary),
-    "infrared": SectionKind(camera_tree, lambda part: camera_of(part, Source.INFRARED), camera_summary),
-    "radar": SectionKind(radar_tree, radar_of, radar_summary),
-    "displacement": SectionKind(displacement_tree, displacement_of, displacement_summary),
+class StoredBackground(Stored):
+    """What is static in each bin that a radar's target moves through."""
+
+    bins: Annotated[tuple[Bin, ...], Field(min_length=1)]
+    phasors: Annotated[tuple[Complex, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _has_pairs(self) -> "StoredBackground":
+        if len(self.bins) != len(self.phasors):
+            raise ValueError(f"must have as many phasors as bins; received {len(self.phasors)} and {len(self.bins)}")
+        return self
+
+
+class StoredRadarTarget(Stored):
+    """One peak of the range profile."""
+
+    fields = {"noise_std_mm": "noise_m", "own_std_mm": "own_m"}
+    place_bin: Bin
+    range_m: NumberOrNan = math.nan
+    snr_db: Annotated[Decibel, _null(math.inf)] = math.inf
+    amplitude: Number
+    conversion_factor: NumberOrNan = math.nan
+    conversion_factor_std: Number | None = None
+    time_offset_s: Time | None = None
+    time_offset_std_s: NumberOrInf = math.inf
+    coherence: Number | None = None
+    clutter: NumberOrNan = math.nan
+    disagreement_rad: NumberOrZero = 0.0
+    noise_std_mm: NumberOrInf = math.inf
+    reach_bins: Annotated[Bin, _null(0.0)] = 0.0
+    modulation_rad: NumberOrNan = math.nan
+    phase_noise_rad2: NumberOrZero = 0.0
+    own_std_mm: NumberOrZero = 0.0
+    own_hz: NumberOrZero = 0.0
+    leak: Complex = (0.0, 0.0)
+    background: StoredBackground | None = None
+    weights: Annotated[tuple[Complex, ...], Field(min_length=1)]
+    used: Yes = True
+    reason: Text = ""
+
+    @model_validator(mode="after")
+    def _can_be_used(self) -> "StoredRadarTarget":
+        for key, limits in USED.items() if self.used else ():
+            value = getattr(self, key)
+            # A factor of either sign.
+            size = abs(value) if key == "conversion_factor" else value
+            if value is not None and size not in limits:
+                raise ValueError(f"{key} of a target in use must be {limits}; received {shown(value)}")
+        return self
+
+    def record(self, offset_s: float) -> RadarTarget:
+        """The target; what is not known of it is another thing for one that is used than for one that is not.
+
+        offset_s: of the radar's clock.
+        """
+        std, own_s, coherence = (0.0, offset_s, 1.0) if self.used else (math.inf, math.nan, 0.0)
+        unknown = {"conversion_factor_std": std, "time_offset_s": own_s, "coherence": coherence}
+        known = {name: value for name, value in self.values(Target).items() if value is not None}
+        known |= {"leak": complex(*self.leak), "weights": _complex(self.weights)}
+        if self.background is not None:
+            bins, phasors = np.array(self.background.bins), _complex(self.background.phasors)
+            known["background"] = Background(bins, phasors)
+        return RadarTarget(Target(**unknown | known), self.used, self.reason)
+
+
+class StoredRadar(StoredSensor):
+    """A radar; its own conversion factor is that of the best target, and counts where somebody has changed it."""
+
+    fields = {"targets": ""}
+    conversion_factor: Factor
+    conversion_factor_std: Std = 0.0
+    relative_std: Std | None = None
+    variance_factor: Ratio = 1.0
+    carrier_hz: Carrier
+    channels: Annotated[int, IsNumber, Field(ge=1, le=4096)]
+    literal: Yes = False
+    targets: tuple[StoredRadarTarget, ...]
+
+    @model_validator(mode="after")
+    def _has_a_target(self) -> "StoredRadar":
+        used = [target for target in self.targets if target.used]
+        if not used:
+            raise ValueError("targets must hold a target in use")
+        if any(len(target.weights) != self.channels for target in used):
+            raise ValueError(f"targets must have weights for {self.channels} channels each")
+        return self
+
+    def record(self, _kind: str) -> RadarCalibration:
+        """The radar; the section's own conversion factor is that of the best target."""
+        best, *others = sorted((one.record(self.time_offset_s) for one in self.targets), key=lambda item: not item.used)
+        factor = {"conversion_factor": self.conversion_factor, "conversion_factor_std": self.conversion_factor_std}
+        target = dataclasses.replace(best.target, **factor)  # type: ignore[arg-type]
+        spread = best.target.relative_std if self.relative_std is None else self.relative_std
+        more = {"targets": (dataclasses.replace(best, target=target), *others), "relative_std": spread}
+        return RadarCalibration(**self.values(RadarCalibration) | more)
+
+    @classmethod
+    def tree(cls, record: RadarCalibration) -> dict[str, Any]:
+        """The section of a radar; range and noise of the best target inform alone."""
+        best = StoredRadarTarget.tree(record.best)
+        of_best = {key: best[key] for key in ("conversion_factor", "conversion_factor_std", "noise_std_mm")}
+        targets = [
+            StoredRadarTarget.tree(one.target) | {"used": one.used, "reason": one.reason} for one in record.targets
+        ]
+        return super().tree(record) | of_best | {"target_range_m": best["range_m"], "targets": targets}
+
+    @staticmethod
+    def summary(radar: RadarCalibration) -> str:
+        """Conversion factor, range of the target and clock offset."""
+        target = radar.targets[0].target
+        value, std = target.conversion_factor, target.conversion_factor_std
+        return f"conversion factor {value:.5g} ± {std:.2g}, target at {target.range_m:.4g} m, {_offset(radar.offset)}"
+
+
+class StoredDisplacement(StoredSensor):
+    """A displacement sensor; its scale is 1 where it was not estimated."""
+
+    noise_std_mm: Noise
+    resolution_m: Std | None = None
+    low_m: Annotated[Number, _null(-math.inf)] = -math.inf
+    high_m: NumberOrInf = math.inf
+    slow_std_mm: Std = 0.0
+    slow_time_s: StdOrInf = math.inf
+    exposure_s: Duration = 0.0
+    apart_std_mm: Std = 0.0
+    scale: Factor = 1.0
+    scale_std: Std = 0.0
+    clock_rate: Number = 0.0
+    clock_reference_s: Number = 0.0
+
+    def record(self, _kind: str) -> DisplacementCalibration:
+        """The displacement sensor."""
+        return DisplacementCalibration(**self.values(DisplacementCalibration))
+
+    @staticmethod
+    def summary(sensor: DisplacementCalibration) -> str:
+        """Noise, scale where it was estimated, and clock offset."""
+        scale = "" if sensor.scale == 1.0 else f", scale {sensor.scale:.5g} ± {sensor.scale_std:.2g}"
+        return f"noise {1e3 * sensor.noise_std_m:.3g} mm{scale}, {_offset(sensor.offset)}"
+
+
+SECTIONS: dict[str, Any] = {
+    "camera": StoredCamera,
+    "infrared": StoredCamera,
+    "radar": StoredRadar,
+    "displacement": StoredDisplacement,
 }
+
+
+class StoredNotice(Stored):
+    """A warning with its code."""
+
+    code: Text
+    severity: Text
+    text: Text
+
+
+class StoredCalibration(Stored):
+    """The whole file; of each kind of sensor one section, or a list of several with a name each."""
+
+    version: Text = ""
+    created: Text = ""
+    warnings: tuple[Text, ...] = ()
+    notices: tuple[StoredNotice, ...] = ()
+    accelerometer: StoredAccelerometer
+    camera: Annotated[tuple[StoredCamera, ...], Listed] = ()
+    infrared: Annotated[tuple[StoredCamera, ...], Listed] = ()
+    radar: Annotated[tuple[StoredRadar, ...], Listed] = ()
+    displacement: Annotated[tuple[StoredDisplacement, ...], Listed] = ()
+
+    @model_validator(mode="after")
+    def _sensors_are_told_apart(self) -> "StoredCalibration":
+        cameras = (*self.camera, *self.infrared)
+        sensor_names({kind: [sensor.name for sensor in getattr(self, kind)] for kind in KINDS})
+        if len(cameras) > 1 and any(camera.direction == "xy" for camera in cameras):
+            raise ValueError('must have direction = "x" or "y" in each camera where there are several')
+        return self

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
-from midspan.sources.boundary import reading, require_file, require_memory
+from midspan.sources.boundary import head_of, reading, require_file, require_memory
 
 
 class Format(NamedTuple):
@@ -33,7 +33,6 @@ _SEED_HEAD = re.compile(rb"([0-9 \0]{6}[DRQMVAST][ *]|MS\x03)")
 _KNET_SUFFIXES = (".knet", *(f".{axis}{number}" for axis in ("ew", "ns", "ud") for number in ("", "1", "2")))
 # Word 76 of 158 in a SAC header is its version, 6 or 7.
 _SAC_HEAD = re.compile(rb"(?s:.{304})([\x06\x07]\0\0\0|\0\0\0[\x06\x07])")
-_HEAD_BYTES = 512
 
 _FORMATS = (
     Format("text columns", (".csv", ".txt", ".dat", ".asc", ".tsv"), "pandas", "text"),
@@ -88,8 +87,7 @@ def _by_head(path: Path) -> Format | None:
     """The format that a file begins as; None where it begins as none, or cannot be read."""
     try:
         require_file(path)
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
+        head = head_of(path)
     except (DataError, OSError):
         return None
     return next((row for row in _FORMATS if row.head is not None and row.head.match(head)), None)

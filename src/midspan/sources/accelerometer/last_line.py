@@ -12,13 +12,12 @@ from pathlib import Path
 from statistics import median
 from typing import BinaryIO
 
+from midspan.checks import shown
 from midspan.sources.accelerometer.dialect import is_comment, is_missing_word, is_value, split
 
 # Bytes from the end that are looked at, and lines above the last one that it is compared with.
 _TAIL_BYTES = 1 << 20
 _NEIGHBOURS = 50
-# Characters of the line that a message shows.
-_SHOWN = 40
 # Nine digits tell every number of single precision (IEEE 754): what may be missing after them is below any sensor.
 _ENOUGH_DIGITS = 9
 # A column that rises in this many lines or more counts as a clock; one whose steps differ from the middle one by this
@@ -62,7 +61,7 @@ def cut_last_line(path: Path, *, encoding: str, delimiter: str, decimal: str) ->
     end = begin + len(sound.encode(encoding, errors))
     if not is_full:
         return end, f"it ends in {size - end} bytes that were never written (zeros), as after a loss of power"
-    return end, f"its last line has no line end and is cut off: {lines[-1].strip()[:_SHOWN]!r} is left out"
+    return end, f"its last line has no line end and is cut off: {shown(lines[-1].strip())} is left out"
 
 
 def _behind_written(file: BinaryIO, size: int) -> int:

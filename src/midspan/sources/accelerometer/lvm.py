@@ -13,9 +13,9 @@ from midspan.records import Floats
 from midspan.sources.accelerometer import text
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.last_line import cut_last_line
-from midspan.sources.boundary import require_memory
+from midspan.sources.boundary import head_of, require_memory
 
-_FIRST_WORDS, _HEAD_BYTES = b"LabVIEW Measurement", 64
+_FIRST_WORDS = b"LabVIEW Measurement"
 # Lines that hold the file's own header.
 _HEAD_LINES = 40
 # What lvm_read needs for a byte of text: a number of Python (32 bytes) for each field of four characters or more.
@@ -28,16 +28,15 @@ def read(path: Path) -> ChannelSet:
     Where the time starts again in a later segment it is moved by the difference of the segments' date and time. A file
     without a header, as LabVIEW writes with "no headers" and other programs under this suffix, is read as text columns.
     """
-    with path.open("rb") as file:
-        if not file.read(_HEAD_BYTES).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_FIRST_WORDS):
-            try:
-                found = text.read(path)
-            except DataError:
-                raise DataError(
-                    f"{path} cannot be read as LabVIEW measurement: it has neither its header nor columns of numbers. "
-                    "Check that the file is whole."
-                ) from None
-            return replace(found, notes=("no header of LabVIEW: read as text columns", *found.notes))
+    if not head_of(path).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_FIRST_WORDS):
+        try:
+            columns = text.read(path)
+        except DataError:
+            raise DataError(
+                f"{path} cannot be read as LabVIEW measurement: it has neither its header nor columns of numbers. "
+                "Check that the file is whole."
+            ) from None
+        return replace(columns, notes=("no header of LabVIEW: read as text columns", *columns.notes))
     require_memory(path, _BYTES_OF_A_BYTE * path.stat().st_size, "its table")
     content, damage = _content(path)
     segments = [content[k] for k in range(content["Segments"])]

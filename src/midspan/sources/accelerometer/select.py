@@ -43,7 +43,7 @@ _COLUMN = re.compile(r"^(?P<name>.+)\[(?::\s*,)?\s*(?P<index>\d+)\s*\]$")
 # No structure moves by 1e9 m or is accelerated by 1e9 m/s²; the Earth's radius is 6.4e6 m.
 _MAX_VALUE = 1e9
 # A file's own rate and the one given may differ by this much before it is reported.
-_RATE_TOLERANCE = 0.01
+RATE_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +235,7 @@ def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str])
 
 def _note_rates(channel: Channel, request: SeriesRequest, notes: list[str]) -> None:
     wanted_hz, own_hz = request.rate_hz, channel.rate_hz
-    if wanted_hz is not None and own_hz is not None and abs(wanted_hz / own_hz - 1.0) > _RATE_TOLERANCE:
+    if wanted_hz is not None and own_hz is not None and abs(wanted_hz / own_hz - 1.0) > RATE_TOLERANCE:
         notes.append(f"rate_hz = {wanted_hz:g} Hz not used: the file's own time says {own_hz:.6g} Hz")
 
 

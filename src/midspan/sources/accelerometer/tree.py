@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values, columns, numbers
 from midspan.sources.accelerometer.clock import texts_to_ns
 from midspan.sources.accelerometer.dialect import named_unit
-from midspan.sources.boundary import read_npy_header, require_memory
+from midspan.sources.boundary import head_of, read_npy_header, require_memory
 from midspan.sources.hdf5_members import SIGNATURE, ElsewhereError, member, open_hdf5
 
 _RATES = (
@@ -265,8 +265,7 @@ def _matlab_texts(codes: NDArray[np.generic]) -> NDArray[np.generic]:
 
 def read_matlab(path: Path) -> ChannelSet:
     """All numeric variables; fields of structures become `structure.field`, columns of matrices `name_1` … `name_k`."""
-    with path.open("rb") as file:
-        head = file.read(520)
+    head = head_of(path)
     # A 7.3 file has MATLAB's own header of 512 bytes in front of the HDF5 signature.
     if SIGNATURE in (head[:8], head[512:520]):
         return read_hdf5(path, matlab=True)

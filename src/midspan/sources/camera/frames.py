@@ -1,7 +1,7 @@
 """How frames are asked for, what they are timed by, and what of a colour image is used."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -16,12 +16,10 @@ from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.vision.frame_source import FrameSource
 
-# Frames without any time are counted, one a second.
-COUNTING_RATE_HZ = 1.0
 # A frame of which a larger share is no number is passed over: what would be filled in would be tracked.
 MAX_MISSING = 0.2
-# Frames that a message names by their numbers.
-_MAX_NAMED = 3
+# Frames or pixels that a message names.
+MAX_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ class StoredFrames(FrameSource):
 
 
 def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[FrameSource, bool]:
-    """A source with its own times, or counting frames where it has none; and whether they are its own.
+    """A source with its own times, or counting frames, one a second, where it has none; and whether they are its own.
 
     opened: opens it at a rate, Hz; None: with its own times.
     """
@@ -94,7 +92,7 @@ def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[Fra
         source.times_ns()
         return source, True
     except UsageError:
-        source = opened(COUNTING_RATE_HZ)
+        source = opened(1.0)
         source.times_ns()
         return source, False
 
@@ -114,11 +112,7 @@ def file_times(times: Path, source: Path, count: int) -> Nanoseconds:
             "frames. Give the times of this file, before `every` is applied."
             + "".join(f" The file of times: {line}." for line in found.damage)
         )
-    wrong = np.flatnonzero((time_ns[1:] <= time_ns[:-1]) | (time_ns[1:] == NOT_A_TIME))
-    if wrong.size or time_ns[0] == NOT_A_TIME:
-        row = int(wrong[0]) + 2 if wrong.size else 1
-        raise DataError(f"{times}: times must increase from row to row (s); row {row} does not. Correct the file.")
-    return time_ns
+    return require_increasing(f"{times}: times", time_ns)
 
 
 def rate_times(path: Path, request: FrameRequest, count: int) -> Nanoseconds:
@@ -154,12 +148,27 @@ def luma(image: NDArray[np.generic], reversed_colours: bool) -> NDArray[np.gener
     return np.ascontiguousarray(image)
 
 
+def named(items: Sequence[object]) -> str:
+    """The first of some frames or pixels, and how many more there are."""
+    more = f" and {len(items) - MAX_NAMED} more" if len(items) > MAX_NAMED else ""
+    return ", ".join(map(str, items[:MAX_NAMED])) + more
+
+
 def passed_over(frames: set[int]) -> list[str]:
     """A sentence on frames of which too much was missing; none where there are none."""
     if not frames:
         return []
-    named = ", ".join(str(k) for k in sorted(frames)[:_MAX_NAMED]) + (" …" if len(frames) > _MAX_NAMED else "")
+    share = f"{100 * MAX_MISSING:g} %"
     return [
-        f"{len(frames)} frames ({named}) have more than {100 * MAX_MISSING:g} % of their values missing (NaN) and were "
+        f"{len(frames)} frames ({named(sorted(frames))}) have more than {share} of their values missing (NaN) and were "
         "passed over"
     ]
+
+
+def require_increasing(name: str, time_ns: Nanoseconds) -> Nanoseconds:
+    """The stamps (n,) of rows or frames, where each is a time and later than the one before; DataError else."""
+    wrong = np.flatnonzero((time_ns[1:] <= time_ns[:-1]) | (time_ns[1:] == NOT_A_TIME))
+    if wrong.size or time_ns[0] == NOT_A_TIME:
+        row = int(wrong[0]) + 2 if wrong.size else 1
+        raise DataError(f"{name} must increase from row to row (s); row {row} does not. Correct the file.")
+    return time_ns

@@ -23,6 +23,7 @@ from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.records import Nanoseconds
 from midspan.signals.health import clock
+from midspan.sources.boundary import HEAD_BYTES, head_of
 
 # Containers whose clock starts anywhere: their first stamp counts as zero.
 _FREE_RUNNING = ("mpegts", "mpeg")
@@ -37,7 +38,6 @@ _MAX_XML_BYTES = 1 << 20
 _MIN_FACTOR = 1.5
 # Phones declare up to this rate of ordinary films, too, whose frames poor light can make longer.
 _MAX_ORDINARY_HZ = 60.0
-_HEAD_BYTES = 1024
 # Bytes of a packet of a transport stream, plain, with a time stamp of 4 bytes before it, with 16 bytes of parity.
 _TRANSPORT_PACKETS = (188, 192, 204)
 _SYNC = 0x47
@@ -228,15 +228,12 @@ class _CutOff:
 def _cut_off(path: Path) -> _CutOff | None:
     """How a video file ends too early; None where it is whole, or where its container does not say."""
     size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
-        file.seek(0)
-        check = next((check for begins, check in _CHECKS if begins(head)), None)
-        try:
-            return check(file, size) if check else None
-        except (struct.error, IndexError, ValueError):
-            # A header that cannot be taken apart says nothing about the end.
-            return None
+    head = head_of(path)
+    check = next((check for begins, check in _CHECKS if begins(head)), None)
+    # A header that cannot be taken apart says nothing about the end.
+    with path.open("rb") as file, suppress(struct.error, IndexError, ValueError):
+        return check(file, size) if check else None
+    return None
 
 
 def _short(missing: int, declared: int) -> _CutOff | None:
@@ -245,7 +242,7 @@ def _short(missing: int, declared: int) -> _CutOff | None:
 
 
 def _y4m(file: BinaryIO, size: int) -> _CutOff | None:
-    line = file.readline(_HEAD_BYTES)
+    line = file.readline(HEAD_BYTES)
     keys = {word[:1]: word[1:] for word in line.decode("ascii", "replace").split()[1:]}
     kind = keys.get("C", "420")
     width, height = int(keys["W"]), int(keys["H"])
@@ -264,7 +261,7 @@ def _y4m(file: BinaryIO, size: int) -> _CutOff | None:
 
 
 def _gif(file: BinaryIO, size: int) -> _CutOff | None:
-    file.seek(max(size - _HEAD_BYTES, 0))
+    file.seek(max(size - HEAD_BYTES, 0))
     if file.read().rstrip(b"\0").endswith(b";"):
         return None
     return _CutOff("the file is cut off: the byte that ends a GIF is missing", True)
@@ -281,7 +278,7 @@ def _packet_bytes(head: bytes) -> int | None:
 
 
 def _transport(file: BinaryIO, size: int) -> _CutOff | None:
-    packet = _packet_bytes(file.read(_HEAD_BYTES))
+    packet = _packet_bytes(file.read(HEAD_BYTES))
     assert packet is not None
     rest = size % packet
     return _CutOff(f"the file is cut off: its last packet has {rest} of {packet} bytes", True) if rest else None

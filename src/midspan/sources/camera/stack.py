@@ -13,7 +13,7 @@ from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.boundary import NpyHeader, read_npy_header, require_memory
-from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, StoredFrames, luma, passed_over
+from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, StoredFrames, luma, passed_over, require_increasing
 from midspan.vision.frame_source import FrameInfo
 
 _NAMES = ("frames", "images", "celsius")
@@ -72,9 +72,7 @@ class StackFrames(StoredFrames):
             raise DataError(
                 f"{self._path}: time_s has {self._times_s.size} values for {self._count} frames. Correct it."
             )
-        time_ns, _ = numbers_to_ns(self._times_s, "s")
-        if np.any(time_ns[1:] <= time_ns[:-1]):
-            raise DataError(f"{self._path}: time_s must increase from frame to frame (s). Correct it.")
+        time_ns = require_increasing(f"{self._path}: time_s", numbers_to_ns(self._times_s, "s")[0])
         return time_ns + np.int64(round(self._request.start_s * 1e9))
 
     def _image(self, number: int) -> NDArray[np.generic] | None:

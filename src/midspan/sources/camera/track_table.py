@@ -17,7 +17,7 @@ from midspan.records import Floats, Frame, Nanoseconds, PixelTrack, Region, Stat
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.camera.frames import FrameRequest, rate_times
+from midspan.sources.camera.frames import FrameRequest, rate_times, require_increasing
 from midspan.trees import TreeError, read_json
 from midspan.vision.frame_source import FrameInfo, FrameSource, StoredTrack
 
@@ -81,10 +81,7 @@ def _times(path: Path, columns: dict[str, Channel], request: FrameRequest) -> Na
         time_ns = rate_times(path, request, count)
     else:
         time_ns = numbers_to_ns(named.values, named.unit)[0]
-    wrong = np.flatnonzero(np.diff(time_ns) <= 0)
-    if len(wrong):
-        raise DataError(f"{path}: times must increase from row to row; row {int(wrong[0]) + 2} does not.")
-    return time_ns
+    return require_increasing(f"{path}: times", time_ns)
 
 
 def _track(

@@ -15,9 +15,10 @@ from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Frame, Nanoseconds
 from midspan.signals.health import clock
-from midspan.sources.boundary import require_memory
+from midspan.sources.accelerometer.select import RATE_TOLERANCE
+from midspan.sources.boundary import head_of, require_memory
 from midspan.sources.camera.decoded import depth_of, luma_of, turn_of
-from midspan.sources.camera.frames import FrameRequest, file_times, grid, rate_times
+from midspan.sources.camera.frames import FrameRequest, file_times, grid, named, rate_times
 from midspan.sources.camera.packets import (
     Packets,
     declared_rate,
@@ -42,10 +43,6 @@ _CONTAINERS = (
     "rm,nsv,wtv,swf,amv,vc1,vc1test,dirac,dnxhd,cavsvideo,avs2,avs3,ivr,pva,gxf,webp_anim,webp_pipe,jpeg_pipe,"
     "png_pipe,bmp_pipe,tiff_pipe,j2k_pipe,jpegls_pipe,jpegxl_pipe,jpegxl_anim,dpx_pipe,exr_pipe,pgm_pipe,pam_pipe,fits"
 )
-_HEAD_BYTES = 1024
-_RATE_TOLERANCE = 0.01
-# Damaged frames that a message names by their numbers.
-_MAX_NAMED = 5
 
 
 class VideoFrames(FrameSource):
@@ -60,9 +57,8 @@ class VideoFrames(FrameSource):
         self._notices: list[Notice] = []
         self._lost: set[int] = set()
         self._kind: tuple[tuple[int, ...], np.dtype[Any]] | None = None
-        with path.open("rb") as file:
-            # Of pictures that FFmpeg reads (GIF).
-            require_memory(path, picture_bytes(file.read(_HEAD_BYTES)), "a picture")
+        # Of pictures that FFmpeg reads (GIF).
+        require_memory(path, picture_bytes(head_of(path)), "a picture")
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._size = (int(stream.codec_context.width), int(stream.codec_context.height))
@@ -146,7 +142,7 @@ class VideoFrames(FrameSource):
         given_hz = self._request.rate_hz
         if given_hz is not None and time_ns.size > 1:
             own_hz = clock(time_ns).rate_hz
-            if abs(given_hz / own_hz - 1.0) > _RATE_TOLERANCE:
+            if abs(given_hz / own_hz - 1.0) > RATE_TOLERANCE:
                 self._notes.append(
                     f"rate_hz = {given_hz:g} Hz not used: the container's time stamps say {own_hz:.6g} Hz"
                 )
@@ -197,9 +193,7 @@ def _lost_frames(lost: set[int], packets: Packets | None) -> tuple[str, ...]:
     """How many frames are damaged, which, and how many build on them; nothing where none is."""
     if not lost:
         return ()
-    named = ", ".join(str(number) for number in sorted(lost)[:_MAX_NAMED])
-    more = f" and {len(lost) - _MAX_NAMED} more" if len(lost) > _MAX_NAMED else ""
-    text = f"{len(lost)} frames are damaged and were passed over: frame {named}{more}"
+    text = f"{len(lost)} frames are damaged and were passed over: frame {named(sorted(lost))}"
     after = _building_on(lost, packets) if packets is not None else 0
     built = f"{after} frames behind damaged ones, up to the next key frame, build on them and can be wrong in part"
     return (text, built) if after else (text,)

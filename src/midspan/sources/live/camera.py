@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from midspan.records import Frame
+from midspan.sources.camera.decoded import luma_of
 from midspan.sources.live.instants import ArrivalEnvelope, SenderReports, SourceFault
 
 # A camera that answers does so within this; a stream that brings nothing for so long is stopped.
@@ -19,7 +17,6 @@ OPEN_S, READ_S = 3.0, 3.0
 # A network camera's reports agree within this time (the first comes within 4 s, the others every 2 to 7 s, RFC 3550);
 # frames before are left out: dated by their arrival they would be tens of milliseconds off.
 REPORT_S = 20.0
-MICROSECONDS = 1_000
 
 
 class StampKind(Enum):
@@ -113,7 +110,7 @@ def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
                 continue
             if stamp_ns > newest_ns:
                 newest_ns = stamp_ns
-                yield Stamped(Frame(stamp_ns, luma(picture), count), kind)
+                yield Stamped(Frame(stamp_ns, luma_of(picture), count), kind)
                 count += 1
 
 
@@ -123,17 +120,5 @@ def _sent_ns(packet: Any) -> int | None:
     for item in sidedata() if sidedata is not None else ():
         kind, data = str(getattr(item, "data_type", "")).lower(), bytes(item)
         if ("prft" in kind or "producer" in kind) and len(data) >= 8:
-            return int(struct.unpack_from("<q", data)[0]) * MICROSECONDS
+            return int(struct.unpack_from("<q", data)[0]) * 1_000  # it is in microseconds
     return None
-
-
-def luma(picture: Any) -> NDArray[Any]:
-    """The grey levels (rows, columns) of a decoded frame, as they were sent; an infrared camera's counts."""
-    name = picture.format.name
-    if name.startswith("gray16"):
-        return np.asarray(picture.to_ndarray(format="gray16le"))
-    if name.startswith(("yuv", "nv", "gray")) and not name.startswith(("yuyv", "gray1")):
-        plane = picture.planes[0]
-        rows = np.frombuffer(plane, dtype=np.uint8).reshape(plane.height, plane.line_size)
-        return np.ascontiguousarray(rows[:, : plane.width])
-    return np.asarray(picture.to_ndarray(format="gray"))

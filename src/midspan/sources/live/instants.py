@@ -24,6 +24,10 @@ class SourceFault(DataError):
         super().__init__(text)
         self.code = code
 
+    def __reduce__(self) -> tuple[type["SourceFault"], tuple[str, str]]:
+        """What a copy in another process is made of."""
+        return SourceFault, (self.code, str(self))
+
 
 class ArrivalEnvelope:
     """Instants by arrivals: the sender's own time and the least delay that was seen."""

@@ -2,7 +2,6 @@
 IQ service.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +10,18 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.radar.chirp import RadarInfo
-from midspan.records import Floats, Nanoseconds, RangeFrames
+from midspan.records import Floats, Nanoseconds
+from midspan.sources.accelerometer.select import RATE_TOLERANCE
 from midspan.sources.boundary import reading, require_memory
 from midspan.sources.hdf5_members import dataset, open_hdf5, values
-from midspan.sources.radar.radar_source import MAX_PHASOR, RadarRequest, RadarSource, stamps
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
 from midspan.trees import json_tree
 
 CARRIER_HZ = 60.5e9
-FRAMES_AT_A_TIME = 512
 # Where the first session lies in files of the maker's program, and of its version 5.
 _SESSIONS = ("sessions/session_0", "session")
 _ENTRY = "group_0/entry_0"
 _A111_MEMBERS = ("mode", "data", "session_info", "sensor_config_dump")
-# The recorder's clock may differ from the rate that was set by this share before the clock counts.
-_RATE_TOLERANCE = 0.01
 
 
 def reader_of(path: Path) -> type[RadarSource] | None:
@@ -93,23 +90,19 @@ class AcconeerRecording(_Recording):
             notes.append("a loopback subsweep is there to take out the device's own phase")
         return self._info(notes)
 
-    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
+    def _phasors(self, first: int, last: int) -> NDArray[np.complexfloating]:
         """All ranges; the phase of the loopback, where there is one, is taken out."""
-        times = self.times_ns()
-        sweeps = len(times) // len(self._data)
-        begin, end, _ = slice(start, stop).indices(len(times))
-        for first in range(begin // sweeps, -(-end // sweeps), FRAMES_AT_A_TIME):
-            last = min(first + FRAMES_AT_A_TIME, -(-end // sweeps))
-            raw = self._data[first:last]
-            z = raw["real"].astype(np.float32) + 1j * raw["imag"].astype(np.float32)
-            z = (z if sweeps > 1 else z.mean(axis=1)).reshape(-1, self._data.shape[2])
-            low, high = max(begin - first * sweeps, 0), min(end - first * sweeps, len(z))
-            z = z[low:high]
-            kept = np.concatenate([z[:, part[0]] for part in self._parts if part[2]], axis=1)
-            loop = [z[:, part[0]] for part in self._parts if not part[2]]
-            if loop:
-                kept = kept * np.exp(-1j * np.angle(loop[0].mean(axis=1)))[:, None]
-            yield _frames(times[first * sweeps + low : first * sweeps + high], np.asarray(kept, dtype=np.complex64))
+        sweeps = len(self._times_s) // len(self._data)
+        begin = first // sweeps
+        raw = self._data[begin : -(-last // sweeps)]
+        z = raw["real"].astype(np.float32) + 1j * raw["imag"].astype(np.float32)
+        z = (z if sweeps > 1 else z.mean(axis=1)).reshape(-1, self._data.shape[2])
+        z = z[first - begin * sweeps : last - begin * sweeps]
+        kept: NDArray[np.complexfloating] = np.concatenate([z[:, part[0]] for part in self._parts if part[2]], axis=1)
+        loop = [z[:, part[0]] for part in self._parts if not part[2]]
+        if loop:
+            kept = kept * np.exp(-1j * np.angle(loop[0].mean(axis=1)))[:, None]
+        return kept[:, None]
 
     def _stamps(self, tick_s: float) -> Floats:
         count, sweeps = self._data.shape[:2]
@@ -135,11 +128,6 @@ class AcconeerRecording(_Recording):
         return sweeps_s if is_ordered else frames_s
 
 
-def _frames(time_ns: Nanoseconds, z: NDArray[np.complex64]) -> RangeFrames:
-    """Frames (n, bins) of one channel, valid where all is a number."""
-    return RangeFrames(time_ns, z[:, None, :], np.asarray(np.isfinite(z).all(axis=1)).reshape(-1, 1))
-
-
 def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np.int64], float]:
     """The data set of frames, the sensor's settings, the metadata, the ticks and their length in s."""
     with reading(path, AcconeerRecording.file_kind):
@@ -147,9 +135,8 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np
         session = _session(file)
         entry = f"{session}/{_ENTRY}"
         data = dataset(path, file, f"{entry}/result/frame")
-        require_memory(
-            path, 4 * data.nbytes * FRAMES_AT_A_TIME // max(len(data), FRAMES_AT_A_TIME), "a block of frames"
-        )
+        block = AcconeerRecording.at_a_time
+        require_memory(path, 4 * data.nbytes * block // max(len(data), block), "a block of frames")
         groups = json_tree(values(path, file, f"{session}/session_config"))["groups"]
         metadata = json_tree(values(path, file, f"{entry}/metadata"))
         server = json_tree(values(path, file, "server_info"))
@@ -204,7 +191,7 @@ class A111Recording(_Recording):
                 f"{path}: data must be complex numbers (frames, sensors, ranges); received {self._data.dtype} of shape "
                 f"{self._data.shape}. Record with the IQ service."
             )
-        block_bytes = 8 * min(len(self._data), FRAMES_AT_A_TIME) * int(np.prod(self._data.shape[1:]))
+        block_bytes = 8 * min(len(self._data), self.at_a_time) * int(np.prod(self._data.shape[1:]))
         require_memory(path, 4 * block_bytes, "a block of frames")
         step_m, first_m = float(info["step_length_m"]), float(info["range_start_m"])
         self._range_m = first_m + step_m * np.arange(self._data.shape[-1])
@@ -218,25 +205,17 @@ class A111Recording(_Recording):
             notes.append(f"the first of {self._data.shape[1]} sensors is used")
         return self._info(notes)
 
-    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
+    def _phasors(self, first: int, last: int) -> NDArray[np.complexfloating]:
         """All ranges."""
-        times = self.times_ns()
-        begin, end, _ = slice(start, stop).indices(len(times))
-        for first in range(begin, end, FRAMES_AT_A_TIME):
-            last = min(first + FRAMES_AT_A_TIME, end)
-            # What does not fit is a frame that is missing.
-            with np.errstate(invalid="ignore", over="ignore"):
-                raw = np.asarray(self._data[first:last], dtype=np.complex64)
-            z = raw if raw.ndim == 2 else raw[:, 0]
-            z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
-            yield _frames(times[first:last], z)
+        raw = self._data[first:last]
+        return np.asarray(raw[:, None] if raw.ndim == 2 else raw[:, :1])
 
 
 def _a111_times(path: Path, count: int, set_hz: float | None, recorded_s: Floats) -> tuple[Floats, str]:
     """Times (count,) from 0 on, s, and where they are from."""
     is_clock = recorded_s.shape == (count,) and count > 1 and bool(np.all(np.diff(recorded_s) > 0.0))
     recorded_hz = (count - 1) / float(recorded_s[-1] - recorded_s[0]) if is_clock else None
-    if set_hz and (recorded_hz is None or abs(recorded_hz / set_hz - 1.0) < _RATE_TOLERANCE):
+    if set_hz and (recorded_hz is None or abs(recorded_hz / set_hz - 1.0) < RATE_TOLERANCE):
         return np.arange(count) / float(set_hz), f"times by the update rate of {set_hz:g} Hz"
     if recorded_hz is None:
         raise DataError(

@@ -12,14 +12,13 @@ from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.iq_order import MIN_DB, decide_order, swapped, weigh_orders
-from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
-from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products, whole_channels
+from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack
+from midspan.radar.range_profile import averaged, range_profile, slow_time, whole_channels
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
-FRAMES_AT_A_TIME = 256
 PROBED_FRAMES = 64
 # Zeros after the last frame are looked at up to this many bytes.
 MOST_PADDING = 1 << 24
@@ -37,7 +36,7 @@ _GROUP = 4
 class RawCapture(RadarSource):
     """Frames of a `.bin`; what was lost is told by `valid`, never taken for data."""
 
-    file_kind = "raw ADC data"
+    file_kind, at_a_time = "raw ADC data", 256
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
@@ -112,9 +111,8 @@ class RawCapture(RadarSource):
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """Only the wanted bins, straight from the stored words."""
         times, profile = self.times_ns(), self._layout.profile
-        weights = word_weights(bin_kernel(np.asarray(bins, dtype=np.float64), profile), self._layout)
         for first, words, valid in self._blocks(start, stop):
-            block = averaged(weighted_products(words, self._layout, weights), profile)
+            block = slow_time(words, self._layout, bins)
             yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, profile))
 
     def words(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
@@ -126,8 +124,8 @@ class RawCapture(RadarSource):
         """First frame, words and valid (frames, chirps, receivers) of each block."""
         size = self._layout.frame_bytes
         begin, end, _ = slice(start, stop).indices(self._count)
-        for first in range(begin, end, FRAMES_AT_A_TIME):
-            count = min(FRAMES_AT_A_TIME, end - first)
+        for first in range(begin, end, self.at_a_time):
+            count = min(self.at_a_time, end - first)
             words, holes = self._read(first * size, count * size)
             valid = ~holes
             self._missing += int(np.count_nonzero(~valid.all(axis=(1, 2))))

@@ -37,11 +37,13 @@ class RadarRequest:
 class RadarSource(ABC):
     """Frames in the order of time, in blocks; never a whole recording in memory.
 
-    A subclass reads in `_profiles`; damage that shows there is one DataError, see `reading`.
+    A subclass reads in `_phasors`, or in `_profiles`; damage that shows there is one DataError, see `reading`.
     """
 
     # What messages call the file.
     file_kind: str
+    # Frames that are read together.
+    at_a_time = 512
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         self._path, self._request = path, request
@@ -75,8 +77,20 @@ class RadarSource(ABC):
         with reading(self._path, self.file_kind):
             yield from items
 
-    @abstractmethod
-    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
+    def _phasors(self, first: int, last: int) -> NDArray[np.complexfloating]:
+        """Phasors (frames, channels, bins) of the frames first … last-1; what cannot be one is a missing one."""
+        raise NotImplementedError
+
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
+        times = self.times_ns()
+        begin, end, _ = slice(start, stop).indices(len(times))
+        for first in range(begin, end, self.at_a_time):
+            last = min(first + self.at_a_time, end)
+            # What does not fit into single precision is a frame that is missing.
+            with np.errstate(invalid="ignore", over="ignore"):
+                z = np.asarray(self._phasors(first, last), dtype=np.complex64)
+            z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
+            yield RangeFrames(times[first:last], z, np.asarray(np.isfinite(z).all(axis=2)))
 
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         for block in self._profiles(start, stop):

@@ -1,6 +1,5 @@
 """Slow-time I/Q: one phasor a frame for each channel and range bin, as long monitoring stores it (HDF5, NPY)."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,12 @@ from numpy.typing import NDArray
 from midspan.checks import CARRIER_HZ, RATE_HZ
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, RadarInfo, profile_from_json
-from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames
+from midspan.records import NANOSECONDS, Floats, Nanoseconds
 from midspan.sources.boundary import reading, require_memory
 from midspan.sources.hdf5_members import dataset, open_hdf5, values
-from midspan.sources.radar.radar_source import MAX_PHASOR, RadarRequest, RadarSource, stamps
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
-FRAMES_AT_A_TIME = 4096
 _NAMES = ("iq", "slow_time", "frame", "z")
 
 
@@ -29,7 +27,7 @@ class SlowTimeFile(RadarSource):
     in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
     """
 
-    file_kind = "slow-time I/Q"
+    file_kind, at_a_time = "slow-time I/Q", 4096
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
@@ -42,7 +40,7 @@ class SlowTimeFile(RadarSource):
             )
         self._shape = count, channels, bins = (*shape, 1, 1)[:3]
         # Times of all frames, and one block of phasors with its parts.
-        block_bytes = 8 * min(count, FRAMES_AT_A_TIME) * channels * bins
+        block_bytes = 8 * min(count, self.at_a_time) * channels * bins
         require_memory(path, 4 * 8 * count + 3 * block_bytes, "its I/Q")
         if settings is None:
             # The request gives of rate and carrier what does not stand with the samples.
@@ -90,23 +88,16 @@ class SlowTimeFile(RadarSource):
             return self._times_ns
         return stamps(self._path, self._times_s, self._request.start_s)
 
-    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
-        """All bins that are stored."""
-        times = self.times_ns()
-        begin, end, _ = slice(start, stop).indices(self._shape[0])
-        for first in range(begin, end, FRAMES_AT_A_TIME):
-            last = min(first + FRAMES_AT_A_TIME, end)
-            z = np.asarray(self._read(first, last), dtype=np.complex64).reshape(last - first, *self._shape[1:])
-            z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
-            yield RangeFrames(times[first:last], z, np.asarray(np.isfinite(z).all(axis=2)))
+    def _phasors(self, first: int, last: int) -> NDArray[np.complexfloating]:
+        z: NDArray[np.complexfloating] = np.asarray(self._read(first, last))
+        return z.reshape(last - first, *self._shape[1:])
 
     def _refuse_nothing(self) -> None:
         """DataError where no frame holds anything but zeros or NaN, or all hold the same."""
         count = self._shape[0]
-        first: NDArray[np.complex64] | None = None
-        for begin in range(0, count, FRAMES_AT_A_TIME):
-            z = np.asarray(self._read(begin, min(begin + FRAMES_AT_A_TIME, count)), dtype=np.complex64)
-            z = z.reshape(len(z), -1)
+        first: NDArray[np.complexfloating] | None = None
+        for begin in range(0, count, self.at_a_time):
+            z = self._phasors(begin, min(begin + self.at_a_time, count)).reshape(-1, self._shape[1] * self._shape[2])
             z = z[np.isfinite(z).all(axis=1)]
             first = z[0] if first is None and len(z) else first
             if first is not None and (z != first).any():

@@ -9,6 +9,7 @@ import importlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,7 +21,6 @@ from midspan.thermal.radiometry import Air, OpticalPath, Planck
 
 _MAGIC = b"FFF\0"
 _HEADER_BYTES, _ENTRY_BYTES = 64, 32
-_RAW, _CAMERA = 0x01, 0x20
 _RAW_HEADER_BYTES = 32
 _MAX_VERSION = 200  # a little-endian version above this is a big-endian one
 _MAX_RECORDS = 1024
@@ -38,6 +38,13 @@ _PART_HEAD_BYTES = 8  # the name, a version, the number of the part, the number 
 _MIN_DJI_COUNT_BYTES = 2 * 160 * 120
 
 Bytes = bytes | memoryview
+
+
+class RecordKind(IntEnum):
+    """What a record of a block holds, of those that are read."""
+
+    RAW = 0x01
+    CAMERA = 0x20
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +151,7 @@ def _order(data: Bytes, offset: int) -> str:
 
 def camera_info(data: Bytes, block: Block) -> CameraInfo:
     """The camera's record of a block; DataError where it is missing or its calibration cannot be right."""
-    record = block.record(_CAMERA)
+    record = block.record(RecordKind.CAMERA)
     if record is None or record.length < _CAMERA_BYTES or record.offset + _CAMERA_BYTES > len(data):
         raise DataError("has no record of the camera's calibration; export it with its radiometric data")
     o = _order(data, record.offset)
@@ -175,7 +182,7 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
 
 def frame_size(data: Bytes, block: Block) -> tuple[int, int]:
     """Width and height in px of a block's raw image; DataError where it has none."""
-    record = block.record(_RAW)
+    record = block.record(RecordKind.RAW)
     if record is None or record.length <= _RAW_HEADER_BYTES:
         raise DataError("has no record of raw counts; it may hold a picture only")
     width, height = struct.unpack_from(f"{_order(data, record.offset)}HH", data, record.offset + 2)
@@ -188,7 +195,7 @@ def counts(data: Bytes, block: Block) -> NDArray[np.uint16]:
     Raises DataError for an image that is cut off or packed in an unknown way, UsageError without a JPEG-LS decoder.
     """
     width, height = frame_size(data, block)
-    record = block.record(_RAW)
+    record = block.record(RecordKind.RAW)
     assert record is not None
     begin = record.offset + _RAW_HEADER_BYTES
     packed = bytes(data[begin : record.offset + record.length])
@@ -261,7 +268,7 @@ def is_flir_jpeg(file: Path) -> bool:
             first = next(_parts(data), None)
             head = data.read(first[2]) if first else b""
         block = _block(head, 0) if head.startswith(_MAGIC) else None
-        return block is not None and block.record(_RAW) is not None
+        return block is not None and block.record(RecordKind.RAW) is not None
     except (OSError, struct.error):
         return False
 

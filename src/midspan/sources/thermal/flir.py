@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError, UsageError
 from midspan.records import Nanoseconds
 from midspan.sources.boundary import mapped
-from midspan.sources.camera.frames import StoredFrames, file_times, grid
+from midspan.sources.camera.frames import StoredFrames, file_times, grid, named
 from midspan.sources.thermal.fff import (
     Block,
     CameraInfo,
@@ -143,8 +143,9 @@ class FlirFrames(StoredFrames):
         # The few frames are left out whose stamp does not fit between those around it.
         wrong = wrong_stamps(stamps)
         if len(wrong):
-            named = ", ".join(str(k) for k in wrong[:3]) + (" …" if len(wrong) > 3 else "")
-            self._damage.append(f"{len(wrong)} frames ({named}) have stamps out of order and were passed over")
+            self._damage.append(
+                f"{len(wrong)} frames ({named(wrong.tolist())}) have stamps out of order and were passed over"
+            )
             self._places = [place for k, place in enumerate(self._places) if k not in set(wrong.tolist())]
             stamps = np.delete(stamps, wrong)
         if stamps[0] > 0 and np.all(stamps[1:] > stamps[:-1]):

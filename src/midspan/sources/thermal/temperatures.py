@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from midspan.checks import positive, refuse
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
-from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, passed_over
+from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, named, passed_over
 from midspan.thermal.dead_pixels import filled, stuck_pixels
 from midspan.thermal.radiometry import ICE_K
 from midspan.vision.frame_source import FrameInfo, FrameSource
@@ -40,7 +40,6 @@ AGC_NOTE = (
 # Frames spread over the file that tell which pixels are stuck, and the memory they may take.
 _LOOKED_AT = 32
 _MAX_BYTES = 200_000_000
-_MAX_NAMED = 3
 
 Quartiles = tuple[float, float, float]
 
@@ -186,9 +185,13 @@ class ThermalPictures(FrameSource):
                 f"would mean {kelvin:.4g} K, and {OUTDOOR_K[0]:g} to {OUTDOOR_K[1]:g} K are expected. Split the "
                 "sequence where the camera's range changed."
             )
-        # In double precision: a count of 0.01 K is below float32's steps at 30 000 counts after a product with 0.01.
-        celsius = pixels.astype(np.float64) * kelvin_per_count + (zero_k - 273.15)
-        return checked_celsius(celsius, name)
+        return checked_celsius(celsius_of(pixels, kelvin_per_count, zero_k), name)
+
+
+def celsius_of(counts: NDArray[np.generic], kelvin_per_count: float, zero_k: float) -> Floats32:
+    """Temperatures in °C of counts (rows, columns)."""
+    # In double precision: a count of 0.01 K is below float32's steps at 30 000 counts after a product with 0.01.
+    return (counts.astype(np.float64) * kelvin_per_count + (zero_k - ICE_K)).astype(np.float32)
 
 
 def _quartiles(values: NDArray[Any]) -> Quartiles | None:
@@ -282,9 +285,8 @@ class RepairedFrames(FrameSource):
         stuck = self.__dict__.get("_stuck")
         if stuck is not None and stuck.any():
             places = np.argwhere(stuck)
-            named = ", ".join(f"({x}, {y})" for y, x in places[:_MAX_NAMED])
-            more = f" and {len(places) - _MAX_NAMED} more" if len(places) > _MAX_NAMED else ""
-            told.append(f"{len(places)} stuck pixels, at (x, y) = {named}{more}, are filled from their neighbours")
+            where = named([f"({x}, {y})" for y, x in places])
+            told.append(f"{len(places)} stuck pixels, at (x, y) = {where}, are filled from their neighbours")
         if self._holes:
             told.append(
                 f"{len(self._holes)} frames have missing values (NaN), at most {max(self._holes.values())} a frame, "
