@@ -4,9 +4,7 @@ After the paper on hybrid phase and feature matching, equations 4 and 14 to 19. 
 moves the region; the mean phase of the active pixels measures what is left. Before anything has been learnt, active
 pixels are those of large amplitude and the gain comes from the slope of the reference's own phase.
 
-With `literal` the phase tracker is the paper's section 2 (the region stays where it is, equations 3 and 4), the hybrid
-its section 3: one axis alone, all active pixels alike, nothing taken back. Until they have learnt from the
-accelerometer both give what the matcher finds, which is step 1 of the paper's calibration.
+With `literal` both are those of `midspan.papers.printed.phase`.
 """
 
 import math
@@ -20,7 +18,7 @@ from numpy.typing import NDArray
 from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
-from midspan.records import NANOSECONDS, Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.phase_model import (
     INSET_PX,
@@ -38,14 +36,13 @@ from midspan.vision.phase_model import (
     target_of,
     whole_region,
 )
-from midspan.vision.printed_phase import PrintedRule, printed_model
 from midspan.vision.region import SMALLEST_SIDE_PX, check_size
 from midspan.vision.steerable import AXES, quadrature
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
-from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_settings
+from midspan.vision.tracker import TRACKERS, Tracker, open_tracker
 
-MOST_LEARNT_FRAMES, PRINTED_FRAMES = 240, 500  # printed: 50 s at 10 frames a second
+MAX_LEARNING_FRAMES = 240
 MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 
@@ -54,7 +51,7 @@ CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 class PhaseSettings:
     """Settings of the phase and hybrid trackers.
 
-    literal: exactly the published steps, see above; least_information, weighted and min_coherence are then not used.
+    literal: exactly the published steps; least_information, weighted and min_coherence are then not used.
     form: "gain" (mean phase times the phase scale factor) or "gradient" (the conventional mean of phase by slope).
     min_slope_rad_px: only with "gradient", slope below which a pixel does not count, 0 rad/px or more; left out: 0.1,
     with literal 0: equation 3 has no such limit. More drops pixels whose noise the division raises.
@@ -108,9 +105,9 @@ class PhaseSettings:
         return 0.0 if self.literal else SMALLEST_SLOPE
 
     @property
-    def needs_motion(self) -> bool:
-        """Whether it must have learnt before it measures as printed; the conventional forms need not."""
-        return self.literal and (self.form == "gain" or self.active_pixels == "correlation")
+    def as_printed(self) -> bool:
+        """Whether the tracker is the paper's."""
+        return self.literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +138,7 @@ class PhaseTracker(Tracker):
     """
 
     _state: PhaseState
+    _max_learning_frames = MAX_LEARNING_FRAMES
 
     def __init__(self, reference: Frame, region: Region, settings: PhaseSettings) -> None:
         super().__init__(reference, region)
@@ -161,9 +159,7 @@ class PhaseTracker(Tracker):
         noise = max(f.noise_share for f in self._fields)
         self._least_coherence = max(settings.min_coherence * (1.0 - noise), CHANCE_COHERENCE)
         everywhere = settings.active_pixels == "all"
-        self._first = first_model(
-            self._fields, weighted=settings.weighted and not settings.literal, everywhere=everywhere
-        )
+        self._first = first_model(self._fields, weighted=settings.weighted, everywhere=everywhere)
         self._measured_with: tuple[PhaseModel, _core.PhaseTarget] | None = None
         self._state = PhaseState(matcher=self._matcher.state)
 
@@ -192,8 +188,6 @@ class PhaseTracker(Tracker):
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         self._check_size(frame)
-        if self.settings.needs_motion and self._state.model is None:
-            return self._by_matcher(frame, prediction)
         fix = self._find(frame, prediction)
         if fix is None:
             self._state = self._state.missed()
@@ -206,15 +200,9 @@ class PhaseTracker(Tracker):
 
     @property
     def frames_to_learn(self) -> int:
-        """How many frames are worth learning from: 240, literal 500, fewer for large regions."""
+        """How many frames are worth learning from: 240, fewer for large regions."""
         values_of_frame = 2 * self._window.width * self._window.height
-        most = PRINTED_FRAMES if self.settings.literal else MOST_LEARNT_FRAMES
-        return min(most, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
-
-    @property
-    def learns_by_acceleration(self) -> bool:
-        """Whether it is to be taught with the accelerometer's translation."""
-        return self.settings.needs_motion
+        return min(self._max_learning_frames, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
 
     def learn(
         self,
@@ -227,18 +215,14 @@ class PhaseTracker(Tracker):
         """Choose active pixels and learn the gains from frames in which the target moves.
 
         `translation_px` (n,) px along the image axis `direction`, from any zero and without drift (say from the
-        accelerometer); without it, and for the other axis, the matcher's own translations. `band_hz`: of the
-        comparison, with literal; else it is ignored. An axis that hardly moves keeps what is known from the reference.
+        accelerometer); without it, and for the other axis, the matcher's own translations. `band_hz` is ignored. An
+        axis that hardly moves keeps what is known from the reference.
         Returns the model now in use. Raises DataError with too few frames.
         """
-        option("direction", direction, AXES)
-        if translation_px is not None and len(translation_px) != len(frames):
-            raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
-        if self.settings.literal:
-            return self._learn_printed(frames, translation_px, direction, band_hz)
+        axis = check_learning(frames, translation_px, direction)
         step = max(1, math.ceil(len(frames) / self.frames_to_learn))
         given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[::step]
-        learning = self._observe(frames[::step], given, AXES.index(direction))
+        learning = self._observe(frames[::step], given, axis)
         if self.settings.active_pixels != "amplitude":
             model = learnt_model(
                 self._fields,
@@ -248,22 +232,6 @@ class PhaseTracker(Tracker):
                 least_information=1.0 if self.settings.active_pixels == "all" else self.settings.least_information,
             )
             self._state = replace(self._state, model=model)
-        return self.model
-
-    def _learn_printed(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None,
-        direction: str,
-        band_hz: tuple[float, float] | None,
-    ) -> PhaseModel:
-        """Step 3 of the calibration, from the first frames, evenly spaced but for those that the matcher loses."""
-        frames, axis = frames[: self.frames_to_learn], AXES.index(direction)
-        given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[: len(frames)]
-        rate_hz = NANOSECONDS / max(float(np.median(np.diff([frame.time_ns for frame in frames]))), 1.0)
-        rule = PrintedRule(self.settings.active_pixels, None if given is None else axis, band_hz, rate_hz)
-        learning = self._observe(frames, given, axis)
-        self._state = replace(self._state, model=printed_model(self._fields, self._first, learning, rule))
         return self.model
 
     def _observe(self, frames: Sequence[Frame], given: Floats | None, axis: int) -> Learning:
@@ -291,18 +259,8 @@ class PhaseTracker(Tracker):
             raise DataError(f"Learning needs at least 5 frames that show the target; received {len(residual)}.")
         return Learning((np.stack(phases[0]), np.stack(phases[1])), np.array(residual))
 
-    def _by_matcher(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation:
-        """The matcher's translation, until active pixels and gain are known."""
-        found = self._matcher.push(frame, prediction)
-        tracked = found.status is Status.TRACKING
-        state = self._state.seen(frame.time_ns, (found.x_px, found.y_px)) if tracked else self._state.missed()
-        self._state = replace(state, matcher=self._matcher.state)
-        return found
-
     def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
         """Phase about the expected place; a target that was lost before is looked for first."""
-        if self.settings.literal:
-            return self._by_phase(frame, (0, 0))
         place, _ = self._expected(prediction)
         if self._state.lost_frames > 0:
             return self._matched(frame, prediction)
@@ -322,28 +280,32 @@ class PhaseTracker(Tracker):
 
     def _matched(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
         """Equations 18 and 19: the matcher finds the whole-pixel place, phase measures the rest."""
-        if prediction is None and self._state.lost_frames == 0 and not self.settings.literal:
-            prediction = self._state.extrapolated(frame.time_ns)
-        found = self._matcher.push(frame, prediction)
+        found = self._matcher.push(frame, self._matcher_prediction(frame, prediction))
         self._state = replace(self._state, matcher=self._matcher.state, matched_frames=self._state.matched_frames + 1)
         if found.status is not Status.TRACKING:
             return None
         return self._by_phase(frame, (round(found.x_px), round(found.y_px)))
 
+    def _matcher_prediction(self, frame: Frame, prediction: Prediction | None) -> Prediction | None:
+        """Where the matcher looks: about the prediction, else about the extrapolated motion of a target just seen."""
+        if prediction is None and self._state.lost_frames == 0:
+            return self._state.extrapolated(frame.time_ns)
+        return prediction
+
     def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
         """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.
 
-        The linear gain holds for small residuals only. literal: `place` stays, and any agreement is enough.
+        The linear gain holds for small residuals only.
         """
         found = self._target.near_to(frame.pixels, *place)
         if found is None:
             return None
         x, y, right, down, variance_x, variance_y, coherence = found
-        if not self.settings.literal and coherence < self._least_coherence:
+        if coherence < self._least_coherence:
             return None
         if self.settings.form == "gradient":
             right, down = self._gradient_form(frame.pixels, (x, y)).tolist()
-            if self.settings.literal and not math.isfinite(right + down):
+            if not math.isfinite(right + down):
                 return None
         return PhaseFix((x + right, y + down), (variance_x, variance_y), coherence)
 
@@ -351,10 +313,11 @@ class PhaseTracker(Tracker):
     def _target(self) -> _core.PhaseTarget:
         """What measures frames with the model in use."""
         if self._measured_with is None or self._measured_with[0] is not self.model:
-            printed = self.settings.literal
-            target = target_of(self.model, self._window, self._offset, self.settings.spacing, printed=printed)
-            self._measured_with = self.model, target
+            self._measured_with = self.model, self._opened_target()
         return self._measured_with[1]
+
+    def _opened_target(self) -> _core.PhaseTarget:
+        return target_of(self.model, self._window, self._offset, self.settings.spacing)
 
     def _patch(self, pixels: NDArray[np.generic], place: tuple[int, int], margin: int) -> Floats32 | None:
         rows, columns = region_patch(self._window, *place, margin)
@@ -377,9 +340,7 @@ class PhaseTracker(Tracker):
         return np.array(out)
 
     def _open_matcher(self) -> Tracker:
-        name = self.settings.matched_by
-        printed = {"literal": True} if self.settings.literal and name == "features" else {}
-        return open_tracker(name, self._reference, self._region, tracker_settings(name, **printed))
+        return open_tracker(self.settings.matched_by, self._reference, self._region)
 
     def _check_size(self, frame: Frame) -> None:
         check_size(frame, self._reference)
@@ -402,6 +363,14 @@ class HybridTracker(PhaseTracker):
             if fix is not None:
                 return fix
         return self._matched(frame, prediction)
+
+
+def check_learning(frames: Sequence[Frame], translation_px: Floats | None, direction: str) -> int:
+    """Number of the image axis `direction`; UsageError unless each frame has a translation, or none has."""
+    option("direction", direction, AXES)
+    if translation_px is not None and len(translation_px) != len(frames):
+        raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
+    return AXES.index(direction)
 
 
 def _window(region: Region, columns: int, rows: int) -> Region:

@@ -281,17 +281,20 @@ def squares(shift: Floats) -> Floats:
 
 
 def target_of(
-    model: PhaseModel, window: Region, offset: float, spacing: float, *, printed: bool = False
+    model: PhaseModel,
+    window: Region,
+    offset: float,
+    spacing: float,
+    ratios: tuple[float, float] | None = None,
 ) -> _core.PhaseTarget:
     """What measures frames with this model: the pixels of `window` less `offset`, filtered with taps every `spacing`.
 
     Both axes are solved together, and active pixels whose phase contradicts the others (something stands before them)
     do not count in a frame, unless they are the majority.
-    printed: each axis alone, the ratio times the mean phase of all active pixels (equations 4 and 17); the variance is
-    then not the paper's, but what one frame's noise makes of it.
+    ratios: translation by mean phase along x and y, px/rad: each axis is then measured alone, by the mean phase of all
+    active pixels (equations 4 and 17), with the variance that one frame's noise makes of it.
     """
     place = (window.x, window.y, window.width, window.height)
-    ratios = model.gains_px_per_rad if printed else None
     return _core.PhaseTarget(place, offset, taps_of(spacing), model.axes, ratios)
 
 

@@ -7,7 +7,6 @@ Frame and template are filtered alike by a low-pass that keeps noise and aliasin
 pulling the peak to whole or half pixels. The whole-pixel peak is found on the ZNCC of every position in the search
 window. Around it the template's quintic spline is moved over the frame's window: the numerator of ZNCC is then itself
 a quintic spline of the shift, the template's energy a known function of it, and Newton's method climbs the surface.
-With `literal` the tracker is that of `midspan.vision.printed_template` instead.
 """
 
 import math
@@ -22,7 +21,6 @@ from midspan.checks import refuse
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alternatives, identified
 from midspan.vision.matching import Matching, make_template
-from midspan.vision.printed_template import match_printed, printed_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, coarse_positions, coarse_span
 from midspan.vision.target import FULL_QUALITY, LONGEST_DISTANCE_PX, Motion, lost
@@ -38,7 +36,7 @@ CLEARLY_BETTER = 0.02  # difference of correlation
 class TemplateSettings:
     """Settings of the template tracker.
 
-    literal: exactly the published steps, see `midspan.vision.printed_template`; smoothing_px and min_correlation are
+    literal: exactly the published steps, see `midspan.papers.printed.template`; smoothing_px and min_correlation are
     then not used, and search_px counts from the target's place in the first frame.
     smoothing_px: Gaussian smoothing of frame and template on top of the low-pass at the Nyquist frequency, 0 to 3 px;
     more suits aliased texture, less keeps fine texture.
@@ -63,6 +61,11 @@ class TemplateSettings:
         if not 0.0 <= self.bias_floor_px < math.inf:
             raise refuse("bias_floor_px", "0 px or more", self.bias_floor_px)
 
+    @property
+    def as_printed(self) -> bool:
+        """Whether the tracker is the paper's."""
+        return self.literal
+
 
 @dataclass(frozen=True, slots=True)
 class TemplateState(Motion):
@@ -82,8 +85,6 @@ class TemplateTracker(Tracker):
         self.template = make_template(
             reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
         )
-        offset = self.template.offset
-        self._printed = printed_template(reference.pixels, region, offset) if settings.literal else None
         self._state = TemplateState(correlation=self.template.expected_correlation)
 
     @property
@@ -94,9 +95,6 @@ class TemplateTracker(Tracker):
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self._reference)
-        if self._printed is not None:
-            own = self.settings
-            return self._seen(frame, match_printed(frame.pixels, self._printed, own.search_px))
         fix = self._find(frame, prediction)
         if fix is None:
             return self._seen(frame, None)

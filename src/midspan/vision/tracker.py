@@ -118,12 +118,16 @@ class Tracker(ABC):
 
 @dataclass(frozen=True, slots=True)
 class TrackerEntry:
-    """One row of the table: the module, its tracker and settings classes, and when to use it."""
+    """One row of the table: the module, its tracker and settings classes, and when to use it.
+
+    printed: "module:name", in the room of the papers, of what opens the tracker where its settings say `as_printed`.
+    """
 
     module: str
     tracker: str
     settings: str
     use: str
+    printed: str = ""
 
 
 TRACKERS: dict[str, TrackerEntry] = {
@@ -132,12 +136,14 @@ TRACKERS: dict[str, TrackerEntry] = {
         tracker="TemplateTracker",
         settings="TemplateSettings",
         use="a textured target that keeps its appearance: correlation with the first frame, simple and exact",
+        printed="midspan.papers.printed.template:PrintedTemplateTracker",
     ),
     "features": TrackerEntry(
         module="midspan.vision.features",
         tracker="FeatureTracker",
         settings="FeatureSettings",
         use="a target that is partly hidden or in uneven light: matched features, mismatches rejected; slower, coarser",
+        printed="midspan.papers.printed.features:printed_features",
     ),
     "registration": TrackerEntry(
         module="midspan.vision.registration",
@@ -150,12 +156,14 @@ TRACKERS: dict[str, TrackerEntry] = {
         tracker="PhaseTracker",
         settings="PhaseSettings",
         use="small motion, or a good prediction: the local phase alone, without a search",
+        printed="midspan.papers.printed.phase:PrintedPhaseTracker",
     ),
     "hybrid": TrackerEntry(
         module="midspan.vision.hybrid",
         tracker="HybridTracker",
         settings="PhaseSettings",
         use="changing light and things in front of the target: local phase, after a search where it could wrap",
+        printed="midspan.papers.printed.phase:PrintedHybridTracker",
     ),
 }
 
@@ -209,7 +217,11 @@ def open_tracker(name: str, reference: Frame, region: Region | Sequence[int], se
     known = getattr(importlib.import_module(entry.module), entry.settings)
     if settings is not None and not isinstance(settings, known):
         raise refuse("settings", f"a {entry.settings} for the tracker {name!r}", type(settings).__name__)
-    tracker: Tracker = tracker_class(name)(reference, region, settings or known())
+    opener = tracker_class(name)
+    if getattr(settings, "as_printed", False):
+        module, printed = entry.printed.split(":")
+        opener = getattr(importlib.import_module(module), printed)
+    tracker: Tracker = opener(reference, region, settings or known())
     return tracker
 
 

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan._core import Fix
-from midspan.records import Floats, Region
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region
 from midspan.vision.matching import without_values
+from midspan.vision.region import check_size
 from midspan.vision.search import Span, cut, zncc_matrix
+from midspan.vision.template import TemplateSettings, TemplateTracker
 
 # The spline is laid through the entries within this of the largest: one farther away counts by 0.268 to that power.
 SPLINE_PX = 20
@@ -35,6 +37,19 @@ class PrintedTemplate:
     pixels: Floats
     offset: float
     information: Floats
+
+
+class PrintedTemplateTracker(TemplateTracker):
+    """The template tracker that takes each frame alone; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    def __init__(self, reference: Frame, region: Region, settings: TemplateSettings) -> None:
+        super().__init__(reference, region, settings)
+        self._printed = printed_template(reference.pixels, region, self.template.offset)
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px) of the target in `frame`; LOST with NaN without a maximum."""
+        check_size(frame, self.reference)
+        return self._seen(frame, match_printed(frame.pixels, self._printed, self.settings.search_px))
 
 
 def printed_template(image: NDArray[np.generic], region: Region, offset: float) -> PrintedTemplate:
