@@ -23,7 +23,7 @@ from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints
 from midspan.vision.region import check_size, shift
 from midspan.vision.rejection import near_median, rejection_two, repeated_rejection_one
 from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_span
-from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, lost
+from midspan.vision.target import MAX_DISTANCE_PX, Motion, lost
 from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import check_texture, full_scale, noise_std, values
 from midspan.vision.tracker import Tracker
@@ -33,9 +33,9 @@ TECHNIQUES = {
     "existing": "fixed region, pre-purification, ratio test and RANSAC",
 }
 MARGIN_PX = 12  # image around the region that the features at its edge are described by
-LEAST_MATCHES = 3
-LEAST_FEATURES = 6
-LARGEST_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
+MIN_MATCHES = 3
+MIN_FEATURES = 2 * MIN_MATCHES
+MAX_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
 AGREEMENT_PX = 1.0
 WIDE_SHARE = 0.25  # a prediction no better than this share of the region's side needs a search
 
@@ -93,9 +93,9 @@ _RANGES = (
     ("threshold", 0.0, 1.0, "from 0 to 1"),
     ("octaves", 1, 4, "from 1 to 4"),
     ("epsilon_px", 1e-3, 5.0, "from 0.001 to 5 px"),
-    ("search_px", 3.0, LONGEST_DISTANCE_PX, "3 px or more"),
+    ("search_px", 3.0, MAX_DISTANCE_PX, "3 px or more"),
     ("seed", 0, 2**63, "0 or more"),
-    ("max_displacement_px", 1e-3, LONGEST_DISTANCE_PX, "above 0 px"),
+    ("max_displacement_px", 1e-3, MAX_DISTANCE_PX, "above 0 px"),
     ("ratio", 1e-3, 1.0, "above 0, up to 1"),
     ("ransac_px", 1e-3, 100.0, "above 0, up to 100 px"),
     ("bias_floor_px", 0.0, 10.0, "from 0 to 10 px"),
@@ -118,7 +118,7 @@ class FeatureTracker(Tracker):
     _state: Motion
     # Ratio of the nearest to the second nearest descriptor that a match may have; None: any.
     _ratio: float | None = None
-    _max_spread_px = LARGEST_SPREAD_PX
+    _max_spread_px = MAX_SPREAD_PX
 
     def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
         self.settings = settings
@@ -139,7 +139,7 @@ class FeatureTracker(Tracker):
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN when fewer than three matches agree."""
-        check_size(frame, self._reference)
+        check_size(frame, self.reference)
         if prediction is not None and not math.isfinite(prediction.x_px + prediction.y_px):
             prediction = None
         found = self._find(frame, prediction)
@@ -157,7 +157,7 @@ class FeatureTracker(Tracker):
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
         """Match where the target is expected; without success and a sharp prediction, where the picture looks alike."""
-        expected = shift(self._region, *self._state.expected(frame.time_ns, prediction))
+        expected = shift(self.region, *self._state.expected(frame.time_ns, prediction))
         found = self._match(frame, expected, prediction)
         if found is not None:
             return found
@@ -171,7 +171,7 @@ class FeatureTracker(Tracker):
     def _template_tracker(self) -> TemplateTracker | None:
         """What tells the target from places that look like it; None without room for it."""
         with suppress(MidspanError):
-            return TemplateTracker(self._reference, self._region, TemplateSettings())
+            return TemplateTracker(self.reference, self.region, TemplateSettings())
         return None
 
     def _identified(self, frame: Frame, found: Matched, prediction: Prediction | None) -> Matched | None:
@@ -181,15 +181,15 @@ class FeatureTracker(Tracker):
         place = self._template_tracker.identified(frame, found.translation, prediction, self._state)
         if place is None or place is found.translation:
             return None if place is None else found
-        return self._match(frame, shift(self._region, float(place[0]), float(place[1])), None)
+        return self._match(frame, shift(self.region, float(place[0]), float(place[1])), None)
 
     def _reach(self, prediction: Prediction | None) -> float:
         """How far (px) from the expected place to search; 0 when the prediction is sharp."""
         if prediction is None:
-            return self.settings.search_px if self._state.lost_frames == 0 else LONGEST_DISTANCE_PX
+            return self.settings.search_px if self._state.lost_frames == 0 else MAX_DISTANCE_PX
         reach = 3.0 * max(prediction.std_x_px, prediction.std_y_px)
-        wide = WIDE_SHARE * min(self._region.width, self._region.height)
-        return min(reach, LONGEST_DISTANCE_PX) if reach > wide else 0.0
+        wide = WIDE_SHARE * min(self.region.width, self.region.height)
+        return min(reach, MAX_DISTANCE_PX) if reach > wide else 0.0
 
     def _alike(self, image: NDArray[np.generic], expected: Region, reach: float) -> list[Region]:
         """Up to three regions within `reach` px of the expected one whose decimated picture correlates best."""
@@ -205,13 +205,13 @@ class FeatureTracker(Tracker):
 
     def _reference_features(self) -> Keypoints:
         """The strongest features inside the region; UsageError when there are too few to match."""
-        region = self._region
-        found = self._detect(self._reference.pixels, region)
+        region = self.region
+        found = self._detect(self.reference.pixels, region)
         low, high = np.array([region.x, region.y]), np.array([region.x + region.width, region.y + region.height])
         inside = found.part(np.flatnonzero(np.all((found.xy >= low) & (found.xy < high), axis=1)))
-        if len(inside) < LEAST_FEATURES:
+        if len(inside) < MIN_FEATURES:
             raise UsageError(
-                f"camera.roi must hold at least {LEAST_FEATURES} features of the detector "
+                f"camera.roi must hold at least {MIN_FEATURES} features of the detector "
                 f"{self.settings.detector!r}; {region} has {len(inside)}. Choose a larger or richer place, or the "
                 "tracker 'template'."
             )
@@ -226,7 +226,7 @@ class FeatureTracker(Tracker):
 
     def _most(self, place: tuple[int, int, int, int]) -> int:
         """How many features to keep of a part of the image."""
-        share = place[2] * place[3] / (self._region.width * self._region.height)
+        share = place[2] * place[3] / (self.region.width * self.region.height)
         return math.ceil(self.settings.max_features * max(share, 1.0))
 
     def _matches(self, image: NDArray[np.generic], region: Region) -> tuple[Floats, Floats] | None:
@@ -243,7 +243,7 @@ class FeatureTracker(Tracker):
     def _match(self, frame: Frame, region: Region, prediction: Prediction | None) -> Matched | None:
         """The good matches between the reference and `region` of the frame; None when they are too few or disagree."""
         matches = self._matches(frame.pixels, region)
-        if matches is None or len(matches[0]) < LEAST_MATCHES:
+        if matches is None or len(matches[0]) < MIN_MATCHES:
             return None
         then, here = matches
         rng = np.random.default_rng((self.settings.seed, frame.time_ns % 2**63))
@@ -284,14 +284,14 @@ def good_matches(
 
 
 def average(
-    good: Floats, matches: int, settings: FeatureSettings, max_spread_px: float = LARGEST_SPREAD_PX
+    good: Floats, matches: int, settings: FeatureSettings, max_spread_px: float = MAX_SPREAD_PX
 ) -> Matched | None:
     """Mean (equation 30) of the good translations (n, 2), px, out of so many matches, with the variance of the mean.
 
     None when fewer than three are good, or when they scatter by more than `max_spread_px`.
     """
     count = len(good)
-    if count < LEAST_MATCHES:
+    if count < MIN_MATCHES:
         return None
     scatter = np.sum((good - good.mean(axis=0)) ** 2, axis=0)
     spread = float(np.sqrt(np.max(scatter) / (count - 1)))

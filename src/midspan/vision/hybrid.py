@@ -13,37 +13,30 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
-from midspan.records import Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Floats32, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.phase_model import (
     INSET_PX,
-    SMALLEST_SLOPE,
     SPLIT_FRAMES,
     Learning,
     PhaseModel,
     first_model,
-    gradient_form,
     learnt_model,
-    phase_change,
-    phase_slopes,
     reference_field,
     region_patch,
     target_of,
     whole_region,
 )
-from midspan.vision.region import SMALLEST_SIDE_PX, check_size
-from midspan.vision.steerable import AXES, quadrature
+from midspan.vision.region import MIN_SIDE_PX, check_size
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
-from midspan.vision.tracker import TRACKERS, Tracker, open_tracker
+from midspan.vision.tracker import AXES, MAX_LEARNING_FRAMES, TRACKERS, AxisMotion, Tracker, open_tracker
 
-MAX_LEARNING_FRAMES = 240
-MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
+MAX_LEARNING_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 
 
@@ -98,16 +91,9 @@ class PhaseSettings:
         return self.matcher or ("features" if self.literal else "template")
 
     @property
-    def slope_floor_rad_px(self) -> float:
-        """The slope below which a pixel does not count in the form "gradient"."""
-        if self.min_slope_rad_px is not None:
-            return self.min_slope_rad_px
-        return 0.0 if self.literal else SMALLEST_SLOPE
-
-    @property
     def as_printed(self) -> bool:
-        """Whether the tracker is the paper's."""
-        return self.literal
+        """Whether the tracker is one of the paper's."""
+        return self.literal or self.form == "gradient"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,15 +105,6 @@ class PhaseState(Motion):
     matched_frames: int = 0
     matcher: Any = None
     model: PhaseModel | None = field(default=None, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseFix:
-    """A translation along x and y in px, its variances in px², and coherence 0 to 1."""
-
-    translation_px: tuple[float, float]
-    variance_px2: tuple[float, float]
-    coherence: float
 
 
 class PhaseTracker(Tracker):
@@ -192,37 +169,23 @@ class PhaseTracker(Tracker):
         if fix is None:
             self._state = self._state.missed()
             return lost(frame.time_ns)
-        x, y = fix.translation_px
-        self._state = self._state.seen(frame.time_ns, (x, y))
-        var_x, var_y = (variance + self.settings.bias_floor_px**2 for variance in fix.variance_px2)
-        strength = FULL_QUALITY * fix.coherence
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING, strength=strength)
+        self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px))
+        return fix
 
     @property
     def frames_to_learn(self) -> int:
         """How many frames are worth learning from: 240, fewer for large regions."""
         values_of_frame = 2 * self._window.width * self._window.height
-        return min(self._max_learning_frames, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
+        return min(self._max_learning_frames, max(MAX_LEARNING_VALUES // values_of_frame, SPLIT_FRAMES))
 
-    def learn(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None = None,
-        *,
-        direction: str = "y",
-        band_hz: tuple[float, float] | None = None,
-    ) -> PhaseModel:
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> PhaseModel:
         """Choose active pixels and learn the gains from frames in which the target moves.
 
-        `translation_px` (n,) px along the image axis `direction`, from any zero and without drift (say from the
-        accelerometer); without it, and for the other axis, the matcher's own translations. `band_hz` is ignored. An
-        axis that hardly moves keeps what is known from the reference.
-        Returns the model now in use. Raises DataError with too few frames.
+        Without `motion`, and along the other axis, by the matcher's own translations; its band is ignored. An axis that
+        hardly moves keeps what is known from the reference.
         """
-        axis = check_learning(frames, translation_px, direction)
         step = max(1, math.ceil(len(frames) / self.frames_to_learn))
-        given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[::step]
-        learning = self._observe(frames[::step], given, axis)
+        learning = self._observe(frames[::step], None if motion is None else motion.part(slice(None, None, step)))
         if self.settings.active_pixels != "amplitude":
             model = learnt_model(
                 self._fields,
@@ -234,7 +197,7 @@ class PhaseTracker(Tracker):
             self._state = replace(self._state, model=model)
         return self.model
 
-    def _observe(self, frames: Sequence[Frame], given: Floats | None, axis: int) -> Learning:
+    def _observe(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Learning:
         """Phases of all pixels and the residual motion, with the region moved by the matcher's whole pixels."""
         matcher = self._open_matcher()
         target = target_of(whole_region(self._fields), self._window, self._offset, self.settings.spacing)
@@ -243,15 +206,17 @@ class PhaseTracker(Tracker):
         for k, frame in enumerate(frames):
             self._check_size(frame)
             found = matcher.push(frame)
-            if found.status is not Status.TRACKING or (given is not None and not math.isfinite(given[k])):
+            if found.status is not Status.TRACKING:
                 continue
             place = (round(found.x_px), round(found.y_px))
             changes = target.changes(frame.pixels, *place)
             if changes is None:
                 continue
             moved = [found.x_px, found.y_px]
-            if given is not None:
-                moved[axis] = float(given[k])
+            if motion is not None:
+                moved[motion.axis] = float(motion.translation_px[k])
+                if not math.isfinite(moved[motion.axis]):
+                    continue
             residual.append([moved[0] - place[0], moved[1] - place[1]])
             for kept, change in zip(phases, changes, strict=True):
                 kept.append(change)
@@ -259,7 +224,7 @@ class PhaseTracker(Tracker):
             raise DataError(f"Learning needs at least 5 frames that show the target; received {len(residual)}.")
         return Learning((np.stack(phases[0]), np.stack(phases[1])), np.array(residual))
 
-    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Phase about the expected place; a target that was lost before is looked for first."""
         place, _ = self._expected(prediction)
         if self._state.lost_frames > 0:
@@ -278,7 +243,7 @@ class PhaseTracker(Tracker):
             return (round(prediction.x_px), round(prediction.y_px)), std
         return (round(self._state.x_px), round(self._state.y_px)), math.inf
 
-    def _matched(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _matched(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Equations 18 and 19: the matcher finds the whole-pixel place, phase measures the rest."""
         found = self._matcher.push(frame, self._matcher_prediction(frame, prediction))
         self._state = replace(self._state, matcher=self._matcher.state, matched_frames=self._state.matched_frames + 1)
@@ -292,7 +257,7 @@ class PhaseTracker(Tracker):
             return self._state.extrapolated(frame.time_ns)
         return prediction
 
-    def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
+    def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PixelTranslation | None:
         """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.
 
         The linear gain holds for small residuals only.
@@ -303,11 +268,17 @@ class PhaseTracker(Tracker):
         x, y, right, down, variance_x, variance_y, coherence = found
         if coherence < self._least_coherence:
             return None
-        if self.settings.form == "gradient":
-            right, down = self._gradient_form(frame.pixels, (x, y)).tolist()
-            if not math.isfinite(right + down):
-                return None
-        return PhaseFix((x + right, y + down), (variance_x, variance_y), coherence)
+        floor_px2 = self.settings.bias_floor_px**2
+        return PixelTranslation(
+            time_ns=frame.time_ns,
+            x_px=x + right,
+            y_px=y + down,
+            variance_x_px2=variance_x + floor_px2,
+            variance_y_px2=variance_y + floor_px2,
+            quality=coherence,
+            status=Status.TRACKING,
+            strength=FULL_QUALITY * coherence,
+        )
 
     @property
     def _target(self) -> _core.PhaseTarget:
@@ -319,31 +290,11 @@ class PhaseTracker(Tracker):
     def _opened_target(self) -> _core.PhaseTarget:
         return target_of(self.model, self._window, self._offset, self.settings.spacing)
 
-    def _patch(self, pixels: NDArray[np.generic], place: tuple[int, int], margin: int) -> Floats32 | None:
-        rows, columns = region_patch(self._window, *place, margin)
-        if rows.start < 0 or columns.start < 0 or rows.stop > pixels.shape[0] or columns.stop > pixels.shape[1]:
-            return None
-        return values(pixels[rows, columns], self._offset)
-
-    def _gradient_form(self, pixels: NDArray[np.generic], place: tuple[int, int]) -> Floats:
-        """Equation 3 along both axes, px."""
-        patch = self._patch(pixels, place, INSET_PX)
-        if patch is None:
-            return np.full(2, np.nan)
-        out = []
-        for k, axis in enumerate(self.model.axes):
-            now = quadrature(patch, AXES[k], self.settings.spacing)
-            slope = phase_slopes(now)[k].ravel()[axis.index]
-            inner = np.ascontiguousarray(now[1:-1, 1:-1])
-            change = phase_change((inner.real.copy(), inner.imag.copy()), axis.reference, axis.index)
-            out.append(gradient_form(change, slope, self.settings.slope_floor_rad_px))
-        return np.array(out)
-
     def _open_matcher(self) -> Tracker:
-        return open_tracker(self.settings.matched_by, self._reference, self._region)
+        return open_tracker(self.settings.matched_by, self.reference, self.region)
 
     def _check_size(self, frame: Frame) -> None:
-        check_size(frame, self._reference)
+        check_size(frame, self.reference)
 
 
 class HybridTracker(PhaseTracker):
@@ -355,7 +306,7 @@ class HybridTracker(PhaseTracker):
         gains, along = np.abs(self.phase_gain_px_per_rad), self.model.along
         return not 3.0 * std + 0.5 < math.pi * float(gains.min() if along is None else gains[along])
 
-    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Equations 14 to 19."""
         if self._state.lost_frames == 0 and not self.could_wrap(prediction):
             place, _ = self._expected(prediction)
@@ -365,21 +316,13 @@ class HybridTracker(PhaseTracker):
         return self._matched(frame, prediction)
 
 
-def check_learning(frames: Sequence[Frame], translation_px: Floats | None, direction: str) -> int:
-    """Number of the image axis `direction`; UsageError unless each frame has a translation, or none has."""
-    option("direction", direction, AXES)
-    if translation_px is not None and len(translation_px) != len(frames):
-        raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
-    return AXES.index(direction)
-
-
 def _window(region: Region, columns: int, rows: int) -> Region:
     """The region without what lies too near to the image's border for the filters."""
     x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
     x1, y1 = min(region.x + region.width, columns - INSET_PX), min(region.y + region.height, rows - INSET_PX)
-    if min(x1 - x0, y1 - y0) < SMALLEST_SIDE_PX:
+    if min(x1 - x0, y1 - y0) < MIN_SIDE_PX:
         raise UsageError(
-            f"camera.roi must keep at least {SMALLEST_SIDE_PX} px of width and height {INSET_PX} px away from the "
+            f"camera.roi must keep at least {MIN_SIDE_PX} px of width and height {INSET_PX} px away from the "
             f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
         )
     return Region(x0, y0, x1 - x0, y1 - y0)

@@ -23,7 +23,7 @@ from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alterna
 from midspan.vision.matching import Matching, make_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, coarse_positions, coarse_span
-from midspan.vision.target import FULL_QUALITY, LONGEST_DISTANCE_PX, Motion, lost
+from midspan.vision.target import FULL_QUALITY, MAX_DISTANCE_PX, Motion, lost
 from midspan.vision.tracker import Tracker
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
@@ -54,7 +54,7 @@ class TemplateSettings:
     def __post_init__(self) -> None:
         if not 0.0 <= self.smoothing_px <= 3.0:
             raise refuse("smoothing_px", "from 0 to 3 px", self.smoothing_px)
-        if not 3.0 <= self.search_px <= LONGEST_DISTANCE_PX:
+        if not 3.0 <= self.search_px <= MAX_DISTANCE_PX:
             raise refuse("search_px", "3 px or more", self.search_px)
         if not 0.0 < self.min_correlation < 1.0:
             raise refuse("min_correlation", "above 0 and below 1", self.min_correlation)
@@ -94,7 +94,7 @@ class TemplateTracker(Tracker):
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
-        check_size(frame, self._reference)
+        check_size(frame, self.reference)
         fix = self._find(frame, prediction)
         if fix is None:
             return self._seen(frame, None)
@@ -142,7 +142,7 @@ class TemplateTracker(Tracker):
         template = self.template
         least = max(MIN_LIKENESS * template.expected_correlation, template.threshold)
         return find_alternatives(
-            self._reference.pixels, template.window, template.pixels, offset=template.offset, least=least
+            self.reference.pixels, template.window, template.pixels, offset=template.offset, least=least
         )
 
     def identified(self, frame: Frame, found: Floats, prediction: Prediction | None, state: Motion) -> Floats | None:
@@ -179,7 +179,7 @@ class TemplateTracker(Tracker):
         missed = self._state.lost_frames
         if predicted and max(radius) <= DIRECT_RADIUS_PX and missed < PATIENCE_FRAMES:
             return 2.0 * DIRECT_RADIUS_PX
-        return max(self.settings.search_px, *radius) if missed == 0 else LONGEST_DISTANCE_PX
+        return max(self.settings.search_px, *radius) if missed == 0 else MAX_DISTANCE_PX
 
     def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[tuple[int, int], tuple[int, int]]:
         """Whole-pixel position of the window and the search radii: prediction ± (3 sigma + 2 px), at least 3 px."""
@@ -187,7 +187,7 @@ class TemplateTracker(Tracker):
         radii = [0, 0]
         if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
             sigmas = (prediction.std_x_px, prediction.std_y_px)
-            radii = [math.ceil(3.0 * s) + 2 if s < LONGEST_DISTANCE_PX else LONGEST_DISTANCE_PX for s in sigmas]
+            radii = [math.ceil(3.0 * s) + 2 if s < MAX_DISTANCE_PX else MAX_DISTANCE_PX for s in sigmas]
         x, y = self._state.expected(time_ns, prediction)
         return (window.x + round(x), window.y + round(y)), (max(radii[0], 3), max(radii[1], 3))
 
@@ -196,7 +196,7 @@ class TemplateTracker(Tracker):
 
     def _span(self) -> Span:
         """All positions where the window and the margin for smoothing lie inside the image."""
-        rows, columns = self._reference.pixels.shape
+        rows, columns = self.reference.pixels.shape
         window, margin = self.template.window, len(self.template.taps) // 2
         return Span(margin, columns - window.width - margin, margin, rows - window.height - margin)
 

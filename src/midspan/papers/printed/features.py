@@ -23,7 +23,7 @@ class PrintedFeatureTracker(FeatureTracker):
     _max_spread_px = math.inf
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
-        return self._match(frame, shift(self._region, *self._state.expected(frame.time_ns, prediction)), prediction)
+        return self._match(frame, shift(self.region, *self._state.expected(frame.time_ns, prediction)), prediction)
 
     def _identified(self, frame: Frame, found: Matched, prediction: Prediction | None) -> Matched | None:
         return found

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan._core import PhaseTarget
 from midspan.errors import DataError
@@ -23,16 +24,56 @@ from midspan.records import NANOSECONDS, Floats, Floats32, Frame, PixelTranslati
 from midspan.signals.band_pass import band_passed
 from midspan.signals.health import Mask
 from midspan.vision.active_pixels import Selection, by_amplitude, slope_and_r_squared
-from midspan.vision.hybrid import HybridTracker, PhaseFix, PhaseSettings, PhaseTracker, check_learning
-from midspan.vision.phase_model import Field, Learning, PhaseModel, target_of
-from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
+from midspan.vision.hybrid import HybridTracker, PhaseSettings, PhaseTracker
+from midspan.vision.phase_model import INSET_PX, Field, Learning, PhaseModel, phase_slopes, region_patch, target_of
+from midspan.vision.steerable import Complex64, quadrature
+from midspan.vision.texture import values
+from midspan.vision.tracker import AxisMotion, Tracker, open_tracker, tracker_settings
 
 MIN_FILTERED = 30  # frames, as the band-pass needs
 MAX_LEARNING_FRAMES = 500  # 50 s at 10 frames a second
+MIN_SLOPE_RAD_PX = 0.1  # below it equation 3 would divide by next to nothing
 TOGETHER = 512  # pixels whose mean phases are summed up in one array
 
 
-class _PrintedPhase(PhaseTracker):
+class _Conventional(PhaseTracker):
+    """The conventional form of phase trackers, "gradient", where the settings say so."""
+
+    def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PixelTranslation | None:
+        fix = super()._by_phase(frame, place)
+        near = None if self.settings.form == "gain" else self._target.near_to(frame.pixels, *place)
+        if fix is None or near is None:
+            return fix
+        x, y = near[:2]
+        right, down = self._gradient_px(frame.pixels, (x, y))
+        return replace(fix, x_px=x + right, y_px=y + down) if math.isfinite(right + down) else None
+
+    def _gradient_px(self, pixels: NDArray[np.generic], place: tuple[int, int]) -> tuple[float, float]:
+        """Equation 3 along both axes, px; NaN where the region leaves the image."""
+        settings = self.settings
+        rows, columns = region_patch(self._window, *place, INSET_PX)
+        outside = min(rows.start, columns.start) < 0 or rows.stop > pixels.shape[0] or columns.stop > pixels.shape[1]
+        patch = None if outside else values(pixels[rows, columns], self._offset)
+        if patch is None:
+            return math.nan, math.nan
+        min_slope = 0.0 if settings.literal else MIN_SLOPE_RAD_PX
+        if settings.min_slope_rad_px is not None:
+            min_slope = settings.min_slope_rad_px
+        both = []
+        for k, axis in enumerate(self.model.axes):
+            now = quadrature(patch, "xy"[k], settings.spacing)
+            slope = phase_slopes(now)[k].ravel()[axis.index]
+            inner = np.ascontiguousarray(now[1:-1, 1:-1])
+            change = phase_change((inner.real.copy(), inner.imag.copy()), axis.reference, axis.index)
+            both.append(gradient_form(change, slope, min_slope))
+        return both[0], both[1]
+
+
+class _ConventionalHybrid(_Conventional, HybridTracker):
+    """The hybrid with the conventional form."""
+
+
+class _PrintedPhase(_Conventional):
     """What both printed trackers do: they learn with the accelerometer, and measure one axis alone."""
 
     _max_learning_frames = MAX_LEARNING_FRAMES
@@ -59,24 +100,17 @@ class _PrintedPhase(PhaseTracker):
         self._state = replace(state, matcher=self._matcher.state)
         return translation
 
-    def learn(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None = None,
-        *,
-        direction: str = "y",
-        band_hz: tuple[float, float] | None = None,
-    ) -> PhaseModel:
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> PhaseModel:
         """Step 3 of the calibration, from the first frames, evenly spaced but for those that the matcher loses.
 
-        See `PhaseTracker.learn`; both sides are compared within `band_hz`.
+        Both sides are compared within the motion's band.
         """
-        axis = check_learning(frames, translation_px, direction)
         frames = frames[: self.frames_to_learn]
-        motion_px = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[: len(frames)]
+        motion = None if motion is None else motion.part(slice(len(frames)))
         rate_hz = NANOSECONDS / max(float(np.median(np.diff([frame.time_ns for frame in frames]))), 1.0)
-        rule = PrintedRule(self.settings.active_pixels, None if motion_px is None else axis, band_hz, rate_hz)
-        learning = self._observe(frames, motion_px, axis)
+        along, band_hz = (None, None) if motion is None else (motion.axis, motion.band_hz)
+        rule = PrintedRule(self.settings.active_pixels, along, band_hz, rate_hz)
+        learning = self._observe(frames, motion)
         self._state = replace(self._state, model=printed_model(self._fields, self._first, learning, rule))
         return self.model
 
@@ -96,12 +130,22 @@ class _PrintedPhase(PhaseTracker):
 class PrintedPhaseTracker(_PrintedPhase):
     """Local phase in a region that stays; see `midspan.vision.tracker.Tracker` for its interface."""
 
-    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         return self._by_phase(frame, (0, 0))
 
 
 class PrintedHybridTracker(_PrintedPhase, HybridTracker):
     """Phase where it cannot wrap, else matching first; see `midspan.vision.tracker.Tracker` for its interface."""
+
+
+def printed_phase(reference: Frame, region: Region, settings: PhaseSettings) -> PhaseTracker:
+    """The phase tracker with the paper's form, its steps guarded or exactly as printed."""
+    return (PrintedPhaseTracker if settings.literal else _Conventional)(reference, region, settings)
+
+
+def printed_hybrid(reference: Frame, region: Region, settings: PhaseSettings) -> HybridTracker:
+    """The hybrid tracker with the paper's form, its steps guarded or exactly as printed."""
+    return (PrintedHybridTracker if settings.literal else _ConventionalHybrid)(reference, region, settings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,3 +220,25 @@ def by_ratio(phase: Floats | Floats32, translation: Floats, active: Mask) -> Sel
     mean = phase[:, active].mean(axis=1, dtype=np.float64)
     dot, square = float(translation @ mean), float(mean @ mean)
     return Selection(active, dot / square, dot**2 / (square * float(translation @ translation)))
+
+
+def phase_change(now: tuple[Floats32, Floats32], reference: Complex64, index: NDArray[np.int64]) -> Floats32:
+    """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index`: (k,) rad.
+
+    `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π by itself;
+    a difference of two angles would not.
+    """
+    here = (now[0] + 1j * now[1]).ravel()[index]
+    return np.asarray(np.angle(here * np.conj(reference)), dtype=np.float32)
+
+
+def gradient_form(change: Floats32, slope: Floats, min_slope_rad_px: float = MIN_SLOPE_RAD_PX) -> float:
+    """Translation in px as the mean of -change / slope over the pixels (k,): equation 3 without its scale factor.
+
+    `change` in rad, `slope` of the current frame's phase along the axis in rad/px; pixels with next to no slope are
+    left out (below `min_slope_rad_px`; the equation has no such limit: 0). NaN without any.
+    """
+    steep = np.abs(slope) >= max(min_slope_rad_px, 1e-300)
+    if not steep.any():
+        return float("nan")
+    return float(np.mean(-change[steep].astype(np.float64) / slope[steep]))
