@@ -214,7 +214,7 @@ def test_a_frame_that_repeats_the_one_before_is_lost():
     for target, track in zip(chain.targets, tracks, strict=True):
         assert np.flatnonzero(track.status == Status.LOST).tolist() == [31, 32, 33, 34, 35]
         assert np.isnan(track.variance_y_px2[31:36]).all()
-        assert target.report.frozen_frames == 5
+        assert target.frozen_frames == 5
     assert np.abs(tracks[0].y_px[36:] - PATH[36:]).max() < 0.05
 
 
@@ -225,7 +225,7 @@ def test_in_the_dark_nothing_is_looked_for():
     rows = [chain.push(frame)[0] for frame in frames]
     assert [k for k, row in enumerate(rows) if row.unseen == "dark"] == list(range(40, 50))
     assert [k for k, row in enumerate(rows) if row.status is Status.LOST] == list(range(40, 50))
-    assert chain.targets[0].report.frozen_frames == 0
+    assert chain.targets[0].frozen_frames == 0
 
 
 def test_where_light_is_cut_off_or_the_focus_is_lost_frames_widen_from_then_on():

@@ -1,15 +1,16 @@
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from midspan.errors import DataError, UsageError
+from midspan.papers.printed.features import earlier_rules, printed_matches
 from midspan.records import Frame, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import textured_scene
-from midspan.vision.features import FeatureSettings, FeatureTracker, average, earlier_rules, good_matches
+from midspan.vision.features import FeatureSettings, FeatureTracker, average, good_matches
 from midspan.vision.keypoints import DETECTORS
+from midspan.vision.tracker import open_tracker
 
 SIZE = 200
 REGION = Region(60, 60, 80, 80)
@@ -36,7 +37,7 @@ def reference(picture):
 
 
 def tracker(reference, **settings):
-    return FeatureTracker(reference, REGION, FeatureSettings(**settings))
+    return open_tracker("features", reference, REGION, FeatureSettings(**settings))
 
 
 def error(found, dx, dy):
@@ -259,7 +260,7 @@ def test_the_mean_of_the_good_matches_is_equation_30_with_the_variance_of_a_mean
 def test_matches_that_scatter_more_than_a_rigid_target_are_none_unless_literal():
     apart = np.random.default_rng(0).normal(0, 5.0, (10, 2))
     assert average(apart, 10, FeatureSettings()) is None
-    assert average(apart, 10, FeatureSettings(literal=True)).good == 10
+    assert average(apart, 10, FeatureSettings(), math.inf).good == 10
 
 
 def test_the_order_of_the_rejections_matters_where_most_matches_are_equal_mismatches():
@@ -273,15 +274,7 @@ def test_the_order_of_the_rejections_matters_where_most_matches_are_equal_mismat
         guarded = good_matches(first, now, settings, prediction=prediction, rng=np.random.default_rng(seed))
         assert guarded.tolist() == list(range(30, 50))
     literal = [
-        len(
-            good_matches(
-                first,
-                now,
-                dataclasses.replace(settings, literal=True),
-                prediction=prediction,
-                rng=np.random.default_rng(seed),
-            )
-        )
+        len(printed_matches(first, now, settings, prediction=prediction, rng=np.random.default_rng(seed)))
         for seed in range(10)
     ]
     assert min(literal) < 10
@@ -302,7 +295,9 @@ def test_the_literal_steps_look_for_the_target_in_the_region_only(reference, pic
         image[60:140, 60:140] = 120.0
         return image
 
-    guarded, printed = (FeatureTracker(reference, region, FeatureSettings(literal=one)) for one in (False, True))
+    guarded, printed = (
+        open_tracker("features", reference, region, FeatureSettings(literal=one)) for one in (False, True)
+    )
     for _ in range(2):  # once lost, the guarded form looks everywhere
         found = guarded.push(picture(1, *moved, change=covered))
     assert error(found, *moved) < 0.1

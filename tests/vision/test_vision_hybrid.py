@@ -1,3 +1,4 @@
+import functools
 import math
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 from midspan.errors import DataError, UsageError
 from midspan.records import Prediction, Region, Status
 from midspan.vision.hybrid import HybridTracker, PhaseSettings, PhaseTracker
+from midspan.vision.tracker import open_tracker
 
 SIDE = 168
 REGION = Region(52, 52, 64, 64)
@@ -228,7 +230,7 @@ def test_a_restored_tracker_goes_on_alike(start, film, learning):
 def test_the_conventional_forms_measure_too_but_worse(start, film, learning, values):
     positions = motion(15, 3.0)
     frames = film(positions)
-    usual, compared = start(), start(**values)
+    usual, compared = start(), start(functools.partial(open_tracker, "hybrid"), **values)
     usual.learn(learning)
     compared.learn(learning)
     rms = [np.sqrt(np.mean((results(t, frames, positions, std=0.3)[0] - positions) ** 2)) for t in (usual, compared)]

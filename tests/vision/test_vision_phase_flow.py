@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from midspan.vision.phase_model import gradient_form, phase_change, phase_curvatures, phase_slopes
+from midspan.papers.printed.phase import gradient_form, phase_change
+from midspan.vision.phase_model import phase_curvatures, phase_slopes
 from midspan.vision.steerable import quadrature, responses
 
 

@@ -7,10 +7,11 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from midspan.errors import DataError, UsageError
+from midspan.papers.printed.phase import PrintedHybridTracker, PrintedPhaseTracker, by_ratio, by_threshold
 from midspan.records import Prediction, Region, Status
 from midspan.signals.band_pass import band_passed
-from midspan.vision.active_pixels import by_amplitude, by_ratio, by_threshold
-from midspan.vision.hybrid import HybridTracker, PhaseSettings, PhaseTracker
+from midspan.vision.active_pixels import by_amplitude
+from midspan.vision.hybrid import HybridTracker, PhaseSettings
 from midspan.vision.tracker import open_tracker, tracker_settings
 from plain_phase import active_pixels, existing_flow, filtered, flow_terms, local_phase, phase_variation
 
@@ -45,7 +46,7 @@ def learning(film):
 
 @pytest.fixture(scope="module")
 def start(film):
-    def make(kind=HybridTracker, **values):
+    def make(kind=PrintedHybridTracker, **values):
         return kind(film([(0.0, 0.0)], seed=0)[0], REGION, PhaseSettings(literal=True, matcher="template", **values))
 
     return make
@@ -127,7 +128,7 @@ def test_each_frame_is_measured_as_equations_14_to_19_say(start, learning, film,
 
 
 def test_the_existing_flow_is_equation_3_in_a_region_that_stays(start, film):
-    tracker = start(PhaseTracker, form="gradient", active_pixels="amplitude")
+    tracker = start(PrintedPhaseTracker, form="gradient", active_pixels="amplitude")
     assert not tracker.learns_by_acceleration
     first = tracker.reference.pixels
     active = by_amplitude(np.abs(local_phase(first, BOX, 1))).ravel()
@@ -178,7 +179,7 @@ def test_the_gain_of_a_wave_is_its_closed_form_and_takes_over_the_unit_of_what_w
     frames = film(np.column_stack((0.0 * y, y)), where=waves)
     reference = film([(0.0, 0.0)], 0, waves)[0]
     for unit in (1.0, 1.05):
-        tracker = PhaseTracker(reference, REGION, PhaseSettings(literal=True, matcher="template"))
+        tracker = PrintedPhaseTracker(reference, REGION, PhaseSettings(literal=True, matcher="template"))
         tracker.learn(frames, unit * y, direction="y", band_hz=BAND)
         # The pair of filters is no exact quadrature: its ripple is below 1 %.
         assert tracker.phase_gain_px_per_rad[1] == pytest.approx(-unit / (2 * np.pi * 0.16), rel=0.01)
@@ -187,7 +188,7 @@ def test_the_gain_of_a_wave_is_its_closed_form_and_takes_over_the_unit_of_what_w
 
 def test_phase_alone_wraps_where_the_hybrid_does_not(start, learning, film):
     frames, y = learning
-    phase, hybrid = start(PhaseTracker), start()
+    phase, hybrid = start(PrintedPhaseTracker), start()
     for tracker in (phase, hybrid):
         tracker.learn(frames, y, direction="y", band_hz=BAND)
     far = film([(0.0, 9.0)])[0]

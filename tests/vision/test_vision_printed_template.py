@@ -7,9 +7,8 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.optimize import minimize
 
 from midspan.errors import UsageError
+from midspan.papers.printed.template import spline_peak, zncc_matrix
 from midspan.records import Prediction, Region, Status
-from midspan.vision.printed_template import spline_peak
-from midspan.vision.search import zncc_matrix
 from midspan.vision.template import TemplateSettings
 from midspan.vision.tracker import open_tracker, tracker_settings
 

@@ -5,7 +5,7 @@ import pytest
 from reference_scenes import REGION, swept, track
 
 from midspan.errors import UsageError
-from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker, match_threshold, moving_average
+from midspan.papers.printed.updating import UpdatingSettings, UpdatingTracker, match_threshold, moving_average
 from midspan.vision.tracker import open_tracker
 
 # Half a minute from dawn to dusk, in five frames a second.

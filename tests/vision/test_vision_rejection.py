@@ -3,17 +3,16 @@ import math
 import numpy as np
 import pytest
 
+from midspan.papers.printed.features import consensus, within_largest
 from midspan.records import Prediction
 from midspan.vision.rejection import (
     best_match,
-    consensus,
     distance_limits,
     distance_variation,
     near_median,
     rejection_one,
     rejection_two,
     repeated_rejection_one,
-    within_largest,
 )
 
 

@@ -1,8 +1,18 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from midspan._core import doubled_image as doubled
-from midspan.vision.keypoints import SurfSettings, detect_surf
+from midspan._core import surf_blobs
+from midspan.vision.keypoints import SurfSettings
+
+
+def detect_surf(image, settings):
+    """The blobs of an image, strongest first, with their descriptors."""
+    rows, descriptor, bright = surf_blobs(image, settings)
+    x, y, scale, strength = rows.T
+    return SimpleNamespace(x=x, y=y, scale=scale, strength=strength, bright=bright, descriptor=descriptor)
 
 
 @pytest.fixture(scope="module")

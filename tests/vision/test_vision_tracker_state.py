@@ -9,10 +9,10 @@ import pytest
 from moving_dots import Dots, Pull, filmed
 from reference_scenes import REGION, Body, crossed, swept
 
+from midspan.papers.printed.updating import UpdatingSettings, UpdatingTracker
 from midspan.records import Prediction, Status
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
-from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.tracker import TRACKERS, open_tracker
 
 CUTS = (1, 17, 31, 34, 45)

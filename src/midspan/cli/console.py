@@ -47,14 +47,14 @@ class Console:
         for name, value in rows:
             self.say(f"{' ' * indent}{name:<{width}}  {value}".rstrip())
 
-    def columns(self, headings: Iterable[str], rows: Iterable[Iterable[str]], indent: int = 2) -> None:
+    def columns(self, headings: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
         """Print a table with headings; columns without any value are left out."""
         table = list(zip(headings, *rows, strict=True))
         kept = [column for column in table if any(column[1:])]
         widths = [max(map(len, column)) for column in kept]
         for line in zip(*kept, strict=True):
             cells = (f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True))
-            self.say(f"{' ' * indent}{'  '.join(cells)}".rstrip())
+            self.say(f"  {'  '.join(cells)}".rstrip())
 
     def warn(self, lines: Iterable[str]) -> None:
         """Print warnings on standard error, those of the table with their severity and code."""

@@ -57,18 +57,6 @@ class TargetState:
     core: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
-class TargetReport:
-    """What of a target's frames is worth reporting: how many only repeated the one before; picture and light are None
-    where they do not apply: temperatures have no codec, no full scale and no shadows, and trackers whose reference
-    changes know themselves what that makes.
-    """
-
-    frozen_frames: int = 0
-    picture: PictureReport | None = None
-    light: LightReport | None = None
-
-
 class TargetChain:
     """Tracks one target; every frame's variances rest on the frames up to it.
 
@@ -115,11 +103,19 @@ class TargetChain:
         self._core.keep_usual()
 
     @property
-    def report(self) -> TargetReport:
-        """What of the frames so far is worth reporting."""
-        core = self._core
-        light = None if core.light is None else LightReport(*core.light)
-        return TargetReport(core.frozen_frames, picture_report(core), light)
+    def frozen_frames(self) -> int:
+        """How many of the frames so far only repeated the one before."""
+        return self._core.frozen_frames
+
+    @property
+    def picture(self) -> PictureReport | None:
+        """What the frames so far say of themselves; None of temperatures, which have no codec and no full scale."""
+        return picture_report(self._core)
+
+    @property
+    def light(self) -> LightReport | None:
+        """What light did to the frames so far; None of temperatures and of trackers whose reference changes."""
+        return None if self._core.light is None else LightReport(*self._core.light)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """The translation in `frame` in pixels of the ideal camera, dated by the row that the target lies in.

@@ -7,13 +7,14 @@ the cleaner learns from what the tracker found. With a temperature range the tra
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import Any, get_type_hints
 
 import numpy as np
 
 from midspan.checks import refuse
 from midspan.errors import MidspanError
-from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.thermal.cleaning import PATTERN_FRAMES, Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import MARGIN, Limits
 from midspan.thermal.pattern import FixedPattern, shifted_scene
@@ -21,9 +22,8 @@ from midspan.thermal.temperature_range import grey
 from midspan.vision.lens import Lens, check_lens
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
-from midspan.vision.reference.updating import UpdatingTracker, updating_settings
 from midspan.vision.target import lost
-from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_class
+from midspan.vision.tracker import TRACKERS, UPDATING, AxisMotion, Tracker, open_tracker, tracker_class
 
 # Temperatures of another kind on more than this share of the target are a thing in front (one in a hundred pixels is
 # its own tail); it pulls by its share of this many px: 0.17 to 0.3 px were seen with a tenth to a half covered.
@@ -31,8 +31,7 @@ USUAL_SHARE, COVERED_PX = 0.01, 1.5
 
 # The pattern's pull on a tracker is tried on so many drawn patterns and frames, whose scene moves by this much or more
 # (standard deviation): below it the pull does not depend on the motion.
-PULL_DRAWS, PULL_FRAMES, PULL_PX, PULL_SEED = 4, 8, 0.1, 1
-TRIED_EVERY_NS = 100_000_000
+PULL_DRAWS, PULL_FRAMES, PULL_PX = 4, 8, 0.1
 
 Opener = Callable[[Frame], Tracker]
 """Opens a tracker on a reference frame that has been made ready."""
@@ -135,14 +134,7 @@ class ThermalTarget(Tracker):
         """Whether the tracker does."""
         return self.tracker.learns_by_acceleration
 
-    def learn(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None = None,
-        *,
-        direction: str = "y",
-        band_hz: tuple[float, float] | None = None,
-    ) -> Any:
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Any:
         """Learn the pattern, where it shows, and let the tracker learn, from frames in °C in the order of their times.
 
         What moved before the pattern is known would be drawn to zero. Closed frames are left out.
@@ -162,9 +154,8 @@ class ThermalTarget(Tracker):
             return None
         ready = [self._shown(cleaner.push(frame, self.region), frame) for frame in frames]
         kept = [k for k, frame in enumerate(ready) if frame is not None]
-        moved = None if translation_px is None else translation_px[kept]
         shown = [frame for frame in ready if frame is not None]
-        return self.tracker.learn(shown, moved, direction=direction, band_hz=band_hz)
+        return self.tracker._learn(shown, None if motion is None else motion.part(kept))
 
     @property
     def scale_share_std(self) -> float:
@@ -184,7 +175,7 @@ class ThermalTarget(Tracker):
         """
         moved = _tried_motion(found.pictured.moved_px)
         scenes = shifted_scene(found.pictured.scene, moved)
-        rng = np.random.default_rng(PULL_SEED)
+        rng = np.random.default_rng(1)
         shares = []
         for _ in range(PULL_DRAWS):
             pattern = found.pictured.spread_k * rng.normal(size=scenes[0].shape)
@@ -208,7 +199,7 @@ class ThermalTarget(Tracker):
         for k, scene in enumerate(scenes):
             celsius = (level + _laid_out(scene, self.reference.pixels.shape, self.region)).astype(np.float32)
             pixels = celsius if self.levels is None else grey(celsius, self.levels)
-            shown.append(Frame(self.reference.time_ns + k * TRIED_EVERY_NS, pixels, k))
+            shown.append(Frame(self.reference.time_ns + k * NANOSECONDS, pixels, k))
         tracker = self._opener(shown[0])
         found = [tracker.push(frame) for frame in shown]
         return np.array([(one.x_px, one.y_px) for one in found])
@@ -294,13 +285,16 @@ class Opening:
             heat = HEAT if frame.pixels.dtype.kind == "f" else {}
             return KeyFrameTracker(frame, region, KeyFrameSettings(tracker=self.tracker, tracker_settings=own, **heat))
         if self.reference == "updating":
-            return UpdatingTracker(frame, region, updating_settings(self.tracker, own, self.reference_settings))
+            updating = import_module(UPDATING)
+            rule = updating.updating_settings(self.tracker, own, self.reference_settings)
+            tracker: Tracker = updating.UpdatingTracker(frame, region, rule)
+            return tracker
         return open_tracker(self.tracker, frame, region, own)
 
 
 def tracker_states() -> list[Any]:
     """The record that each tracker, alone or behind a rule for its frames, keeps its state in: that of `_state`."""
-    kinds = [KeyFrameTracker, UpdatingTracker, *(tracker_class(name) for name in TRACKERS)]
+    kinds = [KeyFrameTracker, import_module(UPDATING).UpdatingTracker, *(tracker_class(name) for name in TRACKERS)]
     return [ThermalTargetState, *(get_type_hints(kind)["_state"] for kind in kinds)]
 
 

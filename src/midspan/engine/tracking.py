@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.camera.view import SeenTarget
-from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target, TargetChain, TargetReport
+from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target, TargetChain
 from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
-from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region, Status
+from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation, Status
 from midspan.signals.stamps import shown
 from midspan.thermal.temperature_range import Expected, RangeSurface
-from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.frame_source import FrameSource, StoredTrack
 from midspan.vision.lens import lens_warnings
 from midspan.vision.picture_report import LightReport, picture_warnings
@@ -32,7 +31,7 @@ from midspan.vision.roi import RegionChoice
 from midspan.vision.target import UNSEEN
 
 # Frames that were looked at are kept until they are tracked; so much memory at most.
-MOST_AHEAD_BYTES = 200_000_000
+MAX_AHEAD_BYTES = 200_000_000
 # Frames that the core is given at once: the calls around it then cost nothing, and of large ones few are in memory.
 BLOCK_FRAMES, BLOCK_BYTES = 64, 32_000_000
 # The first columns of a target's rows.
@@ -49,7 +48,7 @@ class Columns:
 
     def __init__(self, codes: str) -> None:
         self._row = Struct(f"={codes}")
-        self._kind = np.dtype([(str(k), f"={code}") for k, code in enumerate(codes)])
+        self.kind = np.dtype([(str(k), f"={code}") for k, code in enumerate(codes)])
         self._rows, self._count = bytearray(), 0
 
     def __len__(self) -> int:
@@ -73,7 +72,7 @@ class Columns:
 
     def column(self, number: int) -> NDArray[Any]:
         """The rows so far (n,) of the column with this number, a copy."""
-        return np.frombuffer(self._rows, dtype=self._kind)[str(number)].copy()
+        return np.frombuffer(self._rows, dtype=self.kind)[str(number)].copy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +113,12 @@ class TargetTracking:
             self._events[len(self._columns)] = found.events
         self._columns.append(*_track_row(found), found.strength, *reference, UNSEEN.index(found.unseen))
         self._track = None
+
+    def add_stored(self, track: StoredTrack, used: slice) -> None:
+        """Keep rows of a track."""
+        columns = [getattr(track.rows, field.name) for field in fields(PixelTrack)]
+        columns += [track.strength, *track.reference_px2.T, np.zeros(len(track.strength))]
+        self._columns.extend(np.rec.fromarrays([c[used] for c in columns], dtype=self._columns.kind).tobytes())
 
     def push_all(self, frames: Sequence[Frame]) -> None:
         """Keep what is found in frames, without predictions."""
@@ -167,13 +172,13 @@ class TargetTracking:
 
     def warnings(self, axes: str) -> list[Notice]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
-        found, report = list[Notice](), self.chain.report
-        if report.frozen_frames:
-            text = f"{report.frozen_frames} frames only repeat the picture before them (frozen); they were not used."
+        found, chain = list[Notice](), self.chain
+        if chain.frozen_frames:
+            text = f"{chain.frozen_frames} frames only repeat the picture before them (frozen); they were not used."
             found.append(Notice("frozen", f"camera: {text}"))
-        if report.picture is not None:
-            found += picture_warnings(report.picture, axes)
-        return found + ([] if report.light is None else light_warnings(report.light))
+        if (picture := chain.picture) is not None:
+            found += picture_warnings(picture, axes)
+        return found if (light := chain.light) is None else found + light_warnings(light)
 
 
 def light_warnings(light: LightReport) -> list[Notice]:
@@ -256,8 +261,9 @@ class CameraTracking:
 
     def leave_out(self, places: Sequence[int]) -> None:
         """Track the targets of these numbers (from 0) no further."""
-        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
-        self.chain.targets = tuple(target.chain for target in self.targets)
+        kept = tuple(target for k, target in enumerate(self.targets) if k not in places)
+        self.chain.targets = tuple(target.chain for target in kept)
+        self.targets = kept
 
     def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
         """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not told."""
@@ -268,7 +274,7 @@ class CameraTracking:
             rows=target.rows,
             reference_px2=target.reference_px2,
             blur_s=chain.blur_s(exposure_s),
-            picture=chain.report.picture,
+            picture=chain.picture,
             tracker=target.tracker,
             tracker_name=settings.tracker,
             tracker_settings=settings.tracker_settings,
@@ -360,7 +366,7 @@ class CameraTracking:
     def _read_ahead(self, wanted: int, what: str = "") -> int:
         """Have the first `wanted` frames at hand, fewer where they do not fit or end; returns how many there are."""
         while len(self._ahead) < wanted:
-            if self._ahead and (len(self._ahead) + 1) * self._ahead[0].pixels.nbytes > MOST_AHEAD_BYTES:
+            if self._ahead and (len(self._ahead) + 1) * self._ahead[0].pixels.nbytes > MAX_AHEAD_BYTES:
                 break
             if what:
                 self.progress(len(self._ahead), wanted, what)
@@ -376,7 +382,7 @@ class CameraTracking:
         A video is not decoded twice where its first frames fit into memory until they are tracked.
         """
         wanted = last - self.settings.first
-        if self._read_ahead(1) and wanted * self._ahead[0].pixels.nbytes > MOST_AHEAD_BYTES:
+        if self._read_ahead(1) and wanted * self._ahead[0].pixels.nbytes > MAX_AHEAD_BYTES:
             yield from self.source.frames(first, last)
             return
         for number in range(wanted):
@@ -386,55 +392,31 @@ class CameraTracking:
                 yield self._ahead[number]
 
 
-class StoredTracker:
-    """What stands for a tracker where only its rows are known."""
+class StoredTarget:
+    """A target of a track: it stands for the target's chain and its tracker, of which nothing else is known."""
 
-    phase_gain_px_per_rad: tuple[float, float] | None = None
-    active_pixels: ActivePixels | None = None
+    frozen_frames, picture, light = 0, None, None
+    phase_gain_px_per_rad = active_pixels = None
     # Of a fixed pattern nothing is known.
     scale_share_std = 0.0
     learns_by_acceleration = False
 
-    def __init__(self, reference: Frame, region: Region) -> None:
-        self.reference, self.region = reference, region
-
-
-class StoredTarget:
-    """What stands for a target's chain: nothing is left to be tracked."""
-
-    report = TargetReport()
-
-    def __init__(self, reference: Frame, target: StoredTrack, readout_s: float, first: int = 0) -> None:
-        self.name, self.region = target.name, target.region
+    def __init__(self, reference: Frame, track: StoredTrack, readout_s: float, first: int) -> None:
+        self.name, self.region, self.reference, self.tracker = track.name, track.region, reference, self
         # The rows of a track are dated as they were tracked.
-        self.first_late_ns = int(target.rows.time_ns[first]) - reference.time_ns
-        self.tracker: Any = StoredTracker(reference, target.region)
+        self.first_late_ns = int(track.rows.time_ns[first]) - reference.time_ns
         self._readout_s = readout_s
 
     def blur_s(self, exposure_s: float | None) -> float:
         """The time a translation is averaged over: the exposure, and the read-out of the region's rows."""
-        rows = self._readout_s * self.region.height / max(self.tracker.reference.pixels.shape[0], 1)
+        rows = self._readout_s * self.region.height / max(self.reference.pixels.shape[0], 1)
         return math.hypot(exposure_s or 0.0, rows)
 
 
-class StoredChain:
-    """What stands for a camera's chain."""
+class StoredTracking(CameraTracking):
+    """The tracking of a track, all of whose rows are there from the beginning; it is its own chain."""
 
     state = CameraState(())
-
-    def __init__(self, targets: Sequence[StoredTarget]) -> None:
-        self.targets = tuple(targets)
-
-    def restore(self, state: CameraState) -> None:
-        """Nothing changes from frame to frame."""
-
-    def push(self, frame: Frame, predictions: object = None) -> tuple[PixelTranslation, ...]:
-        """There is nothing to track with."""
-        raise DataError("A track holds what was found in frames; new frames cannot be tracked with it.")
-
-
-class StoredTracking(CameraTracking):
-    """The tracking of a track: all its rows are there from the beginning."""
 
     def __init__(self, source: FrameSource, settings: TrackingSettings, progress: Progress = silent) -> None:
         self.source, self.progress, self.settings = source, progress, settings
@@ -446,36 +428,25 @@ class StoredTracking(CameraTracking):
         names = [target.name for target in settings.targets]
         named = tuple(track for track in source.tracks if track.name in names)
         tracks = named if named and len(named) == len(names) else tuple(source.tracks)
-        targets = [StoredTarget(self.reference, track, settings.readout_s, settings.first) for track in tracks]
-        self.chain: Any = StoredChain(targets)
-        self.targets = tuple(TargetTracking(target) for target in targets)  # type: ignore[arg-type]
+        targets: list[Any] = [StoredTarget(self.reference, t, settings.readout_s, settings.first) for t in tracks]
+        self.chain: Any = self
+        self.targets = tuple(TargetTracking(target) for target in targets)
         self.chosen = tuple(Target(track.region, track.name) for track in tracks)
         self.skipped, self.done = 0, len(self.time_ns)
         self.choice = self.range_surface = None
         self.beside = ()
-        for number in range(settings.first, settings.first + self.done):
-            for target, track in zip(self.targets, tracks, strict=True):
-                target.add(translation(track, number))
+        for target, track in zip(self.targets, tracks, strict=True):
+            target.add_stored(track, used)
+
+    def restore(self, state: CameraState) -> None:
+        """Nothing changes from frame to frame."""
+
+    def push(self, frame: Frame, predictions: object = None) -> tuple[PixelTranslation, ...]:
+        """There is nothing to track with."""
+        raise DataError("A track holds what was found in frames; new frames cannot be tracked with it.")
 
     def take(self) -> None:
         """There are no further frames."""
 
     def close(self) -> None:
         """There is no file to let go."""
-
-
-def translation(track: StoredTrack, number: int) -> PixelTranslation:
-    """What was found in the frame of this number."""
-    rows = track.rows
-    return PixelTranslation(
-        int(rows.time_ns[number]),
-        float(rows.x_px[number]),
-        float(rows.y_px[number]),
-        float(rows.variance_x_px2[number]),
-        float(rows.variance_y_px2[number]),
-        float(rows.quality[number]),
-        Status(rows.status[number]),
-        float(track.strength[number]),
-        float(track.reference_px2[number, 0]),
-        float(track.reference_px2[number, 1]),
-    )

@@ -25,6 +25,7 @@ from midspan.papers.motions import ACCELEROMETER, Sweep
 from midspan.papers.printed.adaptive import PrintedFilter
 from midspan.papers.printed.camera import calibrate_printed
 from midspan.papers.printed.switching import Switch
+from midspan.papers.printed.updating import UpdatingSettings, UpdatingTracker
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -57,7 +58,6 @@ from midspan.thermal.temperature_range import (
 )
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
-from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
 

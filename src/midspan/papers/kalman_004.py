@@ -16,8 +16,9 @@ import numpy as np
 from midspan.papers.claims import Curve, Effort, Measured
 from midspan.papers.filming import Film, FilmSettings, film
 from midspan.papers.films import Run, Track, Way, followed, frames_of, half_sample_mm, run_all, with_means
+from midspan.papers.printed.features import earlier_rules, printed_matches
 from midspan.records import Floats, Prediction, Region
-from midspan.vision.features import FeatureSettings, earlier_rules, good_matches
+from midspan.vision.features import FeatureSettings
 from midspan.vision.tracker import open_tracker, tracker_settings
 
 # Scene → what the paper's known size gives over what its calibration gives; largest displacement known beforehand, mm.
@@ -140,7 +141,7 @@ def rejection(effort: Effort) -> Measured:
         wrong = rng.random(120) < 0.2
         now[wrong] = rng.uniform(0, 64, (int(wrong.sum()), 2))
         begun = time.process_time()
-        good_matches(first, now, settings, prediction=Prediction(0.4, 3.1, 0.2, 0.2), rng=rng)
+        printed_matches(first, now, settings, prediction=Prediction(0.4, 3.1, 0.2, 0.2), rng=rng)
         middle = time.process_time()
         earlier_rules(now - first, earlier)
         times["I and II"] += middle - begun

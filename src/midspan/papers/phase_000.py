@@ -25,11 +25,12 @@ from midspan.papers.films import (
     with_means,
 )
 from midspan.papers.kalman_004 import error_curve, existing_technique, fused_values, printed_film
+from midspan.papers.printed.phase import phase_change
 from midspan.recording.streams.window import calibration_window
 from midspan.records import Floats, Frame, Region
 from midspan.signals.band_pass import band_passed
 from midspan.vision.active_pixels import slope_and_r_squared
-from midspan.vision.phase_model import phase_change, region_patch
+from midspan.vision.phase_model import region_patch
 from midspan.vision.steerable import MARGIN_PX, quadrature
 
 QUICK = {"indoor": ("sine", "sweep"), "outdoor": ("sine", "sweep"), "footbridge-phase": ("jumping", "crossing")}

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -26,7 +27,7 @@ from midspan.settings.kinds import SensorName
 from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens
-from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, tracker_settings
+from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, UPDATING, tracker_settings
 
 Celsius = Annotated[float, IsNumber, limited(-273.15, 1e5, "°C")]
 # Settings of trackers are pixels, shares and counts; each tracker has rules of its own within this.
@@ -179,10 +180,8 @@ class CameraSettings(Section):
         if self.reference_settings:
             if self.reference_rule != "updating":
                 raise ValueError('must have reference = "updating" together with reference_settings')
-            from midspan.vision.reference.updating import updating_settings
-
             with _in_words_of("reference_settings", self.reference_settings):
-                updating_settings(self.tracker, None, self.reference_settings)
+                import_module(UPDATING).updating_settings(self.tracker, None, self.reference_settings)
         return self
 
     def as_printed(self) -> Self:

@@ -16,8 +16,6 @@ from midspan.signals.health import Mask
 STRONGEST = 30
 AMPLITUDE_SHARE = 0.2
 THRESHOLDS = 64
-# Pixels whose mean phases are summed up together.
-TOGETHER = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,31 +97,3 @@ def _means_of_first(phase: Floats32, weight: Floats, counts: NDArray[np.int64]) 
     parts = np.add.reduceat(phase[:, used] * weight[used], starts, axis=1, dtype=np.float64)
     total = np.add.reduceat(weight[used], starts)
     return np.asarray(np.cumsum(parts, axis=1) / np.cumsum(total))
-
-
-def by_threshold(phase: Floats | Floats32, translation: Floats) -> Selection:
-    """Pixels by the threshold of |correlation| with the largest R² as printed: every threshold, all pixels alike.
-
-    `phase` (n, k) rad and `translation` (n,) px, both band-passed: steps b to d of the calibration. The gain is the
-    least-squares ratio of translation to mean phase.
-    """
-    order = np.argsort(-slope_and_r_squared(phase, translation)[1], kind="stable")
-    dots, squares = np.empty(len(order)), np.empty(len(order))
-    before = np.zeros(len(translation))
-    for first in range(0, len(order), TOGETHER):
-        block = slice(first, first + TOGETHER)
-        sums = before[:, None] + np.cumsum(phase[:, order[block]], axis=1, dtype=np.float64)
-        dots[block], squares[block] = translation @ sums, np.sum(sums * sums, axis=0)
-        before = sums[:, -1]
-    fits = dots**2 / np.maximum(squares * float(translation @ translation), 1e-300)
-    best = int(np.argmax(fits))
-    active = np.zeros(len(order), dtype=bool)
-    active[order[: best + 1]] = True
-    return Selection(active, (best + 1) * float(dots[best] / squares[best]), float(fits[best]))
-
-
-def by_ratio(phase: Floats | Floats32, translation: Floats, active: Mask) -> Selection:
-    """Given active pixels (k,) with the gain and R² of `by_threshold`."""
-    mean = phase[:, active].mean(axis=1, dtype=np.float64)
-    dot, square = float(translation @ mean), float(mean @ mean)
-    return Selection(active, dot / square, dot**2 / (square * float(translation @ translation)))

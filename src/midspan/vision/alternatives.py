@@ -30,7 +30,6 @@ MAX_DIFFERENCE = 0.4
 # noise leave is the same at all of them.
 CLEARLY_LESS = 4.0
 MAX_ALTERNATIVES = 8  # the nearest: what lies behind another is ruled out by that one's distance
-MAX_PEAKS = 16  # of the correlation that are looked at in full resolution, once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +96,7 @@ def find_alternatives(
     # Between two decimated positions a copy correlates less.
     coarse = np.where(surface > least - MAX_DIFFERENCE, surface, 0.0)
     places = []
-    for x, y in peaks(coarse, MAX_PEAKS, 2):
+    for x, y in peaks(coarse, 2 * MAX_ALTERNATIVES, 2):
         place, likeness = _refined(raw, template, (x * factor, y * factor), factor)
         moved = np.array(place) + corner
         if likeness >= least and _apart(found, moved, least):

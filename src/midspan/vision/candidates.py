@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from midspan import _core
 from midspan.errors import MidspanError
 from midspan.records import Floats, Frame, PixelTrack, Region, Status
-from midspan.vision.search import Span, fine_patch
+from midspan.vision.search import Span, cut
 from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import gaussian_taps
 
@@ -54,14 +54,15 @@ def repeats(image: NDArray[np.generic], region: Region) -> bool:
     if span.empty:
         return False
     size, offset = (region.height, region.width), float(np.nanmean(np.asarray(image, dtype=np.float64)))
-    patch = fine_patch(image, span, size, taps=taps, offset=offset)
-    if patch is None:
+    raw = cut(image, span, size, margin, offset)
+    if raw is None:
         return True
+    smooth = _core.smooth(raw, taps)
     top, left = min(max(region.y, span.y0), span.y1) - span.y0, min(max(region.x, span.x0), span.x1) - span.x0
-    own = patch.pixels[top : top + size[0], left : left + size[1]]
+    own = smooth[top : top + size[0], left : left + size[1]]
     factor = max(region.width // 48, 1)
     target = _core.shrink(np.ascontiguousarray(own), factor)
-    surface = _core.zncc_map(_core.shrink(patch.pixels, factor), (target - target.mean()).astype(np.float32))
+    surface = _core.zncc_map(_core.shrink(smooth, factor), (target - target.mean()).astype(np.float32))
     others = [
         p for p in _local_maxima(surface) if max(abs(p[0] * factor - left), abs(p[1] * factor - top)) > 2 * factor
     ]

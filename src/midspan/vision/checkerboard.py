@@ -14,7 +14,7 @@ from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.vision.lens import MODELS, Lens, bent, straight
 
-LEAST_BOARDS = 8
+MIN_BOARDS = 8
 MANY_BOARDS = 15
 # Root mean square distance between found and fitted corners, px.
 REFUSED_RMS_PX = 1.0
@@ -211,9 +211,9 @@ def _judged(solution: _Solution, seen: _Views, warnings: tuple[Notice, ...]) -> 
 
 
 def _refuse_few(count: int, why: str) -> None:
-    if count < LEAST_BOARDS:
+    if count < MIN_BOARDS:
         raise UntrustedError(
-            f"Only {count} different views of the board were found{why}; at least {LEAST_BOARDS} are needed, better "
+            f"Only {count} different views of the board were found{why}; at least {MIN_BOARDS} are needed, better "
             f"{MANY_BOARDS} to 30. Take more pictures with the whole board in them, tilted and moved between them. If "
             "it is in the pictures already, check --columns and --rows: they count inner corners, one fewer than "
             "squares."
@@ -273,20 +273,11 @@ def _fisheye_flags() -> int:
     return sum(int(getattr(cv2.fisheye, name, None) or getattr(cv2, name)) for name in names)
 
 
-def _turned(points: Floats, turn: Floats) -> Floats:
-    """Points (n, 3) turned by a rotation vector (rad): Rodrigues' formula."""
-    angle = float(np.linalg.norm(turn))
-    if angle < 1e-12:
-        return points + np.cross(turn, points)
-    axis = turn / angle
-    along = (points @ axis)[:, None] * axis
-    rotated: Floats = along + math.cos(angle) * (points - along) + math.sin(angle) * np.cross(axis, points)
-    return rotated
-
-
 def _seen(lens: Lens, pose: Floats, points: Floats) -> Floats:
     """Where a board's points (n, 3) in mm appear (n, 2), px."""
-    there = _turned(points, pose[:3]) + pose[3:]
+    import cv2
+
+    there = points @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
     fx, fy, cx, cy = lens.matrix
     with np.errstate(divide="ignore", invalid="ignore"):
         rays = np.where(there[:, 2:] > 0.0, there[:, :2] / there[:, 2:], np.nan)

@@ -3,7 +3,8 @@
 Ma, Choi and Sohn, "Real-time structural displacement estimation by fusing asynchronous acceleration and computer
 vision measurements", 2022, doi 10.1111/mice.12767: the region follows the prediction in whole pixels (equations 27 and
 28), features of both regions are matched, rejection I and II (15 to 17 and 29) keep the good ones, their mean counts
-(30). The technique "existing" is what that paper compares with: Yu and Zhang, 2019, with a fixed region.
+(30). With `literal`, and with the technique "existing" that the paper compares with, the tracker is that of
+`midspan.papers.printed.features`.
 """
 
 import math
@@ -19,17 +20,10 @@ from midspan.checks import option, refuse
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints, SurfSettings
-from midspan.vision.region import check_size, clamp, shift
-from midspan.vision.rejection import (
-    consensus,
-    near_median,
-    rejection_one,
-    rejection_two,
-    repeated_rejection_one,
-    within_largest,
-)
+from midspan.vision.region import check_size, shift
+from midspan.vision.rejection import near_median, rejection_two, repeated_rejection_one
 from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_span
-from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, lost
+from midspan.vision.target import MAX_DISTANCE_PX, Motion, lost
 from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import check_texture, full_scale, noise_std, values
 from midspan.vision.tracker import Tracker
@@ -39,9 +33,9 @@ TECHNIQUES = {
     "existing": "fixed region, pre-purification, ratio test and RANSAC",
 }
 MARGIN_PX = 12  # image around the region that the features at its edge are described by
-LEAST_MATCHES = 3
-LEAST_FEATURES = 6
-LARGEST_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
+MIN_MATCHES = 3
+MIN_FEATURES = 2 * MIN_MATCHES
+MAX_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
 AGREEMENT_PX = 1.0
 WIDE_SHARE = 0.25  # a prediction no better than this share of the region's side needs a search
 
@@ -88,15 +82,20 @@ class FeatureSettings:
             if not low <= getattr(self, name) <= high:
                 raise refuse(name, rule, getattr(self, name))
 
+    @property
+    def as_printed(self) -> bool:
+        """Whether the tracker is one of the paper's."""
+        return self.literal or self.technique == "existing"
+
 
 _RANGES = (
     ("max_features", 10, 5000, "from 10 to 5000"),
     ("threshold", 0.0, 1.0, "from 0 to 1"),
     ("octaves", 1, 4, "from 1 to 4"),
     ("epsilon_px", 1e-3, 5.0, "from 0.001 to 5 px"),
-    ("search_px", 3.0, LONGEST_DISTANCE_PX, "3 px or more"),
+    ("search_px", 3.0, MAX_DISTANCE_PX, "3 px or more"),
     ("seed", 0, 2**63, "0 or more"),
-    ("max_displacement_px", 1e-3, LONGEST_DISTANCE_PX, "above 0 px"),
+    ("max_displacement_px", 1e-3, MAX_DISTANCE_PX, "above 0 px"),
     ("ratio", 1e-3, 1.0, "above 0, up to 1"),
     ("ransac_px", 1e-3, 100.0, "above 0, up to 100 px"),
     ("bias_floor_px", 0.0, 10.0, "from 0 to 10 px"),
@@ -117,6 +116,9 @@ class FeatureTracker(Tracker):
     """Follows a target by its features; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: Motion
+    # Ratio of the nearest to the second nearest descriptor that a match may have; None: any.
+    _ratio: float | None = None
+    _max_spread_px = MAX_SPREAD_PX
 
     def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
         self.settings = settings
@@ -126,17 +128,9 @@ class FeatureTracker(Tracker):
         self._factor = coarse_factor(self._template)
         self._detector = _detector(reference.pixels, region, settings, self._offset)
         self._features = self._reference_features()
-        ratio = settings.ratio if settings.technique == "existing" else None
-        self._matcher = _core.FeatureMatcher(self._features.xy, self._features.descriptor, self._features.kind, ratio)
+        xy, descriptor, kind = self._features.xy, self._features.descriptor, self._features.kind
+        self._matcher = _core.FeatureMatcher(xy, descriptor, kind, self._ratio)
         self._state = Motion()
-
-    @property
-    def region_now(self) -> Region:
-        """Where the target was last seen, inside the image; the region itself with the technique "existing"."""
-        if self.settings.technique == "existing":
-            return self._region
-        rows, columns = self._reference.pixels.shape
-        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
 
     @property
     def features(self) -> Keypoints:
@@ -145,7 +139,7 @@ class FeatureTracker(Tracker):
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN when fewer than three matches agree."""
-        check_size(frame, self._reference)
+        check_size(frame, self.reference)
         if prediction is not None and not math.isfinite(prediction.x_px + prediction.y_px):
             prediction = None
         found = self._find(frame, prediction)
@@ -163,11 +157,9 @@ class FeatureTracker(Tracker):
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
         """Match where the target is expected; without success and a sharp prediction, where the picture looks alike."""
-        if self.settings.technique == "existing":
-            return self._match(frame, self._region, None)
-        expected = shift(self._region, *self._state.expected(frame.time_ns, prediction))
+        expected = shift(self.region, *self._state.expected(frame.time_ns, prediction))
         found = self._match(frame, expected, prediction)
-        if found is not None or self.settings.literal:
+        if found is not None:
             return found
         reach = self._reach(prediction)
         if reach == 0.0:
@@ -177,11 +169,9 @@ class FeatureTracker(Tracker):
 
     @cached_property
     def _template_tracker(self) -> TemplateTracker | None:
-        """What tells the target from places that look like it; None for the methods as published, or without room."""
-        if self.settings.technique == "existing" or self.settings.literal:
-            return None
+        """What tells the target from places that look like it; None without room for it."""
         with suppress(MidspanError):
-            return TemplateTracker(self._reference, self._region, TemplateSettings())
+            return TemplateTracker(self.reference, self.region, TemplateSettings())
         return None
 
     def _identified(self, frame: Frame, found: Matched, prediction: Prediction | None) -> Matched | None:
@@ -191,15 +181,15 @@ class FeatureTracker(Tracker):
         place = self._template_tracker.identified(frame, found.translation, prediction, self._state)
         if place is None or place is found.translation:
             return None if place is None else found
-        return self._match(frame, shift(self._region, float(place[0]), float(place[1])), None)
+        return self._match(frame, shift(self.region, float(place[0]), float(place[1])), None)
 
     def _reach(self, prediction: Prediction | None) -> float:
         """How far (px) from the expected place to search; 0 when the prediction is sharp."""
         if prediction is None:
-            return self.settings.search_px if self._state.lost_frames == 0 else LONGEST_DISTANCE_PX
+            return self.settings.search_px if self._state.lost_frames == 0 else MAX_DISTANCE_PX
         reach = 3.0 * max(prediction.std_x_px, prediction.std_y_px)
-        wide = WIDE_SHARE * min(self._region.width, self._region.height)
-        return min(reach, LONGEST_DISTANCE_PX) if reach > wide else 0.0
+        wide = WIDE_SHARE * min(self.region.width, self.region.height)
+        return min(reach, MAX_DISTANCE_PX) if reach > wide else 0.0
 
     def _alike(self, image: NDArray[np.generic], expected: Region, reach: float) -> list[Region]:
         """Up to three regions within `reach` px of the expected one whose decimated picture correlates best."""
@@ -215,13 +205,13 @@ class FeatureTracker(Tracker):
 
     def _reference_features(self) -> Keypoints:
         """The strongest features inside the region; UsageError when there are too few to match."""
-        region = self._region
-        found = self._detect(self._reference.pixels, region)
+        region = self.region
+        found = self._detect(self.reference.pixels, region)
         low, high = np.array([region.x, region.y]), np.array([region.x + region.width, region.y + region.height])
         inside = found.part(np.flatnonzero(np.all((found.xy >= low) & (found.xy < high), axis=1)))
-        if len(inside) < LEAST_FEATURES:
+        if len(inside) < MIN_FEATURES:
             raise UsageError(
-                f"camera.roi must hold at least {LEAST_FEATURES} features of the detector "
+                f"camera.roi must hold at least {MIN_FEATURES} features of the detector "
                 f"{self.settings.detector!r}; {region} has {len(inside)}. Choose a larger or richer place, or the "
                 "tracker 'template'."
             )
@@ -236,7 +226,7 @@ class FeatureTracker(Tracker):
 
     def _most(self, place: tuple[int, int, int, int]) -> int:
         """How many features to keep of a part of the image."""
-        share = place[2] * place[3] / (self._region.width * self._region.height)
+        share = place[2] * place[3] / (self.region.width * self.region.height)
         return math.ceil(self.settings.max_features * max(share, 1.0))
 
     def _matches(self, image: NDArray[np.generic], region: Region) -> tuple[Floats, Floats] | None:
@@ -252,16 +242,19 @@ class FeatureTracker(Tracker):
 
     def _match(self, frame: Frame, region: Region, prediction: Prediction | None) -> Matched | None:
         """The good matches between the reference and `region` of the frame; None when they are too few or disagree."""
-        settings, matches = self.settings, self._matches(frame.pixels, region)
-        if matches is None or len(matches[0]) < LEAST_MATCHES:
+        matches = self._matches(frame.pixels, region)
+        if matches is None or len(matches[0]) < MIN_MATCHES:
             return None
         then, here = matches
-        if settings.technique == "existing":
-            good = earlier_rules(here - then, settings)
-        else:
-            rng = np.random.default_rng((settings.seed, frame.time_ns % 2**63))
-            good = good_matches(then, here, settings, prediction=prediction, rng=rng)
-        return average((here - then)[good], len(then), settings)
+        rng = np.random.default_rng((self.settings.seed, frame.time_ns % 2**63))
+        good = self._good(then, here, prediction=prediction, rng=rng)
+        return average((here - then)[good], len(then), self.settings, self._max_spread_px)
+
+    def _good(
+        self, first: Floats, now: Floats, *, prediction: Prediction | None, rng: np.random.Generator
+    ) -> NDArray[np.int64]:
+        """Indices of the good ones among matches (n, 2), px."""
+        return good_matches(first, now, self.settings, prediction=prediction, rng=rng)
 
 
 def _with_margin(region: Region, shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
@@ -282,34 +275,27 @@ def good_matches(
     prediction: Prediction | None,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    """Indices of the matches (n, 2), px, that rejection I and, with a prediction, II keep; see `literal`."""
+    """Indices of the matches (n, 2), px, that rejection II, with a prediction, and I keep."""
     kept, epsilon = np.arange(len(first)), settings.epsilon_px
-    if settings.literal:
-        kept = kept[rejection_one(first, now, epsilon, rng=rng, literal=True)]
-        return kept if prediction is None else kept[rejection_two((now - first)[kept], prediction, epsilon)]
     if prediction is not None:
         kept = kept[rejection_two(now - first, prediction, epsilon)]
     kept = kept[repeated_rejection_one(first[kept], now[kept], epsilon, rng=rng)]
     return kept[near_median((now - first)[kept], AGREEMENT_PX)]
 
 
-def earlier_rules(translation: Floats, settings: FeatureSettings) -> NDArray[np.int64]:
-    """Indices of the matches with translations (n, 2), px, that pre-purification and RANSAC keep."""
-    kept = np.flatnonzero(within_largest(translation, settings.max_displacement_px))
-    return kept[consensus(translation[kept], settings.ransac_px)]
-
-
-def average(good: Floats, matches: int, settings: FeatureSettings) -> Matched | None:
+def average(
+    good: Floats, matches: int, settings: FeatureSettings, max_spread_px: float = MAX_SPREAD_PX
+) -> Matched | None:
     """Mean (equation 30) of the good translations (n, 2), px, out of so many matches, with the variance of the mean.
 
-    None when fewer than three are good or, unless `literal`, when they scatter more than a rigid target's can.
+    None when fewer than three are good, or when they scatter by more than `max_spread_px`.
     """
     count = len(good)
-    if count < LEAST_MATCHES:
+    if count < MIN_MATCHES:
         return None
     scatter = np.sum((good - good.mean(axis=0)) ** 2, axis=0)
     spread = float(np.sqrt(np.max(scatter) / (count - 1)))
-    if settings.technique == "proposed" and not settings.literal and spread > LARGEST_SPREAD_PX:
+    if spread > max_spread_px:
         return None
     # Few matches tell their own scatter badly; Student's variance allows for it.
     floor = settings.bias_floor_px**2 + GRID_STD_PX.get(settings.detector, 0.0) ** 2

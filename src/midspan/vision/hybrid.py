@@ -4,9 +4,7 @@ After the paper on hybrid phase and feature matching, equations 4 and 14 to 19. 
 moves the region; the mean phase of the active pixels measures what is left. Before anything has been learnt, active
 pixels are those of large amplitude and the gain comes from the slope of the reference's own phase.
 
-With `literal` the phase tracker is the paper's section 2 (the region stays where it is, equations 3 and 4), the hybrid
-its section 3: one axis alone, all active pixels alike, nothing taken back. Until they have learnt from the
-accelerometer both give what the matcher finds, which is step 1 of the paper's calibration.
+With `literal` both are those of `midspan.papers.printed.phase`.
 """
 
 import math
@@ -15,38 +13,30 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
-from midspan.records import NANOSECONDS, Floats, Floats32, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Floats32, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.phase_model import (
     INSET_PX,
-    SMALLEST_SLOPE,
     SPLIT_FRAMES,
     Learning,
     PhaseModel,
     first_model,
-    gradient_form,
     learnt_model,
-    phase_change,
-    phase_slopes,
     reference_field,
     region_patch,
     target_of,
     whole_region,
 )
-from midspan.vision.printed_phase import PrintedRule, printed_model
-from midspan.vision.region import SMALLEST_SIDE_PX, check_size
-from midspan.vision.steerable import AXES, quadrature
+from midspan.vision.region import MIN_SIDE_PX, check_size
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
-from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_settings
+from midspan.vision.tracker import AXES, MAX_LEARNING_FRAMES, TRACKERS, AxisMotion, Tracker, open_tracker
 
-MOST_LEARNT_FRAMES, PRINTED_FRAMES = 240, 500  # printed: 50 s at 10 frames a second
-MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
+MAX_LEARNING_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 
 
@@ -54,7 +44,7 @@ CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 class PhaseSettings:
     """Settings of the phase and hybrid trackers.
 
-    literal: exactly the published steps, see above; least_information, weighted and min_coherence are then not used.
+    literal: exactly the published steps; least_information, weighted and min_coherence are then not used.
     form: "gain" (mean phase times the phase scale factor) or "gradient" (the conventional mean of phase by slope).
     min_slope_rad_px: only with "gradient", slope below which a pixel does not count, 0 rad/px or more; left out: 0.1,
     with literal 0: equation 3 has no such limit. More drops pixels whose noise the division raises.
@@ -101,16 +91,9 @@ class PhaseSettings:
         return self.matcher or ("features" if self.literal else "template")
 
     @property
-    def slope_floor_rad_px(self) -> float:
-        """The slope below which a pixel does not count in the form "gradient"."""
-        if self.min_slope_rad_px is not None:
-            return self.min_slope_rad_px
-        return 0.0 if self.literal else SMALLEST_SLOPE
-
-    @property
-    def needs_motion(self) -> bool:
-        """Whether it must have learnt before it measures as printed; the conventional forms need not."""
-        return self.literal and (self.form == "gain" or self.active_pixels == "correlation")
+    def as_printed(self) -> bool:
+        """Whether the tracker is one of the paper's."""
+        return self.literal or self.form == "gradient"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +107,6 @@ class PhaseState(Motion):
     model: PhaseModel | None = field(default=None, compare=False)
 
 
-@dataclass(frozen=True, slots=True)
-class PhaseFix:
-    """A translation along x and y in px, its variances in px², and coherence 0 to 1."""
-
-    translation_px: tuple[float, float]
-    variance_px2: tuple[float, float]
-    coherence: float
-
-
 class PhaseTracker(Tracker):
     """Local phase about the predicted or the last place; see `midspan.vision.tracker.Tracker` for its interface.
 
@@ -141,6 +115,7 @@ class PhaseTracker(Tracker):
     """
 
     _state: PhaseState
+    _max_learning_frames = MAX_LEARNING_FRAMES
 
     def __init__(self, reference: Frame, region: Region, settings: PhaseSettings) -> None:
         super().__init__(reference, region)
@@ -161,9 +136,7 @@ class PhaseTracker(Tracker):
         noise = max(f.noise_share for f in self._fields)
         self._least_coherence = max(settings.min_coherence * (1.0 - noise), CHANCE_COHERENCE)
         everywhere = settings.active_pixels == "all"
-        self._first = first_model(
-            self._fields, weighted=settings.weighted and not settings.literal, everywhere=everywhere
-        )
+        self._first = first_model(self._fields, weighted=settings.weighted, everywhere=everywhere)
         self._measured_with: tuple[PhaseModel, _core.PhaseTarget] | None = None
         self._state = PhaseState(matcher=self._matcher.state)
 
@@ -192,53 +165,27 @@ class PhaseTracker(Tracker):
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         self._check_size(frame)
-        if self.settings.needs_motion and self._state.model is None:
-            return self._by_matcher(frame, prediction)
         fix = self._find(frame, prediction)
         if fix is None:
             self._state = self._state.missed()
             return lost(frame.time_ns)
-        x, y = fix.translation_px
-        self._state = self._state.seen(frame.time_ns, (x, y))
-        var_x, var_y = (variance + self.settings.bias_floor_px**2 for variance in fix.variance_px2)
-        strength = FULL_QUALITY * fix.coherence
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING, strength=strength)
+        self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px))
+        return fix
 
     @property
     def frames_to_learn(self) -> int:
-        """How many frames are worth learning from: 240, literal 500, fewer for large regions."""
+        """How many frames are worth learning from: 240, fewer for large regions."""
         values_of_frame = 2 * self._window.width * self._window.height
-        most = PRINTED_FRAMES if self.settings.literal else MOST_LEARNT_FRAMES
-        return min(most, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
+        return min(self._max_learning_frames, max(MAX_LEARNING_VALUES // values_of_frame, SPLIT_FRAMES))
 
-    @property
-    def learns_by_acceleration(self) -> bool:
-        """Whether it is to be taught with the accelerometer's translation."""
-        return self.settings.needs_motion
-
-    def learn(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None = None,
-        *,
-        direction: str = "y",
-        band_hz: tuple[float, float] | None = None,
-    ) -> PhaseModel:
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> PhaseModel:
         """Choose active pixels and learn the gains from frames in which the target moves.
 
-        `translation_px` (n,) px along the image axis `direction`, from any zero and without drift (say from the
-        accelerometer); without it, and for the other axis, the matcher's own translations. `band_hz`: of the
-        comparison, with literal; else it is ignored. An axis that hardly moves keeps what is known from the reference.
-        Returns the model now in use. Raises DataError with too few frames.
+        Without `motion`, and along the other axis, by the matcher's own translations; its band is ignored. An axis that
+        hardly moves keeps what is known from the reference.
         """
-        option("direction", direction, AXES)
-        if translation_px is not None and len(translation_px) != len(frames):
-            raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
-        if self.settings.literal:
-            return self._learn_printed(frames, translation_px, direction, band_hz)
         step = max(1, math.ceil(len(frames) / self.frames_to_learn))
-        given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[::step]
-        learning = self._observe(frames[::step], given, AXES.index(direction))
+        learning = self._observe(frames[::step], None if motion is None else motion.part(slice(None, None, step)))
         if self.settings.active_pixels != "amplitude":
             model = learnt_model(
                 self._fields,
@@ -250,23 +197,7 @@ class PhaseTracker(Tracker):
             self._state = replace(self._state, model=model)
         return self.model
 
-    def _learn_printed(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None,
-        direction: str,
-        band_hz: tuple[float, float] | None,
-    ) -> PhaseModel:
-        """Step 3 of the calibration, from the first frames, evenly spaced but for those that the matcher loses."""
-        frames, axis = frames[: self.frames_to_learn], AXES.index(direction)
-        given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[: len(frames)]
-        rate_hz = NANOSECONDS / max(float(np.median(np.diff([frame.time_ns for frame in frames]))), 1.0)
-        rule = PrintedRule(self.settings.active_pixels, None if given is None else axis, band_hz, rate_hz)
-        learning = self._observe(frames, given, axis)
-        self._state = replace(self._state, model=printed_model(self._fields, self._first, learning, rule))
-        return self.model
-
-    def _observe(self, frames: Sequence[Frame], given: Floats | None, axis: int) -> Learning:
+    def _observe(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Learning:
         """Phases of all pixels and the residual motion, with the region moved by the matcher's whole pixels."""
         matcher = self._open_matcher()
         target = target_of(whole_region(self._fields), self._window, self._offset, self.settings.spacing)
@@ -275,15 +206,17 @@ class PhaseTracker(Tracker):
         for k, frame in enumerate(frames):
             self._check_size(frame)
             found = matcher.push(frame)
-            if found.status is not Status.TRACKING or (given is not None and not math.isfinite(given[k])):
+            if found.status is not Status.TRACKING:
                 continue
             place = (round(found.x_px), round(found.y_px))
             changes = target.changes(frame.pixels, *place)
             if changes is None:
                 continue
             moved = [found.x_px, found.y_px]
-            if given is not None:
-                moved[axis] = float(given[k])
+            if motion is not None:
+                moved[motion.axis] = float(motion.translation_px[k])
+                if not math.isfinite(moved[motion.axis]):
+                    continue
             residual.append([moved[0] - place[0], moved[1] - place[1]])
             for kept, change in zip(phases, changes, strict=True):
                 kept.append(change)
@@ -291,18 +224,8 @@ class PhaseTracker(Tracker):
             raise DataError(f"Learning needs at least 5 frames that show the target; received {len(residual)}.")
         return Learning((np.stack(phases[0]), np.stack(phases[1])), np.array(residual))
 
-    def _by_matcher(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation:
-        """The matcher's translation, until active pixels and gain are known."""
-        found = self._matcher.push(frame, prediction)
-        tracked = found.status is Status.TRACKING
-        state = self._state.seen(frame.time_ns, (found.x_px, found.y_px)) if tracked else self._state.missed()
-        self._state = replace(state, matcher=self._matcher.state)
-        return found
-
-    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Phase about the expected place; a target that was lost before is looked for first."""
-        if self.settings.literal:
-            return self._by_phase(frame, (0, 0))
         place, _ = self._expected(prediction)
         if self._state.lost_frames > 0:
             return self._matched(frame, prediction)
@@ -320,69 +243,58 @@ class PhaseTracker(Tracker):
             return (round(prediction.x_px), round(prediction.y_px)), std
         return (round(self._state.x_px), round(self._state.y_px)), math.inf
 
-    def _matched(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _matched(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Equations 18 and 19: the matcher finds the whole-pixel place, phase measures the rest."""
-        if prediction is None and self._state.lost_frames == 0 and not self.settings.literal:
-            prediction = self._state.extrapolated(frame.time_ns)
-        found = self._matcher.push(frame, prediction)
+        found = self._matcher.push(frame, self._matcher_prediction(frame, prediction))
         self._state = replace(self._state, matcher=self._matcher.state, matched_frames=self._state.matched_frames + 1)
         if found.status is not Status.TRACKING:
             return None
         return self._by_phase(frame, (round(found.x_px), round(found.y_px)))
 
-    def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
+    def _matcher_prediction(self, frame: Frame, prediction: Prediction | None) -> Prediction | None:
+        """Where the matcher looks: about the prediction, else about the extrapolated motion of a target just seen."""
+        if prediction is None and self._state.lost_frames == 0:
+            return self._state.extrapolated(frame.time_ns)
+        return prediction
+
+    def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PixelTranslation | None:
         """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.
 
-        The linear gain holds for small residuals only. literal: `place` stays, and any agreement is enough.
+        The linear gain holds for small residuals only.
         """
         found = self._target.near_to(frame.pixels, *place)
         if found is None:
             return None
         x, y, right, down, variance_x, variance_y, coherence = found
-        if not self.settings.literal and coherence < self._least_coherence:
+        if coherence < self._least_coherence:
             return None
-        if self.settings.form == "gradient":
-            right, down = self._gradient_form(frame.pixels, (x, y)).tolist()
-            if self.settings.literal and not math.isfinite(right + down):
-                return None
-        return PhaseFix((x + right, y + down), (variance_x, variance_y), coherence)
+        floor_px2 = self.settings.bias_floor_px**2
+        return PixelTranslation(
+            time_ns=frame.time_ns,
+            x_px=x + right,
+            y_px=y + down,
+            variance_x_px2=variance_x + floor_px2,
+            variance_y_px2=variance_y + floor_px2,
+            quality=coherence,
+            status=Status.TRACKING,
+            strength=FULL_QUALITY * coherence,
+        )
 
     @property
     def _target(self) -> _core.PhaseTarget:
         """What measures frames with the model in use."""
         if self._measured_with is None or self._measured_with[0] is not self.model:
-            printed = self.settings.literal
-            target = target_of(self.model, self._window, self._offset, self.settings.spacing, printed=printed)
-            self._measured_with = self.model, target
+            self._measured_with = self.model, self._opened_target()
         return self._measured_with[1]
 
-    def _patch(self, pixels: NDArray[np.generic], place: tuple[int, int], margin: int) -> Floats32 | None:
-        rows, columns = region_patch(self._window, *place, margin)
-        if rows.start < 0 or columns.start < 0 or rows.stop > pixels.shape[0] or columns.stop > pixels.shape[1]:
-            return None
-        return values(pixels[rows, columns], self._offset)
-
-    def _gradient_form(self, pixels: NDArray[np.generic], place: tuple[int, int]) -> Floats:
-        """Equation 3 along both axes, px."""
-        patch = self._patch(pixels, place, INSET_PX)
-        if patch is None:
-            return np.full(2, np.nan)
-        out = []
-        for k, axis in enumerate(self.model.axes):
-            now = quadrature(patch, AXES[k], self.settings.spacing)
-            slope = phase_slopes(now)[k].ravel()[axis.index]
-            inner = np.ascontiguousarray(now[1:-1, 1:-1])
-            change = phase_change((inner.real.copy(), inner.imag.copy()), axis.reference, axis.index)
-            out.append(gradient_form(change, slope, self.settings.slope_floor_rad_px))
-        return np.array(out)
+    def _opened_target(self) -> _core.PhaseTarget:
+        return target_of(self.model, self._window, self._offset, self.settings.spacing)
 
     def _open_matcher(self) -> Tracker:
-        name = self.settings.matched_by
-        printed = {"literal": True} if self.settings.literal and name == "features" else {}
-        return open_tracker(name, self._reference, self._region, tracker_settings(name, **printed))
+        return open_tracker(self.settings.matched_by, self.reference, self.region)
 
     def _check_size(self, frame: Frame) -> None:
-        check_size(frame, self._reference)
+        check_size(frame, self.reference)
 
 
 class HybridTracker(PhaseTracker):
@@ -394,7 +306,7 @@ class HybridTracker(PhaseTracker):
         gains, along = np.abs(self.phase_gain_px_per_rad), self.model.along
         return not 3.0 * std + 0.5 < math.pi * float(gains.min() if along is None else gains[along])
 
-    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Equations 14 to 19."""
         if self._state.lost_frames == 0 and not self.could_wrap(prediction):
             place, _ = self._expected(prediction)
@@ -408,9 +320,9 @@ def _window(region: Region, columns: int, rows: int) -> Region:
     """The region without what lies too near to the image's border for the filters."""
     x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
     x1, y1 = min(region.x + region.width, columns - INSET_PX), min(region.y + region.height, rows - INSET_PX)
-    if min(x1 - x0, y1 - y0) < SMALLEST_SIDE_PX:
+    if min(x1 - x0, y1 - y0) < MIN_SIDE_PX:
         raise UsageError(
-            f"camera.roi must keep at least {SMALLEST_SIDE_PX} px of width and height {INSET_PX} px away from the "
+            f"camera.roi must keep at least {MIN_SIDE_PX} px of width and height {INSET_PX} px away from the "
             f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
         )
     return Region(x0, y0, x1 - x0, y1 - y0)

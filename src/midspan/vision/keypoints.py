@@ -30,28 +30,6 @@ class SurfSettings:
     contrast: float = math.inf
 
 
-@dataclass(frozen=True, slots=True)
-class Blobs:
-    """Blobs (n,) of an image, strongest first: position x, y and scale in px, and the determinant there.
-
-    `bright` is 1 for a dark blob on bright ground and -1 for the reverse; `descriptor` (n, 64) has unit length.
-    """
-
-    x: Floats
-    y: Floats
-    scale: Floats
-    strength: Floats
-    bright: NDArray[np.int8]
-    descriptor: Floats32
-
-
-def detect_surf(image: Floats32, settings: SurfSettings) -> Blobs:
-    """The blobs of `image` (rows, columns), float32, with their descriptors."""
-    rows, descriptor, bright = _core.surf_blobs(image, settings)
-    x, y, scale, strength = rows.T
-    return Blobs(x, y, scale, strength, bright, descriptor)
-
-
 DETECTORS = {
     "surf": "box-filter blobs (Bay 2006), the published choice; may still be patented in some countries",
     "sift": "difference-of-Gaussian blobs; exact and slow",

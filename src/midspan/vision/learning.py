@@ -21,7 +21,7 @@ from midspan.vision.texture import values
 
 PAD_PX = 8  # around the window: what low-pass and spline reach for
 SAME_PLACE_PX = 0.03  # frames nearer than this are one sample: the blur of it is 1e-4 of any frequency's amplitude
-MOST_SAMPLES = 48
+MAX_SAMPLES = 48
 FIRST_LOOK = 8  # samples that show how large the noise is
 MIN_HALVED = 16  # samples: half of them still lie at eight places
 ROUNDS, ITERATIONS = 3, 6  # six preconditioned steps come nearer than twelve plain ones
@@ -62,7 +62,7 @@ class KeptSamples:
         items = list(self.items)
         apart = np.abs(np.array([item.shift for item in items]).reshape(-1, 2) - new.shift).max(axis=1)
         nearest = int(np.argmin(apart)) if items else -1
-        if items and (apart[nearest] < SAME_PLACE_PX or len(items) >= MOST_SAMPLES):
+        if items and (apart[nearest] < SAME_PLACE_PX or len(items) >= MAX_SAMPLES):
             if apart[nearest] < SAME_PLACE_PX:
                 items[nearest] = items[nearest].plus(new)
         else:

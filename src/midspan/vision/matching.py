@@ -10,7 +10,7 @@ from midspan import _core
 from midspan._core import Fix
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Floats32, Region
-from midspan.vision.region import SMALLEST_SIDE_PX
+from midspan.vision.region import MIN_SIDE_PX
 from midspan.vision.search import coarse_factor
 from midspan.vision.texture import (
     REACH,
@@ -90,9 +90,9 @@ def _window(region: Region, columns: int, rows: int) -> Region:
     x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
     x1 = min(region.x + region.width, columns - INSET_PX)
     y1 = min(region.y + region.height, rows - INSET_PX)
-    if min(x1 - x0, y1 - y0) < SMALLEST_SIDE_PX:
+    if min(x1 - x0, y1 - y0) < MIN_SIDE_PX:
         raise UsageError(
-            f"camera.roi must keep at least {SMALLEST_SIDE_PX} px of width and height {INSET_PX} px away from the "
+            f"camera.roi must keep at least {MIN_SIDE_PX} px of width and height {INSET_PX} px away from the "
             f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
         )
     return Region(x0, y0, x1 - x0, y1 - y0)

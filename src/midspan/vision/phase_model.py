@@ -11,20 +11,8 @@ from midspan import _core
 from midspan.records import Floats, Floats32, Region
 from midspan.signals.health import Mask
 from midspan.vision.active_pixels import by_amplitude, by_correlation, slope_and_r_squared
-from midspan.vision.steerable import AXES, MARGIN_PX, Complex64, noise_power, quadrature, spread_back, taps_of
+from midspan.vision.steerable import MARGIN_PX, Complex64, noise_power, quadrature, spread_back, taps_of
 from midspan.vision.texture import noise_std
-
-SMALLEST_SLOPE = 0.1  # rad/px: below it the gradient form would divide by next to nothing
-
-
-def phase_change(now: tuple[Floats32, Floats32], reference: Complex64, index: NDArray[np.int64]) -> Floats32:
-    """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index`: (k,) rad.
-
-    `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π by itself;
-    a difference of two angles would not.
-    """
-    here = (now[0] + 1j * now[1]).ravel()[index]
-    return np.asarray(np.angle(here * np.conj(reference)), dtype=np.float32)
 
 
 def phase_slopes(field: Complex64) -> tuple[Floats, Floats]:
@@ -50,26 +38,14 @@ def phase_curvatures(field: Complex64) -> tuple[Floats, Floats, Floats]:
     return x.astype(np.float64), y.astype(np.float64), xy.astype(np.float64)
 
 
-def gradient_form(change: Floats32, slope: Floats, smallest_slope: float = SMALLEST_SLOPE) -> float:
-    """Translation in px as the mean of -change / slope over the pixels (k,): equation 3 without its scale factor.
-
-    `change` in rad, `slope` of the current frame's phase along the axis in rad/px; pixels with next to no slope are
-    left out (below `smallest_slope`, rad/px; the equation has no such limit: 0). NaN without any.
-    """
-    steep = np.abs(slope) >= max(smallest_slope, 1e-300)
-    if not steep.any():
-        return float("nan")
-    return float(np.mean(-change[steep].astype(np.float64) / slope[steep]))
-
-
 BLOCKS = 4  # the residual is watched in 4 by 4 blocks
 INSET_PX = MARGIN_PX + 1  # the reference needs a pixel more than the filter, for the slope of the phase
 # The gain from the reference alone is off by what aliasing and noise in the reference do to the slope of its phase.
 FIRST_GAIN_ERROR = 0.003
 GAIN_ERROR_OF_NOISE = 0.35
 SPLIT_FRAMES = 20
-LEAST_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
-LEAST_R_SQUARED = 0.5
+MIN_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
+MIN_R_SQUARED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +102,7 @@ class PhaseModel:
     def mask(self, axis: str, shape: tuple[int, int]) -> Mask:
         """Active pixels of `axis` "x" or "y" in a region of `shape` (rows, columns)."""
         flat = np.zeros(shape[0] * shape[1], dtype=bool)
-        flat[self.axes[AXES.index(axis)].index] = True
+        flat[self.axes["xy".index(axis)].index] = True
         return flat.reshape(shape)
 
 
@@ -235,11 +211,11 @@ def _learnt_axis(
     """The axis `k` as its phases followed the residual motion, and the R² of that."""
     residual = learning.residual_px - learning.residual_px.mean(axis=0)
     moved = np.sqrt(np.mean(residual**2, axis=0))
-    if len(residual) < 5 or moved[k] < LEAST_MOTION_PX:
+    if len(residual) < 5 or moved[k] < MIN_MOTION_PX:
         return known, math.nan
     phase = learning.phase[k] - (squares(learning.residual_px) @ field.curve.T).astype(np.float32)
     phase -= phase.mean(axis=0)
-    slopes = _learnt_slopes(field, phase, residual, [j for j in (k, 1 - k) if moved[j] >= LEAST_MOTION_PX])
+    slopes = _learnt_slopes(field, phase, residual, [j for j in (k, 1 - k) if moved[j] >= MIN_MOTION_PX])
     along = phase - np.outer(residual[:, 1 - k], slopes[:, 1 - k]).astype(np.float32)
     power = field.amplitude.ravel() ** 2
     weighted, share = rule
@@ -256,7 +232,7 @@ def _learnt_axis(
         least_information=share,
     )
     active = selection.active
-    if not math.isfinite(selection.gain_px_per_rad) or selection.r_squared < LEAST_R_SQUARED:
+    if not math.isfinite(selection.gain_px_per_rad) or selection.r_squared < MIN_R_SQUARED:
         return known, selection.r_squared
     slopes[:, k] = slope_and_r_squared(along[measuring], residual[measuring, k])[0]
     mean = along[:, active] @ (weight[active] / weight[active].sum())
@@ -281,17 +257,20 @@ def squares(shift: Floats) -> Floats:
 
 
 def target_of(
-    model: PhaseModel, window: Region, offset: float, spacing: float, *, printed: bool = False
+    model: PhaseModel,
+    window: Region,
+    offset: float,
+    spacing: float,
+    ratios: tuple[float, float] | None = None,
 ) -> _core.PhaseTarget:
     """What measures frames with this model: the pixels of `window` less `offset`, filtered with taps every `spacing`.
 
     Both axes are solved together, and active pixels whose phase contradicts the others (something stands before them)
     do not count in a frame, unless they are the majority.
-    printed: each axis alone, the ratio times the mean phase of all active pixels (equations 4 and 17); the variance is
-    then not the paper's, but what one frame's noise makes of it.
+    ratios: translation by mean phase along x and y, px/rad: each axis is then measured alone, by the mean phase of all
+    active pixels (equations 4 and 17), with the variance that one frame's noise makes of it.
     """
     place = (window.x, window.y, window.width, window.height)
-    ratios = model.gains_px_per_rad if printed else None
     return _core.PhaseTarget(place, offset, taps_of(spacing), model.axes, ratios)
 
 

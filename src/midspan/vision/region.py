@@ -8,7 +8,7 @@ from midspan.checks import refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Region
 
-SMALLEST_SIDE_PX = 12  # a window below this has too few pixels for a sub-pixel peak
+MIN_SIDE_PX = 12  # a window below this has too few pixels for a sub-pixel peak
 
 
 def region_of(roi: Region | Sequence[int]) -> Region:
@@ -28,9 +28,9 @@ def check_region(region: Region, columns: int, rows: int) -> Region:
             f"camera.roi must lie inside the image ({columns}x{rows} px); {received}. Correct roi, or leave it out to "
             "have it chosen."
         )
-    if min(region.width, region.height) < SMALLEST_SIDE_PX:
+    if min(region.width, region.height) < MIN_SIDE_PX:
         raise UsageError(
-            f"camera.roi must be at least {SMALLEST_SIDE_PX} px wide and high; {received}. Give a larger region."
+            f"camera.roi must be at least {MIN_SIDE_PX} px wide and high; {received}. Give a larger region."
         )
     return region
 

@@ -23,8 +23,8 @@ CHOICE_S = 8.0
 # The accelerometer's choice: so many frames over at least so many seconds, and no more seconds and frames than these.
 TRIAL_FRAMES = 200
 TRIAL_S = 20.0
-LONGEST_TRIAL_S = 40.0
-MOST_DECODED = 3000
+MAX_TRIAL_S = 40.0
+MAX_DECODED = 3000
 # A place with this many times the best one's noise adds less than 1 % to what the best one knows.
 USELESS = 10.0
 # A frame in twenty missed doubles what a place costs: the band opens tenfold until the next one.
@@ -198,9 +198,9 @@ def _trial_frames(time_ns: Nanoseconds, request: ChoiceRequest) -> NDArray[np.in
     start = min(start, max(len(time_ns) - TRIAL_FRAMES, 0))
     inside = time_ns[start:]
     usual = int(np.searchsorted(inside, inside[0] + int(TRIAL_S * NANOSECONDS)))
-    longest = int(np.searchsorted(inside, inside[0] + int(LONGEST_TRIAL_S * NANOSECONDS)))
+    longest = int(np.searchsorted(inside, inside[0] + int(MAX_TRIAL_S * NANOSECONDS)))
     step = max(1, -(-usual // TRIAL_FRAMES))
-    return request.first + start + np.arange(0, min(TRIAL_FRAMES * step, longest, MOST_DECODED, len(inside)), step)
+    return request.first + start + np.arange(0, min(TRIAL_FRAMES * step, longest, MAX_DECODED, len(inside)), step)
 
 
 def _opened(frame: Frame, region: Region) -> TemplateTracker | None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from midspan import _core
 from midspan._core import Pose
-from midspan.checks import option, refuse
+from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
@@ -25,13 +25,12 @@ from midspan.vision.region import check_size
 from midspan.vision.target import Motion, lost, translation_of
 from midspan.vision.template import NEXT_PX, TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import noise_gains
-from midspan.vision.tracker import Tracker
+from midspan.vision.tracker import MAX_LEARNING_FRAMES, AxisMotion, Tracker
 
 _CERTAIN = np.zeros((4, 4))
 KERNEL_BYTES = 24 << 20  # of kernels in one bank: all 64 phases of a region of 256 px, 16 of one of 512 px
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
-FEWEST_PLACES, PATIENCE = 8, 4
-MOST_LEARNT_FRAMES = 240
+MIN_PLACES, PATIENCE = 8, 4
 MAJORITY = _core.MAJORITY  # of the target's information: less agrees by chance, or with what moves differently in it
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
 WHOLE_CORRELATION, WHOLE_PX, WHOLE_SHARE = 0.6, 0.05, 0.1
@@ -177,28 +176,19 @@ class RegistrationTracker(Tracker):
         if samples is self._samples:
             return
         self._samples = samples
-        varied = len(samples.items) >= FEWEST_PLACES
+        varied = len(samples.items) >= MIN_PLACES
         if samples.frames < enough or not (varied or samples.frames == PATIENCE * enough):
             return
         # A structure at rest shows one place alone: an average will do until it moves.
         self._samples, self._learnt = None if varied else samples, self._made_anew(samples)
 
-    def learn(
-        self,
-        frames: Sequence[Frame],
-        translation_px: Floats | None = None,
-        *,
-        direction: str = "y",
-        band_hz: tuple[float, float] | None = None,
-    ) -> Learnt:
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Learnt:
         """Make the template anew from frames that show the target, best at many sub-pixel places.
 
-        The zero stays where it is for these frames, within their noise. All but the frames is taken so that all
-        trackers that learn are called alike; the tracker's own translations are the more exact. Returns what is now in
-        use. Raises DataError where fewer than 5 frames show the target undisturbed.
+        The zero stays where it is for these frames, within their noise. `motion` is ignored: the tracker's own
+        translations are more exact.
         """
-        option("direction", direction, ("x", "y"))
-        step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))
+        step = max(1, math.ceil(len(frames) / MAX_LEARNING_FRAMES))
         other = RegistrationTracker(self.reference, self.region, replace(self.settings, learn_frames=0))
         samples = KeptSamples()
         for frame in frames[::step]:
@@ -255,7 +245,7 @@ class RegistrationTracker(Tracker):
     def _made_anew(self, samples: KeptSamples) -> Learnt:
         """Take the template of the samples, its zero such that their mean place is where the first template put it."""
         plane = learn_plane(samples)
-        if len(samples.items) < FEWEST_PLACES:
+        if len(samples.items) < MIN_PLACES:
             # So few means are fitted without a rest, which says nothing of their noise.
             least = self._first.noise_std / math.sqrt(samples.frames)
             plane = replace(plane, noise_std=max(plane.noise_std, least))

@@ -1,4 +1,4 @@
-"""Which matches of features are believed: rejection I and II, and the earlier rules they replaced.
+"""Which matches of features are accepted: rejection I and II.
 
 Ma, Choi and Sohn, "Real-time structural displacement estimation by fusing asynchronous acceleration and computer
 vision measurements", 2022, doi 10.1111/mice.12767, equations 15 to 17 and 29. Positions are arrays (n, 2) of x, y in
@@ -100,20 +100,3 @@ def near_median(translation: Floats, least_px: float) -> Mask:
     distance = np.abs(translation - np.median(translation, axis=0))
     limit = np.maximum(least_px, SPREAD * SIGMA_OF_MEDIAN * np.median(distance, axis=0))
     return np.asarray(np.all(distance <= limit, axis=1))
-
-
-def within_largest(translation: Floats, largest_px: float) -> Mask:
-    """Pre-purification: matches (n,) that moved at most `largest_px`, which must be known beforehand."""
-    return np.asarray(np.hypot(*translation.T) <= largest_px)
-
-
-def consensus(translation: Floats, tolerance_px: float) -> Mask:
-    """The largest set of matches (n,) within `tolerance_px` of one match's translation.
-
-    RANSAC for a translation: one match is a whole hypothesis, so every one is tried and nothing is drawn.
-    """
-    if len(translation) == 0:
-        return np.zeros(0, dtype=bool)
-    apart = np.hypot(*(translation[:, None] - translation[None]).transpose(2, 0, 1))
-    votes = apart <= tolerance_px
-    return np.asarray(votes[np.argmax(votes.sum(axis=1))])

@@ -38,15 +38,6 @@ class Span:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Patch:
-    """A smoothed cut of the image: `pixels` (rows, columns) whose first pixel is image pixel (x, y)."""
-
-    pixels: Floats32
-    x: int
-    y: int
-
-
 def cut(image: NDArray[np.generic], span: Span, size: tuple[int, int], margin: int, offset: float) -> Floats32 | None:
     """The image under all windows (rows, columns) = `size` of the span, with `margin` px more on every side.
 
@@ -55,14 +46,6 @@ def cut(image: NDArray[np.generic], span: Span, size: tuple[int, int], margin: i
     top, bottom = span.y0 - margin, span.y1 + size[0] + margin
     left, right = span.x0 - margin, span.x1 + size[1] + margin
     return values(image[top:bottom, left:right], offset)
-
-
-def fine_patch(
-    image: NDArray[np.generic], span: Span, size: tuple[int, int], *, taps: Floats32, offset: float
-) -> Patch | None:
-    """The smoothed cut for a whole-pixel search over `span`."""
-    raw = cut(image, span, size, len(taps) // 2, offset)
-    return None if raw is None else Patch(_core.smooth(raw, taps), span.x0, span.y0)
 
 
 def coarse_factor(template: Floats32) -> int:
@@ -112,20 +95,3 @@ def peaks(surface: Floats, count: int, separation: int) -> list[tuple[int, int]]
         found.append((x, y))
         left[max(y - separation, 0) : y + separation + 1, max(x - separation, 0) : x + separation + 1] = -1.0
     return found
-
-
-def zncc_matrix(patch: Floats, template: Floats) -> Floats:
-    """ZNCC (-1 to 1) of `template` (h, w) at every whole-pixel position in `patch` by the Fourier transform.
-
-    Equation 2 of the two-stage paper. Returns (rows - h + 1, columns - w + 1); 0 where a window is constant.
-    """
-    from scipy.fft import irfft2, next_fast_len, rfft2
-
-    rows, columns = template.shape
-    size = [next_fast_len(length, real=True) for length in patch.shape]
-    product = irfft2(rfft2(patch, size) * np.conj(rfft2(template, size)), size)
-    energy = _core.window_energies(patch, rows, columns)
-    product = product[: energy.shape[0], : energy.shape[1]]
-    seen = energy > 1e-12 * (np.max(energy) + 1e-30)
-    norm = np.sqrt(np.where(seen, energy, 1.0) * np.sum(template**2))
-    return np.where(seen, product / norm, 0.0)

@@ -17,7 +17,6 @@ Complex64 = NDArray[np.complex64]
 
 SPACING = 0.67  # of the samples, in widths of the Gaussian exp(-x²): nine taps, as tabulated
 MARGIN_PX = 4  # taps on either side
-AXES = ("x", "y")
 
 
 @cache

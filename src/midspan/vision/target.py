@@ -9,7 +9,7 @@ from midspan.records import NANOSECONDS, Event, PixelTranslation, Prediction, St
 if TYPE_CHECKING:
     from midspan._core import Row
 
-LONGEST_DISTANCE_PX = 1_000_000
+MAX_DISTANCE_PX = 1_000_000
 FULL_QUALITY = 100.0  # strength of a quality of 1, so that a minimum number of matches is a minimum percentage too
 # By the core's codes: why a target was not looked for in a frame (`PixelTranslation.unseen`), what its row rests on.
 UNSEEN, STATUSES = ("", "dark", "frozen"), tuple(Status)
@@ -37,7 +37,7 @@ class Motion:
         else:
             elapsed_s = 0.0 if self.time_ns is None else (time_ns - self.time_ns) / NANOSECONDS
             x, y = self.x_px + self.speed_x_px_s * elapsed_s, self.y_px + self.speed_y_px_s * elapsed_s
-        limit = LONGEST_DISTANCE_PX
+        limit = MAX_DISTANCE_PX
         return min(max(x, -limit), limit), min(max(y, -limit), limit)
 
     def extrapolated(self, time_ns: int) -> Prediction:

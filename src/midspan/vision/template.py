@@ -7,7 +7,6 @@ Frame and template are filtered alike by a low-pass that keeps noise and aliasin
 pulling the peak to whole or half pixels. The whole-pixel peak is found on the ZNCC of every position in the search
 window. Around it the template's quintic spline is moved over the frame's window: the numerator of ZNCC is then itself
 a quintic spline of the shift, the template's energy a known function of it, and Newton's method climbs the surface.
-With `literal` the tracker is that of `midspan.vision.printed_template` instead.
 """
 
 import math
@@ -22,10 +21,9 @@ from midspan.checks import refuse
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alternatives, identified
 from midspan.vision.matching import Matching, make_template
-from midspan.vision.printed_template import match_printed, printed_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, coarse_positions, coarse_span
-from midspan.vision.target import FULL_QUALITY, LONGEST_DISTANCE_PX, Motion, lost
+from midspan.vision.target import FULL_QUALITY, MAX_DISTANCE_PX, Motion, lost
 from midspan.vision.tracker import Tracker
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
@@ -38,7 +36,7 @@ CLEARLY_BETTER = 0.02  # difference of correlation
 class TemplateSettings:
     """Settings of the template tracker.
 
-    literal: exactly the published steps, see `midspan.vision.printed_template`; smoothing_px and min_correlation are
+    literal: exactly the published steps, see `midspan.papers.printed.template`; smoothing_px and min_correlation are
     then not used, and search_px counts from the target's place in the first frame.
     smoothing_px: Gaussian smoothing of frame and template on top of the low-pass at the Nyquist frequency, 0 to 3 px;
     more suits aliased texture, less keeps fine texture.
@@ -56,12 +54,17 @@ class TemplateSettings:
     def __post_init__(self) -> None:
         if not 0.0 <= self.smoothing_px <= 3.0:
             raise refuse("smoothing_px", "from 0 to 3 px", self.smoothing_px)
-        if not 3.0 <= self.search_px <= LONGEST_DISTANCE_PX:
+        if not 3.0 <= self.search_px <= MAX_DISTANCE_PX:
             raise refuse("search_px", "3 px or more", self.search_px)
         if not 0.0 < self.min_correlation < 1.0:
             raise refuse("min_correlation", "above 0 and below 1", self.min_correlation)
         if not 0.0 <= self.bias_floor_px < math.inf:
             raise refuse("bias_floor_px", "0 px or more", self.bias_floor_px)
+
+    @property
+    def as_printed(self) -> bool:
+        """Whether the tracker is the paper's."""
+        return self.literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +85,6 @@ class TemplateTracker(Tracker):
         self.template = make_template(
             reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
         )
-        offset = self.template.offset
-        self._printed = printed_template(reference.pixels, region, offset) if settings.literal else None
         self._state = TemplateState(correlation=self.template.expected_correlation)
 
     @property
@@ -93,10 +94,7 @@ class TemplateTracker(Tracker):
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
-        check_size(frame, self._reference)
-        if self._printed is not None:
-            own = self.settings
-            return self._seen(frame, match_printed(frame.pixels, self._printed, own.search_px))
+        check_size(frame, self.reference)
         fix = self._find(frame, prediction)
         if fix is None:
             return self._seen(frame, None)
@@ -144,7 +142,7 @@ class TemplateTracker(Tracker):
         template = self.template
         least = max(MIN_LIKENESS * template.expected_correlation, template.threshold)
         return find_alternatives(
-            self._reference.pixels, template.window, template.pixels, offset=template.offset, least=least
+            self.reference.pixels, template.window, template.pixels, offset=template.offset, least=least
         )
 
     def identified(self, frame: Frame, found: Floats, prediction: Prediction | None, state: Motion) -> Floats | None:
@@ -181,7 +179,7 @@ class TemplateTracker(Tracker):
         missed = self._state.lost_frames
         if predicted and max(radius) <= DIRECT_RADIUS_PX and missed < PATIENCE_FRAMES:
             return 2.0 * DIRECT_RADIUS_PX
-        return max(self.settings.search_px, *radius) if missed == 0 else LONGEST_DISTANCE_PX
+        return max(self.settings.search_px, *radius) if missed == 0 else MAX_DISTANCE_PX
 
     def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[tuple[int, int], tuple[int, int]]:
         """Whole-pixel position of the window and the search radii: prediction ± (3 sigma + 2 px), at least 3 px."""
@@ -189,7 +187,7 @@ class TemplateTracker(Tracker):
         radii = [0, 0]
         if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
             sigmas = (prediction.std_x_px, prediction.std_y_px)
-            radii = [math.ceil(3.0 * s) + 2 if s < LONGEST_DISTANCE_PX else LONGEST_DISTANCE_PX for s in sigmas]
+            radii = [math.ceil(3.0 * s) + 2 if s < MAX_DISTANCE_PX else MAX_DISTANCE_PX for s in sigmas]
         x, y = self._state.expected(time_ns, prediction)
         return (window.x + round(x), window.y + round(y)), (max(radii[0], 3), max(radii[1], 3))
 
@@ -198,7 +196,7 @@ class TemplateTracker(Tracker):
 
     def _span(self) -> Span:
         """All positions where the window and the margin for smoothing lie inside the image."""
-        rows, columns = self._reference.pixels.shape
+        rows, columns = self.reference.pixels.shape
         window, margin = self.template.window, len(self.template.taps) // 2
         return Span(margin, columns - window.width - margin, margin, rows - window.height - margin)
 

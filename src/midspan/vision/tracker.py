@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from midspan._core import Registration
 from midspan.checks import instance, option, refuse
 from midspan.errors import DataError
@@ -14,6 +16,25 @@ from midspan.vision.region import check_region, clamp, region_of, shift
 
 if TYPE_CHECKING:
     from midspan.vision.active_pixels import ActivePixels
+
+
+AXES = ("x", "y")
+MAX_LEARNING_FRAMES = 240  # that a tracker learns from: more take longer and tell little that is new
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisMotion:
+    """Motion of a target along an image axis as another sensor shows it: translation_px (n,) of n frames, from any zero
+    and without drift; axis: its number, 0 along x; band_hz: to be compared within this band only, None: in any.
+    """
+
+    translation_px: Floats
+    axis: int
+    band_hz: tuple[float, float] | None = None
+
+    def part(self, which: Sequence[int] | slice) -> "AxisMotion":
+        """That of some of the frames."""
+        return AxisMotion(self.translation_px[which], self.axis, self.band_hz)
 
 
 class Tracker(ABC):
@@ -47,9 +68,9 @@ class Tracker(ABC):
     @property
     def region_now(self) -> Region:
         """Where the target was last seen or, when it is lost, is looked for; always inside the image."""
-        rows, columns = self._reference.pixels.shape
+        rows, columns = self.reference.pixels.shape
         state = self.state
-        return clamp(shift(self._region, state.x_px, state.y_px), columns, rows)
+        return clamp(shift(self.region, state.x_px, state.y_px), columns, rows)
 
     @property
     def state(self) -> Any:
@@ -96,8 +117,18 @@ class Tracker(ABC):
         """Learn from frames, in the order of their times, that begin with the reference frame; the zero stays there.
 
         translation_px (n,): along the image axis `direction` as the accelerometer shows it, where it is known, to be
-        compared within `band_hz` only. Trackers that learn from the picture alone leave all three aside.
+        compared within `band_hz` only. Trackers that learn from the picture alone leave all three aside. Returns what
+        is now in use. Raises DataError where too few frames show the target.
         """
+        axis = AXES.index(option("direction", direction, AXES))
+        if translation_px is None:
+            return self._learn(frames, None)
+        if len(translation_px) != len(frames):
+            raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
+        return self._learn(frames, AxisMotion(np.asarray(translation_px, dtype=np.float64), axis, band_hz))
+
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Any:
+        """What `learn` does; motion: None where it is not known. Most trackers learn nothing."""
         return None
 
     @property
@@ -118,12 +149,16 @@ class Tracker(ABC):
 
 @dataclass(frozen=True, slots=True)
 class TrackerEntry:
-    """One row of the table: the module, its tracker and settings classes, and when to use it."""
+    """One row of the table: the module, its tracker and settings classes, and when to use it.
+
+    printed: "module:name", in the room of the papers, of what opens the tracker where its settings say `as_printed`.
+    """
 
     module: str
     tracker: str
     settings: str
     use: str
+    printed: str = ""
 
 
 TRACKERS: dict[str, TrackerEntry] = {
@@ -132,12 +167,14 @@ TRACKERS: dict[str, TrackerEntry] = {
         tracker="TemplateTracker",
         settings="TemplateSettings",
         use="a textured target that keeps its appearance: correlation with the first frame, simple and exact",
+        printed="midspan.papers.printed.template:PrintedTemplateTracker",
     ),
     "features": TrackerEntry(
         module="midspan.vision.features",
         tracker="FeatureTracker",
         settings="FeatureSettings",
         use="a target that is partly hidden or in uneven light: matched features, mismatches rejected; slower, coarser",
+        printed="midspan.papers.printed.features:printed_features",
     ),
     "registration": TrackerEntry(
         module="midspan.vision.registration",
@@ -150,16 +187,21 @@ TRACKERS: dict[str, TrackerEntry] = {
         tracker="PhaseTracker",
         settings="PhaseSettings",
         use="small motion, or a good prediction: the local phase alone, without a search",
+        printed="midspan.papers.printed.phase:printed_phase",
     ),
     "hybrid": TrackerEntry(
         module="midspan.vision.hybrid",
         tracker="HybridTracker",
         settings="PhaseSettings",
         use="changing light and things in front of the target: local phase, after a search where it could wrap",
+        printed="midspan.papers.printed.phase:printed_hybrid",
     ),
 }
 
 DEFAULT_TRACKER = "registration"
+# The paper's rule for the reference frame: a module in the room of the papers with an `UpdatingTracker` and what makes
+# its settings of a tracker's name, its settings and a table, `updating_settings`.
+UPDATING = "midspan.papers.printed.updating"
 
 
 def tracker_settings(name: str, **values: Any) -> Any:
@@ -209,7 +251,11 @@ def open_tracker(name: str, reference: Frame, region: Region | Sequence[int], se
     known = getattr(importlib.import_module(entry.module), entry.settings)
     if settings is not None and not isinstance(settings, known):
         raise refuse("settings", f"a {entry.settings} for the tracker {name!r}", type(settings).__name__)
-    tracker: Tracker = tracker_class(name)(reference, region, settings or known())
+    opener = tracker_class(name)
+    if getattr(settings, "as_printed", False):
+        module, printed = entry.printed.split(":")
+        opener = getattr(importlib.import_module(module), printed)
+    tracker: Tracker = opener(reference, region, settings or known())
     return tracker
 
 

@@ -48,7 +48,7 @@ def _recurrence(omega: float, damping: float, step_s: float) -> tuple[Floats, Fl
     return whole[:2, :2].copy(), whole[:2, 2] - slope, slope
 
 
-def respond(beam: Beam, force_n: Floats, *, step_rate_hz: float = 4000.0, start_s: float = 0.0) -> FineSteps:
+def respond(beam: Beam, force_n: Floats, *, step_rate_hz: float = 4000.0) -> FineSteps:
     """Motion of mid-span, at rest at the start, under a force (n,) in N there, given at even steps.
 
     Each mode is solved exactly for a force that is linear between the steps, so acceleration, velocity and displacement
@@ -65,7 +65,7 @@ def respond(beam: Beam, force_n: Floats, *, step_rate_hz: float = 4000.0, start_
         states = _core.modal_response(pressure, transition.tolist(), load_now.tolist(), load_next.tolist())
         acceleration = pressure - 2 * beam.damping * omega * states[:, 1] - omega**2 * states[:, 0]
         total += np.stack([states[:, 0], states[:, 1], acceleration])
-    return FineSteps(start_s, 1 / step_rate_hz, total[0], total[1], total[2])
+    return FineSteps(0.0, 1 / step_rate_hz, total[0], total[1], total[2])
 
 
 def paper_force(rng: np.random.Generator | None = None, *, duration_s: float = 100.0) -> Motion:
@@ -81,11 +81,9 @@ def paper_force(rng: np.random.Generator | None = None, *, duration_s: float = 1
     return Window(Sum((tones, *slow)), 0.0, duration_s, ramp_s=3.0)
 
 
-def paper_beam_motion(
-    seed: int | None = None, *, duration_s: float = 100.0, beam: Beam | None = None, step_rate_hz: float = 4000.0
-) -> FineSteps:
+def paper_beam_motion(seed: int | None = None, *, duration_s: float = 100.0, step_rate_hz: float = 4000.0) -> FineSteps:
     """The motion of mid-span of the paper's beam over `duration_s` (peak about 8 mm); `seed` draws the phases."""
     rng = None if seed is None else np.random.default_rng(seed)
     time = np.arange(round(duration_s * step_rate_hz) + 1) / step_rate_hz
     force = paper_force(rng, duration_s=duration_s).displacement(time)
-    return respond(beam or Beam(), force, step_rate_hz=step_rate_hz)
+    return respond(Beam(), force, step_rate_hz=step_rate_hz)

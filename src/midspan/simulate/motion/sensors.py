@@ -79,23 +79,19 @@ class AccelerometerModel:
 class DisplacementSensorModel:
     """A sensor of displacement on its own clock: time on the accelerometer's clock = its own + `time_offset_s`.
 
-    `noise_std_m` is white, per sample. `jitter_s` is the standard deviation of the sampling instants about the even
-    grid, stamped truly or, with `nominal_stamps`, with the grid. With `exposure_s` it averages, stamped at the middle.
+    `noise_std_m` is white, per sample. With `exposure_s` it averages, stamped at the middle.
     """
 
     rate_hz: float = 10.0
     noise_std_m: float = 0.0
     time_offset_s: float = 0.0
-    jitter_s: float = 0.0
     exposure_s: float = 0.0
-    nominal_stamps: bool = False
 
     def measure(self, motion: Motion, span_s: tuple[float, float], *, rng: np.random.Generator) -> TimeSeries:
         """What it reads of `motion` over `span_s` (start, end) in s of the true time: m, stamped on its own clock."""
-        grid, taken = _instants(self.rate_hz, span_s, self.jitter_s, rng)
-        value = exposed(motion, taken, exposure_s=self.exposure_s) + self.noise_std_m * rng.standard_normal(len(grid))
-        stamps = (grid if self.nominal_stamps else taken) - self.time_offset_s
-        return TimeSeries(nanoseconds(stamps), value, "displacement", "m")
+        grid, _ = _instants(self.rate_hz, span_s, 0.0, rng)
+        value = exposed(motion, grid, exposure_s=self.exposure_s) + self.noise_std_m * rng.standard_normal(len(grid))
+        return TimeSeries(nanoseconds(grid - self.time_offset_s), value, "displacement", "m")
 
 
 @dataclass(frozen=True, slots=True)

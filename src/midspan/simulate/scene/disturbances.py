@@ -13,7 +13,7 @@ from midspan.simulate.scene.scene import Image, Scene
 class Car:
     """A striped box that passes from left to right again and again, `speed_px_s`, once every `period_s`.
 
-    Its top edge is at row `top_px`; `height_px` and `width_px` are its size, `tone_dn` its mean brightness.
+    Its top edge is at row `top_px`; `height_px` and `width_px` are its size.
     """
 
     top_px: int
@@ -21,7 +21,6 @@ class Car:
     width_px: int = 60
     speed_px_s: float = 80.0
     period_s: float = 11.0
-    tone_dn: float = 70.0
 
     def disturb(self, image: Image, time_s: float) -> None:
         """Paint the car over `image`; an edge between two pixels covers its part of the pixel."""
@@ -29,7 +28,7 @@ class Car:
         column = np.arange(image.shape[1])
         cover = np.clip(column + 0.5 - left, 0, 1) - np.clip(column + 0.5 - (left + self.width_px), 0, 1)
         # The stripes move with the car; their period of 7 px is far below the sampling limit.
-        tone = self.tone_dn + 35 * np.sin(2 * np.pi * (column - left) / 7.0)
+        tone = 70.0 + 35 * np.sin(2 * np.pi * (column - left) / 7.0)
         rows = image[self.top_px : self.top_px + self.height_px]
         rows += ((tone - rows) * cover).astype(np.float32)
 

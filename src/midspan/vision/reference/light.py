@@ -28,7 +28,7 @@ ROUNDS = 6
 ENOUGH_PX = 0.01  # a search that steps less has come to rest: what is left is a tenth of the step
 ROBUST = 5.0  # residuals of more standard deviations than this count half or less: shadows' edges, things in front
 SINGULAR = 1e-6  # determinant of the information over its diagonal below which a texture has one direction
-FARTHEST_PX = 1.0  # from where a search begins
+MAX_OFFSET_PX = 1.0  # from where a search begins, and of a picture from where its frames were found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +70,7 @@ class Sight:
     def window(self, place: Floats) -> Floats32 | None:
         """The target as it would look at rest, if it lies at `place` (2,) px, with EDGE_PX around it; None if far."""
         x, y = (float(v) for v in self.whole - place)
-        return None if max(abs(x), abs(y)) > FARTHEST_PX else _core.translated(self.grid, x, y)
+        return None if max(abs(x), abs(y)) > MAX_OFFSET_PX else _core.translated(self.grid, x, y)
 
 
 def sight(pixels: NDArray[np.generic], region: Region, place: Floats) -> Sight | None:

@@ -11,14 +11,13 @@ import numpy as np
 
 from midspan import _core
 from midspan.records import Floats
-from midspan.vision.reference.light import BLOCKS, CELLS, TRUST, Mix, Placed, mixed, steadiness
+from midspan.vision.reference.light import BLOCKS, CELLS, MAX_OFFSET_PX, TRUST, Mix, Placed, mixed, steadiness
 from midspan.vision.reference.records import Chain, KeyFrame
 
 ROUNDS = 40
 ROUNDS_OF_PART = 10  # of a jackknife, which starts from the whole's solution
 REWEIGHTED = 4
-LEAST_SHOWN = 1.0 / 3.0  # of the target that all pictures must show
-FARTHEST_PX = 1.0  # that a picture may lie from where its frames were found
+MIN_SHOWN_SHARE = 1.0 / 3.0  # of the target that all pictures must show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +84,7 @@ def pictures_of(keys: Sequence[KeyFrame]) -> Pictures | None:
     # Those that show all of the target, then the newest of those that something stood before.
     for k in sorted(range(len(keys)), key=lambda k: (keys[k].hidden.any(), -k)):
         left = shown & ~keys[k].hidden
-        if keys[k].picture is not None and np.mean(left) >= LEAST_SHOWN:
+        if keys[k].picture is not None and np.mean(left) >= MIN_SHOWN_SHARE:
             numbers.append(k)
             shown = left
     if not numbers:
@@ -117,7 +116,7 @@ def realigned(
     aside = list(keys)
     for number, move in zip(numbers, found.moves, strict=True):
         before = keys[number].offset
-        offset = np.clip(before + move, -FARTHEST_PX, FARTHEST_PX)
+        offset = np.clip(before + move, -MAX_OFFSET_PX, MAX_OFFSET_PX)
         aside[number] = replace(keys[number], offset=offset)
         place[number] += offset - before
     return tuple(aside), Chain(place, covariance)

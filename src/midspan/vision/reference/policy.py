@@ -11,17 +11,16 @@ from midspan.checks import option, refuse
 from midspan.records import Floats, Frame, Prediction, Region
 from midspan.vision.reference.cover import likeness
 from midspan.vision.reference.light import Sight, inside
-from midspan.vision.reference.pictures import LEAST_SHOWN
+from midspan.vision.reference.pictures import MIN_SHOWN_SHARE
 from midspan.vision.reference.records import contrast
-from midspan.vision.reference.state import LEAST_PAIRS, KeyFrameState
+from midspan.vision.reference.state import MIN_PAIRS, KeyFrameState
 from midspan.vision.tracker import TRACKERS
 
-HEALTH_FRAMES = 5  # frames that the strength is averaged over
 NEAR_PX = 1.5  # of where the target must be: what a key frame finds beyond is another thing
 FAR_SHARE = 0.25  # of the region's side: how far from its last place a target without prediction is believed
 ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywhere
 CLEARER = 1.5  # times the contrast of a key frame that is mostly noise: time for another
-LEAST_SEEN = 0.35  # share of the target that must be seen to learn from it
+MIN_SEEN_SHARE = 0.35  # share of the target that must be seen to learn from it
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +58,7 @@ class KeyFrameSettings:
             raise refuse(
                 "renew_share and return_share", "above 0, rising, up to 1", (self.renew_share, self.return_share)
             )
-        for name, least in (("overlap_frames", LEAST_PAIRS), ("try_every", 1), ("related", 1), ("most", 3)):
+        for name, least in (("overlap_frames", MIN_PAIRS), ("try_every", 1), ("related", 1), ("most", 3)):
             if getattr(self, name) < least:
                 raise refuse(name, f"{least} or more", getattr(self, name))
         if not (0.0 <= self.link_floor_px < math.inf and 0.0 <= self.light_px < math.inf):
@@ -88,7 +87,7 @@ def paled(
     if not looks.hidden.any() or known is None:
         return share < renew_share or cleared, 0.0
     window = None if view is None else view.window(place)
-    if window is None or np.mean(~looks.hidden) < LEAST_SEEN or np.mean(~looks.doubtful) < LEAST_SHOWN:
+    if window is None or np.mean(~looks.hidden) < MIN_SEEN_SHARE or np.mean(~looks.doubtful) < MIN_SHOWN_SHARE:
         return False, state.likeness
     alike, before = likeness(known.mix, inside(window), looks.doubtful), state.likeness
     if before == 0.0:

@@ -9,9 +9,9 @@ import numpy as np
 from midspan.records import Floats, Frame, PixelTranslation, Status
 from midspan.vision.reference.cover import ALL_SEEN, LATELY, PALING, Uncovered, uncovered
 from midspan.vision.reference.light import Sight, placed, sight
-from midspan.vision.reference.policy import HEALTH_FRAMES, KeyFrameSettings
+from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.records import place_of, variance_of
-from midspan.vision.reference.state import Appearance, KeyFrameState
+from midspan.vision.reference.state import STRENGTH_FRAMES, Appearance, KeyFrameState
 
 SCATTERED = 2.0  # standard deviations of the strength that say nothing
 WEAK = 0.95  # share of the usual strength below which a single picture is looked at for a thing in front
@@ -56,7 +56,7 @@ def measured(
             place, whole = exact.place + looks.carried, known.variance(state.chain, exact) + looks.carried**2
             # What blocks contradict each other by beyond noise stays for many frames, as the places' errors do.
             own = np.minimum(own, exact.variance)
-    recent = (found.strength,) if looks.hidden.any() else (*state.health, found.strength)[-HEALTH_FRAMES:]
+    recent = (found.strength,) if looks.hidden.any() else (*state.health, found.strength)[-STRENGTH_FRAMES:]
     gone = _share_lost(fmean(recent), key.usual)
     whole = whole + settings.light_px**2 * (gone**2 if mixed else _shifted(gone, key.strengths))
     rest = np.maximum(whole - own, 0.0)

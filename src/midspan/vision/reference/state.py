@@ -11,10 +11,10 @@ from midspan.vision.reference.light import inside
 from midspan.vision.reference.pictures import Pictures, pictures_of, realigned
 from midspan.vision.reference.records import Chain, KeyFrame, clear_share
 
-USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
-LEAST_PAIRS = 3  # frames in which a new key frame must have been tracked
+STRENGTH_FRAMES = 5  # that a strength is averaged over: the usual one, of those after a key frame, and the newest
+MIN_PAIRS = 3  # frames in which a new key frame must have been tracked
 CLEAR = 0.95  # share of frames' contrast, squared, that a good key frame and they have in common
-LEAST_CLEAR = 0.67  # of frames' contrast, squared, that they must have in common to make a picture: the rest is noise
+MIN_CLEAR = 0.67  # of frames' contrast, squared, that they must have in common to make a picture: the rest is noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class KeyFrameState:
     def counted(self, number: int, strength: float) -> "KeyFrameState":
         """With one more strength of a key frame, as long as its usual one is not known."""
         known = self.keys[number].strengths
-        return self if len(known) >= USUAL_FRAMES else self.with_key(number, strengths=(*known, strength))
+        return self if len(known) >= STRENGTH_FRAMES else self.with_key(number, strengths=(*known, strength))
 
     def plus(self, key: KeyFrame, place: Floats, variance: Floats) -> "KeyFrameState":
         """With one more key frame, its target at `place` (2,) px, known to a variance (2,) in px²."""
@@ -111,13 +111,13 @@ class KeyFrameState:
         share = clear_share(lap.windows)
         state = replace(self, overlap=None).with_key(lap.to, clear=share >= CLEAR)
         if lap.new:
-            few = len(lap.windows if lap.hidden.any() else lap.places) < LEAST_PAIRS
-            if few or share < LEAST_CLEAR:
+            few = len(lap.windows if lap.hidden.any() else lap.places) < MIN_PAIRS
+            if few or share < MIN_CLEAR:
                 return state.without(lap.to), False
             place = np.mean(lap.places, axis=0) if lap.places else state.chain.place[lap.to]
             chain = state.chain.changed(lap.to, place, state.chain.variance(lap.to))
             state = replace(state, chain=chain, made=state.made + 1)
-        if not lap.windows or share < LEAST_CLEAR:
+        if not lap.windows or share < MIN_CLEAR:
             return state, True
         picture: Floats32 = np.asarray(np.mean(lap.windows, axis=0, dtype=np.float32))
         state = state.with_key(lap.to, picture=picture, hidden=lap.hidden)

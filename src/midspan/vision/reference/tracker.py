@@ -20,7 +20,6 @@ from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, 
 from midspan.vision.reference.cover import LATELY, completed
 from midspan.vision.reference.light import Sight, inside, placed, sight
 from midspan.vision.reference.policy import (
-    HEALTH_FRAMES,
     NEAR_PX,
     KeyFrameSettings,
     cleared,
@@ -40,7 +39,7 @@ from midspan.vision.reference.records import (
     variance_of,
 )
 from midspan.vision.reference.seeing import Told, measured
-from midspan.vision.reference.state import Appearance, KeyFrameState, Overlap
+from midspan.vision.reference.state import STRENGTH_FRAMES, Appearance, KeyFrameState, Overlap
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker
@@ -179,7 +178,7 @@ class KeyFrameTracker(Tracker):
         self._state = replace(self._state, last=(frame, place_of(found), variance_of(found)))
         if math.isfinite(found.strength):
             self._state = self._state.counted(self._state.current, found.strength)
-            self._state = replace(self._state, health=(*self._state.health, found.strength)[-HEALTH_FRAMES:])
+            self._state = replace(self._state, health=(*self._state.health, found.strength)[-STRENGTH_FRAMES:])
 
     def _front(self, frame: Frame) -> None:
         """Tell when something comes in front of the target and when it has gone; nothing is learnt meanwhile."""

@@ -15,10 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan._core import Fix
-from midspan.records import Floats, Region
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region
 from midspan.vision.matching import without_values
-from midspan.vision.search import Span, cut, zncc_matrix
+from midspan.vision.region import check_size
+from midspan.vision.search import Span, cut
+from midspan.vision.template import TemplateSettings, TemplateTracker
 
 # The spline is laid through the entries within this of the largest: one farther away counts by 0.268 to that power.
 SPLINE_PX = 20
@@ -35,6 +38,19 @@ class PrintedTemplate:
     pixels: Floats
     offset: float
     information: Floats
+
+
+class PrintedTemplateTracker(TemplateTracker):
+    """The template tracker that takes each frame alone; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    def __init__(self, reference: Frame, region: Region, settings: TemplateSettings) -> None:
+        super().__init__(reference, region, settings)
+        self._printed = printed_template(reference.pixels, region, self.template.offset)
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px) of the target in `frame`; LOST with NaN without a maximum."""
+        check_size(frame, self.reference)
+        return self._seen(frame, match_printed(frame.pixels, self._printed, self.settings.search_px))
 
 
 def printed_template(image: NDArray[np.generic], region: Region, offset: float) -> PrintedTemplate:
@@ -128,3 +144,20 @@ def _variance(template: PrintedTemplate, correlation: float) -> tuple[float, flo
     left = max(1.0 - correlation**2, 0.0) * float(np.sum(template.pixels**2)) / (count - 4)
     inverse = left * np.linalg.inv(template.information)
     return float(inverse[0, 0]), float(inverse[1, 1])
+
+
+def zncc_matrix(patch: Floats, template: Floats) -> Floats:
+    """ZNCC (-1 to 1) of `template` (h, w) at every whole-pixel position in `patch` by the Fourier transform.
+
+    Equation 2 of the two-stage paper. Returns (rows - h + 1, columns - w + 1); 0 where a window is constant.
+    """
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    rows, columns = template.shape
+    size = [next_fast_len(length, real=True) for length in patch.shape]
+    product = irfft2(rfft2(patch, size) * np.conj(rfft2(template, size)), size)
+    energy = _core.window_energies(patch, rows, columns)
+    product = product[: energy.shape[0], : energy.shape[1]]
+    seen = energy > 1e-12 * (np.max(energy) + 1e-30)
+    norm = np.sqrt(np.where(seen, energy, 1.0) * np.sum(template**2))
+    return np.where(seen, product / norm, 0.0)
