@@ -3,13 +3,13 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from benchmarks.cases import Beam, beam, blocks, fused, learnt, rms
+from benchmarks.cases import Beam, beam, blocks, estimated, fused, rms
 from benchmarks.table import goal, show
 from midspan.evaluate.bound import KnownNoise, exact_bound
 
 # Never used while the filter was made.
 SEEDS = range(901, 913)
-# Method, lag in s, goals for RMSE over the bound with known and with learnt noise.
+# Method, lag in s, goals for RMSE over the bound with known and with learned noise.
 METHODS = (
     ("kalman", 0.0, 1.02, 1.05),
     ("lag", 0.1, np.inf, np.inf),
@@ -23,15 +23,15 @@ METHODS = (
     ("two-stage-fir", 4.9, np.inf, np.inf),
     ("two-stage-fir --literal", 4.9, np.inf, np.inf),
 )
-# Whose bound the methods without one of their own are set beside.
-BESIDE = {"adaptive-kalman": "kalman", "fir": "smoother", "two-stage-fir": "smoother"}
+# Whose bound the methods without one of their own are compared with.
+NEXT_TO = {"adaptive-kalman": "kalman", "fir": "smoother", "two-stage-fir": "smoother"}
 
 
 def prepared(case: Beam, noise: str) -> tuple:
-    """Both blocks with the noise levels as simulated or as learnt."""
+    """Both blocks with the noise levels as simulated or as learned."""
     if noise == "known":
         return blocks(case.acceleration, case.displacement, case.noise_std[0] ** 2 / 100.0, case.noise_std[1] ** 2)
-    fit = learnt(case.acceleration, case.displacement)
+    fit = estimated(case.acceleration, case.displacement)
     return blocks(
         case.acceleration, case.displacement, fit.input_noise.density, fit.variance_factor, fit.offset.value_s
     )
@@ -60,7 +60,7 @@ def main() -> None:
     pairs = {kind: [prepared(case, kind) for case in cases] for kind in ("known", "learnt")}
     for method, lag_s, *limits in METHODS:
         name = method.partition(" --")[0]
-        bound = exact_bound(noise, BESIDE.get(name, name), lag_s=lag_s if name == "lag" else 0.5)
+        bound = exact_bound(noise, NEXT_TO.get(name, name), lag_s=lag_s if name == "lag" else 0.5)
         for kind, limit in zip(pairs, limits, strict=True):
             error, share = measured(cases, pairs[kind], method, lag_s)
             delay = "whole record" if lag_s == np.inf else f"{lag_s:g}"

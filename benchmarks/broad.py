@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import midspan
-from benchmarks.cases import blocks, fused, learnt, rms
+from benchmarks.cases import blocks, estimated, fused, rms
 from benchmarks.table import goal, show
 from midspan.records import Floats, TimeSeries, nanoseconds
 
@@ -22,7 +22,7 @@ COASTING = 2.5
 
 
 def file(name: str) -> Path | None:
-    """The recording under MIDSPAN_DATA or beside the repository."""
+    """The recording under MIDSPAN_DATA or next to the repository."""
     places = [os.environ.get("MIDSPAN_DATA"), Path(__file__).parents[2] / "shared" / "data"]
     found = [Path(place) / "broad" / name for place in places if place]
     return next((path for path in found if path.exists()), None)
@@ -78,7 +78,7 @@ def compared(path: Path, axis: int) -> list[object]:
     met, value = camera_of(time, position, axis)
     a = TimeSeries(nanoseconds(time), acceleration[:, axis])
     d = TimeSeries(nanoseconds(met), value)
-    fit = learnt(a, d, 0.2)
+    fit = estimated(a, d, 0.2)
     pair = blocks(a, d, fit.input_noise.density, fit.variance_factor, fit.offset.value_s)
     usable = np.isfinite(value)
     estimate = fused(*pair, "smoother")
@@ -147,7 +147,7 @@ def main() -> None:
         return
     rows = [compared(path, axis) for axis in range(3)]
     head = ["axis", "cubic mm", "smoother mm", "times better", "in 95 % band"]
-    show([*head, "clocks equal", "noise learnt mm", "offset ms", "scale"], rows)
+    show([*head, "clocks equal", "noise learned mm", "offset ms", "scale"], rows)
     doors = [through_the_front_door(path, axis) for axis in range(3)]
     print("the same through midspan.estimate:")
     show([*head, "overruled s"], doors)

@@ -75,7 +75,7 @@ def texture(rng: np.random.Generator) -> NDArray[np.complex128]:
 
 
 def film(moved_px: Floats, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Frames (n, FRAME, COLUMNS) of 8 bits of the texture moved down by so many pixels (n,), with noise."""
+    """Frames (n, FRAME, COLUMNS) of 8 bits of the texture moved down by this many pixels (n,), with noise."""
     spectrum, turns = texture(rng), np.fft.rfftfreq(CANVAS)
     part = slice((CANVAS - FRAME) // 2, (CANVAS + FRAME) // 2)
     stack = np.empty((len(moved_px), FRAME, COLUMNS), dtype=np.uint8)

@@ -61,7 +61,9 @@ def blocks(
     )
 
 
-def learnt(acceleration: TimeSeries, displacement: TimeSeries, max_offset_s: float = MAX_OFFSET_S) -> NoiseCalibration:
+def estimated(
+    acceleration: TimeSeries, displacement: TimeSeries, max_offset_s: float = MAX_OFFSET_S
+) -> NoiseCalibration:
     """Noise levels and clock offset from the two series alone."""
     origin = int(acceleration.time_ns[0])
     time_s, met_s = ((series.time_ns - origin) / 1e9 for series in (acceleration, displacement))

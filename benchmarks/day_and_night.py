@@ -121,7 +121,7 @@ def crossing(bodies: tuple[WarmBody, ...], seed: int) -> tuple[list[Frame], Floa
     return [Frame(round(1e9 * s), p, k) for k, (s, p) in enumerate(zip(stamps, pictures, strict=True))], moved
 
 
-def told(track: PixelTrack, moved: Floats) -> tuple[float, float]:
+def reported(track: PixelTrack, moved: Floats) -> tuple[float, float]:
     """rms error in px of both axes, and the share of frames lost."""
     error = np.stack([track.x_px, track.y_px], axis=1) - moved
     return float(np.sqrt(np.nanmean(error**2))), float(np.mean(np.isnan(error[:, 0])))
@@ -150,9 +150,9 @@ def warm_body() -> None:
     for seed in range(1, 4):
         for kind, bodies in (("quiet", ()), ("warm body", (body,))):
             frames, moved = crossing(bodies, seed)
-            rms, lost = told(ours(frames), moved - moved[0])
+            rms, lost = reported(ours(frames), moved - moved[0])
             found = by_range(frames)
-            theirs = 1.0 if found is None else told(found, moved - moved[0])[1]
+            theirs = 1.0 if found is None else reported(found, moved - moved[0])[1]
             worst[kind] = (max(worst[kind][0], rms), max(worst[kind][1], lost), min(worst[kind][2], theirs))
     show(
         ["worst of 3 walls", "rms px", "lost %", "lost by the view's range, least %"],
@@ -176,5 +176,5 @@ def main() -> None:
     rows = found["as it is"]
     goal("day, night, day: rmse, worst seed", max(row.rmse for row in rows), 0.15, unit="mm")
     goal("step where a camera goes blind or sees, worst seed", max(row.step for row in rows), 0.05, unit="mm")
-    goal("longest stretch without a measurement", max(row.longest_s for row in rows), 1.0, unit="s")
+    goal("longest segment without a measurement", max(row.longest_s for row in rows), 1.0, unit="s")
     goal("inside 1.96 standard deviations, least", 100 * min(r.inside for r in rows), 93, unit="%", at_least=True)

@@ -1,6 +1,6 @@
 """A day of two cameras at 2 Hz, rendered while it is tracked: error, memory, and every second accounted for.
 
-`python -m benchmarks.day_of_24_hours HOURS` runs so many hours of sun in so many hours of frames; all 24 without.
+`python -m benchmarks.day_of_24_hours HOURS` runs this many hours of sun in this many hours of frames; all 24 without.
 """
 
 import subprocess
@@ -18,7 +18,7 @@ from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording
 from midspan.records import Floats, Frame, Nanoseconds, Source, Status, TimeSeries, nanoseconds
 from midspan.simulate.day.infrared import DayCourse
-from midspan.simulate.day.setup import DaySetup, Eye, hours
+from midspan.simulate.day.setup import CameraPlan, DaySetup, hours
 from midspan.simulate.day.sky import Headlights, Sky
 from midspan.simulate.motion.motion import Motion, Sum, Window, random_motion
 from midspan.simulate.scene.scene import Image
@@ -87,8 +87,8 @@ def setup_of(day_s: float) -> DaySetup:
     night = np.arange(6.8, 17.2, 1.5)
     return DaySetup(
         sky=Sky(length_s=day_s, fog=((day_s * 17.4 / 24, day_s * 19.0 / 24),), ramp_s=day_s / 100),
-        camera=Eye((64, 88), scale_mm_per_px=-1.0, rate_hz=RATE_HZ, time_offset_s=0.1),
-        infrared=Eye((64, 88), scale_mm_per_px=-1.1, rate_hz=RATE_HZ, start_s=0.2, time_offset_s=-0.08),
+        camera=CameraPlan((64, 88), scale_mm_per_px=-1.0, rate_hz=RATE_HZ, time_offset_s=0.1),
+        infrared=CameraPlan((64, 88), scale_mm_per_px=-1.1, rate_hz=RATE_HZ, start_s=0.2, time_offset_s=-0.08),
         course=DayCourse(14.0, 6.0, day_s),
         thermal=ThermalCamera(pattern_k=0.03, shutters_s=hours(day_s, *np.arange(0.7, 24.0, 0.5)), closed_s=0.9),
         cars=Headlights(hours(day_s, *night), row_px=56.0, reach_px=25.0),
@@ -96,15 +96,15 @@ def setup_of(day_s: float) -> DaySetup:
     )
 
 
-def rendered(eye: Eye, motion: Motion, duration_s: float, camera: object) -> Rendered:
+def rendered(plan: CameraPlan, motion: Motion, duration_s: float, camera: object) -> Rendered:
     """The frames of one camera of the day."""
-    stamps = eye.stamps_s(duration_s)
-    down = in_pieces(motion.displacement, stamps + eye.time_offset_s) / (1e-3 * eye.scale_mm_per_px)
-    moved, times = np.stack([np.zeros_like(down), down], axis=1), stamps + eye.time_offset_s
+    stamps = plan.stamps_s(duration_s)
+    down = in_pieces(motion.displacement, stamps + plan.time_offset_s) / (1e-3 * plan.scale_mm_per_px)
+    moved, times = np.stack([np.zeros_like(down), down], axis=1), stamps + plan.time_offset_s
     thermal = hasattr(camera, "film_number")
     if thermal:
-        return Rendered(stamps, lambda k: camera.film_number(k, moved, times), eye.size_px, True)  # type: ignore[attr-defined]
-    return Rendered(stamps, lambda k: camera.picture(k, moved[k], float(times[k])), eye.size_px, False)  # type: ignore[attr-defined]
+        return Rendered(stamps, lambda k: camera.film_number(k, moved, times), plan.size_px, True)  # type: ignore[attr-defined]
+    return Rendered(stamps, lambda k: camera.picture(k, moved[k], float(times[k])), plan.size_px, False)  # type: ignore[attr-defined]
 
 
 def recording_of(folder: Path, day_s: float, duration_s: float, seed: int = 0) -> tuple[Recording, Motion]:

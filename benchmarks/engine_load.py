@@ -1,7 +1,7 @@
 """A live engine's load: 4 cameras at 30 frames/s and 20 accelerometers at 100 Hz, in blocks of a tenth of a second.
 
 Frames and samples lie in memory; every point has an accelerometer, four of them a camera. Load is processor time over
-the time that the records last; the first part, in which kernels are made and templates learnt, is not counted.
+the time that the records last; the first part, in which kernels are made and templates learned, is not counted.
 """
 
 import time

@@ -63,7 +63,7 @@ def measured(
         displacement=DisplacementSensorModel(SLOW_HZ, noise[1], -late_s),
         seed=seed,
     )
-    # The offset stays in the stamps: the methods are not told.
+    # The offset stays in the stamps: the methods are not reported.
     return *blocks(
         pair.acceleration, pair.displacement, noise[0] ** 2 / RATE_HZ, noise[1] ** 2
     ), pair.true_displacement_m

@@ -18,7 +18,7 @@ from benchmarks.table import goal, show
 
 PROCESSES = 2
 METHODS = ("smoother", "kalman")
-LEAST_INSIDE, WORST_Z = 0.85, 8.0  # of a recording that is called ok
+MIN_INSIDE, WORST_Z = 0.85, 8.0  # of a recording that is called ok
 # What a result of a displacement sensor says of slow errors that its record cannot tell from motion.
 UNSEEN = re.compile(r"A slow error,.* of up to ([\d.e+-]+) mm in 10 s would not show")
 # A sensor without a zero of its own has one error common to all rows, often most of the band: one honest recording of
@@ -59,7 +59,7 @@ class Outcome:
     @property
     def held(self) -> bool:
         """Whether there is a result whose band holds the truth."""
-        return not self.refused and self.least_inside >= LEAST_INSIDE and self.worst <= WORST_Z
+        return not self.refused and self.least_inside >= MIN_INSIDE and self.worst <= WORST_Z
 
     @property
     def ok(self) -> bool:
@@ -98,7 +98,7 @@ def measured(kind: Kind, seed: int, folder: Path) -> list[Outcome]:
         zero = float(np.mean(error) / (result.metadata()["zero_std_mm"] or np.nan))
         shares = [float(np.mean(one < 1.96)) for one in (z, moved)]
         unseen = [UNSEEN.search(one) for one in result.warnings]
-        stated = any(one is not None and 0.0 < truth.wander_mm <= float(one[1]) for one in unseen)
+        stated = any(one is not None and 0.0 < truth.drift_mm <= float(one[1]) for one in unseen)
         figures = (len(z), shares[0], float(np.max(z)), scale, offset, zero, shares[1], int(stated))
         said = [text for text, one in zip(result.warnings, unseen, strict=True) if one is None]
         found.append(Outcome(kind.label, seed, method, *figures, warnings=" | ".join(said)))

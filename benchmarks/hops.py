@@ -21,7 +21,7 @@ from midspan.engine.point import ACCELEROMETER
 from midspan.records import NANOSECONDS, Arrival, Frame, Readings
 from midspan.simulate.scenarios.write import write
 
-# Long enough for the template to be learnt; counted is the last one, in blocks like those that a sensor sends.
+# Long enough for the template to be learned; counted is the last one, in blocks like those that a sensor sends.
 SECONDS = 20
 ROOM = f"{Path(midspan.__file__).parent}/"
 
@@ -56,7 +56,7 @@ class Entered:
 
 
 def through_a_point() -> Entered:
-    """What frames and the acceleration between them enter once the target's template is learnt."""
+    """What frames and the acceleration between them enter once the target's template is learned."""
     pictures = film()
     one = point(Frame(0, pictures[0]))
     step_ns, entered = NANOSECONDS // SAMPLE_HZ, Entered()

@@ -69,7 +69,7 @@ def _luma(frame) -> Pixels:
 
 
 def motion(name: str, rng: np.random.Generator) -> Floats:
-    """Translations (frames, 2) in px from 0 on: a sine of so many px along y, or four of them."""
+    """Translations (frames, 2) in px from 0 on: a sine of this many px along y, or four of them."""
     t = np.arange(COUNT) / RATE_HZ
     if name == "broad":
         y = sum(rng.uniform(0.1, 0.6) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.3, 0.7, 1.3, 2.1))
@@ -125,8 +125,8 @@ def run(pictures: list[Pixels], path: Floats, name: str, region: Region = REGION
 
 
 def clean() -> None:
-    """Raw frames: nothing may be widened, nothing told."""
-    worst, told, count = 1.0, 0, 0
+    """Raw frames: nothing may be widened, nothing reported."""
+    worst, reported, count = 1.0, 0, 0
     for camera in (USUAL, QUIET):
         for texture in TEXTURES:
             for seed in CLEAN_SEEDS:
@@ -139,9 +139,9 @@ def clean() -> None:
                         region = Region((SIDE - size) // 2, (SIDE - size) // 2, size, size)
                         found = run(pictures, path, "template", region)
                         worst = max(worst, found.after / found.before)
-                        told, count = told + bool(found.warnings), count + 1
+                        reported, count = reported + bool(found.warnings), count + 1
     goal(f"raw frames: largest factor of the standard deviation in {count} runs", worst, 1.02)
-    goal("raw frames: runs with a warning", told, 0)
+    goal("raw frames: runs with a warning", reported, 0)
 
 
 def compression(tracker: str) -> None:
@@ -197,8 +197,8 @@ def disturbances(tracker: str) -> None:
     for what in ("nothing", "focus 1.2 px", "motion blur 4 px", "saturated", "saturated from the start", "weak, 40 px"):
         runs = [_disturbed(what, texture, tracker) for texture in ("natural", "blocks", "facade")]
         before, after = (np.array([value(r) / r.error for r in runs]) for value in (_before, _after))
-        told = f"{sum(bool(r.warnings) for r in runs)} of 3"
-        rows.append([what, max(r.error for r in runs), float(before.min()), float(after.min()), told])
+        reported = f"{sum(bool(r.warnings) for r in runs)} of 3"
+        rows.append([what, max(r.error for r in runs), float(before.min()), float(after.min()), reported])
     print()
     show(["disturbance", "largest error px", "least reported/true before", "after", "warned"], rows)
 

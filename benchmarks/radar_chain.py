@@ -143,10 +143,10 @@ def slips(runs: int = 100) -> None:
         drawn = [one_draw(seed, swing=swing, dead=False) for seed in range(runs)]
         goal(f"slips in {runs} runs{', from the middle of a swing' * swing}", float(sum(d[0] for d in drawn)), 0.0)
     drawn = [one_draw(seed, swing=False, dead=True) for seed in range(30)]
-    told = sum(d[1] for d in drawn)
+    reported = sum(d[1] for d in drawn)
     lost, named = sum(d[0] for d in drawn), sum(d[2] for d in drawn)
     print(f"dead accelerometer, 6 dB: {lost} of 30 records slip, {named} name frames in doubt")
-    goal("records with a dead accelerometer that are told", told / 30, 1.0, at_least=True)
+    goal("records with a dead accelerometer that are reported", reported / 30, 1.0, at_least=True)
 
 
 def one_draw(seed: int, *, swing: bool, dead: bool) -> tuple[bool, bool, bool]:
@@ -169,7 +169,8 @@ def one_draw(seed: int, *, swing: bool, dead: bool) -> tuple[bool, bool, bool]:
 
 
 def factors(draws: int = 32) -> None:
-    """Conversion factors from the wrapped phase of 60 s, 30 dB after the transform, and the printed grid beside."""
+    """Conversion factors from the wrapped phase of 60 s, 30 dB after the transform, and the printed grid together
+    with."""
     at, rows = np.arange(0, 60, 1 / RATE), []
     worst, spread = dict.fromkeys(GRADES, 0.0), []
     for amplitude in (20e-3, 2e-3, 0.2e-3):

@@ -87,10 +87,10 @@ def drawn(case: Case, seed: int) -> Drawn:
     model = RadarModel(case.view, chirp, noise, case.phase_noise_rad)
     before = RadarModel(case.clear or case.view, chirp, noise, case.phase_noise_rad, start_s=100.0)
     axis = RangeAxis(np.arange(90) * chirp.bin_m, chirp.carrier_hz, chirp.slope_hz_s)
-    learnt, _ = profiles_of(before, case.motion, CALIBRATION, 500 + seed)
+    learned, _ = profiles_of(before, case.motion, CALIBRATION, 500 + seed)
     end_s, times = 100.0 + CALIBRATION / RATE, before.frame_s(CALIBRATION)
     samples = accelerometer(case.motion, end_s, case.noise_m_s2, seed)
-    found = find_targets(learnt, times, samples=samples[samples[:, 0] > 98.0], axis=axis)
+    found = find_targets(learned, times, samples=samples[samples[:, 0] > 98.0], axis=axis)
     ranges = (WALL_M, PIER_M)[: case.targets]
     targets = tuple(min(found, key=lambda one, r=r: abs(one.range_m - r)) for r in ranges)  # type: ignore[misc]
     assert not any(one.objection for one in targets), [one.objection for one in targets]
@@ -196,7 +196,7 @@ CASES: dict[str, Case] = {
     "hidden for 3 s": Case(swing(), wall((18.0, 21.0))),
     "hidden for 10 s": Case(swing(), wall((18.0, 28.0))),
     "hidden for 3 s, 0.64 GHz": Case(swing(), wall((18.0, 21.0)), chirp=LONG_RANGE),
-    "hidden for 3 s, 10 % beside it": Case(
+    "hidden for 3 s, 10 % with it": Case(
         swing(), (*wall((18.0, 21.0)), Reflector(WALL_M + 0.02, 0.1 * AMPLITUDE, 0.4))
     ),
     "lost frames": Case(swing(), spoil=lost),

@@ -58,7 +58,7 @@ def measured(model: RadarModel, motion: Motion, seed: int) -> tuple[Run, Floats]
     return run([item], frames, samples, NOISE_M_S2**2 / RATE), motion.displacement(at)
 
 
-def told(found: Run, moved: Floats, at: Floats, chirp: ChirpProfile, end_s: float) -> str:
+def reported(found: Run, moved: Floats, at: Floats, chirp: ChirpProfile, end_s: float) -> str:
     """What is said of the cycle, or `wrong` when it is off and no new datum was declared."""
     count = len(found.phase_rad)
     at = at[:count]
@@ -84,7 +84,7 @@ def outages(chirp: ChirpProfile, runs: int = 30) -> int:
             continue
         found, moved = seen
         at = model.frame_s(FRAMES)
-        verdict = told(found, moved, at, chirp, START_S + length_s)
+        verdict = reported(found, moved, at, chirp, START_S + length_s)
         if verdict == "wrong":
             print("   wrong:", seed, f"{length_s:.2f} s", [event.text for event in found.events])
         counts[next(span for span in spans if length_s < span[1])][verdict] += 1

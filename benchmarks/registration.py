@@ -1,4 +1,5 @@
-"""Registration tracker against its bound and its goals, beside matchTemplate with a parabola and scikit-image."""
+"""Registration tracker against its bound and its goals, compared with matchTemplate with a parabola and
+scikit-image."""
 
 import time
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from midspan.simulate.scene.scene import Scene
 from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.registration import RegistrationSettings, RegistrationTracker
 
-SIDE, REFERENCES, LEARNT, FRAMES = 200, 16, 52, 16
+SIDE, REFERENCES, ESTIMATED, FRAMES = 200, 16, 52, 16
 MIDDLE = SIDE / 2 - 0.5
 ROWS, COLUMNS = np.mgrid[:SIDE, :SIDE] - MIDDLE
 CAMERA, NEAR = Camera(), Prediction(0.0, 0.0, 0.4, 0.4)
@@ -60,10 +61,10 @@ def scatter(scene: Scene, region: Region) -> tuple[dict[str, float], float]:
         reference = CAMERA.expose(scene.render(0, 0), rng=rng)
         tracker = RegistrationTracker(Frame(0, reference), region, RegistrationSettings())
         rows: dict[str, list[tuple[float, float]]] = {name: [] for name in errors}
-        for k, (x, y) in enumerate(rng.uniform(-0.6, 0.6, (LEARNT + FRAMES, 2))):
+        for k, (x, y) in enumerate(rng.uniform(-0.6, 0.6, (ESTIMATED + FRAMES, 2))):
             image = CAMERA.expose(scene.render(x, y), rng=rng)
             found = tracker.push(Frame((k + 1) * 10**7, image), NEAR)
-            if k < LEARNT:
+            if k < ESTIMATED:
                 continue
             rows["registration"].append((found.x_px - x, found.y_px - y))
             variance.append((found.variance_x_px2, found.variance_y_px2))
@@ -80,10 +81,12 @@ def scatter(scene: Scene, region: Region) -> tuple[dict[str, float], float]:
 
 
 def systematic(scene: Scene, region: Region) -> float:
-    """Largest error (px) over the phases, without noise, of what was learnt; the zero, one frame's, is taken off."""
+    """Largest error (px) over the phases, without noise, of what was learned; the zero, one frame's, is taken off."""
     rng = np.random.default_rng(3)
     tracker = RegistrationTracker(Frame(0, scene.render(0, 0)), region, RegistrationSettings(learn_frames=0))
-    tracker.learn([Frame((k + 1) * 10**7, scene.render(*p)) for k, p in enumerate(rng.uniform(-0.5, 0.5, (LEARNT, 2)))])
+    tracker.learn(
+        [Frame((k + 1) * 10**7, scene.render(*p)) for k, p in enumerate(rng.uniform(-0.5, 0.5, (ESTIMATED, 2)))]
+    )
     places = np.array([(k / 24 - 0.5, (7 * k % 24) / 24 - 0.5) for k in range(24)])
     found = [tracker.push(Frame((k + 1) * 10**7, scene.render(*p)), NEAR) for k, p in enumerate(places)]
     error = np.array([(f.x_px, f.y_px) for f in found]) - places
@@ -125,7 +128,7 @@ def disturbed(scene: Scene, region: Region) -> dict[str, tuple[float, float]]:
     """RMS (px) of what each disturbance moves a noise-free frame by, and the reported deviation."""
     rng = np.random.default_rng(4)
     tracker = RegistrationTracker(Frame(0, CAMERA.expose(scene.render(0, 0), rng=rng)), region, RegistrationSettings())
-    for k, p in enumerate(rng.uniform(-0.6, 0.6, (LEARNT, 2))):
+    for k, p in enumerate(rng.uniform(-0.6, 0.6, (ESTIMATED, 2))):
         tracker.push(Frame((k + 1) * 10**7, CAMERA.expose(scene.render(*p), rng=rng)), NEAR)
     begin, result = tracker.state, {}
     places = rng.uniform(-0.05, 0.05, (6, 2))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.cases import learnt, rms
+from benchmarks.cases import estimated, rms
 from benchmarks.table import goal, show
 from midspan.fusion.blocks import REACQUIRED, REJECTED
 from midspan.fusion.runners import run_method
@@ -28,7 +28,7 @@ INNER = (TIME > 5.0) & (TIME < LENGTH_S - 5.0)
 
 @dataclass(frozen=True)
 class Case:
-    """A record and what the filter is told of it."""
+    """A record and what the filter is reported of it."""
 
     acceleration: Floats
     value: Floats
@@ -66,24 +66,24 @@ def clean(seed: int, *, bias: Floats | float = BIAS) -> Case:
     return Case(acceleration, value, np.full(len(MET), NOISE_D**2), motion(TIME, 0))
 
 
-def noise_step(seed: int, *, told: bool) -> Case:
+def noise_step(seed: int, *, reported: bool) -> Case:
     """From the middle on five times the displacement's noise."""
     case, rng = clean(seed), np.random.default_rng(1000 + seed)
     later = MET > 0.5 * LENGTH_S
     value = np.where(later, motion(MET, 0) + rng.normal(0, 5 * NOISE_D, len(MET)), case.value)
-    return replace(case, value=value, variance=np.where(later & told, 25.0, 1.0) * case.variance)
+    return replace(case, value=value, variance=np.where(later & reported, 25.0, 1.0) * case.variance)
 
 
 def wrong(seed: int, *, noise: float, density: float) -> Case:
-    """Variances told wrong by these factors."""
+    """Variances reported wrong by these factors."""
     case = clean(seed)
     return replace(case, variance=noise * case.variance, density=density * case.density)
 
 
-def relearnt(seed: int) -> Case:
-    """Both noise levels learnt from the record itself."""
+def reestimated(seed: int) -> Case:
+    """Both noise levels learned from the record itself."""
     case = clean(seed)
-    fit = learnt(TimeSeries(nanoseconds(TIME), case.acceleration), TimeSeries(nanoseconds(MET), case.value))
+    fit = estimated(TimeSeries(nanoseconds(TIME), case.acceleration), TimeSeries(nanoseconds(MET), case.value))
     return replace(case, variance=np.full(len(MET), fit.variance_factor), density=fit.input_noise.density)
 
 
@@ -105,15 +105,15 @@ def ratios() -> None:
     adapted = {"adaptive-kalman": "kalman"}
     drift = clean(0).truth * 0.0 + BIAS + 1e-3 / 60.0 * TIME
     table: list[tuple[str, Callable[[int], Case], Callable[[int], Case], float, tuple[str, ...]]] = [
-        ("noise of the displacement x 5 from the middle on", lambda s: noise_step(s, told=False),
-         lambda s: noise_step(s, told=True), 1.06, METHODS),
-        ("both noise levels unknown", relearnt, clean, 1.06, METHODS),
-        ("R told 10 times too large", lambda s: wrong(s, noise=10.0, density=1.0), clean, 1.06,
+        ("noise of the displacement x 5 from the middle on", lambda s: noise_step(s, reported=False),
+         lambda s: noise_step(s, reported=True), 1.06, METHODS),
+        ("both noise levels unknown", reestimated, clean, 1.06, METHODS),
+        ("R reported 10 times too large", lambda s: wrong(s, noise=10.0, density=1.0), clean, 1.06,
          METHODS),
-        ("R told 10 times too small", lambda s: wrong(s, noise=0.1, density=1.0), clean, 1.06,
+        ("R reported 10 times too small", lambda s: wrong(s, noise=0.1, density=1.0), clean, 1.06,
          METHODS),
-        ("q told 10 times too large", lambda s: wrong(s, noise=1.0, density=10.0), clean, 1.06, ()),
-        ("q told 10 times too small", lambda s: wrong(s, noise=1.0, density=0.1), clean, 1.06, ()),
+        ("q reported 10 times too large", lambda s: wrong(s, noise=1.0, density=10.0), clean, 1.06, ()),
+        ("q reported 10 times too small", lambda s: wrong(s, noise=1.0, density=0.1), clean, 1.06, ()),
         ("one in ten an outlier of 10 to 60 deviations", outliers, clean, 1.10, METHODS),
         ("bias 20 mm/s²", lambda s: clean(s, bias=20e-3), lambda s: clean(s, bias=0.0), 1.20, METHODS),
         ("drift 1 mm/s² a minute", lambda s: clean(s, bias=drift), lambda s: clean(s, bias=0.0), 1.20, METHODS),
@@ -129,7 +129,7 @@ def ratios() -> None:
 
 
 def stuck(seed: int, *, frozen: bool) -> Case:
-    """For four seconds the target is 8 mm off, or the value stands still."""
+    """For four seconds the target is 8 mm off, or the value is static."""
     case = clean(seed)
     during = (MET > 60.0) & (MET < 64.0)
     held = case.value[np.argmax(during)] if frozen else case.value + 8e-3
@@ -145,17 +145,17 @@ def ridden_through() -> None:
             error = np.array([f.estimate.displacement_m - clean(0).truth for f in fused])
             usual = rms(np.array([clean(seed).error(method, after) for seed in SEEDS]))
             taken = sum(int(np.sum(f.innovation.verdict == REACQUIRED)) for f in fused)
-            told = sum(any(event.time_ns > 60e9 for event in f.events) for f in fused)
+            reported = sum(any(event.time_ns > 60e9 for event in f.events) for f in fused)
             what = "value frozen 4 s" if frozen else "target 8 mm off for 4 s"
             worst = np.max(np.abs(error[:, during]))
-            rows.append([what, method, 1e3 * worst, rms(error[:, after]) / usual, taken, told])
-    show(["", "method", "largest error mm", "RMSE after / clean", "taken over", f"told (of {len(SEEDS)})"], rows)
-    for what, method, _, later, taken, told in rows:
+            rows.append([what, method, 1e3 * worst, rms(error[:, after]) / usual, taken, reported])
+    show(["", "method", "largest error mm", "RMSE after / clean", "taken over", f"reported (of {len(SEEDS)})"], rows)
+    for what, method, _, later, taken, reported in rows:
         goal(f"{what}, {method}: RMSE two seconds after over clean", float(later), 1.10)
         if not what.startswith("value"):
-            # A frozen value is met by the motion now and then; then the way back may be a takeover, which is told.
+            # A frozen value is met by the motion now and then; then the way back may be a takeover, which is reported.
             goal(f"{what}, {method}: taken over as a jump", float(taken), 0.0)
-        goal(f"{what}, {method}: told", float(told), float(len(SEEDS)), at_least=True)
+        goal(f"{what}, {method}: reported", float(reported), float(len(SEEDS)), at_least=True)
 
 
 def jump() -> None:
@@ -167,8 +167,8 @@ def jump() -> None:
             case = clean(seed)
             fused = replace(case, value=case.value + np.where(MET > 60.0, 8e-3, 0.0)).run(method)
             met_s, believed = fused.innovation.time_ns / 1e9, fused.innovation.verdict != REJECTED
-            told = any(event.time_ns > 60e9 for event in fused.events)
-            waits.append(met_s[(met_s > 60.0) & believed][0] - 60.0 if told else np.inf)
+            reported = any(event.time_ns > 60e9 for event in fused.events)
+            waits.append(met_s[(met_s > 60.0) & believed][0] - 60.0 if reported else np.inf)
             after = (TIME > 68.0) & (TIME < 110.0)
             left.append((fused.estimate.displacement_m - case.truth)[after])
             usual.append(case.error(method, after))
@@ -204,7 +204,7 @@ def band_after_step() -> None:
     for method in METHODS:
         inside = []
         for seed in SEEDS:
-            case = noise_step(seed, told=False)
+            case = noise_step(seed, reported=False)
             found = case.run(method).estimate
             off = np.abs(found.displacement_m - case.truth)[settled]
             inside.append(np.mean(off <= 1.96 * np.sqrt(found.variance_m2[settled])))

@@ -1,4 +1,5 @@
-"""`midspan track` on a long uncompressed stack beside OpenCV's matchTemplate with a parabola, start-up taken out.
+"""`midspan track` on a long uncompressed stack compared with OpenCV's matchTemplate with a parabola, start-up taken
+out.
 
 Both run on one thread, on the same frames, in turns; the best round of each counts, by processor time, which a busy
 machine changes less. The time of a run of SHORT frames

@@ -1,4 +1,5 @@
-"""Tracking of an uncompressed stack beside OpenCV, pyidi and scikit-image, and the share of decoding in a 1080p video.
+"""Tracking of an uncompressed stack compared with OpenCV, pyidi and scikit-image, and the share of decoding in a 1080p
+video.
 
 All run on one thread, on the same frames, after a warm-up; rounds take turns and the best of each counts. Rates are by
 processor time, which a busy machine hardly changes. "from the start" includes making template and kernels, which a
@@ -116,7 +117,7 @@ def by_opencv(stack: Stack) -> Floats:
 
 
 def _top(line: NDArray[Any], place: int) -> float:
-    """Place of a parabola's top beside the largest of three values."""
+    """Place of a parabola's top together with the largest of three values."""
     if not 0 < place < len(line) - 1:
         return np.nan
     before, at, after = (float(v) for v in line[place - 1 : place + 2])
@@ -198,7 +199,7 @@ def measured(found: dict[str, Callable[[], Floats]]) -> dict[str, tuple[float, f
     return {name: (error[name], FRAMES / best[name]) for name in found}
 
 
-def beside_peers(folder: Path) -> None:
+def alongside_peers(folder: Path) -> None:
     """The three stacks."""
     for case, stack in stacks().items():
         path = folder / f"{case}.npy"
@@ -271,6 +272,6 @@ def main() -> None:
 
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as name:
-        beside_peers(Path(name))
+        alongside_peers(Path(name))
         for count in HD_LENGTHS:
             decoding_share(Path(name), count)

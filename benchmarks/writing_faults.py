@@ -148,7 +148,7 @@ def killed(work: Work, number: int, old: Path, new: Contents) -> tuple[object, .
 
 
 def limited(work: Work, old: Path, new: Contents) -> tuple[object, ...]:
-    """No file beyond so many bytes: 50 limits below the largest file's size."""
+    """No file beyond this many bytes: 50 limits below the largest file's size."""
     found, was, largest = Found(), contents(old), max(map(len, new.values()))
     for k in range(MOMENTS):
         size = round(k * (largest - 1) / (MOMENTS - 1))

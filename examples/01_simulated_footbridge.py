@@ -1,6 +1,6 @@
 """From a recording to displacement: simulate a footbridge, calibrate, estimate, compare with the truth.
 
-The accelerometer sits on the bridge beside a camera that looks at something fixed. Nothing about the target is known
+The accelerometer sits on the bridge with a camera that looks at something fixed. Nothing about the target is known
 beforehand, and the two clocks differ by 137 ms.
 """
 

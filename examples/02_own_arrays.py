@@ -44,7 +44,7 @@ displacement = Displacement(
 
 
 def report(name, estimate):
-    """Print the error of an estimate beside the least that the noise allows."""
+    """Print the error of an estimate compared with the least that the noise allows."""
     middle = slice(1000, -1000)  # without ten seconds at each end, where the filter settles
     error = (estimate.displacement_m - displacement_m(estimate.time_ns / 1e9))[middle]
     inside = np.mean(np.abs(error) <= 1.96 * np.sqrt(estimate.variance_m2[middle]))

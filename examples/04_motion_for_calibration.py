@@ -1,4 +1,4 @@
-"""How much motion the scale factor needs: one minute of a camera at 10 Hz beside an accelerometer.
+"""How much motion the scale factor needs: one minute of a camera at 10 Hz with a accelerometer.
 
 Simulated pairs, narrow-band random motion about three frequencies, noise of 0.02 px a frame and of 2.5 mm/s² a sample
 (100 Hz). For each amount of motion: what `calibrate_scale` says of its own uncertainty, and how far it is off.

@@ -1,7 +1,7 @@
 """Error against the bound on the 40 m beam of Ma, Liu, Choi and Sohn: 100 Hz acceleration, 10 Hz displacement, 40 dB.
 
 The truth is stepped at 4 kHz, so that no integration rule is favoured. The force has parts at 8 and 10.3 Hz, which
-10 Hz of displacement fold down to 2 and 0.3 Hz. Errors are taken without five seconds at each end.
+10 Hz of displacement alias to 2 and 0.3 Hz. Errors are taken without five seconds at each end.
 """
 
 import numpy as np

@@ -2,7 +2,8 @@
 
 A structure at rest is measured for 20 minutes at 100 Hz and 10 Hz. `adaptive-kalman` as printed learns the
 displacement's noise from the innovations; under a bias b these hold the filter's own error too. The table sets what it
-learns beside the balance 1 / (1 - (b/limit)²) with limit = noise · sqrt(10 / 100), which docs/methods.md derives.
+learns together with the balance 1 / (1 - (b/limit)²) with limit = noise · sqrt(10 / 100), which docs/methods.md
+derives.
 
 `python examples/09_adaptive_noise_runs_away.py figure.png` also draws it.
 """
@@ -39,10 +40,10 @@ def at_rest(bias):
     return acceleration, displacement
 
 
-def learnt(bias, *, literal):
+def estimated(bias, *, literal):
     """What the innovations are taken to vary by over the true noise, frame by frame, and the rms error in mm.
 
-    As printed it is the learnt noise variance; the guarded form's innovations hold the prediction's variance too.
+    As printed it is the estimated noise variance; the guarded form's innovations hold the prediction's variance too.
     """
     found = run_method("adaptive-kalman", *at_rest(bias), MethodSettings(literal=literal, forgetting=0.98))
     error = found.estimate.displacement_m[len(found.estimate.displacement_m) // 2 :]
@@ -55,8 +56,8 @@ print(f"limit: {1e3 * LIMIT:.2f} mm/s² = {LIMIT / 9.80665e-3:.2f} mg")
 print("b / limit   R / true R: balance  as printed   error mm   guarded   error mm")
 for share in SHARES:
     balance = 1.0 / (1.0 - share**2) if share < 1.0 else np.inf
-    courses[share], error_mm = learnt(share * LIMIT, literal=True)
-    guarded, guarded_mm = learnt(share * LIMIT, literal=False)
+    courses[share], error_mm = estimated(share * LIMIT, literal=True)
+    guarded, guarded_mm = estimated(share * LIMIT, literal=False)
     half = len(guarded) // 2
     print(
         f"{share:9.2f}   {balance:19.3g}  {np.median(courses[share][half:]):10.3g} {error_mm:10.3g}   "
@@ -73,7 +74,7 @@ if len(sys.argv) > 1:
         (line,) = axes.semilogy(minutes[::20], np.maximum(course[::20], 1e-2), label=f"b = {share:g} limit")
         if 0.0 < share < 1.0:
             axes.axhline(1.0 / (1.0 - share**2), color=line.get_color(), linestyle=":", linewidth=1)
-    axes.set(xlabel="time (min)", ylabel="learnt R / true R", ylim=(0.5, 1e12))
+    axes.set(xlabel="time (min)", ylabel="estimated R / true R", ylim=(0.5, 1e12))
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, ncols=2, title="dotted: balance")
     figure.savefig(sys.argv[1], dpi=120)

@@ -1,6 +1,6 @@
 """Several targets of one camera, and motion along both axes of the image, on two simulated recordings.
 
-Each target has its own distance and so its own scale factor; the one that swings by itself is found out.
+Each target has its own distance and so its own scale factor; the one that swings on its own is found out.
 """
 
 import tempfile

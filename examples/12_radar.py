@@ -1,4 +1,5 @@
-"""A radar beside the accelerometer, on a simulated recording: targets, limit speed, and the result against the truth.
+"""A radar together with the accelerometer, on a simulated recording: targets, limit speed, and the result against the
+truth.
 
 A tall building sways by 40 mm at 0.3 Hz. Its radar looks at the facade opposite, and the range to it changes faster
 than the phase can be unwrapped from frame to frame; with the accelerometer it can.

@@ -47,9 +47,9 @@ def postgres():
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
-    """The folder of real data beside the checkout, or MIDSPAN_DATA."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("MIDSPAN_DATA", beside))
+    """The folder of real data together with the checkout, or MIDSPAN_DATA."""
+    companions = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("MIDSPAN_DATA", companions))
     if not folder.is_dir():
         pytest.skip(f"real data are absent: {folder} is no folder; MIDSPAN_DATA names another")
     return folder

@@ -1,4 +1,4 @@
-"""Small recordings of a radar beside an accelerometer, whose truth is known."""
+"""Small recordings of a radar with a accelerometer, whose truth is known."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -51,7 +51,7 @@ def message(capsys: pytest.CaptureFixture[str], code: int, *arguments: object) -
 
 
 @pytest.mark.parametrize(
-    ("section", "line", "told"),
+    ("section", "line", "reported"),
     [
         ("accelerometer", "start_s = 1e300", "accelerometer.start_s = 1e+300: must be from -4.5e+09 to 4.5e+09 s"),
         ("accelerometer", "start_s = nan", "accelerometer.start_s = nan: must be from"),
@@ -73,20 +73,20 @@ def message(capsys: pytest.CaptureFixture[str], code: int, *arguments: object) -
     ],
 )
 def test_a_number_out_of_its_range_is_named_with_rule_unit_and_value(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], section: str, line: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], section: str, line: str, reported: str
 ) -> None:
     text = (write(tmp_path) / "recording.toml").read_text()
     if f"[{section}]" not in text:
         text += f"\n[{section}]\n" + ('file = "no.npy"\n' if section in ("camera", "infrared", "radar") else "")
     (tmp_path / "recording.toml").write_text(text.replace(f"[{section}]", f"[{section}]\n{line}", 1))
     said = message(capsys, 2, "check-config", tmp_path)
-    assert told in said
+    assert reported in said
     assert "recording.toml" in said
     assert said == message(capsys, 2, "estimate", tmp_path, "-o", tmp_path / "result.csv")
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reported"),
     [
         ('"accel.csv\\u0000"', "without NUL characters"),
         ('"' + 300 * "a" + '.csv"', "each name in it of at most 255 bytes"),
@@ -97,14 +97,14 @@ def test_a_number_out_of_its_range_is_named_with_rule_unit_and_value(
     ],
 )
 def test_a_file_name_that_no_file_can_have_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, reported: str
 ) -> None:
     text = (write(tmp_path) / "recording.toml").read_text()
     (tmp_path / "recording.toml").write_text(text.replace('"accel.csv"', name))
     found = run(["estimate", str(tmp_path), "-o", str(tmp_path / "result.csv")])
     said = capsys.readouterr().err
     assert found in (2, 3), said
-    assert told in said
+    assert reported in said
 
 
 @pytest.mark.parametrize("command", ["inspect", "check-config", "calibrate", "estimate", "compare"])
@@ -117,7 +117,7 @@ DEEP = 900
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (TEXT.encode("utf-16"), "this is UTF-16"),
         (TEXT.encode("utf-16-le"), "this is UTF-16, or no text"),
@@ -132,10 +132,10 @@ DEEP = 900
     ],
 )
 def test_settings_in_another_encoding_or_too_deep_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, reported: str
 ) -> None:
     (write(tmp_path) / "recording.toml").write_bytes(content)
-    assert told in message(capsys, 2, "check-config", tmp_path)
+    assert reported in message(capsys, 2, "check-config", tmp_path)
 
 
 def test_settings_with_a_byte_order_mark_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -152,7 +152,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (f"{DEEP * '['}{DEEP * ']'}", "at most 64 levels"),
         (f"{100_000 * '['}{100_000 * ']'}", "at most 64 levels"),
@@ -175,11 +175,11 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_a_calibration_that_is_no_such_tree_is_refused(
-    tmp_path: Path, calibrated: Path, capsys: pytest.CaptureFixture[str], content: str, told: str
+    tmp_path: Path, calibrated: Path, capsys: pytest.CaptureFixture[str], content: str, reported: str
 ) -> None:
     (tmp_path / "c.json").write_text(content)
     said = message(capsys, 3, "estimate", calibrated, "-c", tmp_path / "c.json", "-o", tmp_path / "o.csv")
-    assert told in said
+    assert reported in said
     assert "c.json" in said
 
 
@@ -311,7 +311,7 @@ def test_sensors_without_noise_give_the_motion_itself(tmp_path: Path, noise: flo
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (f"{DEEP * '['}{DEEP * ']'}", "at most 64 levels"),
         ('{"model": "pinhole", "model": "fisheye"}', "stands there twice"),
@@ -325,10 +325,10 @@ def test_sensors_without_noise_give_the_motion_itself(tmp_path: Path, noise: flo
         ),
     ],
 )
-def test_a_lens_file_of_nonsense_is_a_sentence(tmp_path: Path, content: str, told: str) -> None:
+def test_a_lens_file_of_nonsense_is_a_sentence(tmp_path: Path, content: str, reported: str) -> None:
     from midspan.sources.camera.lens import load_lens
 
     (tmp_path / "lens.json").write_text(content)
     with pytest.raises(DataError, match=r"lens\.json") as caught:
         load_lens(tmp_path / "lens.json")
-    assert told in str(caught.value)
+    assert reported in str(caught.value)

@@ -66,3 +66,31 @@ def test_every_room_and_file_is_named_after_its_role():
 def test_every_folder_of_the_package_is_a_package():
     folders = {file.parent for file in FILES}
     assert [folder for folder in folders if not (folder / "__init__.py").is_file()] == []
+
+
+# Words that the field does not use, with what it says instead.
+BANNED = {
+    r"told": "reported, stated",
+    r"learnt": "estimated; learned, of a template",
+    r"beside": "relative to, compared with, together with",
+    r"by itself|by themselves": "on its own",
+    r"stretch(es)?": "segment",
+    r"wander(s|ed|ing)?": "drift",
+    r"folded": "aliased",
+    r"(stands?|stood|standing) still": "is static, frozen",
+    r"eyes?": "camera",
+    r"so many": "this many",
+    r"_?(MOST|LEAST|FEWEST)_\w+": "MAX_, MIN_",
+}
+ROOT = Path(__file__).parents[1]
+TEXTS = [*FILES, *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("docs/**/*.md"), ROOT / "README.md"]
+
+
+@pytest.mark.parametrize("word", BANNED)
+def test_the_words_are_those_of_the_field(word):
+    banned = re.compile(rf"(?<!np\.)\b({word})\b|(?<![a-z])({word})(?=_)|(?<=_)({word})(?![a-z])")
+    lines = [(file, number, line) for file in TEXTS for number, line in enumerate(file.read_text().splitlines(), 1)]
+    where = [
+        f"{file.relative_to(ROOT)}:{number}: {line.strip()}" for file, number, line in lines if banned.search(line)
+    ]
+    assert where == [], f"write {BANNED[word]}"

@@ -173,7 +173,7 @@ def test_no_message_shows_the_words_of_the_validation_library():
             assert word not in message, message
 
 
-def test_several_mistakes_are_told_at_once():
+def test_several_mistakes_are_reported_at_once():
     message = message_of(tree_with(camera=CAMERA | {"every": 0, "direction": "z"}, fusion={"method": "x"}))
     assert "camera.every" in message
     assert "camera.direction" in message
@@ -347,12 +347,12 @@ def test_a_single_sensor_is_the_same_as_a_section_and_as_a_list_of_one():
 
 
 @pytest.mark.parametrize("camera", [CAMERA, {**CAMERA, "name": "deck"}, TWO])
-def test_settings_are_told_as_the_file_has_them(camera):
+def test_settings_are_reported_as_the_file_has_them(camera):
     settings = validate(tree_with(camera=camera), "r")
-    told = settings.model_dump(mode="json", exclude_none=True)
-    assert isinstance(told["camera"], list) == isinstance(camera, list)
-    assert "infrared" not in told
-    assert validate(told, "r") == settings
+    reported = settings.model_dump(mode="json", exclude_none=True)
+    assert isinstance(reported["camera"], list) == isinstance(camera, list)
+    assert "infrared" not in reported
+    assert validate(reported, "r") == settings
     assert settings.model_dump(mode="json")["infrared"] is None
 
 

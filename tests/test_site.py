@@ -33,7 +33,7 @@ def test_every_page_and_example_is_in_the_site(site):
 
 
 def test_the_site_works_without_a_network(site):
-    """Nothing that a page loads by itself comes from elsewhere: links may lead there."""
+    """Nothing that a page loads on its own comes from elsewhere: links may lead there."""
     loaded = re.compile(r"<(?:script|link|img)[^>]+(?:src|href)=\"?(https?:[^\" >]+)")
     for page in site.rglob("*.html"):
         found = [at for at in loaded.findall(page.read_text(encoding="utf-8")) if "rel=canonical" not in at]

@@ -107,7 +107,7 @@ def test_a_name_of_a_site_may_hold_blanks(tmp_path, monkeypatch):
     assert site.name == "river bridge, süd"
 
 
-def test_a_site_without_points_is_told_so(tmp_path, monkeypatch):
+def test_a_site_without_points_is_reported_so(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match=r"SITE.toml: point: is missing. Add one \[\[point\]\]"):
         loaded(tmp_path, monkeypatch, SITE[: SITE.index("[[point]]")])
     assert is_site(tmp_path / "SITE.toml")

@@ -28,8 +28,8 @@ class Scene:
 
     motion: true displacement (m); felt: what the accelerometer is made to measure (m/s²); seen: what the slow sensor
     is made to measure (m); slow_s (n,): its true instants; white_m and error_m (n,): its white noise's standard
-    deviation and what it adds beside; keys: further lines of its section; wander_m: standard deviation of what a slow
-    error of the sensor adds in 10 s.
+    deviation and what it adds together with; keys: further lines of its section; wander_m: standard deviation of what a
+    slow error of the sensor adds in 10 s.
     """
 
     rng: np.random.Generator
@@ -42,7 +42,7 @@ class Scene:
     offset_s: float = 0.0
     keys: str = ""
     gain: float = 1.0
-    wander_m: float = 0.0
+    drift_m: float = 0.0
     felt: Lines = field(init=False)
     seen: Lines = field(init=False)
     white_m: Floats = field(init=False)
@@ -178,7 +178,7 @@ def colour(made: Scene) -> None:
     made.error_m = std * made.rng.normal(size=len(made.slow_s))
     for k, a in enumerate(keep, start=1):
         made.error_m[k] = a * made.error_m[k - 1] + np.sqrt(1 - a * a) * made.error_m[k]
-    made.wander_m = std * np.sqrt(2 * (1 - np.exp(-10 / tau)))
+    made.drift_m = std * np.sqrt(2 * (1 - np.exp(-10 / tau)))
 
 
 def step(made: Scene) -> None:

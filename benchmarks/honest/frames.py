@@ -171,7 +171,7 @@ def logger(made: View) -> None:
 
 
 def own(made: View) -> None:
-    """The target moves by itself at 0.2 to 1 Hz, a twentieth to a fifth of the structure's motion."""
+    """The target moves on its own at 0.2 to 1 Hz, a twentieth to a fifth of the structure's motion."""
     share = made.rng.uniform(0.05, 0.2)
     made.seen = made.seen + modes(made.rng, (0.2, 1.0), share * made.motion.rms, length_s=LENGTH_S)
 

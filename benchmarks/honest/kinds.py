@@ -26,7 +26,7 @@ class Truth:
     zero_s: float
     scale: float
     offset_s: float
-    wander_mm: float = 0.0
+    drift_mm: float = 0.0
 
     def displacement_mm(self, time_s: Floats) -> Floats:
         """True displacement (n,) from the zero."""
@@ -65,7 +65,7 @@ def _slow(change: displacement.Change, rng: np.random.Generator, folder: Path) -
     # Tilt and low-pass give each frequency another gain: there is no one true value.
     no_scale = change in (displacement.tilt, displacement.logger)
     offset = made.offset_s if made.keys else np.nan
-    return Truth(made.motion, np.nan, np.nan if no_scale else made.gain, offset, 1e3 * made.wander_m)
+    return Truth(made.motion, np.nan, np.nan if no_scale else made.gain, offset, 1e3 * made.drift_m)
 
 
 def _picture(
@@ -134,7 +134,7 @@ KINDS: tuple[Kind, ...] = (
     _camera(frames.logger, 8, LOGGER),
     _radar(frames.plain, 8),
     _radar(frames.tilt, 4, TILT),
-    _radar(frames.own, 4, "own|target|by itself"),
+    _radar(frames.own, 4, "own|target|on its own"),
     _infrared(frames.plain, 8),
     _infrared(frames.pattern, 8, "pattern"),
 )

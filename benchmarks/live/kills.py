@@ -21,7 +21,7 @@ from benchmarks.live.servers import Mosquitto, RtspCamera
 from benchmarks.live.site import RunningSite, whole_site
 from benchmarks.table import goal
 
-TIMES, BACK_S, LEAST_INSIDE = 50, 5.0, 0.85
+TIMES, BACK_S, MIN_INSIDE = 50, 5.0, 0.85
 CAMERA_HZ, SHAPE, FILMED, PLAIN = 15, (240, 320), "filmed", "plain"
 # Rows are new where they are no older than this, s: blocks of 0.2 s, read back from the store's commits.
 NEW_S, PAUSE_S, GIVEN_UP_S = 1.5, (1.0, 8.0), 60.0
@@ -77,7 +77,7 @@ def main(times: int = TIMES) -> int:
         whole(site)
         for point in motions:
             held = site.held(point, 0, 2**62)
-            goal(f"{point}: inside", held.inside, LEAST_INSIDE, at_least=True)
+            goal(f"{point}: inside", held.inside, MIN_INSIDE, at_least=True)
     return 0
 
 

@@ -15,8 +15,8 @@ TONE = Sines(np.array([4e-3]), np.array([2.0]))
 STILL = Sines(np.array([0.0]), np.array([1.0]))
 
 
-def beside(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.ones_like(t), extra=0.0) -> Compared:
-    """Measurements of a motion at true instants (m,) with stamps (m,), beside 100 Hz of acceleration.
+def companions(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.ones_like(t), extra=0.0) -> Compared:
+    """Measurements of a motion at true instants (m,) with stamps (m,), next to 100 Hz of acceleration.
 
     loud: the motion's size, which changes slowly; extra (m,): added to the measurements, m.
     """
@@ -40,7 +40,7 @@ def even(length_s: float = 40.0, rate_hz: float = 8.0) -> Floats:
 @pytest.mark.parametrize("late_s", [-0.5, 0.125, 0.05, -0.05, 0.02, 0.005])
 def test_a_clock_that_was_set_is_found_with_its_size_and_instant(late_s):
     true_s = even()
-    (found,) = clock_jumps(beside(true_s - np.where(true_s >= 25.0, late_s, 0.0), true_s))
+    (found,) = clock_jumps(companions(true_s - np.where(true_s >= 25.0, late_s, 0.0), true_s))
     # Five of its deviations, and the grid of 0.1 ms that it is sought on.
     assert found.late_s == pytest.approx(late_s, abs=5.0 * found.std_s + 1e-4)
     assert found.std_s < 1e-3
@@ -54,14 +54,14 @@ def test_a_clock_that_was_set_is_found_with_its_size_and_instant(late_s):
 def test_lost_frames_where_stamps_are_counted_are_a_jump(rate_hz, lost):
     stamps = even(rate_hz=rate_hz)
     k = np.searchsorted(stamps, 25.0)
-    (found,) = clock_jumps(beside(stamps[:-lost], np.delete(stamps, slice(k, k + lost))))
+    (found,) = clock_jumps(companions(stamps[:-lost], np.delete(stamps, slice(k, k + lost))))
     assert found.late_s == pytest.approx(lost / rate_hz, abs=5.0 * found.std_s + 1e-4)
 
 
 def test_a_doubled_frame_is_a_jump_back():
     stamps = even()
     k = np.searchsorted(stamps, 25.0)
-    given = beside(stamps, np.insert(stamps, k, stamps[k - 1])[:-1])
+    given = companions(stamps, np.insert(stamps, k, stamps[k - 1])[:-1])
     (found,) = clock_jumps(given)
     assert found.late_s == pytest.approx(-0.125, abs=5.0 * found.std_s + 1e-4)
     assert found.std_s > 1e-5
@@ -70,7 +70,7 @@ def test_a_doubled_frame_is_a_jump_back():
 def test_two_jumps_are_both_found():
     true_s = even(70.0)
     late = np.where(true_s >= 20.0, 0.125, 0.0) + np.where(true_s >= 45.0, -0.03, 0.0)
-    found = clock_jumps(beside(true_s - late, true_s))
+    found = clock_jumps(companions(true_s - late, true_s))
     assert len(found) == 2
     np.testing.assert_allclose(lateness(found, len(true_s))[[0, 250, -1]], [0.0, 0.125, 0.095], atol=1e-3)
 
@@ -87,7 +87,7 @@ def test_two_jumps_are_both_found():
 )
 def test_clocks_without_a_jump_have_none(late):
     true_s = even(150.0)
-    assert clock_jumps(beside(true_s - late(true_s), true_s)) == []
+    assert clock_jumps(companions(true_s - late(true_s), true_s)) == []
 
 
 @pytest.mark.parametrize("extra", ["level", "hidden", "outliers"])
@@ -98,12 +98,12 @@ def test_what_is_wrong_with_the_measurements_is_no_jump_of_the_clock(extra):
         "hidden": np.where((true_s > 30.0) & (true_s < 36.0), rng.normal(0.0, 5e-3, true_s.size), 0.0),
         "outliers": np.where(rng.random(true_s.size) < 0.03, 4e-3, 0.0),
     }[extra]
-    assert clock_jumps(beside(true_s, true_s, extra=added)) == []
+    assert clock_jumps(companions(true_s, true_s, extra=added)) == []
 
 
 def test_where_nothing_moves_nothing_is_found():
     true_s = even()
-    assert clock_jumps(beside(true_s - np.where(true_s >= 25.0, 0.5, 0.0), true_s, motion=STILL)) == []
+    assert clock_jumps(companions(true_s - np.where(true_s >= 25.0, 0.5, 0.0), true_s, motion=STILL)) == []
 
 
 def test_a_jump_in_a_quiet_time_may_have_been_at_any_of_its_instants():
@@ -112,7 +112,7 @@ def test_a_jump_in_a_quiet_time_may_have_been_at_any_of_its_instants():
     def pause(t: Floats) -> Floats:
         return 1.0 - np.exp(-(((t - 30.0) / 6.0) ** 8))
 
-    (found,) = clock_jumps(beside(true_s - np.where(true_s >= 30.0, 0.125, 0.0), true_s, loud=pause))
+    (found,) = clock_jumps(companions(true_s - np.where(true_s >= 30.0, 0.125, 0.0), true_s, loud=pause))
     assert found.late_s == pytest.approx(0.125, abs=5.0 * found.std_s + 1e-4)
     assert true_s[found.first] < 28.0
     assert true_s[found.last] > 32.0
@@ -120,7 +120,7 @@ def test_a_jump_in_a_quiet_time_may_have_been_at_any_of_its_instants():
 
 def test_a_single_tone_does_not_tell_a_jump_from_one_a_period_longer():
     true_s = even()
-    (found,) = clock_jumps(beside(true_s - np.where(true_s >= 20.0, 0.1, 0.0), true_s, motion=TONE))
+    (found,) = clock_jumps(companions(true_s - np.where(true_s >= 20.0, 0.1, 0.0), true_s, motion=TONE))
     assert found.rival_s is not None
     periods = 2.0 * np.array([found.rival_s - found.late_s, found.late_s - 0.1])
     np.testing.assert_allclose(periods, np.round(periods), atol=0.02)

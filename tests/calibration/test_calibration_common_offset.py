@@ -18,7 +18,7 @@ SCALES, NOISE_PX, OFFSET_S = (1.5e-3, 0.75e-3), (0.02, 0.05), 0.06
 
 
 def targets(seed, offsets_s=(OFFSET_S, OFFSET_S)):
-    """Two targets at two distances beside one accelerometer, 40 s at 10 Hz."""
+    """Two targets at two distances together with one accelerometer, 40 s at 10 Hz."""
     motion = random_motion((0.5, 4.0), 1.5e-3, rng=np.random.default_rng(seed))
     model = AccelerometerModel(100.0, 3e-3, 0.02)
     found = []

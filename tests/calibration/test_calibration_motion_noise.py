@@ -20,7 +20,7 @@ def lively(seed, motion_s, scale=1.0):
     The motion is known finely: the second derivative of what the slow sensor sees, by central differences of 1 ms.
     """
     rng = np.random.default_rng(seed)
-    # Slow beside the samples: what integration errs by goes with the motion, too.
+    # Slow together with the samples: what integration errs by goes with the motion, too.
     motion = random_motion((0.3, 2.0), 5e-3, rng=np.random.default_rng(seed), flat="velocity")
 
     def displacement(time):

@@ -14,13 +14,13 @@ from midspan.records import Acceleration, Displacement, nanoseconds
 
 
 def metres(motion, seed, noise_m=1e-4, **given):
-    """Displacement in m with a relative variance of 1, so that the learnt factor is the variance itself."""
+    """Displacement in m with a relative variance of 1, so that the estimated factor is the variance itself."""
     pair = observed(motion, seed, scale=1.0, noise_px=noise_m, **given)
     return replace(pair, rows=np.column_stack((pair.rows[:, :2], np.ones(len(pair.rows)))))
 
 
 @pytest.mark.parametrize("noise_m", [2e-5, 1e-4, 1e-3])
-def test_noise_of_both_sensors_is_learnt(noise_m):
+def test_noise_of_both_sensors_is_estimated(noise_m):
     fits = [calibrate_noise(metres(broadband(s), 200 + s, noise_m), 0.5) for s in range(8)]
     # 590 measurements give each variance to ± 6 %, the mean of eight to ± 2 %.
     assert np.mean([f.variance_factor for f in fits]) == pytest.approx(noise_m**2, rel=0.08)
@@ -36,7 +36,7 @@ def test_the_variance_given_with_a_measurement_counts_relatively():
 
 
 @pytest.mark.parametrize("offset_s", [-0.3, 0.05, 0.3])
-def test_the_clock_offset_is_learnt_where_the_motion_tells_it(offset_s):
+def test_the_clock_offset_is_estimated_where_the_motion_tells_it(offset_s):
     fit = calibrate_noise(metres(broadband(4), 4, offset_s=offset_s), 0.5)
     assert fit.offset.value_s == pytest.approx(offset_s, abs=1e-3)
     assert np.sqrt(fit.offset.variance) < 1e-3
@@ -61,7 +61,7 @@ def test_the_apparent_scale_tells_a_wrong_unit():
     assert turned.scale < 0
 
 
-def test_outliers_do_not_raise_the_learnt_noise():
+def test_outliers_do_not_raise_the_estimated_noise():
     clean = metres(broadband(8), 8)
     rows = clean.rows * [1.0, 1e3, 1.0]
     dirty, _ = spoilt(replace(clean, rows=rows), 8)
@@ -93,7 +93,7 @@ def test_outliers_in_bursts_are_found_and_no_others_even_at_the_start(seed):
 
 
 @pytest.mark.parametrize("length_s", [15.0, 30.0, 60.0])
-def test_a_bias_that_drifts_is_told_from_none_in_a_record_of_any_length(length_s):
+def test_a_bias_that_drifts_is_reported_from_none_in_a_record_of_any_length(length_s):
     for seed in range(3):
         whole = metres(broadband(seed), seed, offset_s=0.0)
         samples, rows = (one[one[:, 0] < length_s] for one in (whole.samples, whole.rows))
@@ -142,7 +142,7 @@ def test_whitened_innovations_are_those_of_the_filter(drifts):
 
 
 @pytest.mark.parametrize(("density", "noise_m"), [(1e-4, 1e-5), (1e-4, 1e-3), (1e-7, 1e-5)])
-def test_the_strength_of_a_motion_without_an_accelerometer_is_learnt_from_its_displacement(density, noise_m):
+def test_the_strength_of_a_motion_without_an_accelerometer_is_estimated_from_its_displacement(density, noise_m):
     found = []
     for seed in range(6):
         rng = np.random.default_rng(seed)

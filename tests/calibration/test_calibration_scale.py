@@ -193,7 +193,7 @@ def test_a_tone_whose_alias_falls_into_the_slow_band_is_refused_with_that_reason
 
 
 def test_a_slow_tone_beside_an_alias_in_the_slow_band_is_calibrated_by_itself():
-    # 8 mm at 0.1 Hz tell the scale to 1 %, the offset to 18 ms; the tone that stands still may not spoil either.
+    # 8 mm at 0.1 Hz tell the scale to 1 %, the offset to 18 ms; the tone that is static may not spoil either.
     results = [
         calibrate_scale(observed(tones(s, (8e-3, 0.1), (3e-3, 3.01)), 100 + s, rate_hz=3.0), 0.08) for s in range(24)
     ]

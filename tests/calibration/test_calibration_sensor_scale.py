@@ -37,7 +37,7 @@ def test_the_scale_is_right_and_its_deviation_covers(factor, rate_hz, one_clock)
     # 64 draws: the rms of z is known to ± 9 %, its mean to ± 0.13.
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.25
     assert abs(np.mean(z)) < 0.4
-    # Noise and accelerometer noise are told in true metres, whatever the readings' unit.
+    # Noise and accelerometer noise are reported in true metres, whatever the readings' unit.
     assert np.sqrt(np.mean([f.variance_factor for f in found])) == pytest.approx(1e-4, rel=0.1)
     if not one_clock:
         late = np.array([(f.offset.value_s - OFFSET) / np.sqrt(f.offset.variance) for f in found])
@@ -73,7 +73,7 @@ def test_offset_and_scale_of_a_single_tone_are_ambiguous_together():
     pair = read(tones(5, (3e-3, 5.0)), 5, rate_hz=30.0, offset_s=0.01)
     with pytest.raises(UntrustedError, match=r"ambiguous.*single tone"):
         calibrate_sensor_scale(pair, 0.3, one_clock=False)
-    # Each alone is told: one clock, or a search within a quarter of a period.
+    # Each alone is reported: one clock, or a search within a quarter of a period.
     close = calibrate_sensor_scale(pair, 0.04, one_clock=False)
     assert close.factor == pytest.approx(1.0, abs=4.0 * close.factor_std)
     alone = calibrate_sensor_scale(read(tones(5, (3e-3, 5.0)), 5, rate_hz=30.0), 0.3, one_clock=True)

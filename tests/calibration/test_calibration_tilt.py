@@ -14,6 +14,6 @@ def test_what_a_tilt_makes_of_either_target_is_said(kept):
     assert "near wrong by 0.1 mm rms and that of far by 0.25 mm" in said
     # 0.1 mm are 5.7 mdeg times a metre.
     assert "tilt_std_mdeg = 5.7 divided" in said
-    assert "or one of them moves by itself" in said
+    assert "or one of them moves on its own" in said
     decided = tilt_text((kept, scales[kept]), (other, scales[other]), error_m[kept], decided=True)
-    assert "excludes that one of them moves by itself" in decided
+    assert "excludes that one of them moves on its own" in decided

@@ -19,7 +19,7 @@ SWING = 2.0 * np.pi * 0.7
 
 
 def judge(moved_m, value_m_s2, *, std_m=2e-4, missing=0.0, every=1) -> None:
-    """Compare a displacement (n,) at TIME_S, or at every so many of these, with an acceleration (n,).
+    """Compare a displacement (n,) at TIME_S, or at every this many of these, with an acceleration (n,).
 
     missing: density (n,) for what is not known of it, (m/s²)²/Hz.
     """

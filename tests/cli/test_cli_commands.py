@@ -144,7 +144,7 @@ def test_the_installed_command_returns_the_exit_code_and_no_traceback(tmp_path):
     assert called.stderr.startswith("midspan: ")
 
 
-def test_the_version_is_told(capsys):
+def test_the_version_is_reported(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.startswith("midspan ")
 
@@ -164,8 +164,8 @@ def test_calibrate_writes_into_the_recording_and_prints_the_keys_that_are_relied
 def test_estimate_writes_csv_with_the_columns_and_json_beside_it(done):
     lines = (done / "result.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == RESULT_COLUMNS
-    beside = one_document((done / "result.json").read_text(encoding="utf-8"))
-    assert {"midspan", "settings", "calibration", "method"} <= set(beside)
+    companions = one_document((done / "result.json").read_text(encoding="utf-8"))
+    assert {"midspan", "settings", "calibration", "method"} <= set(companions)
     assert (done / "track.csv").read_text(encoding="utf-8").splitlines()[0] == TRACK_COLUMNS
 
 
@@ -245,7 +245,7 @@ def test_simulate_gives_the_same_files_for_the_same_seed(tmp_path):
     assert (tmp_path / "a" / "truth.csv").is_file()
 
 
-def test_simulate_breaks_what_it_is_told_to_in_lists_or_repeated(tmp_path, capsys):
+def test_simulate_breaks_what_it_is_reported_to_in_lists_or_repeated(tmp_path, capsys):
     words = ["simulate", "gnss", "-o", str(tmp_path / "a"), "--break", "gain,step", "--break", "colour", "--json"]
     assert run(words) == 0
     assert json.loads(capsys.readouterr().out)["broken"] == ["gain", "step", "colour"]

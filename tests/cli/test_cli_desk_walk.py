@@ -54,12 +54,12 @@ def test_what_excel_and_matlab_open_is_the_motion(walked, footbridge, name):
 def test_compare_says_the_same_as_the_columns(walked, footbridge, name, capsys):
     found, truth = columns(walked / name), pd.read_csv(footbridge / "truth.csv")
     error = found["displacement_mm"] - np.interp(found["time_s"], truth["time_s"], truth["displacement_mm"])
-    told = answer(capsys, "compare", walked / name, footbridge / "truth.csv")
-    assert told["count"] == error.size
+    reported = answer(capsys, "compare", walked / name, footbridge / "truth.csv")
+    assert reported["count"] == error.size
     # A workbook has the times to the microsecond at least: 1e-6 s at 60 mm/s.
-    assert told["rmse_mm"] == pytest.approx(np.sqrt(np.mean(error**2)), abs=1e-4)
-    assert told["bias_mm"] == pytest.approx(error.mean(), abs=1e-4)
-    assert told["without_zero"]["coverage_95"] > 0.9
+    assert reported["rmse_mm"] == pytest.approx(np.sqrt(np.mean(error**2)), abs=1e-4)
+    assert reported["bias_mm"] == pytest.approx(error.mean(), abs=1e-4)
+    assert reported["without_zero"]["coverage_95"] > 0.9
 
 
 def test_spectrum_finds_the_mode_in_both_and_the_same(walked, footbridge, capsys):
@@ -75,8 +75,8 @@ def test_spectrum_finds_the_mode_in_both_and_the_same(walked, footbridge, capsys
 
 
 def test_a_wrong_unit_of_the_reference_is_named(walked, footbridge, capsys):
-    told = answer(capsys, "compare", walked / "result.mat", footbridge / "truth.csv", "--unit", "m")
-    assert "the displacement is 0.001 times the reference. Check the units" in told["notes"][0]
+    reported = answer(capsys, "compare", walked / "result.mat", footbridge / "truth.csv", "--unit", "m")
+    assert "the displacement is 0.001 times the reference. Check the units" in reported["notes"][0]
 
 
 def test_the_video_first_is_said(walked, footbridge, capsys):
@@ -113,6 +113,6 @@ def test_miniseed_is_known_as_midspans_own(walked):
 
 
 def test_the_two_files_are_one_result(walked, capsys):
-    told = answer(capsys, "compare", walked / "result.mat", walked / "result.xlsx")
-    assert told["largest_error_mm"] < 1e-9
-    assert told["notes"] == []
+    reported = answer(capsys, "compare", walked / "result.mat", walked / "result.xlsx")
+    assert reported["largest_error_mm"] < 1e-9
+    assert reported["notes"] == []

@@ -57,7 +57,7 @@ def test_two_seconds_without_numbers_are_a_warning_of_inspect_and_result(
     assert all(word in line for word in words)
     assert f"({lost} without a number)" in said(["inspect", str(footbridge_copy / "accel.csv")], capsys)
     calibration = str(footbridge_copy / "calibration.json")
-    # Calibrated before the hole was there: the result must say it by itself.
+    # Calibrated before the hole was there: the result must say it on its own.
     assert run(["estimate", str(footbridge_copy), "-c", calibration, "-o", str(footbridge_copy / "o.csv")]) == 0
     warnings = json.loads((footbridge_copy / "o.json").read_text())["warnings"]
     assert sum(all(word in line for word in words) for line in warnings) == 1

@@ -40,16 +40,16 @@ def test_the_words_of_other_programs_lead_to_the_key(
 def test_the_name_of_a_family_of_trackers_leads_to_the_tracker(
     footbridge: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = refused(["calibrate", str(footbridge), "--tracker", "lucas-kanade"], capsys)
-    assert "Did you mean 'registration'?" in told
+    reported = refused(["calibrate", str(footbridge), "--tracker", "lucas-kanade"], capsys)
+    assert "Did you mean 'registration'?" in reported
 
 
 def test_a_windows_path_between_double_quotes_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = written(tmp_path, '[accelerometer]\nfile = "C:\\Users\\me\\a.csv"\n')
-    told = refused(["check-config", folder], capsys)
-    assert "at line 2" in told
-    assert "write / in Windows paths, or put them in single quotes" in told
-    assert "need quotes" not in told
+    reported = refused(["check-config", folder], capsys)
+    assert "at line 2" in reported
+    assert "write / in Windows paths, or put them in single quotes" in reported
+    assert "need quotes" not in reported
 
 
 def test_a_value_without_quotes_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,10 +59,10 @@ def test_a_value_without_quotes_is_explained(tmp_path: Path, capsys: pytest.Capt
 
 def test_a_section_that_is_missing_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = written(tmp_path, '[accelerometer]\nfile = "a.csv"\n')
-    told = refused(["estimate", folder], capsys)
-    assert "has [accelerometer] only. Add the section" in told
-    assert "[camera]" in told
-    assert "settings:" not in told
+    reported = refused(["estimate", folder], capsys)
+    assert "has [accelerometer] only. Add the section" in reported
+    assert "[camera]" in reported
+    assert "settings:" not in reported
     folder = written(tmp_path, '[radar]\nfile = "r.h5"\n')
     assert "has no [accelerometer]. Add the section" in refused(["estimate", folder], capsys)
 
@@ -70,9 +70,9 @@ def test_a_section_that_is_missing_is_named(tmp_path: Path, capsys: pytest.Captu
 def test_a_camera_alone_is_led_to_track(footbridge_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = written(footbridge_copy, '[camera]\nfile = "camera.mkv"\n')
     for command in ("calibrate", "estimate"):
-        told = refused([command, folder], capsys)
-        assert "has no [accelerometer]" in told
-        assert "midspan track" in told
+        reported = refused([command, folder], capsys)
+        assert "has no [accelerometer]" in reported
+        assert "midspan track" in reported
 
 
 def test_check_config_ends_with_its_verdict_and_writes_values_as_toml(
@@ -97,9 +97,9 @@ def test_a_result_that_is_missing_is_looked_for_where_the_command_runs(
     footbridge: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    told = refused(["compare", "result.csv", str(footbridge)], capsys, code=3)
-    assert str(tmp_path) in told
-    assert "recording.toml" not in told
+    reported = refused(["compare", "result.csv", str(footbridge)], capsys, code=3)
+    assert str(tmp_path) in reported
+    assert "recording.toml" not in reported
 
 
 def test_inspect_shows_values_in_the_unit_of_the_file(
@@ -132,6 +132,6 @@ def test_inspect_names_only_channels_of_the_right_unit(tmp_path: Path, capsys: p
     header = "Zeit [s];Beschl X [g];Beschl Y [g];Beschl Z [g];Temp [°C]\n"
     (tmp_path / "a.csv").write_text(header + rows, encoding="utf-8")
     folder = written(tmp_path, '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n')
-    told = refused(["inspect", folder], capsys, code=2)
-    assert "'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in told
-    assert "Temp" not in told
+    reported = refused(["inspect", folder], capsys, code=2)
+    assert "'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in reported
+    assert "Temp" not in reported

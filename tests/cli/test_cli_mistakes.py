@@ -215,7 +215,7 @@ MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
     "film rotated": (rotated, 4, "the image does not: check camera.direction"),
     "film stabilised": (stabilised, 4, "the image does not: .*no stabiliser"),
     "region on dirt on the lens": (keys("camera", roi=STILL), 4, "the image does not: .*fixed to the camera"),
-    "region on something that moves by itself": (keys("camera", roi=MOVER), 4, "both move, but not alike.*camera.roi"),
+    "region on something that moves on its own": (keys("camera", roi=MOVER), 4, "both move, but not alike.*camera.roi"),
     "region on the sky": (keys("camera", roi=SKY), 2, "roi must hold texture"),
     "region outside the picture": (keys("camera", roi=[400, 8, 64, 64]), 2, "roi"),
     "another frame rate": (keys("camera", rate_hz=12.0), 4, "wrong camera.rate_hz"),

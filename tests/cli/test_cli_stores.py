@@ -149,14 +149,14 @@ def test_an_error_names_store_and_point_and_says_what_to_do_with_a_store(stored,
     _insert(store._days.of(0), again, joined=True)
     store.close()
     assert run(["estimate", str(stored), "-o", output]) == 3
-    told = capsys.readouterr().err
-    assert f"{stored}: point 'p', accelerometer: time must increase" in told
-    assert "Choose a span without them (--from, --to)." in told
-    assert "midspan-" not in told
+    reported = capsys.readouterr().err
+    assert f"{stored}: point 'p', accelerometer: time must increase" in reported
+    assert "Choose a span without them (--from, --to)." in reported
+    assert "midspan-" not in reported
     assert run(["estimate", str(stored), "-o", output, "--tracker", "template", "--from", "5"]) == 2
-    told = capsys.readouterr().err
-    assert f"{stored}: point 'p' has no [camera]" in told
-    assert "midspan-" not in told
+    reported = capsys.readouterr().err
+    assert f"{stored}: point 'p' has no [camera]" in reported
+    assert "midspan-" not in reported
 
 
 def test_the_advice_that_is_replaced_is_what_messages_say():

@@ -66,12 +66,12 @@ def compressed(frames, crf):
 
 
 def untaught(frames, targets=TARGETS, tracker="registration", readout_s=0.0, **opening):
-    """A chain that has learnt nothing."""
+    """A chain that has learned nothing."""
     return CameraChain(frames[0], targets, ChainSettings(Opening(tracker, **opening), readout_s))
 
 
 def opened(frames, targets=TARGETS, **settings):
-    """A chain that has learnt from the first frames."""
+    """A chain that has learned from the first frames."""
     chain = untaught(frames, targets, **settings)
     chain.learn(frames[: chain.frames_to_learn])
     return chain

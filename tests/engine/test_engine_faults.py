@@ -153,7 +153,7 @@ CASES = {
 MAX_ERROR_M = 0.05
 # Until measurements contradict the acceleration, a clock that has stepped against the others looks sound: that may take
 # a quarter of a second after the step.
-UNTOLD = 0.25 / LENGTH_S
+UNREPORTED = 0.25 / LENGTH_S
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -175,7 +175,7 @@ def test_a_fault_is_an_event_and_the_band_holds_its_error(name):
     ratio = np.concatenate(ratios)
     assert np.mean(ratio < 1.96) >= 0.93
     if "clock" in kinds:
-        assert np.mean(ratio > 5.0) < UNTOLD
+        assert np.mean(ratio > 5.0) < UNREPORTED
     else:
         assert np.max(ratio) < 5.0
 
@@ -186,8 +186,8 @@ def test_a_clock_that_is_set_for_good_costs_seconds_and_the_point_goes_on(names,
     ratios = []
     for seed in range(1, 4):
         rows, events, health = run(clock_step(names, step_s)(recorded(seed)))
-        told = [event for event in events if "clock was set" in event.text and event.kind == "clock"]
-        assert sorted(event.text.split(":")[0] for event in told) == sorted(names)
+        reported = [event for event in events if "clock was set" in event.text and event.kind == "clock"]
+        assert sorted(event.text.split(":")[0] for event in reported) == sorted(names)
         assert "silent" not in {event.kind for event in events}
         assert np.all(np.diff(rows.time_ns) > 0)
         # The stamps go on where they were: those of the rows are true.

@@ -248,8 +248,10 @@ def test_any_cutting_and_any_restart_give_the_same_samples(faults, seed, cuts):
         np.testing.assert_array_equal(again.value_m_s2, samples.value_m_s2)
         np.testing.assert_array_equal(again.noise_density, samples.noise_density)
         np.testing.assert_array_equal(again.kind, samples.kind)
-        told = sorted((item for item in out if isinstance(item, Event)), key=lambda event: (event.time_ns, event.text))
-        assert told == events
+        reported = sorted(
+            (item for item in out if isinstance(item, Event)), key=lambda event: (event.time_ns, event.text)
+        )
+        assert reported == events
 
 
 @pytest.mark.parametrize("cut", [6000, 10, 7, 1])
@@ -313,7 +315,7 @@ def test_wrong_shapes_are_refused():
         Guard(GuardSettings(0.0, ()))
 
 
-def test_the_displacement_is_told_by_its_acceleration():
+def test_the_displacement_is_reported_by_its_acceleration():
     # Most of the acceleration is fast, and most of the displacement slow.
     time = np.arange(0.0, 60.0, 0.01)
     tones = ((4e-3, 0.5), (0.5e-3, 5.0))

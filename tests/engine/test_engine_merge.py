@@ -362,9 +362,9 @@ def test_a_pause_in_which_a_clock_was_set_is_as_long_as_the_others_went_on():
     for item in items:
         out += merge.push(item)
     rows = flat(out + merge.finish())
-    told = [(stream, what) for stream, _, what in rows if isinstance(what, str)]
+    reported = [(stream, what) for stream, _, what in rows if isinstance(what, str)]
     # What it did not send is lost by its numbers; at its return one record lies where the camera is already.
-    assert told == [("accel", what) for what in ("silent", "lost", "backwards", "clock", "late", "returned")]
+    assert reported == [("accel", what) for what in ("silent", "lost", "backwards", "clock", "late", "returned")]
     given = np.array([value for stream, _, value in rows if stream == "accel" and not isinstance(value, str)])
     at = np.array([t for stream, t, value in rows if stream == "accel" and not isinstance(value, str)])
     # True times of what came after, from its values: the camera tells them to its interval and its delay.
@@ -381,14 +381,14 @@ def test_a_stream_that_is_only_early_has_no_clock_that_was_set():
     items += [(time + 50.2, Arrival("camera", time // 200, frame(time))) for time in range(0, 60_000, 200)]
     for _, item in sorted(items, key=lambda pair: pair[0]):
         out += merge.push(item)
-    told = [row[::2] for row in flat(out + merge.finish()) if isinstance(row[2], str)]
-    assert ("camera", "clock") not in told
-    assert told.count(("camera", "ahead")) == 1
+    reported = [row[::2] for row in flat(out + merge.finish()) if isinstance(row[2], str)]
+    assert ("camera", "clock") not in reported
+    assert reported.count(("camera", "ahead")) == 1
     camera = merge.state.streams[1]
     assert camera.used + camera.late + camera.disordered == 300
 
 
-def test_silence_is_told_by_what_came():
+def test_silence_is_reported_by_what_came():
     merge = Merge(("accel", "camera"), silent_s=5.0)
     pushed(merge, Tick(0), Arrival("accel", 0, readings([1000])), Arrival("camera", 0, frame(1000)))
     out = []

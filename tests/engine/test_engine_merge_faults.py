@@ -1,4 +1,5 @@
-"""Networks at their worst through the merge: every record is given out once, in time order, or is told and counted."""
+"""Networks at their worst through the merge: every record is given out once, in time order, or is reported and
+counted."""
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def in_order(out):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_every_record_is_given_out_once_in_order_or_is_told(seed):
+def test_every_record_is_given_out_once_in_order_or_is_reported(seed):
     rng = np.random.default_rng(seed)
     streams = {name: sent(rng, name) for name in RATES_HZ}
     items = [item for own, _ in streams.values() for item in own]
@@ -87,11 +88,11 @@ def test_every_record_is_given_out_once_in_order_or_is_told(seed):
     for health in merge.state.streams:
         own, lost = streams[health.name]
         given = [one.record for one in out if one.stream == health.name]
-        told = {record.kind for record in given if isinstance(record, Event)}
+        reported = {record.kind for record in given if isinstance(record, Event)}
         used = sum(len(stamps_of(record)) for record in given if not isinstance(record, Event))
         assert used == health.used
         assert used + health.late + health.disordered == sum(len(stamps_of(one.record)) for _, one in own)
         assert health.lost == lost
-        assert (health.late > 0) == ("late" in told)
-        assert (health.disordered > 0) == bool(told & DISORDER)
-        assert (lost > 0) == ("lost" in told)
+        assert (health.late > 0) == ("late" in reported)
+        assert (health.disordered > 0) == bool(reported & DISORDER)
+        assert (lost > 0) == ("lost" in reported)

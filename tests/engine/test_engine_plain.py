@@ -107,8 +107,8 @@ def test_any_cutting_gives_the_same(late_s):
         rows, expected = (joined([item for item in o if isinstance(item, Measured)]) for o in (out, found[0]))
         for name in Measured.__slots__:
             np.testing.assert_array_equal(getattr(rows, name), getattr(expected, name))
-        told, before = (sorted((e.time_ns, e.text) for e in o if isinstance(e, Event)) for o in (out, found[0]))
-        assert told == before
+        reported, before = (sorted((e.time_ns, e.text) for e in o if isinstance(e, Event)) for o in (out, found[0]))
+        assert reported == before
     assert 200 < len(joined([item for item in found[0] if isinstance(item, Measured)]).value) < 400
 
 

@@ -70,7 +70,7 @@ def test_a_frame_takes_a_fraction_of_what_objects_would(target):
     assert (used[1] - used[0]) / 3000 < 90.0
 
 
-def test_changed_light_is_told_with_when_it_began():
+def test_changed_light_is_reported_with_when_it_began():
     (line,) = light_warnings(LightReport(largest_px2=0.09**2, notable_ns=2 * 10**9))
     assert "from 2.000 s on" in line
     assert "0.09 px" in line

@@ -47,6 +47,6 @@ def test_what_the_first_pass_doubted_is_doubted_again(step_s):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     if step_s:
         # A step of a clock, which the motion shows within two seconds, is found where stamps went back.
-        told = [event for one in again for event in one.events if event.kind == "clock"]
-        assert len(told) == 1
-        assert BACK_S <= seconds(np.array([told[0].time_ns]), 0)[0] < BACK_S + 2.0
+        reported = [event for one in again for event in one.events if event.kind == "clock"]
+        assert len(reported) == 1
+        assert BACK_S <= seconds(np.array([reported[0].time_ns]), 0)[0] < BACK_S + 2.0

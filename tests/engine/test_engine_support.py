@@ -16,7 +16,7 @@ def rows_of(letters):
     return Estimate(np.arange(len(status)) * 10**9, nothing, nothing, nothing, status, status)
 
 
-def told(rows, cuts=()):
+def reported(rows, cuts=()):
     """The events of rows that are cut into pushes at these places."""
     support, events = Support(), []
     for places in np.split(np.arange(len(rows.time_ns)), cuts):
@@ -25,17 +25,17 @@ def told(rows, cuts=()):
     return events
 
 
-def test_lost_rows_are_told_from_the_first_unsupported_one_on():
-    begun, back = told(rows_of("tttccllcltt"))
+def test_lost_rows_are_reported_from_the_first_unsupported_one_on():
+    begun, back = reported(rows_of("tttccllcltt"))
     assert (begun.kind, begun.time_ns, back.kind, back.time_ns) == ("lost", 3 * 10**9, "seen", 9 * 10**9)
     assert "from 3.000 s on" in begun.text
     assert back.text.endswith("for 6.0 s.")
-    assert told(rows_of("tttccctt")) == []
-    assert [event.kind for event in told(rows_of("ccltccll"))] == ["lost", "seen", "lost"]
+    assert reported(rows_of("tttccctt")) == []
+    assert [event.kind for event in reported(rows_of("ccltccll"))] == ["lost", "seen", "lost"]
 
 
 def test_any_cutting_gives_the_same_events():
     rng = np.random.default_rng(0)
     for _ in range(50):
         rows = rows_of("".join(rng.choice(list("tcl"), 60, p=(0.5, 0.4, 0.1)).repeat(3)))
-        assert told(rows, np.sort(rng.integers(0, 180, 12))) == told(rows)
+        assert reported(rows, np.sort(rng.integers(0, 180, 12))) == reported(rows)

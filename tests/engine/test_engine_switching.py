@@ -13,12 +13,12 @@ def run(rows, rate_hz=5.0, switch=None):
     switch, events = switch or Switch(BOTH), []
     for k, pair in enumerate(rows):
         for late, (sensor, matches) in enumerate(zip(BOTH, pair, strict=True)):
-            told = switch.push(sensor, round((k / rate_hz + 0.03 * late) * 1e9), matches)
-            events += [] if told is None else [told]
+            reported = switch.push(sensor, round((k / rate_hz + 0.03 * late) * 1e9), matches)
+            events += [] if reported is None else [reported]
     return switch, events
 
 
-def test_the_larger_mean_number_of_matches_decides_and_is_told():
+def test_the_larger_mean_number_of_matches_decides_and_is_reported():
     switch, events = run([(50.0, 40.0)] * 50 + [(20.0, 40.0)] * 50)
     assert switch.chosen == "infrared"
     (event,) = events
@@ -42,9 +42,9 @@ def test_a_camera_that_goes_blind_or_silent_is_left_within_the_mean():
     assert 10.0 < event.time_ns / 1e9 <= 10.0 + AVERAGE_S
     silent = Switch(BOTH)
     run([(50.0, 20.0)] * 50, switch=silent)
-    told = [silent.push("infrared", round(1e9 * (10.0 + 0.2 * k)), 20.0) for k in range(20)]
+    reported = [silent.push("infrared", round(1e9 * (10.0 + 0.2 * k)), 20.0) for k in range(20)]
     assert silent.chosen == "infrared"
-    assert len([event for event in told if event is not None]) == 1
+    assert len([event for event in reported if event is not None]) == 1
 
 
 def test_a_record_that_begins_in_the_dark_begins_with_the_camera_that_sees_and_without_an_event():
@@ -62,7 +62,7 @@ def test_a_state_taken_earlier_goes_on_to_the_same_decisions():
     again.state = switch.state
     for k, pair in enumerate(rows[150:], start=150):
         for late, (sensor, matches) in enumerate(zip(BOTH, pair, strict=True)):
-            told = again.push(sensor, round((k / 5.0 + 0.03 * late) * 1e9), matches)
-            events += [] if told is None else [told]
+            reported = again.push(sensor, round((k / 5.0 + 0.03 * late) * 1e9), matches)
+            events += [] if reported is None else [reported]
     assert events == whole
     assert len(whole) > 2

@@ -31,7 +31,7 @@ def opened(film, name="template", levels=None):
     return ThermalTarget(film[0][0], REGION, lambda frame: open_tracker(name, frame, REGION), levels)
 
 
-def test_the_first_frame_is_the_zero_and_the_shutter_is_lost_and_told(film):
+def test_the_first_frame_is_the_zero_and_the_shutter_is_lost_and_reported(film):
     frames, moved = film
     target = opened(film)
     rows = [target.push(frame) for frame in frames]
@@ -88,7 +88,7 @@ def test_with_a_range_the_tracker_sees_256_grey_levels_of_it(film):
 def test_it_learns_and_measures_phase_where_its_tracker_does(film, name, learns):
     target = opened(film, name)
     assert (target.tracker.frames_to_learn > 0) is learns
-    assert target.frames_to_learn >= PATTERN_FRAMES  # the sensor's fixed pattern is learnt in any case
+    assert target.frames_to_learn >= PATTERN_FRAMES  # the sensor's fixed pattern is learned in any case
     assert (target.phase_gain_px_per_rad is not None) is learns
     if learns:
         frames, moved = film
@@ -123,8 +123,8 @@ def test_a_warm_and_a_cold_body_that_stand_still_next_to_the_target_do_not_draw_
     region = Region(20, 14, 72, 60)
     target = ThermalTarget(frames[0], region, lambda frame: open_tracker("template", frame, region))
     rows = [target.push(frame) for frame in frames]
-    # The camera's fixed pattern is learnt on the way; from then on the error is that of the noise. With the bodies in
-    # what it is learnt from it was 0.08 px, where 0.004 px is stated.
+    # The camera's fixed pattern is learned on the way; from then on the error is that of the noise. With the bodies in
+    # what it is learned from it was 0.08 px, where 0.004 px is stated.
     error = np.array([row.y_px for row in rows] - moved)[60:]
     stated = np.sqrt(np.median([row.variance_y_px2 for row in rows[60:]]))
     assert np.std(error) < 1.5 * stated

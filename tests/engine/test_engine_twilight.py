@@ -39,8 +39,8 @@ def test_the_hours_about_nautical_twilight_are_the_transition():
     # by the sun, which runs 7.4 min behind the clock.
     equator, dusk = Place(0.0, 0.0), utc(2023, 3, 20, 18, 0) + round((48 + 7.4) * MINUTE_NS)
     assert sun_elevation_deg(dusk, equator) == pytest.approx(-12.0, abs=0.05)
-    told = {minutes: light_of_day(dusk + minutes * MINUTE_NS, equator) for minutes in (-62, -58, 0, 58, 62)}
-    assert told == {-62: "day", -58: "transition", 0: "transition", 58: "transition", 62: "night"}
+    reported = {minutes: light_of_day(dusk + minutes * MINUTE_NS, equator) for minutes in (-62, -58, 0, 58, 62)}
+    assert reported == {-62: "day", -58: "transition", 0: "transition", 58: "transition", 62: "night"}
 
 
 def test_stamps_that_are_no_dates_leave_it_to_the_matches():
@@ -53,12 +53,12 @@ def test_by_day_vision_measures_by_night_infrared_and_in_between_the_one_with_mo
         now = utc(2023, 3, 20, 17, 30) + round(0.95 * tick * 1e9)  # the means are over 2 s
         # Infrared has more matches by day, vision by night.
         for sensor, matches in (("camera", 10.0 if tick < 3600 else 50.0), ("infrared", 30.0)):
-            told = switch.push(sensor, now, matches)
-            events += [] if told is None else [(0.95 * tick / 60.0, told.text)]
+            reported = switch.push(sensor, now, matches)
+            events += [] if reported is None else [(0.95 * tick / 60.0, reported.text)]
     # In the transition, from 17:55:24 to 19:55:24, the matches decide: infrared, then vision; the night is infrared's.
     assert [text for _, text in events] == [
-        "camera → infrared: 30 matches beside 10",
-        "infrared → camera: 50 matches beside 30",
+        "camera → infrared: 30 matches next to 10",
+        "infrared → camera: 50 matches next to 30",
         "camera → infrared: night",
     ]
     assert [minute for minute, _ in events] == pytest.approx([25.4, 57.0, 145.4], abs=0.5)

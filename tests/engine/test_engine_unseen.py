@@ -25,8 +25,8 @@ def events_of(reasons, left_out=(), step_s=STEP_S):
     for number, reason in enumerate(reasons):
         if number not in left_out:
             one = found(number, reason, step_s)
-            known, told = known.after(one.time_ns, (one,), step_s, "camera")
-            events += told
+            known, reported = known.after(one.time_ns, (one,), step_s, "camera")
+            events += reported
     return events
 
 
@@ -45,7 +45,7 @@ def test_a_while_without_the_target_is_an_event_with_its_time_and_length(reason)
     assert "from 4.000 s on" in begun.text
     assert (ended.kind, ended.time_ns) == ("seen", 9_000_000_000)
     assert ended.text.endswith("nothing was measured for 5.0 s.")
-    # It is told when it has lasted for long enough, also where it never ends; a few frames are not.
+    # It is reported when it has lasted for long enough, also where it never ends; a few frames are not.
     assert [event.kind for event in events_of([""] * 40 + [reason] * 31)] == [reason]
     assert events_of([""] * 40 + [reason] * 30) == []
     assert events_of([""] * 40 + [reason] * 25 + [""] * 40) == []
@@ -79,12 +79,12 @@ def test_a_target_that_is_seen_is_enough():
     known, events = Unseen(), []
     for number in range(50):
         both = (found(number, ""), found(number, "lost"))
-        known, told = known.after(both[0].time_ns, both, STEP_S, "camera")
-        events += told
+        known, reported = known.after(both[0].time_ns, both, STEP_S, "camera")
+        events += reported
     assert events == []
     # Two that are not seen, each for a reason of its own.
     for number in range(50, 100):
         both = (found(number, "frozen"), found(number, "lost"))
-        known, told = known.after(both[0].time_ns, both, STEP_S, "camera")
-        events += told
+        known, reported = known.after(both[0].time_ns, both, STEP_S, "camera")
+        events += reported
     assert [event.kind for event in events] == ["lost"]

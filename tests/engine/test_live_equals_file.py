@@ -21,7 +21,7 @@ from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.point import measuring_point, radar_frames
 from midspan.recording.run import Outcome, run
-from midspan.recording.tracked import open_eyes, side_of
+from midspan.recording.tracked import open_tracked_cameras, side_of
 from midspan.records import Arrival, Estimate, Readings, Tracked, part
 from midspan.simulate.scenarios.stage import CameraSetup
 from midspan.simulate.scenarios.table import SCENARIOS
@@ -148,12 +148,12 @@ class Site:
     def opened(self, method, tracking=None):
         """The point before its first record, and what it is made of."""
         sides = self.sides()
-        eyes = open_eyes(sides, tracking, silent)
+        tracked_cameras = open_tracked_cameras(sides, tracking, silent)
         lag_s = sides[0].recording.settings.fusion.lag_s if method == "lag" else None
-        return measuring_point(sides, eyes, lag_s=lag_s, given=self.given), sides, eyes
+        return measuring_point(sides, tracked_cameras, lag_s=lag_s, given=self.given), sides, tracked_cameras
 
 
-def records(point, sides, eyes, rng):
+def records(point, sides, tracked_cameras, rng):
     """The arrivals of each stream in their order, readings in blocks of any size."""
     recording = sides[0].recording
     value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
@@ -164,10 +164,13 @@ def records(point, sides, eyes, rng):
             streams[view.sensor] = blocks(series.time_ns, series.value[:, None], rng)
         if view.kind == "radar":
             streams[view.sensor] = list(radar_frames(view, point.sensors[view.sensor]))
-    for eye in eyes:
-        times = eye.tracking.time_ns[: eye.tracking.done].tolist()
-        found = [Tracked(t, t, tuple(one.translation(k) for one in eye.tracking.targets)) for k, t in enumerate(times)]
-        streams[eye.sensor] = [*found, *iter(eye.tracking.take, None)]
+    for tracked_camera in tracked_cameras:
+        times = tracked_camera.tracking.time_ns[: tracked_camera.tracking.done].tolist()
+        found = [
+            Tracked(t, t, tuple(one.translation(k) for one in tracked_camera.tracking.targets))
+            for k, t in enumerate(times)
+        ]
+        streams[tracked_camera.sensor] = [*found, *iter(tracked_camera.tracking.take, None)]
     return {name: [Arrival(name, k, one) for k, one in enumerate(own)] for name, own in streams.items()}
 
 
@@ -191,8 +194,8 @@ def interleaved(streams, rng):
 def live(site, method, seed, tracking=None):
     """What a point gives that is fed in any order, and is put down and taken up again in the middle."""
     rng = np.random.default_rng(seed)
-    point, sides, eyes = site.opened(method, tracking)
-    arrivals = list(interleaved(records(point, sides, eyes, rng), rng))
+    point, sides, tracked_cameras = site.opened(method, tracking)
+    arrivals = list(interleaved(records(point, sides, tracked_cameras, rng), rng))
     middle = int(rng.integers(len(arrivals) // 4, 3 * len(arrivals) // 4))
     outcome = Outcome()
     for number, arrival in enumerate(arrivals):
@@ -217,8 +220,8 @@ def assert_same_events(outcome, result):
     """The events of the loop are those of the file, of rows up to the last measurement."""
     last_ns = int(outcome.measured_ns.max())
     found = [one for one in outcome.fusion_events if one.axis == 0 and one.time_ns <= last_ns] + outcome.sensor_events
-    told, kept = (sorted((one.time_ns, one.kind, one.text) for one in events) for events in (found, result.events))
-    assert told == kept
+    reported, kept = (sorted((one.time_ns, one.kind, one.text) for one in events) for events in (found, result.events))
+    assert reported == kept
 
 
 def two_axes(folder):
@@ -237,7 +240,7 @@ def two_radars(folder):
 
 
 def one_ends_early(folder):
-    """A displacement sensor that ends at 6 s, and one that begins at 8 s, beside a camera."""
+    """A displacement sensor that ends at 6 s, and one that begins at 8 s, with a camera."""
     write(folder, LIVELY, "camera")
     for name, first_s, last_s in (("morning", 1.0, 6.3), ("evening", 8.0, 14.0)):
         own = replace(LIVELY, first_s=first_s, duration_s=last_s, rate_hz=20.0)
@@ -270,7 +273,7 @@ def test_rows_of_the_file_are_rows_of_the_point(site, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_what_is_lost_and_seen_again_is_told_when_it_happens(method, tmp_path):
+def test_what_is_lost_and_seen_again_is_reported_when_it_happens(method, tmp_path):
     folder = write(tmp_path / "site", replace(LIVELY, duration_s=26.0), "camera")
     film = np.load(folder / "camera.npy")
     # Frames at 1 s + 0.1 s: something else from 6 s on, darkness from 10.5 s on, the target again at 19 s.
@@ -282,19 +285,19 @@ def test_what_is_lost_and_seen_again_is_told_when_it_happens(method, tmp_path):
     result = midspan.estimate(midspan.open_recording(folder), site.calibration, method=method)
     outcome = live(site, method, 2)
     assert_same_events(outcome, result)
-    told = [(event.kind, round(event.time_ns / 1e9, 1)) for event in outcome.sensor_events]
-    assert told == [("lost", 6.0), ("dark", 10.5), ("seen", 19.0)]
+    reported = [(event.kind, round(event.time_ns / 1e9, 1)) for event in outcome.sensor_events]
+    assert reported == [("lost", 6.0), ("dark", 10.5), ("seen", 19.0)]
     assert outcome.sensor_events[-1].text.endswith("nothing was measured for 13.0 s.")
     # The last frame before is of 5.9 s, and 2.5 intervals of 0.1 s make a row coasting.
     rows = [event for event in outcome.fusion_events if event.kind in ("lost", "seen")]
     assert [event.kind for event in rows] == ["lost", "seen"]
     assert [event.time_ns / 1e9 for event in rows] == pytest.approx([6.16, 19.0], abs=0.03)
-    assert {told.text for told in (outcome.sensor_events[0], rows[0])} <= set(result.warnings)
+    assert {reported.text for reported in (outcome.sensor_events[0], rows[0])} <= set(result.warnings)
 
 
 def test_a_stream_that_ends_or_has_not_begun_holds_no_frame_back(tmp_path, monkeypatch):
     site = Site(one_ends_early(tmp_path / "site"))
-    point, sides, eyes = site.opened("kalman")
+    point, sides, tracked_cameras = site.opened("kalman")
     waiting, push = [], point.push
 
     def counted(record):
@@ -304,7 +307,7 @@ def test_a_stream_that_ends_or_has_not_begun_holds_no_frame_back(tmp_path, monke
         return out
 
     monkeypatch.setattr(point, "push", counted)
-    outcome = run(point, sides, eyes)
+    outcome = run(point, sides, tracked_cameras)
     assert outcome.measured_by("camera").time_ns[-1] > 13e9
     # A frame waits for those of its instant only.
     assert max(waiting) <= 1
@@ -329,14 +332,14 @@ def shifted(record):
 @pytest.mark.parametrize("method", METHODS)
 def test_the_start_of_time_has_no_effect(site, method):
     """Times in s are differences: what is left is their rounding to ns."""
-    point, sides, eyes = site.opened(method)
-    expected = run(point, sides, eyes).estimate(0)
-    point, sides, eyes = site.opened(method)
+    point, sides, tracked_cameras = site.opened(method)
+    expected = run(point, sides, tracked_cameras).estimate(0)
+    point, sides, tracked_cameras = site.opened(method)
     known = point.estimator.settings
     settings = replace(known, zero_ns=None if known.zero_ns is None else known.zero_ns + EPOCH_NS)
     point.estimator = Estimator(settings) if method == "kalman" else Lag(settings, point.estimator.lag_samples)
     outcome, rng = Outcome(), np.random.default_rng(0)
-    for arrival in interleaved(records(point, sides, eyes, rng), rng):
+    for arrival in interleaved(records(point, sides, tracked_cameras, rng), rng):
         outcome.take(point.push(replace(arrival, record=shifted(arrival.record))))
     outcome.take(point.finish())
     found = outcome.estimate(0)

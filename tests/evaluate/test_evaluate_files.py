@@ -78,7 +78,7 @@ def test_a_recording_without_reference_is_refused(tmp_path):
         read_reference(tmp_path)
 
 
-def test_a_unit_wins_and_its_absence_is_told(tmp_path, reference):
+def test_a_unit_wins_and_its_absence_is_reported(tmp_path, reference):
     t = np.arange(2000) / 100.0
     bare = tmp_path / "bare.csv"
     np.savetxt(bare, np.column_stack((t, motion_mm(t) / 10.0)), delimiter=",", header="time_s,level", comments="")

@@ -52,14 +52,14 @@ def test_frequencies_and_damping_lie_within_their_deviations():
     assert np.max(np.abs(z)) < 4.5
 
 
-@pytest.mark.parametrize("beside", [(), MODES[2:]], ids=["alone", "with a mode"])
-def test_a_tone_is_listed_without_damping(beside):
+@pytest.mark.parametrize("companions", [(), MODES[2:]], ids=["alone", "with a mode"])
+def test_a_tone_is_listed_without_damping(companions):
     for seed in range(4):
-        series, length_s = record(seed, 300.0, modes=beside), 300.0
+        series, length_s = record(seed, 300.0, modes=companions), 300.0
         hertz, rms = 1.857 + 0.01 * seed, 1.2
         tone = rms * np.sqrt(2.0) * np.sin(2 * np.pi * hertz * np.arange(len(series.value)) / RATE_HZ)
         found = spectrum(TimeSeries(series.time_ns, series.value + 1e-3 * tone)).modes
-        assert len(found) == 1 + len(beside)
+        assert len(found) == 1 + len(companions)
         assert np.isnan(found[0].damping)
         assert abs(found[0].frequency_hz - hertz) < 1.0 / length_s
         # The taper of the record's ends is made up for on average only.

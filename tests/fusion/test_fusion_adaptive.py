@@ -203,7 +203,7 @@ def shaken(seed, growth=1.0):
     return acceleration_block(time, acceleration, 4e-8), met, value, noise, moving(time)[0]
 
 
-def test_a_fivefold_step_of_the_noise_is_learnt_and_costs_at_most_six_per_cent():
+def test_a_fivefold_step_of_the_noise_is_estimated_and_costs_at_most_six_per_cent():
     errors = {"adaptive": [], "oracle": []}
     for seed in range(12):
         acceleration, met, value, noise, truth = shaken(seed, 5.0)
@@ -214,12 +214,12 @@ def test_a_fivefold_step_of_the_noise_is_learnt_and_costs_at_most_six_per_cent()
     assert rms(errors["adaptive"]) <= 1.06 * rms(errors["oracle"])
 
 
-@pytest.mark.parametrize("told", [0.1, 10.0])
-def test_a_noise_told_wrong_by_ten_costs_at_most_six_per_cent(told):
+@pytest.mark.parametrize("reported", [0.1, 10.0])
+def test_a_noise_reported_wrong_by_ten_costs_at_most_six_per_cent(reported):
     errors = {"adaptive": [], "oracle": []}
     for seed in range(3):
         acceleration, met, value, _, truth = shaken(seed)
-        wrong = adapt(acceleration, displacement_block(met, value, told * 1e-8)).estimate
+        wrong = adapt(acceleration, displacement_block(met, value, reported * 1e-8)).estimate
         oracle = filtered(acceleration, displacement_block(met, value, 1e-8))[0]
         errors["adaptive"].append((wrong.displacement_m - truth)[500:])
         errors["oracle"].append((oracle.displacement_m - truth)[500:])
@@ -236,7 +236,7 @@ def test_the_band_is_honest():
             estimate = adapt(acceleration, displacement_block(met, value, 1e-8), chosen).estimate
             error = (estimate.displacement_m - truth)[500:]
             shares.append(np.mean(np.abs(error) <= 1.96 * np.sqrt(estimate.variance_m2[500:])))
-    # Learnt noise widens the band a little; the printed form's is made from above, so that it may cover more.
+    # Estimated noise widens the band a little; the printed form's is made from above, so that it may cover more.
     assert 0.93 <= np.mean(inside[False]) <= 0.97
     assert np.mean(inside[True]) >= 0.93
 
@@ -276,7 +276,7 @@ def test_outliers_and_a_stuck_target_do_no_harm():
     # A target that sits 8 mm off for four seconds is rejected, or its zero is taken to have shifted.
     assert np.mean(found.innovation.verdict[bad & ~stuck] == REJECTED) > 0.97
     assert {event.kind for event in found.events} <= {"rejected", "level_shift"}
-    # An innovation's variance holds the noise that was learnt.
+    # An innovation's variance holds the noise that was estimated.
     good = ~(bad | stuck)
     assert np.median(found.innovation.variance_m2[good]) < 1.3 * np.median(clean.innovation.variance_m2[good])
     time = np.arange(12000) / RATE_A

@@ -46,7 +46,7 @@ def beam(seed, bias=0.0, offset=0.0):
     return Case(a.time_ns / 1e9, a.value, d.time_ns / 1e9, d.value, pair.true_displacement_m, noise)
 
 
-def learnt(case, max_offset_s=0.5):
+def learned(case, max_offset_s=0.5):
     value = case.acceleration - case.acceleration.mean()
     samples = np.column_stack((case.time_s, value, np.ones(len(value))))
     inner = (case.met_s > max_offset_s) & (case.met_s < DURATION_S - max_offset_s)
@@ -93,7 +93,7 @@ def test_beam_error_is_near_the_bound_and_the_band_is_honest(method, limit, nois
     for seed in SEEDS:
         case = beam(seed)
         if noise == "learnt":
-            fit = learnt(case)
+            fit = learned(case)
             pair = blocks(case, fit.input_noise.density, fit.variance_factor, fit.offset.value_s)
         else:
             pair = known_blocks(case)
@@ -126,9 +126,9 @@ def test_a_constant_accelerometer_bias_does_not_show(method):
 
 @pytest.mark.parametrize("offset", [-0.2, 0.2])
 @pytest.mark.parametrize("seed", SEEDS[:3])
-def test_a_clock_offset_is_learnt_within_a_millisecond_and_costs_next_to_nothing(seed, offset):
+def test_a_clock_offset_is_estimated_within_a_millisecond_and_costs_next_to_nothing(seed, offset):
     case = beam(seed, 0.02, offset)
-    fit = learnt(case)
+    fit = learned(case)
     assert fit.offset.value_s == pytest.approx(offset, abs=1e-3)
     assert abs(fit.offset.value_s - offset) < 4.0 * np.sqrt(fit.offset.variance)
     assert fit.scale == pytest.approx(1.0, abs=0.01)
@@ -138,9 +138,9 @@ def test_a_clock_offset_is_learnt_within_a_millisecond_and_costs_next_to_nothing
 
 
 @pytest.mark.parametrize("seed", SEEDS[:3])
-def test_noise_levels_are_learnt(seed):
+def test_noise_levels_are_estimated(seed):
     case = beam(seed)
-    fit = learnt(case)
+    fit = learned(case)
     # 990 measurements determine R to 7 %; q is softer: its effect on the error is the fourth root.
     assert fit.variance_factor == pytest.approx(case.noise[1] ** 2, rel=0.25)
     assert fit.input_noise.density == pytest.approx(case.noise[0] ** 2 / RATE_HZ, rel=0.5)
@@ -164,7 +164,7 @@ def test_riccati_bound_agrees_with_the_filters_own_variance():
     case = beam(SEEDS[0])
     causal, both = riccati_bound(case.noise[0], RATE_HZ, case.noise[1], 10)
     for method, expected in (("kalman", causal), ("smoother", both)):
-        told = KalmanSettings(noise_memory=np.inf)
-        variance = estimated(method, *known_blocks(case), told).variance_m2[2000:8000]
+        reported = KalmanSettings(noise_memory=np.inf)
+        variance = estimated(method, *known_blocks(case), reported).variance_m2[2000:8000]
         # The filter also estimates the bias, which the bound takes for known: at most 1 % more.
         assert 1.0 - 1e-6 <= np.sqrt(np.mean(variance)) / expected < 1.01

@@ -187,7 +187,7 @@ def running():
     return stream, samples, measured
 
 
-def test_a_measurement_that_comes_too_late_is_told_once():
+def test_a_measurement_that_comes_too_late_is_reported_once():
     stream, samples, measured = running()
     stream.push(part(measured, slice(100, 110)))
     stream.push(part(measured, slice(110, 120)))
@@ -195,7 +195,7 @@ def test_a_measurement_that_comes_too_late_is_told_once():
     assert [(event.kind, event.time_ns) for one in found for event in one.events] == [("late", measured.time_ns[100])]
 
 
-def test_a_late_measurement_among_others_is_told_with_its_own_stamp():
+def test_a_late_measurement_among_others_is_reported_with_its_own_stamp():
     stream, samples, measured = running()
     assert measured.time_ns[250] > samples.time_ns[1999]
     stream.push(part(measured, np.array([250, 110])))
@@ -228,7 +228,7 @@ def test_an_overflow_drops_no_datum_and_no_mark_of_stamps_that_went_back(monkeyp
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_measurements_that_wait_for_samples_are_bounded_and_an_overflow_is_told_once(begun, monkeypatch):
+def test_measurements_that_wait_for_samples_are_bounded_and_an_overflow_is_reported_once(begun, monkeypatch):
     monkeypatch.setattr("midspan.fusion.estimator.MAX_WAITING", 100)
     rng = np.random.default_rng(11)
     truth = oscillating(rng, LENGTH_S)
@@ -247,14 +247,14 @@ def test_measurements_that_wait_for_samples_are_bounded_and_an_overflow_is_told_
     stream.restore(stream.state)
     events += stream.push(part(samples, slice(300 if begun else 0, 2000)))
     rest = stream.push(part(samples, slice(2000, None)))
-    told = [event for one in [*events, *rest] for event in one.events if event.kind == "overflow"]
-    assert [event.time_ns for event in told] == [measured.time_ns[done]]
+    reported = [event for one in [*events, *rest] for event in one.events if event.kind == "overflow"]
+    assert [event.time_ns for event in reported] == [measured.time_ns[done]]
     # The newest hundred are used.
     used = np.concatenate([one.innovations[0].time_ns for one in [*events, *rest] if one.innovations])
     np.testing.assert_array_equal(used[done:], measured.time_ns[200:300])
 
 
-def test_an_overflow_is_told_where_samples_never_come():
+def test_an_overflow_is_reported_where_samples_never_come():
     rng = np.random.default_rng(11)
     measured = measured_of([sensor_of(oscillating(rng, LENGTH_S), rng, length_s=LENGTH_S)])
     stream = Estimator(EstimatorSettings((camera(),)))

@@ -113,7 +113,8 @@ def test_the_first_reference_again_is_as_good_as_before():
 
 
 def test_a_reference_that_goes_to_and_fro_does_not_make_its_own_error_known():
-    """An error of 0.3 mm that stays, while the variance that is told of it scatters by a tenth from frame to frame."""
+    """An error of 0.3 mm that stays, while the variance that is reported of it scatters by a tenth from frame to
+    frame."""
     inside = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
@@ -121,8 +122,8 @@ def test_a_reference_that_goes_to_and_fro_does_not_make_its_own_error_known():
         samples, sensor = samples_of(truth, rng), sensor_of(truth, rng)
         away = sensor.time > 20.0
         sensor.value[away] += 3e-4 * rng.normal()
-        told = (3e-4) ** 2 * (1.0 + 0.1 * rng.standard_normal(len(sensor.time)))
-        sensor.reference[away] = told[away]
+        reported = (3e-4) ** 2 * (1.0 + 0.1 * rng.standard_normal(len(sensor.time)))
+        sensor.reference[away] = reported[away]
         found = estimated(samples, [sensor], log=True, **COUNTED)
         inside.append(scores(found, truth, FIRST_S)[2])
         found.rows = found.estimator.smoothed()[0]
@@ -131,7 +132,7 @@ def test_a_reference_that_goes_to_and_fro_does_not_make_its_own_error_known():
     assert np.mean(inside) > 0.9
 
 
-def test_the_second_sensors_shift_is_told_once_with_its_size():
+def test_the_second_sensors_shift_is_reported_once_with_its_size():
     rng = np.random.default_rng(8)
     truth = oscillating(rng, 120.0)
     sensors, _ = camera_shifts(truth, rng)

@@ -74,7 +74,7 @@ def gap(rng, samples, sensor):
         setattr(sensor, name, getattr(sensor, name)[keep])
 
 
-def told(factor):
+def reported(factor):
     def spoil(rng, samples, sensor):
         sensor.variance *= factor
 
@@ -97,7 +97,7 @@ CASES = {
     "gain 0.7 for 1 s": (gain_for_1_s, 0.8),
     "1 m/s² more for 0.5 s": (pushed, 1.5),
     "no measurements for 3 s": (gap, 0.15),
-    "noise told 10 times too large": (told(100.0), 0.08),
+    "noise reported 10 times too large": (reported(100.0), 0.08),
 }
 
 

@@ -146,19 +146,19 @@ def test_varying_noise_takes_the_same_way_as_constant_noise(literal):
 @pytest.mark.parametrize("settings_", [FirSettings(), FirSettings(literal=True)], ids=["noise", "literal"])
 def test_the_band_covers_with_and_without_folding(settings_):
     # Three records of 40 s hold some 100 independent errors: ± 4 %. With folding at 3.3 Hz on 3 Hz (error 1 to 2 mm)
-    # the band holds the folded part itself and is too wide rather than too narrow.
+    # the band holds the aliased part itself and is too wide rather than too narrow.
     for rate_hz, tone, least, most in ((10.0, 2.2, 0.91, 0.99), (3.0, 3.3, 0.95, 1.0)):
-        inside, found, told = [], [], []
+        inside, found, reported = [], [], []
         for seed in range(3):
             acceleration, displacement, truth, _ = noisy(seed, rate_hz, ((8e-3, 0.1), (3e-3, tone)))
             estimate = fir(acceleration, displacement, settings_)
             error = (estimate.displacement_m - truth)[600:-600]
             inside.append(np.mean(np.abs(error) <= 1.96 * np.sqrt(estimate.variance_m2[600:-600])))
             found.append(np.mean(error**2))
-            told.append(np.mean(estimate.variance_m2[600:-600]))
+            reported.append(np.mean(estimate.variance_m2[600:-600]))
         assert least <= np.mean(inside) <= most
-        # Also the size is told: the mean variance is the mean square error.
-        assert 0.8 < np.sqrt(np.mean(told) / np.mean(found)) < 1.3
+        # Also the size is reported: the mean variance is the mean square error.
+        assert 0.8 < np.sqrt(np.mean(reported) / np.mean(found)) < 1.3
 
 
 @pytest.mark.parametrize("settings_", [FirSettings(), FirSettings(literal=True)], ids=["noise", "literal"])
@@ -201,8 +201,10 @@ def test_rows_beside_gaps_are_those_of_the_smoother(literal):
     time = found.time_ns / 1e9
     # Half the window: 0.5 s of the printed form and some 2 s of the other; the spline looks on from there.
     reach_s = 0.5 if literal else 1.0
-    beside = ((time > 20.0 - reach_s) & (time < 20.3 + reach_s)) | ((time > 40.0) & (time < 42.0)) | (time < reach_s)
-    assert np.all(same[beside])
+    companions = (
+        ((time > 20.0 - reach_s) & (time < 20.3 + reach_s)) | ((time > 40.0) & (time < 42.0)) | (time < reach_s)
+    )
+    assert np.all(same[companions])
     assert not np.any(same[(time > 24.0) & (time < 36.0)])
 
 
@@ -233,13 +235,13 @@ def test_truly_stamped_jitter_of_the_acceleration_costs_nothing():
 def test_measurements_of_two_sensors_at_nearly_one_instant_do_not_swing_the_spline():
     acceleration, displacement, truth, _ = noisy(4)
     rng = np.random.default_rng(0)
-    beside = displacement_block(
+    companions = displacement_block(
         displacement.time_ns / 1e9 + 1e-4,
         np.interp(displacement.time_ns, acceleration.time_ns, truth) + rng.normal(0, 1e-4, len(displacement.time_ns)),
         1e-8,
         source=3,
     )
-    both = joined([displacement, beside])
+    both = joined([displacement, companions])
     both = part(both, np.argsort(both.time_ns))
     inner = slice(600, -600)
     one, two = (np.std((fir(acceleration, d).displacement_m - truth)[inner]) for d in (displacement, both))
@@ -263,6 +265,6 @@ def test_rows_come_for_every_sample_however_little_there_is():
     "wrong",
     [{"cut_off_hz": 0.0}, {"accuracy": 1.0}, {"accuracy": 0.0}, {"half_window": 2}, {"spline_frames": -1}],
 )
-def test_wrong_settings_are_told(wrong):
+def test_wrong_settings_are_reported(wrong):
     with pytest.raises(UsageError, match="must be"):
         FirSettings(**wrong)

@@ -12,7 +12,7 @@ LENGTH_S, FIRST_S = 10.0, 0.504
 
 @pytest.mark.parametrize("zero_ns", [None, round(FIRST_S * 1e9)])
 @pytest.mark.parametrize("which", [[0], [1], [0, 1], [1, 2]])
-def test_outliers_among_the_first_are_told_and_the_band_holds(which, zero_ns):
+def test_outliers_among_the_first_are_reported_and_the_band_holds(which, zero_ns):
     inside = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)

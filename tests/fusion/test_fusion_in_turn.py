@@ -1,4 +1,4 @@
-"""The FIR methods beside several sensors: these take turns, for the filters are made for one series."""
+"""The FIR methods together with several sensors: these take turns, for the filters are made for one series."""
 
 import numpy as np
 import pytest
@@ -59,13 +59,13 @@ def test_a_second_camera_at_other_instants_spoils_neither_the_rows_nor_their_ban
 def test_a_camera_that_goes_dark_is_replaced_by_the_other_without_a_gap(method):
     dark = measured(Source.CAMERA, 5.0, 2, dark=(12.0, 27.0))
     rms, inside, events = judged(together(dark, measured(Source.INFRARED, 4.0, 3, 0.21)), method)
-    # What 4 frames a second fold of 2.31 Hz stays in the result of `fir`, and is in its band.
+    # What 4 frames a second alias of 2.31 Hz stays in the result of `fir`, and is in its band.
     assert rms < 0.06
     assert inside > 0.88
     assert [event.kind for event in events] == []
 
 
-def test_a_slow_sensor_that_stands_in_is_told_once_and_its_rows_are_the_smoothers():
+def test_a_slow_sensor_that_stands_in_is_reported_once_and_its_rows_are_the_smoothers():
     dark = measured(Source.CAMERA, 10.0, 2, dark=(12.0, 27.0))
     rms, inside, events = judged(together(dark, measured(Source.INFRARED, 2.0, 3, 0.21)), "fir")
     (event,) = events

@@ -26,7 +26,7 @@ def integrated_gain(cycles_per_sample):
     columns = []
     for signal in (np.cos(omega * time), np.sin(omega * time)):
         moved = integrated(time, signal)
-        # What the unknown start leaves is a straight line; sine and cosine are fitted beside it.
+        # What the unknown start leaves is a straight line; sine and cosine are fitted with it.
         basis = np.column_stack((np.ones(n), time, np.cos(omega * time), np.sin(omega * time)))
         fit = np.linalg.lstsq(basis, moved, rcond=None)[0]
         np.testing.assert_allclose(basis @ fit, moved, atol=1e-9)
@@ -58,7 +58,7 @@ def test_a_parabola_of_acceleration_is_integrated_exactly_on_the_grid():
     # Numerov's rule is of fourth order: a constant fourth derivative of x leaves no error in its second difference.
     time = np.arange(6) * 0.2
     acceleration, truth = 3.0 + 2.0 * time - 5.0 * time**2, 1.5 * time**2 + time**3 / 3.0 - 5.0 * time**4 / 12.0
-    # The stretch before lets the filter settle its idea of the interval's length.
+    # The segment before lets the filter settle its idea of the interval's length.
     moved = integrated(np.arange(-20, 6) * 0.2, np.concatenate((np.full(20, 3.0), acceleration)))[20:]
     np.testing.assert_allclose(np.diff(moved, 2), np.diff(truth, 2), rtol=1e-9)
 

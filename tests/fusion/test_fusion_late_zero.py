@@ -22,7 +22,7 @@ CASES = {
     "the sensor with the zero is late": ([(0.0, 1e-4, 4.0, 6.0, 0.0), (np.inf, 2e-4, 0.0, 6.0, 5e-3)], None),
     "it is late and alone then": ([(0.0, 1e-4, 4.0, 6.0, 0.0), (np.inf, 2e-4, 0.0, 4.2, 5e-3)], None),
     "its zero is uncertain": ([(3e-4, 1e-4, 4.0, 6.0, 0.0), (np.inf, 2e-4, 0.0, 6.0, 5e-3)], None),
-    "it is late beside three": (
+    "it is late together with three": (
         [(0.0, 5e-6, 3.0, 5.0, 0.0), *((np.inf, 1e-4, 0.5 * k, 6.0, 10.0**k) for k in range(3))],
         None,
     ),

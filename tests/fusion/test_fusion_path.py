@@ -1,4 +1,5 @@
-"""An estimate between its rows: the cubic beside the truth of a tone, and what other sensors' zeros gain by it."""
+"""An estimate between its rows: the cubic together with the truth of a tone, and what other sensors' zeros gain by
+it."""
 
 import numpy as np
 import pytest

@@ -17,7 +17,7 @@ def record(seed):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_wild_value_is_told_and_moves_no_row(seed):
+def test_a_wild_value_is_reported_and_moves_no_row(seed):
     _, _, samples, sensor = record(seed)
     usual = estimated(samples, [sensor], motion=MOTION)
     assert not usual.events
@@ -27,7 +27,7 @@ def test_a_wild_value_is_told_and_moves_no_row(seed):
         sensor.value[200] += size_m
         found = estimated(samples, [sensor], motion=MOTION)
         moved = np.abs(found.rows.displacement_m - usual.rows.displacement_m)
-        # One measurement less: a few standard deviations of what it told, whatever the value was.
+        # One measurement less: a few standard deviations of what it reported, whatever the value was.
         assert moved.max() < 3.0 * NOISE_D
         assert [event.kind for event in found.events] == ["rejected"]
         assert found.events[0].time_ns == pytest.approx(1e9 * sensor.time[200], abs=1.0)

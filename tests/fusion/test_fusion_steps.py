@@ -1,4 +1,4 @@
-"""Small steps of a sensor's zero, told by many innovations, and what must not be taken for one."""
+"""Small steps of a sensor's zero, shown by many innovations, and what must not be taken for one."""
 
 import re
 
@@ -28,7 +28,7 @@ def steps_found(found):
 
 
 @pytest.mark.parametrize("size_m", [0.7e-3, -0.7e-3])
-def test_a_small_step_is_told_where_it_was(size_m):
+def test_a_small_step_is_reported_where_it_was(size_m):
     # 0.1 mm of noise and 0.06 mm of prediction: the first innovation is 6 deviations, but the gate of 4 alone tells no
     # step from chance; its size is known to 0.12 mm once the innovations after it are there.
     for seed in range(3):
@@ -84,7 +84,7 @@ def test_the_level_is_not_believed_because_the_noise_rose_before():
         assert np.mean(np.abs(error[after]) < 1.96 * np.sqrt(found.rows.variance_m2[after])) > 0.8
 
 
-def test_a_step_that_comes_in_halves_below_the_gate_is_told():
+def test_a_step_that_comes_in_halves_below_the_gate_is_reported():
     # 0.45 mm at two measurements one after the other: each innovation is below the gate of 4 deviations or near it.
     for seed in range(3):
         _, truth, samples, sensor = recorded(60 + seed)

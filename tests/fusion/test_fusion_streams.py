@@ -112,9 +112,9 @@ def test_outliers_are_rejected_unless_no_errors_are_expected():
     displacement.value_m[wrong] += 5e-3
     found = smooth(acceleration, displacement)
     np.testing.assert_array_equal(np.flatnonzero(found.innovation.verdict == REJECTED), wrong)
-    told = smooth(acceleration, displacement, KalmanSettings(rates=NO_ERRORS))
-    assert not np.any(told.innovation.verdict)
-    assert rms(found.estimate.displacement_m - truth(TIME)) < 0.3 * rms(told.estimate.displacement_m - truth(TIME))
+    reported = smooth(acceleration, displacement, KalmanSettings(rates=NO_ERRORS))
+    assert not np.any(reported.innovation.verdict)
+    assert rms(found.estimate.displacement_m - truth(TIME)) < 0.3 * rms(reported.estimate.displacement_m - truth(TIME))
 
 
 @pytest.mark.parametrize("place", [3, 200, 396])

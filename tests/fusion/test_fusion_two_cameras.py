@@ -1,4 +1,4 @@
-"""Two cameras at 4 Hz beside an accelerometer that disagree for a while: what becomes of the rows and of their band."""
+"""Two cameras at 4 Hz with a accelerometer that disagree for a while: what becomes of the rows and of their band."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def motion(time_s):
     return 1e-3 * np.sin(2 * np.pi * 0.9 * time_s)
 
 
-class Eye:
+class CameraPlan:
     """A camera; errors: what its zero is off by, m, as a function of time; blind: from, to (s)."""
 
     def __init__(self, channel, first_s, errors, seed, blind=None):
@@ -35,11 +35,11 @@ def one_result(of_camera, of_infrared, seed=0, blind=NIGHT_S):
     samples = Samples(nanoseconds(time_s), value[:, None], density, np.zeros(len(time_s), dtype=np.uint8))
     given = {"coasting_s": 0.7}
     infrared = camera(sensor="infrared", source=Source.INFRARED, zero_std_m=np.inf, **given)
-    eyes = [
-        Eye(camera(**given), FIRST_S, of_camera, seed + 1, blind),
-        Eye(infrared, 0.2, lambda t: 0.05 + of_infrared(t), seed + 2),
+    tracked_cameras = [
+        CameraPlan(camera(**given), FIRST_S, of_camera, seed + 1, blind),
+        CameraPlan(infrared, 0.2, lambda t: 0.05 + of_infrared(t), seed + 2),
     ]
-    found = estimated(samples, eyes, log=True, zero_ns=round(FIRST_S * 1e9))
+    found = estimated(samples, tracked_cameras, log=True, zero_ns=round(FIRST_S * 1e9))
     rows = found.estimator.smoothed()[0]
     time_s = seconds(rows.time_ns, 0)
     error = 1e3 * (rows.displacement_m - (motion(time_s) - motion(FIRST_S)))
@@ -73,7 +73,7 @@ def both_orders(errors):
     return {"camera": (errors, steady), "infrared": (steady, errors)}
 
 
-def test_cameras_that_agree_are_exact_and_nothing_is_told():
+def test_cameras_that_agree_are_exact_and_nothing_is_reported():
     events, time_s, error, std = one_result(steady, steady)
     assert not events
     # The noise of two cameras at 4 Hz is 0.015 mm a frame; at the end the acceleration alone is left.

@@ -144,7 +144,7 @@ def test_folding_does_not_show_whatever_the_tone(rate_hz):
 
 
 def test_the_trapezoidal_rules_folded_error_is_inside_the_band():
-    # 10.3 Hz on 10 Hz: 6.9 % of 3 mm stays, folded to 0.3 Hz: six times the noise.
+    # 10.3 Hz on 10 Hz: 6.9 % of 3 mm stays, aliased to 0.3 Hz: six times the noise.
     acceleration, displacement, truth = tones(10.0, 10.3)
     estimate = two_stage_fir(acceleration, displacement, LITERAL)
     error = (estimate.displacement_m - truth)[INNER]
@@ -243,20 +243,20 @@ def test_ends_have_rows_with_a_wider_band_that_holds():
     assert all(wider)
 
 
-def test_a_poor_stretch_of_the_displacement_widens_the_band_there():
+def test_a_poor_segment_of_the_displacement_widens_the_band_there():
     acceleration, displacement, truth, _ = beam(12)
     variance = displacement.variance_m2.copy()
     variance[250:270] *= 400.0
     extra, there = np.sqrt(variance - displacement.variance_m2), slice(2500, 2700)
-    squares, told = [], []
+    squares, reported = [], []
     for seed in range(20):
         value = displacement.value_m + extra * np.random.default_rng(seed).normal(size=len(variance))
         estimate = two_stage_fir(acceleration, replace(displacement, value_m=value, variance_m2=variance))
         squares.append(np.mean((estimate.displacement_m - truth)[there] ** 2))
-        told.append(np.mean(estimate.variance_m2[there]))
+        reported.append(np.mean(estimate.variance_m2[there]))
     # Two seconds hold some three independent errors; sixty of them give the variance to a fifth, twice that is asked.
-    assert np.mean(squares) / np.mean(told) == pytest.approx(1.0, abs=0.4)
-    assert np.mean(told) > 20 * estimate.variance_m2[4000]
+    assert np.mean(squares) / np.mean(reported) == pytest.approx(1.0, abs=0.4)
+    assert np.mean(reported) > 20 * estimate.variance_m2[4000]
 
 
 @pytest.mark.parametrize("keys", [{"taps": 501, "anti_alias_taps": 301}, {"taps": 201, "spline_frames": 0}])

@@ -18,7 +18,7 @@ from fuzz.world import (
 
 
 def radar(write, file, lines=""):
-    """A recording whose radar file is what `write` makes, or lies beside the settings that it makes."""
+    """A recording whose radar file is what `write` makes, or lies together with the settings that it makes."""
 
     def make(folder):
         named = file if file.endswith((".bin", ".h5", ".npy")) else "adc_data.bin"

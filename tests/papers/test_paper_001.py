@@ -87,7 +87,7 @@ class Updating:
 
 
 def test_the_whole_system_is_the_papers_steps_in_plain_numpy(estimated):
-    folder, table, told = estimated
+    folder, table, reported = estimated
     time, value = np.genfromtxt(folder / "accel.csv", delimiter=",", skip_header=1).T
     # Section 2.1.1: the range in 256 grey levels.
     levels = (np.load(folder / "infrared.npz")["celsius"] - COLDEST_C) / KELVIN_PER_LEVEL
@@ -99,7 +99,7 @@ def test_the_whole_system_is_the_papers_steps_in_plain_numpy(estimated):
     early = time < CALIBRATED_S[1]
     felt = time[early], value[early]
     offset_s, scale = printed_calibration(felt, (met, px), (0.3, 2.0), 0.5, sampled_first=False)
-    infrared = told["calibration"]["infrared"]
+    infrared = reported["calibration"]["infrared"]
     assert infrared["scale_mm_per_px"] == pytest.approx(1e3 * scale, rel=0.01)
     assert infrared["time_offset_s"] == pytest.approx(offset_s, abs=1e-3)
     updating = Updating(frames[0])
@@ -120,7 +120,7 @@ def test_the_whole_system_is_the_papers_steps_in_plain_numpy(estimated):
     states, _, _ = adaptive_kalman(
         time[start:], value[start:] - CASE.bias_m_s2, 4e-6, met_by, 0.95, begun=(0.25e-6, 0.05**2)
     )
-    renewed_s = [event["time_s"] for event in told["events"] if event["kind"] == "reference"]
+    renewed_s = [event["time_s"] for event in reported["events"] if event["kind"] == "reference"]
     assert len(renewed_s) == updating.updates > 3
     expected = 1e3 * np.interp(table["time_s"], time[start:], states[:, 0])
     difference, at_s = table["displacement_mm"] - expected, table["time_s"]

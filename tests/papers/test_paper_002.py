@@ -51,8 +51,8 @@ def factor_by_trial(moved, felt, rate_hz):
 
 
 def test_the_whole_system_is_the_papers_steps_in_plain_numpy(estimated):
-    folder, told = estimated
-    radar = told["calibration"]["radar"]
+    folder, reported = estimated
+    radar = reported["calibration"]["radar"]
     time, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
     source = open_radar(folder / "adc_data.bin", RadarRequest(config=folder / "radar.cfg"))
     profiles = np.concatenate([block.phasors for block in source.profiles()])
@@ -80,7 +80,7 @@ def test_the_whole_system_is_the_papers_steps_in_plain_numpy(estimated):
     difference = (found - found.mean()) - (expected - expected.mean())
     assert np.std(difference) < 0.01 * np.std(expected)
     # The paper's delay, and what the spline between frames looks ahead.
-    assert told["delay_s"] == pytest.approx(0.5 + 5.5 * 0.01, abs=1e-3)
+    assert reported["delay_s"] == pytest.approx(0.5 + 5.5 * 0.01, abs=1e-3)
     # Equations 12 to 15 were needed: plain unwrapping loses cycles.
     assert np.max(np.abs(np.unwrap(phase) / PHASE_PER_M - moved / factor)) > 5e-3
 

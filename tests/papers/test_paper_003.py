@@ -67,8 +67,8 @@ def test_the_whole_system_is_the_papers_steps_in_plain_numpy(estimated):
     px = tracked(np.load(folder / "camera.npy"))
     offset_s, scale = printed_calibration((time, value), (met, px), (0.3, 1.5), 0.5, sampled_first=True)
     plain = 1e3 * two_stage(time, value, met + offset_s, scale * px)
-    told = json.loads(partner(folder / "result.csv").read_text())
-    camera = told["calibration"]["camera"]
+    reported = json.loads(partner(folder / "result.csv").read_text())
+    camera = reported["calibration"]["camera"]
     assert camera["literal"]
     # One per cent of the whole: filters, integrals and splines of other make.
     assert camera["scale_mm_per_px"] == pytest.approx(1e3 * scale, rel=0.01)

@@ -121,10 +121,10 @@ def test_the_whole_system_is_the_papers_steps_with_plain_matrices(tmp_path):
     matcher = matched()
     px = np.array([matcher.push(frame).y_px for frame in frames])
     offset_s, scale = printed_calibration((time, value), (met, px), (0.3, 2.0), 0.5, sampled_first=False)
-    told = json.loads(partner(folder / "result.csv").read_text())["calibration"]["camera"]
-    assert told["literal"]
-    assert told["scale_mm_per_px"] == pytest.approx(1e3 * scale, rel=0.01)
-    assert told["time_offset_s"] == pytest.approx(offset_s, abs=1e-3)
+    reported = json.loads(partner(folder / "result.csv").read_text())["calibration"]["camera"]
+    assert reported["literal"]
+    assert reported["scale_mm_per_px"] == pytest.approx(1e3 * scale, rel=0.01)
+    assert reported["time_offset_s"] == pytest.approx(offset_s, abs=1e-3)
     # Sections 3.2 and 3.3: the filter's prior state moves the region and rejects; its update takes the mean match.
     tracker = matched()
 

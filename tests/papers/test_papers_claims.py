@@ -38,7 +38,7 @@ ONE = (*entries_001.EXPERIMENTS, *entries_002.EXPERIMENTS)
 
 
 def unheard(done, total, what):
-    """Nobody is told of progress."""
+    """Nobody is reported of progress."""
 
 
 def expected(experiments):
@@ -53,15 +53,15 @@ def test_the_command_over_all_papers_and_its_claims(tmp_path):
     page = tmp_path / "papers.md"
     ran = CliRunner().invoke(commands, ["papers", "--quick", "--json", "--report", str(page)])
     assert ran.exit_code == 0, ran.output
-    told = json.loads(ran.stdout)["rows"]
+    reported = json.loads(ran.stdout)["rows"]
     entries = [(one.paper, entry.where) for one in experiments(MODULES) for entry in one.entries]
-    assert [(row["paper"], row["where"]) for row in told] == entries
-    assert all(row["why"] for row in told)
+    assert [(row["paper"], row["where"]) for row in reported] == entries
+    assert all(row["why"] for row in reported)
     assert page.read_text(encoding="utf-8").count("does not hold") == sum(
-        row["verdict"] == Verdict.FAILS.value for row in told
+        row["verdict"] == Verdict.FAILS.value for row in reported
     )
     assert all((tmp_path / "images" / name).exists() for name in ("paper_003_fig16a.png", "paper_003_fig27c.png"))
-    first = {(row["paper"], row["where"]): row for row in told}
+    first = {(row["paper"], row["where"]): row for row in reported}
     wanted = expected((*THREE, *ONE))
     found = {key: first[key]["verdict"] for key in wanted}
     # Our default never errs more than the best method as printed.
@@ -139,9 +139,9 @@ def test_measuring_again_with_the_same_seed_gives_the_same_numbers():
 
 def test_it_speaks_to_people_and_is_silent_when_asked(monkeypatch):
     monkeypatch.setattr(entries_003, "EXPERIMENTS", (entries_003.ALIASES,))
-    told, silent = (CliRunner().invoke(commands, ["papers", "--only", "003", *more]) for more in ((), ("--quiet",)))
-    assert "003 Table 3" in told.stdout
-    assert "0 holds, 1 does not hold" in told.stdout
+    reported, silent = (CliRunner().invoke(commands, ["papers", "--only", "003", *more]) for more in ((), ("--quiet",)))
+    assert "003 Table 3" in reported.stdout
+    assert "0 holds, 1 does not hold" in reported.stdout
     assert (silent.exit_code, silent.stdout) == (0, "")
 
 
@@ -155,11 +155,11 @@ def test_the_page_needs_no_network_and_holds_every_row(tmp_path):
     assert html.count("<figure") == 2
 
 
-@pytest.mark.parametrize(("name", "told"), [("x.pdf", ".html or .md"), ("none/x.md", "does not exist")])
-def test_a_report_that_cannot_be_written_is_refused_before_anything_runs(tmp_path, name, told):
+@pytest.mark.parametrize(("name", "reported"), [("x.pdf", ".html or .md"), ("none/x.md", "does not exist")])
+def test_a_report_that_cannot_be_written_is_refused_before_anything_runs(tmp_path, name, reported):
     ran = CliRunner().invoke(commands, ["papers", "--report", str(tmp_path / name)])
     assert ran.exit_code == 2
-    assert told in ran.output
+    assert reported in ran.output
 
 
 def test_a_page_of_markdown_makes_the_folder_of_its_figures(tmp_path):

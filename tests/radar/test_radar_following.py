@@ -1,4 +1,4 @@
-"""Targets that move through several range bins: followed, what stands still taken out of each bin, one factor."""
+"""Targets that move through several range bins: followed, what is static taken out of each bin, one factor."""
 
 import numpy as np
 import pytest

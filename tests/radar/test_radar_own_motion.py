@@ -1,4 +1,4 @@
-"""Targets that move by themselves: which of them, by how much, at what frequency; and none where none does."""
+"""Targets that move on their own: which of them, by how much, at what frequency; and none where none does."""
 
 import numpy as np
 import pytest

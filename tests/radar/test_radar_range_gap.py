@@ -1,4 +1,4 @@
-"""The cycle and the first speed told by the range, frame by frame."""
+"""The cycle and the first speed shown by the range, frame by frame."""
 
 import numpy as np
 import pytest
@@ -36,8 +36,8 @@ def test_clutter_that_turns_with_the_phase_counts_only_where_the_phase_rests() -
     assert swinging.std > 0.1
 
 
-def test_a_cycle_is_told_when_it_is_sure_and_hardly_ever_wrongly() -> None:
-    told = wrong = 0
+def test_a_cycle_is_reported_when_it_is_sure_and_hardly_ever_wrongly() -> None:
+    reported = wrong = 0
     for seed in range(100):
         rng = np.random.default_rng(seed)
         lost, count = int(rng.integers(-5, 6)), int(rng.integers(24, MEMORY_FRAMES))
@@ -46,9 +46,9 @@ def test_a_cycle_is_told_when_it_is_sure_and_hardly_ever_wrongly() -> None:
         cycles = clutter + rng.normal(0, 0.8, 2 * count)
         before = gap_of(cycles[:count], phase[:count])
         found = cycles_lost(before, gap_of(cycles[count:] + lost, phase[count:]))
-        told += found is not None
+        reported += found is not None
         wrong += found is not None and found != lost
-    assert told > 10
+    assert reported > 10
     assert wrong == 0
 
 
@@ -65,7 +65,7 @@ def test_the_first_frames_tell_a_speed_of_whole_cycles_a_frame(slope: int) -> No
     noisy = FirstFrames()
     for _ in range(64):
         noisy = noisy.met(float(rng.normal(0, 100.0)))
-    # It cannot be told: the smallest speed is taken, which may well be a wrong one.
+    # It cannot be reported: the smallest speed is taken, which may well be a wrong one.
     cycles_per_frame, wrong = noisy.cycles_per_frame
     assert cycles_per_frame == 0
     assert wrong > 0.4

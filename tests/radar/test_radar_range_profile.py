@@ -103,10 +103,10 @@ def test_products_do_not_depend_on_how_many_frames_come_at_a_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "reported"),
     [({"slope_hz_s": 0.0}, "slope_hz_s"), ({"bits": 10}, "12, 14 or 16"), ({"samples": 4}, "8 or more")],
 )
-def test_profiles_that_cannot_be_are_refused(changed: dict[str, float], told: str) -> None:
+def test_profiles_that_cannot_be_are_refused(changed: dict[str, float], reported: str) -> None:
     values = {
         "start_frequency_hz": 77e9,
         "slope_hz_s": 60e12,
@@ -114,7 +114,7 @@ def test_profiles_that_cannot_be_are_refused(changed: dict[str, float], told: st
         "samples": 64,
         "frame_period_s": 0.01,
     }
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=reported):
         ChirpProfile(**{**values, **changed})
     assert len(ORDERS) == 4
     assert UNIT > 0

@@ -36,12 +36,12 @@ def followed(target: Target, chirp=SHORT) -> FollowedTarget:
     return FollowedTarget.of(target, chirp.phase_per_m(target.range_m), chirp.bin_m, period_s=0.01, bins=chirp.bins)
 
 
-def profiles(chain: RadarChain, moved, *, place=20.3, receivers=1, seed=0, chirp=SHORT, snr_db=SNR_DB, beside=0.0):
+def profiles(chain: RadarChain, moved, *, place=20.3, receivers=1, seed=0, chirp=SHORT, snr_db=SNR_DB, companions=0.0):
     """Phasors (n, receivers, bins) of a target that is `moved` (n,) m from its place, and of another that stays."""
     rng = np.random.default_rng(seed)
     kernel = bin_kernel(chain.bins, chirp).T
     echo = beat(place * chirp.bin_m + np.asarray(moved), chirp)
-    echo = AMPLITUDE * (echo + beside * beat(np.array([(place + 0.4) * chirp.bin_m]), chirp))
+    echo = AMPLITUDE * (echo + companions * beat(np.array([(place + 0.4) * chirp.bin_m]), chirp))
     # Hann: 1.5 / samples of a sample's noise is left; receivers together have the square root of that.
     std = AMPLITUDE * 10 ** (-snr_db / 20) * np.sqrt(receivers * chirp.samples / 1.5 / 2)
     out = np.empty((len(echo), receivers, kernel.shape[1]), dtype=np.complex64)
@@ -108,16 +108,16 @@ def test_any_cutting_and_a_state_that_is_restored_give_the_same_bits() -> None:
     valid[900:1000, 0], valid[950] = False, False
     frames = frames_of(phasors, valid)
     given = [[(UNIT * float(m), 0.1), None] for m in moved]
-    expected = [whole.push(frame, told) for frame, told in zip(frames, given, strict=True)]
+    expected = [whole.push(frame, reported) for frame, reported in zip(frames, given, strict=True)]
     chain, got = RadarChain(items), []
-    for k, (frame, told) in enumerate(zip(frames, given, strict=True)):
+    for k, (frame, reported) in enumerate(zip(frames, given, strict=True)):
         if k in (1, 5, 30, 700, 812, 951, 1200):
             state = pickle.loads(pickle.dumps(chain.state))
             # What is pushed afterwards does not change a state that was taken.
-            chain.push(frame, told)
+            chain.push(frame, reported)
             chain = RadarChain(items)
             chain.restore(state)
-        got.append(chain.push(frame, told))
+        got.append(chain.push(frame, reported))
     assert repr(got) == repr(expected)
     assert {one.status for pair in got for one in pair} == set(Status)
 
@@ -169,12 +169,12 @@ def test_without_predictions_it_begins_in_full_swing_and_follows_three_times_the
     assert found[-1].reference_variance_rad2 < np.pi**2
 
 
-def outage(*, chirp=SHORT, beside=0.0):
+def outage(*, chirp=SHORT, companions=0.0):
     """Hidden from 10 to 12 s; the first prediction after it is 3.2 cycles off and says that it may be 2."""
     target = target_at(20.3, range_m=20.3 * chirp.bin_m)
     chain = RadarChain([followed(target, chirp)], "near")
     moved = random_motion((0.5, 4.0), 2e-3, rng=np.random.default_rng(1)).displacement(np.arange(2600) / RATE)
-    phasors = profiles(chain, moved, chirp=chirp, beside=beside)
+    phasors = profiles(chain, moved, chirp=chirp, companions=companions)
     phasors[1000:1200] *= 0.01
     # Five good frames must pass before the target counts as back.
     std, off = np.full(2600, 0.05), np.zeros(2600)
@@ -204,9 +204,9 @@ def test_an_outage_leaves_a_new_zero_until_the_range_tells_the_cycle() -> None:
     assert "corrected by -3" in texts[-1]
 
 
-@pytest.mark.parametrize(("chirp", "beside"), [(SHORT, 0.3), (LONG_RANGE, 0.15)])
-def test_where_the_range_cannot_tell_the_zero_stays_a_new_one(chirp, beside) -> None:
-    found, error = outage(chirp=chirp, beside=beside)
+@pytest.mark.parametrize(("chirp", "companions"), [(SHORT, 0.3), (LONG_RANGE, 0.15)])
+def test_where_the_range_cannot_tell_the_zero_stays_a_new_one(chirp, companions) -> None:
+    found, error = outage(chirp=chirp, companions=companions)
     right = abs(np.nanmedian(error[-500:]) - np.nanmedian(error[:1000])) < np.pi
     # What is left is the chance of a slip among the first frames.
     assert right == (found[-1].reference_variance_rad2 < 1e-12)

@@ -19,7 +19,7 @@ from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for, phas
 FRAMES = 2500
 MOTION = Sines(np.array([2e-3, 1e-3]), np.array([1.1, 2.3]))
 SAMPLES = accelerometer(MOTION, FRAMES / RATE)
-# Amplitudes as seen: what moves by itself and the attached plate are the strongest.
+# Amplitudes as seen: what moves on its own and the attached plate are the strongest.
 WALL = Reflector(1.318, 800.0, 1.0)
 ANGLED = Reflector(2.0543, 600.0, 1 / 1.2748, 0.2)
 ABOVE = Reflector(3.3, 700.0, -1 / 6.0, -0.3)

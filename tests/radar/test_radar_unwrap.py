@@ -150,7 +150,7 @@ def test_alignment_says_nothing_where_there_is_no_motion_or_another_one() -> Non
     )
 
 
-def test_an_outage_coasts_with_a_growing_deviation_and_a_return_that_cannot_be_sure_is_told() -> None:
+def test_an_outage_coasts_with_a_growing_deviation_and_a_return_that_cannot_be_sure_is_reported() -> None:
     motion = sine(0.05, 1.0)
     moved = motion.displacement(TIME)
     variance = np.full(len(TIME), 5e-3)

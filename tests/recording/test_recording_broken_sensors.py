@@ -100,7 +100,7 @@ def test_a_structure_that_rings_has_no_outliers_in_a_slow_sensor(tmp_path, seed)
     keys = write_displacement(tmp_path, met - 0.1, value, "estimate_offset = true")
     calibration = midspan.calibrate(write(tmp_path, acceleration, keys, length_s=120.0, window_s=120.0))
     found = calibration.displacement.offset
-    # A period beside it, 0.435 s, fits almost alike where the first swings are left out.
+    # A period with it, 0.435 s, fits almost alike where the first swings are left out.
     assert found.value_s == pytest.approx(0.1, abs=4.0 * np.sqrt(found.variance))
     assert np.sqrt(found.variance) < 5e-3
 

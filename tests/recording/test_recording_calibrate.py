@@ -194,7 +194,7 @@ def test_an_offset_of_seconds_is_found_when_it_may_be_that_large(footbridge_copy
 
 
 @pytest.mark.parametrize("readout", [0.015, 0.03])
-def test_a_rolling_shutter_that_is_told_does_not_bend_the_scale(readout, simulated):
+def test_a_rolling_shutter_that_is_reported_does_not_bend_the_scale(readout, simulated):
     folder = simulated(f"readout{readout}", camera={"camera": Camera(readout_s=readout)})
     camera = midspan.calibrate(midspan.open_recording(folder)).camera
     # The region's rows are exposed over 18 ms of 30 ms: left alone, this average shrinks 1.9 Hz by 0.2 % and 4.6 Hz by

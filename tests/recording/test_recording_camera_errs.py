@@ -1,4 +1,4 @@
-"""A camera that errs by itself: its mast nods, the air shimmers. The accelerometer's own noise shows it."""
+"""A camera that errs on its own: its mast nods, the air shimmers. The accelerometer's own noise shows it."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 import midspan
 
 RATE_HZ, LENGTH_S, MM_PER_PX, SIZE = 8.0, 50.0, 1.2, 48
-TOLD = {"motion-not-shared", "accelerometer-noisy"}
+REPORTED = {"motion-not-shared", "accelerometer-noisy"}
 
 
 def write(folder, seed, error_px):
@@ -69,14 +69,14 @@ def test_air_that_shimmers_is_reported_and_in_the_band(tmp_path):
     error = result.displacement_mm - truth(result.time_s)
     # A slow error's size is known from a few of its correlation times only. It was 40 to 60 %.
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
-    assert TOLD & {line.code for line in result.warnings}
+    assert REPORTED & {line.code for line in result.warnings}
 
 
 def test_a_camera_that_stands_still_is_not_said_to_err(tmp_path):
     for seed in range(2):
         truth = write(tmp_path, seed, lambda time, rng: np.zeros(len(time)))
         result = midspan.estimate(tmp_path)
-        assert not TOLD & {line.code for line in result.warnings}
+        assert not REPORTED & {line.code for line in result.warnings}
         error = result.displacement_mm - truth(result.time_s)
         # Of 1.9 mm rms: a tracker's hundredth of a pixel is 0.012 mm.
         assert np.sqrt(np.mean(error**2)) < 0.02

@@ -58,7 +58,7 @@ def test_a_clock_of_another_rate_costs_nothing(ppm, method, asked, even_mm, tmp_
     result = midspan.estimate(tmp_path, method=method)
     rms_mm, inside = errors(result, moved)
     if method == "smoother":
-        # The rate is known to some ppm, which moves the ends by 0.5 ms: nothing beside the sensor's noise.
+        # The rate is known to some ppm, which moves the ends by 0.5 ms: nothing together with the sensor's noise.
         assert rms_mm < 1.05 * even_mm
     # A cubic through the readings keeps their noise, 0.28 mm.
     assert rms_mm < 0.8 * NOISE_MM

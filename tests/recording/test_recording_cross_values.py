@@ -25,9 +25,9 @@ def inclined(folder, sensor, angle_deg, across, *, cross=True, seed=0):
     write(folder, case, sensor)
     time_s = np.arange(round(case.duration_s * case.accelerometer_hz)) / case.accelerometer_hz
     along = case.motion(time_s, 2)
-    beside = np.zeros(len(time_s)) if across is None else across.motion(time_s, 2)
+    companions = np.zeros(len(time_s)) if across is None else across.motion(time_s, 2)
     cos, sin, noise = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg)), np.random.default_rng(seed + 9)
-    own = [cos * (along + GRAVITY) - sin * beside, sin * (along + GRAVITY) + cos * beside]
+    own = [cos * (along + GRAVITY) - sin * companions, sin * (along + GRAVITY) + cos * companions]
     columns = [time_s, *(one + noise.normal(0.0, case.noise_m_s2, len(time_s)) for one in own)]
     file = folder / "accel.csv"
     np.savetxt(file, np.column_stack(columns), delimiter=",", header="time_s,az,ax", comments="", fmt="%.9f")
@@ -82,7 +82,7 @@ def test_without_cross_motion_nothing_changes(tmp_path, sensor):
     several, inside = scored(case, result, zero=sensor != "displacement")
     assert several < 1.02 * single
     assert inside >= 0.9
-    # A mounting by eye is all that is known.
+    # A mounting by camera is all that is known.
     assert result.calibration.sensor_axis.std[0] > 0.2
 
 

@@ -7,13 +7,13 @@ import pytest
 
 from midspan.engine.row_messages import unmeasured_ends
 from midspan.recording.point import zero_instant
-from midspan.recording.tracked import Eye
+from midspan.recording.tracked import CameraPlan
 from midspan.recording.tracking.opening import where_it_sees
 from midspan.records import NANOSECONDS, Measured, nanoseconds
 
 
 class Frames:
-    """Frames at 4 Hz for 60 s, lit in the stretches given."""
+    """Frames at 4 Hz for 60 s, lit in the segments given."""
 
     tracks = ()
 
@@ -39,7 +39,7 @@ class Frames:
 )
 def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypatch):
     recording = SimpleNamespace(
-        kind="camera", beside=(SimpleNamespace(kind="infrared"),), frames=Frames(lit), late_ns=0
+        kind="camera", companions=(SimpleNamespace(kind="infrared"),), frames=Frames(lit), late_ns=0
     )
     recording.seeing = lambda *stamps: stamps
     monkeypatch.setattr("midspan.recording.tracking.opening.window_ends", lambda _: (0, 60 * NANOSECONDS))
@@ -49,25 +49,25 @@ def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypa
     assert "from 36.000 s to 59.750 s" in text
 
 
-def eye(sensor, first_s, sees_from_s=None):
+def tracked_camera(sensor, first_s, sees_from_s=None):
     """A camera whose first frame used is at `first_s`, out of frames from 0 s on; its clock is 1 s behind."""
     stamps = Frames([]).times_ns()
     view = SimpleNamespace(sensor=sensor, frames=Frames([]))
     view.sees_from_ns = None if sees_from_s is None else sees_from_s * NANOSECONDS
     target = SimpleNamespace(chain=SimpleNamespace(first_late_ns=0))
     tracking = SimpleNamespace(skipped=0, time_ns=stamps[stamps >= first_s * NANOSECONDS], targets=(target,))
-    return Eye(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0), best_used=0),))
+    return CameraPlan(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0), best_used=0),))
 
 
 def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():
     main = SimpleNamespace(recording=SimpleNamespace(views=()))
-    infrared = eye("infrared", 2)
-    assert zero_instant(main, (eye("camera", 34, sees_from_s=34), infrared), {}) == 3 * NANOSECONDS
-    assert zero_instant(main, (eye("camera", 5), infrared), {}) == 6 * NANOSECONDS
-    assert zero_instant(main, (eye("camera", 0, sees_from_s=0), infrared), {}) == NANOSECONDS
+    infrared = tracked_camera("infrared", 2)
+    assert zero_instant(main, (tracked_camera("camera", 34, sees_from_s=34), infrared), {}) == 3 * NANOSECONDS
+    assert zero_instant(main, (tracked_camera("camera", 5), infrared), {}) == 6 * NANOSECONDS
+    assert zero_instant(main, (tracked_camera("camera", 0, sees_from_s=0), infrared), {}) == NANOSECONDS
 
 
-def test_a_result_that_begins_late_is_told():
+def test_a_result_that_begins_late_is_reported():
     stamps = nanoseconds(np.arange(0.0, 60.0, 0.25))
     zeros = np.zeros(len(stamps))
     measured = Measured(stamps, zeros.astype(np.int64), np.where(stamps < 42 * NANOSECONDS, np.nan, 0.0), zeros, zeros)

@@ -26,7 +26,7 @@ def test_every_second_of_a_day_has_a_row_with_a_status_and_a_source(account):
 
 
 def test_the_error_stays_bounded_through_dusk_night_and_dawn(account):
-    # By day and by night alike: a quarter of a pixel and less, as key frames of temperatures wander by 0.1 to 0.3 px.
+    # By day and by night alike: a quarter of a pixel and less, as key frames of temperatures drift by 0.1 to 0.3 px.
     assert len(account.rms_mm) == 24
     assert account.rms_mm.max() < 0.3
     assert account.largest_mm < 0.6

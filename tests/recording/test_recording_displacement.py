@@ -113,7 +113,7 @@ def test_the_noise_of_the_sensor_may_be_given_in_its_own_unit(gnss_copy):
     assert calibration.displacement.noise_std_m == pytest.approx(2e-3)
 
 
-@pytest.mark.parametrize("wrong", ["other sign", "other unit", "standing still"])
+@pytest.mark.parametrize("wrong", ["other sign", "other unit", "static"])
 def test_heights_that_contradict_the_accelerometer_are_refused(wrong, gnss_copy):
     time, value = heights(gnss_copy)
     if wrong == "other unit":
@@ -150,7 +150,7 @@ def test_a_calibration_may_be_given_as_its_file(gnss, result, tmp_path):
     assert np.all(apart < 0.1 * result.displacement_std_mm)
 
 
-def test_frozen_heights_are_told_and_left_out(gnss_copy, result):
+def test_frozen_heights_are_reported_and_left_out(gnss_copy, result):
     time, value = heights(gnss_copy)
     held = (time >= 30.0) & (time < 50.0)
     value[held] = value[held][0]

@@ -59,14 +59,14 @@ def test_an_offset_beyond_the_largest_is_refused_and_names_it(motion, late, scal
     with pytest.raises(UntrustedError, match=r"calibration\.max_offset_s") as caught:
         midspan.calibrate(recording)
     if abs(late) < 5.0:
-        # As far as is looked beyond, the right one is told.
-        told = re.search(r"by ([+-]\S+) s, but only", str(caught.value))
-        assert told is not None
-        assert float(told[1]) == pytest.approx(late, abs=0.02)
+        # As far as is looked beyond, the right one is reported.
+        reported = re.search(r"by ([+-]\S+) s, but only", str(caught.value))
+        assert reported is not None
+        assert float(reported[1]) == pytest.approx(late, abs=0.02)
 
 
 @pytest.mark.parametrize("scale", [False, True])
-def test_where_too_little_is_left_to_look_farther_off_it_is_told(scale, site):
+def test_where_too_little_is_left_to_look_farther_off_it_is_reported(scale, site):
     # Of 22 readings fewer than the 20 that are needed keep from both ends what is looked beyond.
     sway = random_motion((0.06, 0.2), 10e-3, rng=np.random.default_rng(5))
     short = midspan.calibrate(site(sway, rate_hz=0.5, length=45.0, estimate_offset=True, estimate_scale=scale))
@@ -96,11 +96,13 @@ def test_a_single_tone_with_the_offset_next_to_none_is_taken_as_it_is(site):
     assert not midspan.calibrate(site(tone(3), noise_time_s=0)).warnings
 
 
-WIDE = pytest.mark.xfail(reason="a scale a third off is told as a quarter here: the apparent factor is not yet exact")
+WIDE = pytest.mark.xfail(
+    reason="a scale a third off is reported as a quarter here: the apparent factor is not yet exact"
+)
 
 
 @pytest.mark.parametrize("factor", [0.96, 1.05, pytest.param(1.3, marks=WIDE)])
-def test_a_scale_that_is_not_quite_right_is_told_and_stands_in_the_band(factor, site):
+def test_a_scale_that_is_not_quite_right_is_reported_and_stands_in_the_band(factor, site):
     motion = bridge(8)
     found = midspan.estimate(site(motion, factor=factor, gain=False))
     assert any("follows the accelerometer with a factor" in line for line in found.warnings)
@@ -122,7 +124,7 @@ def test_the_gain_is_the_accelerometers_where_the_sensors_unit_is_right(factor, 
     assert np.mean(np.abs(error) < 1.96 * factor * found.displacement_std_mm) > 0.9
 
 
-def test_a_scale_that_is_right_is_not_told(site):
+def test_a_scale_that_is_right_is_not_reported(site):
     for seed in range(4):
         found = midspan.calibrate(site(bridge(seed), noise_time_s=0))
         assert not found.warnings
@@ -160,7 +162,7 @@ def test_a_quiet_recording_is_not_refused(share, offset, site):
 
 @pytest.mark.parametrize("factor", [-25.4, -0.04])
 @pytest.mark.parametrize("offset", [False, True])
-def test_a_reversed_sign_is_told_before_any_clock(factor, offset, site):
+def test_a_reversed_sign_is_reported_before_any_clock(factor, offset, site):
     with pytest.raises(UntrustedError, match="sign is reversed: turned round and multiplied by"):
         midspan.calibrate(site(bridge(3), factor=factor, estimate_offset=offset))
 

@@ -30,7 +30,7 @@ def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0, skew=0.0, early
 
 
 def too_strong(folder, times):
-    """The accelerometer of a recording reads so many times too much of the fastest mode."""
+    """The accelerometer of a recording reads this many times too much of the fastest mode."""
     rows = np.loadtxt(folder / "a.csv", delimiter=",", skiprows=1)
     time = rows[:, 0]
     fast = np.fft.rfft(rows[:, 1])
@@ -68,7 +68,7 @@ def test_an_average_over_a_period_of_the_motion(declared, tmp_path):
         assert found.accelerometer_scale == pytest.approx(1.0, abs=4.0 * found.accelerometer_scale_std)
         error = result.displacement_mm - moved(result.time_s)
         assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
-        # Of 2.6 mm rms, beside a noise of 0.1 mm.
+        # Of 2.6 mm rms, with a noise of 0.1 mm.
         assert np.sqrt(np.mean(error**2)) < 0.1
 
 

@@ -1,4 +1,4 @@
-"""A displacement sensor that is not calibrated, in recordings: `estimate_scale`, and values that stand still."""
+"""A displacement sensor that is not calibrated, in recordings: `estimate_scale`, and values that are static."""
 
 import json
 import shutil
@@ -53,15 +53,15 @@ def with_known_gain(gnss, tmp_path):
 def test_inches_taken_for_millimetres_with_the_wrong_sign_are_put_right(gnss, gnss_copy, tmp_path):
     known = midspan.estimate(midspan.open_recording(with_known_gain(gnss, tmp_path)))
     found = midspan.estimate(scaled(gnss_copy, -25.4))
-    learnt = found.calibration.displacement
-    assert learnt.scale == pytest.approx(-25.4, abs=4.0 * learnt.scale_std)
+    estimated = found.calibration.displacement
+    assert estimated.scale == pytest.approx(-25.4, abs=4.0 * estimated.scale_std)
     # The second route: a regression of the heights on the true motion, whose part below 0.1 Hz says nothing, as the
     # accelerometer does not see it.
     known_at = truth(gnss_copy)
     moved = np.interp(heights(gnss_copy)[0], known_at[:, 0], known_at[:, 1])
     least = NOISE_MM / (np.std(moved) * np.sqrt(len(moved)))
-    assert least < learnt.relative_std < 1.6 * least
-    assert 1e3 * learnt.noise_std_m == pytest.approx(NOISE_MM, rel=0.25)
+    assert least < estimated.relative_std < 1.6 * least
+    assert 1e3 * estimated.noise_std_m == pytest.approx(NOISE_MM, rel=0.25)
     error = error_mm(gnss_copy, found.time_s, found.displacement_mm)
     tracking = found.estimate.status == Status.TRACKING
     assert np.std(error[tracking]) < 0.6 * NOISE_MM
@@ -97,18 +97,18 @@ def test_a_calibration_without_the_scale_is_not_taken_where_it_is_wanted(gnss, g
         midspan.estimate(scaled(gnss_copy, 2.0), calibration=given)
 
 
-def test_scale_and_clock_offset_are_learnt_together(gnss_copy):
+def test_scale_and_clock_offset_are_estimated_together(gnss_copy):
     time, value = heights(gnss_copy)
     write_heights(gnss_copy, time - 0.2, value)
-    learnt = midspan.calibrate(scaled(gnss_copy, 0.5, estimate_offset=True)).displacement
-    assert learnt.scale == pytest.approx(0.5, abs=4.0 * learnt.scale_std)
-    assert learnt.offset.value_s == pytest.approx(0.2, abs=4.0 * np.sqrt(learnt.offset.variance))
-    assert np.sqrt(learnt.offset.variance) < 0.03
+    estimated = midspan.calibrate(scaled(gnss_copy, 0.5, estimate_offset=True)).displacement
+    assert estimated.scale == pytest.approx(0.5, abs=4.0 * estimated.scale_std)
+    assert estimated.offset.value_s == pytest.approx(0.2, abs=4.0 * np.sqrt(estimated.offset.variance))
+    assert np.sqrt(estimated.offset.variance) < 0.03
 
 
 def test_a_given_noise_is_in_the_readings_unit(gnss_copy):
-    learnt = midspan.calibrate(scaled(gnss_copy, -25.4, noise_std=NOISE_MM / 25.4)).displacement
-    assert learnt.noise_std_m == pytest.approx(1e-3 * NOISE_MM / 25.4 * abs(learnt.scale))
+    estimated = midspan.calibrate(scaled(gnss_copy, -25.4, noise_std=NOISE_MM / 25.4)).displacement
+    assert estimated.noise_std_m == pytest.approx(1e-3 * NOISE_MM / 25.4 * abs(estimated.scale))
 
 
 def test_a_motion_that_does_not_tell_the_scale_is_refused(gnss_copy):
@@ -143,9 +143,9 @@ def test_beside_a_camera_an_uncalibrated_sensor_helps(footbridge, footbridge_cop
     append(footbridge_copy, '[displacement]\nfile = "lvdt.csv"\nvalue = "volts"\nunit = "mm"\nestimate_scale = true')
     alone = midspan.estimate(midspan.open_recording(footbridge))
     found = midspan.estimate(midspan.open_recording(footbridge_copy))
-    learnt = found.calibration.displacement
-    assert learnt.scale == pytest.approx(-12.5, abs=4.0 * learnt.scale_std)
-    assert learnt.relative_std < 0.01
+    estimated = found.calibration.displacement
+    assert estimated.scale == pytest.approx(-12.5, abs=4.0 * estimated.scale_std)
+    assert estimated.relative_std < 0.01
     assert len(found.innovation.time_ns) > len(alone.innovation.time_ns) + 0.9 * len(time)
     errors = [error_mm(footbridge_copy, r.time_s, r.displacement_mm) for r in (alone, found)]
     assert np.std(errors[1]) < 1.1 * np.std(errors[0])
@@ -153,7 +153,7 @@ def test_beside_a_camera_an_uncalibrated_sensor_helps(footbridge, footbridge_cop
 
 
 @pytest.mark.parametrize("factor", [1.0, -25.4])
-def test_values_that_stand_still_are_left_out_and_told(factor, gnss_copy):
+def test_values_that_stand_still_are_left_out_and_reported(factor, gnss_copy):
     time, value = heights(gnss_copy)
     value[30:45] = value[30]
     write_heights(gnss_copy, time, value / factor)
@@ -165,7 +165,7 @@ def test_values_that_stand_still_are_left_out_and_told(factor, gnss_copy):
     assert [event for event in found.events if event.kind == "released" and "15 values" in event.text]
     # They are missing, as in a gap: no innovation, and the rows say that nothing supports them.
     met = found.innovation.time_ns / 1e9
-    # It takes some equal values beside the acceleration to know.
+    # It takes some equal values together with the acceleration to know.
     assert not np.any((met > time[34] + 0.1) & (met < time[44] + 0.1))
     inside = (found.time_s > time[36] + 2.5) & (found.time_s < time[44])
     assert set(found.estimate.status[inside].tolist()) <= {Status.COASTING, Status.LOST}
@@ -181,7 +181,7 @@ def test_heights_in_whole_millimetres_are_all_used(gnss_copy):
     assert not [event for event in found.events if event.kind == "frozen"]
 
 
-def test_a_clock_that_runs_apart_is_corrected_where_the_offset_is_to_be_learnt(tmp_path):
+def test_a_clock_that_runs_apart_is_corrected_where_the_offset_is_to_be_estimated(tmp_path):
     # A logger 60 ppm off: 18 ms in five minutes, ± 9 ms about the one offset that calibration finds.
     motion = random_motion((0.3, 4.0), 3e-3, rng=np.random.default_rng(3), flat="velocity")
     time, met = np.arange(0.0, 300.0, 0.01), np.arange(1.0, 299.0, 0.1)
@@ -198,8 +198,8 @@ def test_a_clock_that_runs_apart_is_corrected_where_the_offset_is_to_be_learnt(t
     assert np.std(error) < 0.06
     assert np.mean(np.abs(error) < 1.96 * found.displacement_std_mm) > 0.88
     # The drift blurs the calibration: 5 ms rms about the middle takes (2π · 2 Hz · 5 ms)² / 2 = 0.2 % off the slope.
-    learnt = found.calibration.displacement
-    assert learnt.scale == pytest.approx(7.0, abs=4.0 * learnt.scale_std + 0.002 * 7.0)
+    estimated = found.calibration.displacement
+    assert estimated.scale == pytest.approx(7.0, abs=4.0 * estimated.scale_std + 0.002 * 7.0)
 
 
 def test_readings_are_put_on_the_accelerometers_clock_and_into_metres():

@@ -318,7 +318,7 @@ def test_camera_and_displacement_sensor_together_share_the_cameras_zero(footbrid
     assert_right(footbridge_copy, found)
 
 
-def test_an_exposure_that_is_told_does_not_shrink_the_scale(simulated):
+def test_an_exposure_that_is_reported_does_not_shrink_the_scale(simulated):
     folder = simulated("exposure", camera={"camera": Camera(exposure_s=0.05)})
     found = midspan.estimate(midspan.open_recording(folder))
     # Averaging over 50 ms shrinks 4.6 Hz by 8.6 % and 1.9 Hz by 1.5 %.
@@ -348,10 +348,10 @@ def test_a_result_can_be_looked_at_and_kept(result, tmp_path):
     saved = result.save(tmp_path / "result.csv")
     header = saved.read_text(encoding="utf-8").splitlines()[0]
     assert header == "time_s,displacement_mm,displacement_std_mm,velocity_mm_s,source,status"
-    beside = json.loads(saved.with_suffix(".json").read_text(encoding="utf-8"))
-    assert beside["midspan"] == midspan.__version__
-    assert beside["settings"]["camera"]["file"] == "camera.mkv"
-    assert beside["calibration"]["camera"]["scale_mm_per_px"] == pytest.approx(-1.5, rel=3e-3)
+    companions = json.loads(saved.with_suffix(".json").read_text(encoding="utf-8"))
+    assert companions["midspan"] == midspan.__version__
+    assert companions["settings"]["camera"]["file"] == "camera.mkv"
+    assert companions["calibration"]["camera"]["scale_mm_per_px"] == pytest.approx(-1.5, rel=3e-3)
 
 
 def test_a_result_is_plain_data_that_knows_where_it_came_from(footbridge, result):
@@ -367,7 +367,7 @@ def test_the_pixels_of_a_phase_tracker_are_kept(footbridge):
     assert_plain(found)
     active, target = found.cameras[0].targets[0].active_pixels, found.cameras[0].targets[0]
     assert active.x.shape == active.y.shape == (active.region.height, active.region.width)
-    # They were learnt along the measured axis, where the phase of single frames follows the motion.
+    # They were estimated along the measured axis, where the phase of single frames follows the motion.
     assert active.y.any()
     assert active.r_squared[1] > 0.99
     assert active.region.x >= target.region.x

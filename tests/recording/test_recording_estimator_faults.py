@@ -87,7 +87,7 @@ def test_noise_that_rises_five_times_costs_little_and_is_no_slow_error(tmp_path)
             best = np.interp(result.time_s, time_s, known[method]) - truth
             own.append(np.sqrt(np.mean(error[inner] ** 2) / np.mean(best[inner] ** 2)))
             assert np.mean(1e-3 * result.displacement_std_mm[inner & (result.time_s < 28.0)]) < 2.0 * NOISE_M
-    # The level must be learnt in both halves: from 4 to 8 % above the filter that knows it, by the seed.
+    # The level must be estimated in both halves: from 4 to 8 % above the filter that knows it, by the seed.
     assert all(np.mean(own) < 1.15 for own in worse.values()), worse
 
 
@@ -100,7 +100,7 @@ def test_frames_without_numbers_are_a_gap_that_is_said(tmp_path):
     result = midspan.estimate(folder, midspan.calibrate(folder), method="kalman")
     assert any("20 frames" in str(one) and "missing (NaN)" in str(one) for one in result.warnings)
     (event,) = [one for one in result.events if one.kind == "gap"]
-    # The last frame with a picture came at 15.0 s, the next one at 17.0 s, or one interval beside.
+    # The last frame with a picture came at 15.0 s, the next one at 17.0 s, or one interval together with.
     assert event.time_ns == pytest.approx(15.0e9, abs=0.2e9)
     assert "no frames for 2" in event.text
 

@@ -7,7 +7,7 @@ import midspan
 from lively_recordings import Lively, write
 
 # A camera so sharp that the cubic through four frames a second errs by more than its noise, at 2 to 3 frames a period
-# and more: nothing folds.
+# and more: nothing aliases.
 CASE = Lively(duration_s=60.0, rate_hz=4.0, rms_m=4e-3, band_hz=(0.7, 1.1), noise_m_s2=2e-3)
 
 

@@ -75,15 +75,15 @@ def test_an_exposure_that_was_not_declared(method, tmp_path):
     assert again.camera.exposure_s == pytest.approx(result.calibration.camera.exposure_s)
     # Declared, it is the same.
     set_keys(tmp_path, "camera", exposure_s=0.06)
-    told = held(tmp_path, truth, method=method)
-    assert told.calibration.camera.exposure_s == 0.0
-    assert not any("exposure" in line for line in told.warnings)
-    assert error_mm(result, truth) < 1.3 * error_mm(told, truth)
+    reported = held(tmp_path, truth, method=method)
+    assert reported.calibration.camera.exposure_s == 0.0
+    assert not any("exposure" in line for line in reported.warnings)
+    assert error_mm(result, truth) < 1.3 * error_mm(reported, truth)
 
 
 @pytest.mark.parametrize("broken", [{"exposure_s": 0.03}, {"resonance_hz": 27.0}])
 def test_an_exposure_and_an_accelerometer_that_errs_alike_are_both_in_the_band(broken, tmp_path):
-    # Both make 3.6 Hz 1.9 % smaller beside the acceleration; no likelihood tells them apart.
+    # Both make 3.6 Hz 1.9 % smaller together with the acceleration; no likelihood tells them apart.
     truth = write(tmp_path, 1, **broken)
     result = held(tmp_path, truth)
     assert result.calibration.camera.exposure_s == 0.0

@@ -68,5 +68,5 @@ def test_an_estimated_gain_costs_the_result_little(tmp_path):
             inner = (result.time_s > 2.0) & (result.time_s < LENGTH_S - 2.0)
             errors.append(np.mean((result.displacement_mm - 1e3 * moved(result.time_s))[inner] ** 2))
     with_gain, without = np.sqrt(errors[0] + errors[2]), np.sqrt(errors[1] + errors[3])
-    # 0.32 % of 2.1 mm rms beside the result's own 0.034 mm: 1.02 on average, 1.05 for one and a half deviations.
+    # 0.32 % of 2.1 mm rms together with the result's own 0.034 mm: 1.02 on average, 1.05 for one and a half deviations.
     assert with_gain < 1.05 * without

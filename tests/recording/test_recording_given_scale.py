@@ -18,7 +18,7 @@ CASES = {
 # How many recordings. Of a camera, what a right scale costs scatters by 6 % from one recording to the next, about the
 # 3 % that 32 of them gave: twelve tell it to 2 %.
 RECORDINGS = {"displacement": 12, "camera": 12}
-FEW = 4  # and so many with a scale that is off
+FEW = 4  # and this many with a scale that is off
 
 
 def off_by(folder, tree, sensor, share):
@@ -59,9 +59,9 @@ def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(c
             error = result.displacement_mm - true_mm(result.time_s)
             inside.setdefault(share, []).append(np.mean(np.abs(error) < 1.96 * result.displacement_std_mm))
             square.setdefault(share, []).append(np.var(error))
-            told = [line for line in result.warnings if "does not belong to this recording" in line]
-            assert len(told) == (share > 0.0)
-            assert all("the rows follow the accelerometer's as the motion tells it" in line for line in told)
+            reported = [line for line in result.warnings if "does not belong to this recording" in line]
+            assert len(reported) == (share > 0.0)
+            assert all("the rows follow the accelerometer's as the motion tells it" in line for line in reported)
         off_by(folder, tree, sensor, 0.0)
         itself = midspan.estimate(folder, method=method)
         own.append(np.var(itself.displacement_mm - true_mm(itself.time_s)))

@@ -1,4 +1,4 @@
-"""Recordings with a thermal camera, alone and beside a camera of light that goes blind at night."""
+"""Recordings with a thermal camera, alone and with a camera of light that goes blind at night."""
 
 import json
 import shutil
@@ -242,7 +242,7 @@ def test_a_reversed_sign_of_one_of_two_cameras_is_refused_and_named(day, result,
         midspan.estimate(midspan.open_recording(day), wrong)
 
 
-def test_a_scale_of_one_of_two_cameras_2_percent_off_is_told_and_in_the_band(day, result, tmp_path):
+def test_a_scale_of_one_of_two_cameras_2_percent_off_is_reported_and_in_the_band(day, result, tmp_path):
     found = midspan.estimate(
         midspan.open_recording(day), with_scales(result, {"camera": 1.02}, tmp_path / "wrong.json")
     )
@@ -251,7 +251,7 @@ def test_a_scale_of_one_of_two_cameras_2_percent_off_is_told_and_in_the_band(day
     assert np.mean(np.abs(error_mm(day, found)) < 1.96 * found.displacement_std_mm) > 0.9
 
 
-def test_a_camera_that_the_given_calibration_does_not_have_is_left_out_and_told(day, result, tmp_path):
+def test_a_camera_that_the_given_calibration_does_not_have_is_left_out_and_reported(day, result, tmp_path):
     found = midspan.estimate(
         midspan.open_recording(day), with_scales(result, {"infrared": 0.0}, tmp_path / "half.json")
     )
@@ -267,10 +267,10 @@ def test_where_no_range_can_be_chosen_for_features_the_calibration_tells_why(alo
     # Frames at 6 Hz show nothing above 2.7 Hz. The motion nearly repeats itself after 10 s: so the range is stated.
     band = {"band_hz": (2.8, 8.0), "max_offset_s": 0.5}
     found = midspan.calibrate(midspan.open_recording(folder, infrared={"tracker": "features"}, calibration=band))
-    told = [line for line in found.warnings if "no temperature range" in line]
-    assert len(told) == 1
+    reported = [line for line in found.warnings if "no temperature range" in line]
+    assert len(reported) == 1
     for words in ("infrared:", "'features'", "2.8 Hz", "infrared.temperature_range_c"):
-        assert words in told[0]
+        assert words in reported[0]
 
 
 def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
@@ -285,9 +285,9 @@ def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
     seen = sum(np.count_nonzero(np.isfinite(series.value_m)) for series in result.measured)
     assert len(met) < 0.7 * seen
     # The camera goes blind for a night: one switch there and one back at least, none of them to the same camera.
-    told = [event.text.split(":")[0] for event in found.events if event.kind == "switch"]
-    assert {"camera → infrared", "infrared → camera"} <= set(told)
-    assert all(one != other for one, other in pairwise(told))
+    reported = [event.text.split(":")[0] for event in found.events if event.kind == "switch"]
+    assert {"camera → infrared", "infrared → camera"} <= set(reported)
+    assert all(one != other for one, other in pairwise(reported))
     assert np.sqrt(np.mean(error_mm(day, found) ** 2)) < 0.03
 
 
@@ -357,8 +357,8 @@ def crossover(tmp_path_factory):
 def test_key_frames_follow_a_wall_that_cools_and_their_own_error_does_not_average_out(crossover):
     result = midspan.estimate(midspan.open_recording(crossover))
     assert not np.any(result.track.status == Status.LOST)
-    told = [event for event in result.events if event.kind == "reference"]
-    assert len(told) >= 3
+    reported = [event for event in result.events if event.kind == "reference"]
+    assert len(reported) >= 3
     error, std = error_mm(crossover, result), result.displacement_std_mm
     assert np.mean(np.abs(error) <= 1.96 * std) > 0.9
     # Noise of 0.05 K leaves 0.005 mm after fusion; the places of new references stay uncertain for all frames alike.
@@ -401,28 +401,28 @@ def run(capsys):
     return command
 
 
-def test_what_cannot_be_temperatures_is_told_by_the_command_line(run, alone, tmp_path):
+def test_what_cannot_be_temperatures_is_reported_by_the_command_line(run, alone, tmp_path):
     folder = tmp_path / "wrong"
     shutil.copytree(alone[0], folder)
     stored = np.load(folder / "infrared.npz")
     celsius, stamps = stored["celsius"], stored["time_s"]
     np.savez(folder / "infrared.npz", celsius=celsius + 273.15, time_s=stamps)
-    code, told = run("estimate", folder)
+    code, reported = run("estimate", folder)
     assert code == 3
-    assert "which are kelvin" in told
+    assert "which are kelvin" in reported
     assert not (folder / "result.csv").exists()
     levels = np.clip(np.rint(30.0 * (celsius - 16.0)), 0, 255).astype(np.uint8)
     np.savez(folder / "infrared.npz", frames=levels, time_s=stamps)
-    code, told = run("calibrate", folder)
+    code, reported = run("calibrate", folder)
     assert code == 0
-    assert "8-bit grey levels, not temperatures" in told
+    assert "8-bit grey levels, not temperatures" in reported
     set_keys(folder, "infrared", temperature_range_c=[16.0, 24.0])
-    code, told = run("calibrate", folder)
+    code, reported = run("calibrate", folder)
     assert code == 2
-    assert "infrared.temperature_range_c" in told
+    assert "infrared.temperature_range_c" in reported
 
 
-def test_pictures_of_two_sizes_are_told_with_the_frame(run, alone, tmp_path):
+def test_pictures_of_two_sizes_are_reported_with_the_frame(run, alone, tmp_path):
     import cv2
 
     folder = tmp_path / "sizes"
@@ -433,9 +433,9 @@ def test_pictures_of_two_sizes_are_told_with_the_frame(run, alone, tmp_path):
         picture = counts[k] if k < 20 else counts[k][:70]
         cv2.imwrite(str(folder / "pictures" / f"{k:03d}.tiff"), picture)
     set_keys(folder, "infrared", file="pictures", rate_hz=RATE_HZ)
-    code, told = run("calibrate", folder)
+    code, reported = run("calibrate", folder)
     assert code == 3
-    assert "020.tiff" in told
+    assert "020.tiff" in reported
 
 
 def test_messages_name_the_section_and_the_key(alone, day_copy):

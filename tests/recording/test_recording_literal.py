@@ -18,7 +18,7 @@ def footbridge_copy(footbridge, tmp_path):
     return folder
 
 
-def test_a_run_away_of_the_printed_filter_is_told_also_where_a_frame_was_lost(footbridge_copy):
+def test_a_run_away_of_the_printed_filter_is_reported_also_where_a_frame_was_lost(footbridge_copy):
     # 0.1 m/s² more than at the calibration: what is taken off does not hold it, and the printed filter has no bias.
     calibration = midspan.calibrate(midspan.open_recording(footbridge_copy))
     time, value = acceleration(footbridge_copy)
@@ -54,13 +54,13 @@ def test_the_keys_of_the_fir_methods_reach_them_by_the_command(tmp_path, capsys,
     write_displacement(tmp_path, (time, value), (met, seen))
     set_keys(tmp_path, "fusion", **keys)
     assert run(["estimate", str(tmp_path), "--method", method, "--literal", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["figures"]
+    reported = json.loads(capsys.readouterr().out)["figures"]
     # Rates are those of the stamps.
-    assert told["delay_s"] == pytest.approx(delay_s, abs=1e-3)
+    assert reported["delay_s"] == pytest.approx(delay_s, abs=1e-3)
     stored = json.loads((tmp_path / "result.json").read_text())
-    assert stored["delay_s"] == told["delay_s"]
+    assert stored["delay_s"] == reported["delay_s"]
     assert stored["settings"]["fusion"]["literal"]
     result = np.genfromtxt(tmp_path / "result.csv", delimiter=",", names=True, dtype=None, encoding=None)
     error = result["displacement_mm"] - np.sin(np.outer(result["time_s"], omega)) @ size
-    # The existing technique keeps what 2.2 Hz folds to at 3 a second; none of these cases does.
+    # The existing technique keeps what 2.2 Hz aliases to at 3 a second; none of these cases does.
     assert np.std(error[1000:-1000]) < 0.3

@@ -1,4 +1,4 @@
-"""A clock that jumps in the middle of a recording: corrected and told, in the band where it is not certain."""
+"""A clock that jumps in the middle of a recording: corrected and reported, in the band where it is not certain."""
 
 import re
 from dataclasses import replace
@@ -33,7 +33,7 @@ def record(stamps: Floats, true_s: Floats, motion: Sines = BRIDGE) -> tuple[Disp
     )
 
 
-def test_the_stamps_after_a_jump_are_moved_and_it_is_told_once():
+def test_the_stamps_after_a_jump_are_moved_and_it_is_reported_once():
     true_s = np.arange(0.5, 40.0, 0.125)
     measured, acceleration = record(true_s + np.where(true_s >= 25.0, 0.05, 0.0), true_s)
     found = one_clock(measured, acceleration, KalmanSettings(), "camera")
@@ -43,14 +43,14 @@ def test_the_stamps_after_a_jump_are_moved_and_it_is_told_once():
     assert [event.kind for event in found.events] == ["clock"]
     assert abs(found.events[0].time_ns / 1e9 - 25.0) < 1.0
     assert found.warnings == (found.events[0].text,)
-    told = re.search(r": (\S+) ± \S+ ms must be added", found.warnings[0])
-    assert told is not None
-    assert float(told[1]) == pytest.approx(-50.0, abs=5e3 * jump.std_s)
+    reported = re.search(r": (\S+) ± \S+ ms must be added", found.warnings[0])
+    assert reported is not None
+    assert float(reported[1]) == pytest.approx(-50.0, abs=5e3 * jump.std_s)
     assert "frames" not in found.warnings[0]
     # The other axis of the same frames goes by the same clock and says nothing again.
-    beside = found.also(measured)
-    np.testing.assert_array_equal(beside.measured.time_ns, found.measured.time_ns)
-    assert beside.warnings == beside.events == ()
+    companions = found.also(measured)
+    np.testing.assert_array_equal(companions.measured.time_ns, found.measured.time_ns)
+    assert companions.warnings == companions.events == ()
 
 
 @pytest.mark.parametrize(("from_s", "to_s", "late_s"), [(12.0, 28.0, 0.125), (15.0, 30.0, -0.125), (25.0, 60.0, 0.25)])
@@ -67,7 +67,7 @@ def test_two_jumps_are_right_or_refused_but_never_silently_wrong(from_s, to_s, l
     assert np.abs(found.measured.time_ns / 1e9 - true_s)[sure].max() < 2e-3
 
 
-def test_a_stretch_that_no_jump_explains_is_refused():
+def test_a_segment_that_no_jump_explains_is_refused():
     true_s = np.arange(0.5, 40.0, 0.125)
     off = (true_s >= 15.0) & (true_s < 25.0)
     measured, acceleration = record(true_s + np.where(off, 0.2, 0.0), true_s)

@@ -1,4 +1,5 @@
-"""A recording with a radar, from its files to millimetres: factor, clock, error band, outages, other sensors beside."""
+"""A recording with a radar, from its files to millimetres: factor, clock, error band, outages, other sensors together
+with."""
 
 import json
 
@@ -123,7 +124,7 @@ def test_turning_the_accelerometer_turns_the_factor_and_the_displacement(tmp_pat
     assert np.std(error_mm(folder, midspan.estimate(recording, calibration))) < 0.01
 
 
-def test_outages_are_told_and_ridden_through_by_the_target_that_is_left(tmp_path) -> None:
+def test_outages_are_reported_and_ridden_through_by_the_target_that_is_left(tmp_path) -> None:
     wall = Reflector(3.4, 900.0, ratio=1 / 1.27, blocked=((8.0, 14.0),))
     # 512 bytes a frame: 20 packets hold 56 frames.
     folder = write(tmp_path, Case((wall, PIER, PLATE), seed=3, lost=tuple(range(500, 520))))

@@ -42,9 +42,9 @@ def test_a_parked_car_that_drives_off_is_left_out_and_the_wall_goes_on(tmp_path)
     # Nothing in the calibration speaks against the car, and it is the quieter target.
     wall, car = sorted(result.calibration.radar.used, key=lambda target: target.range_m)
     assert car.noise_m < 0.5 * wall.noise_m
-    told = [event for event in result.events if event.kind == "contradiction"]
-    assert told[0].time_ns / 1e9 == pytest.approx(LEAVES_S + 0.2, abs=0.2)
-    assert all("6.1" in event.text for event in told)
+    reported = [event for event in result.events if event.kind == "contradiction"]
+    assert reported[0].time_ns / 1e9 == pytest.approx(LEAVES_S + 0.2, abs=0.2)
+    assert all("6.1" in event.text for event in reported)
     # Both targets before, the wall alone after: 8 to 16 µm a frame, smoothed; no step of the hand-over.
     assert np.abs(error).max() < 0.03
     # The zero is one draw that all rows share: it stands for itself, and the rows are judged about it.

@@ -49,7 +49,7 @@ def given(known, wall, **changed):
 
 
 @pytest.mark.parametrize("method", ["smoother", "kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir"])
-def test_a_foreign_factor_or_clock_is_refused_by_every_method_and_the_right_one_is_not_told(wall, known, method):
+def test_a_foreign_factor_or_clock_is_refused_by_every_method_and_the_right_one_is_not_reported(wall, known, method):
     recording = midspan.open_recording(wall)
     for changed, words in (
         ({"factor": 0.5}, "conversion_factor does not belong"),
@@ -61,8 +61,8 @@ def test_a_foreign_factor_or_clock_is_refused_by_every_method_and_the_right_one_
     assert not [line for line in right.warnings if "does not belong" in line]
 
 
-def test_a_factor_that_is_a_tenth_off_is_told_with_its_size(wall, known):
+def test_a_factor_that_is_a_tenth_off_is_reported_with_its_size(wall, known):
     # A method with a gate refuses it: a tenth of the motion is many times the noise.
     found = midspan.estimate(midspan.open_recording(wall), given(known, wall, factor=1.1), method="fir")
-    (told,) = [line for line in found.warnings if "conversion_factor does not belong" in line]
-    assert told.startswith("radar: its displacement is 1.1 ")
+    (reported,) = [line for line in found.warnings if "conversion_factor does not belong" in line]
+    assert reported.startswith("radar: its displacement is 1.1 ")

@@ -131,6 +131,6 @@ def test_a_fixed_target_is_not_taken_for_one_that_moves(tmp_path, seed):
     # With three targets found (0) and with two (6); the wall stands at 7.46 m, tree and fence move.
     write_scene("002-bridge", tmp_path / "bridge", seed=seed)
     found = midspan.calibrate(tmp_path / "bridge")
-    moving = [str(one) for one in found.warnings if "by itself" in str(one)]
+    moving = [str(one) for one in found.warnings if "on its own" in str(one)]
     assert moving
     assert not any("7.46 m" in one for one in moving)

@@ -100,8 +100,8 @@ def test_a_calibration_of_the_other_kind_is_refused(walled, tmp_path, capsys) ->
     file = walled[1].save(tmp_path)
     for more in ([], ["--method", "fir"]):
         assert run(["estimate", str(folder), "-c", str(file), "--quiet", *more]) == 2
-        told = capsys.readouterr().err
-        assert "fusion.literal = true, this estimate has fusion.literal = false" in told
+        reported = capsys.readouterr().err
+        assert "fusion.literal = true, this estimate has fusion.literal = false" in reported
     assert run(["calibrate", str(folder), "--quiet"]) == 0
     asked = ["estimate", str(folder), "-c", str(folder / "calibration.json"), "--quiet", "--literal", "--method", "fir"]
     assert run(asked) == 2
@@ -109,14 +109,14 @@ def test_a_calibration_of_the_other_kind_is_refused(walled, tmp_path, capsys) ->
 
 
 @pytest.mark.parametrize("factor", [-1.6, 3.0])
-def test_a_factor_that_the_grid_does_not_hold_is_told(tmp_path, factor) -> None:
+def test_a_factor_that_the_grid_does_not_hold_is_reported(tmp_path, factor) -> None:
     folder = write(tmp_path, Case((Reflector(3.4, 900.0, ratio=1 / factor), PLATE), frames=1600))
     calibration = midspan.calibrate(midspan.open_recording(folder, fusion=LITERAL))
     assert calibration.radar.best.conversion_factor in (0.5, pytest.approx(2.0))
-    told = [text for text in calibration.warnings if "end of the grid" in text]
-    assert len(told) == 1
-    assert "0.5 to 2" in told[0]
-    assert "negative" in told[0]
+    reported = [text for text in calibration.warnings if "end of the grid" in text]
+    assert len(reported) == 1
+    assert "0.5 to 2" in reported[0]
+    assert "negative" in reported[0]
     # Nobody knows the factor then: the band is as wide as the displacement itself.
     assert calibration.radar.relative_std == pytest.approx(1.0)
 
@@ -152,7 +152,7 @@ def test_the_printed_unwrapping_follows_motion_that_plain_unwrapping_loses() -> 
     assert not ran_away(found, period_s=0.01, phase_per_m=unit)
 
 
-def test_an_unwrapping_that_ran_away_is_told_and_its_band_holds_the_error(tmp_path) -> None:
+def test_an_unwrapping_that_ran_away_is_reported_and_its_band_holds_the_error(tmp_path) -> None:
     # Hidden for two seconds: the phase is noise, and the printed prediction goes on with whatever speed that leaves.
     wall = Reflector(3.4, 900.0, ratio=1 / 1.27, blocked=((14.0, 16.0),))
     folder = write(tmp_path, Case((wall, PLATE), seed=4))

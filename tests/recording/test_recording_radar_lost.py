@@ -14,7 +14,7 @@ PERIOD_S, CYCLE_M = 0.01, 299_792_458.0 / (2 * 78e9)
 
 
 def frames(seed: int, *, channels: int, lost: float, frame_count: int = 2000) -> tuple[RadarFrames, np.ndarray]:
-    """One wall ahead in bin 10 of 24 at 30 dB, its frames with stretches of one to three lost; its accelerometer."""
+    """One wall ahead in bin 10 of 24 at 30 dB, its frames with segments of one to three lost; its accelerometer."""
     rng = np.random.default_rng(seed)
     motion = random_motion((0.5, 3.0), 3e-3, rng=np.random.default_rng(77))
     time_s = np.arange(frame_count) * PERIOD_S

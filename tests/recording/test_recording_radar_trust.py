@@ -20,7 +20,7 @@ WALL = Reflector(3.4, 700.0, ratio=1 / 1.27, azimuth_rad=0.2)
 
 @dataclass(frozen=True)
 class Sway:
-    """A target that swings by itself."""
+    """A target that swings on its own."""
 
     amplitude_m: float
     frequency_hz: float
@@ -37,7 +37,7 @@ def estimated(folder, **options):
     return result, result.displacement_mm - true_mm(folder, result.time_s)
 
 
-def test_an_only_target_that_sways_is_told_and_the_band_holds_it(tmp_path) -> None:
+def test_an_only_target_that_sways_is_reported_and_the_band_holds_it(tmp_path) -> None:
     tree = Reflector(3.4, 900.0, ratio=1.0, own=Sway(3e-4, 0.4))
     result, error = estimated(write(tmp_path, Case((tree, PLATE), seed=11)))
     # Nothing else sees the motion of 0.3 mm, 0.21 rms: what the acceleration does not take out of it is in the result,
@@ -50,7 +50,7 @@ def test_an_only_target_that_sways_is_told_and_the_band_holds_it(tmp_path) -> No
     assert abs(np.mean(error)) < 2.0 * zero_mm
     assert zero_mm < 0.25
     assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
-    assert any("3.4" in line and "by itself" in line for line in result.warnings)
+    assert any("3.4" in line and "on its own" in line for line in result.warnings)
 
 
 def test_one_of_two_that_sways_is_left_out_by_the_accelerometer(tmp_path) -> None:
@@ -106,7 +106,7 @@ def test_a_factor_on_which_two_ways_differ_by_more_than_two_percent_is_refused(r
         with pytest.raises(UntrustedError, match=r"by its acceleration and 1.031 by likelihood: 3.1 % apart"):
             _widened((RadarTarget(target),), search)
         return
-    (widened,), told = _widened((RadarTarget(target),), search)
+    (widened,), reported = _widened((RadarTarget(target),), search)
     # Within three deviations the stated one stays; up to 2 % the difference goes into it.
     assert widened.target.relative_std == pytest.approx(1e-3 if ratio == 1.0 else 1 / ratio - 1, rel=0.01)
-    assert len(told) == (ratio != 1.0)
+    assert len(reported) == (ratio != 1.0)

@@ -1,4 +1,4 @@
-"""The choice of targets by agreement with the accelerometer: what moves by itself is passed over."""
+"""The choice of targets by agreement with the accelerometer: what moves on its own is passed over."""
 
 import shutil
 from types import SimpleNamespace
@@ -75,10 +75,10 @@ def test_every_place_has_a_verdict_and_the_report_shows_map_and_table(site, cali
     _, tracking = calibrated
     assert all(candidate.verdict for candidate in tracking.choice.candidates)
     assert tracking.choice.candidates[0].verdict.startswith("taken: fits the accelerometer")
-    assert "beside the accelerometer" in tracking.choice.reasons[0]
+    assert "together with the accelerometer" in tracking.choice.reasons[0]
     page = report_html(midspan.estimate(midspan.open_recording(site)))
     assert 'alt="Choice of the region"' in page
-    assert page.count("could not be followed") + page.count("moves by itself") >= 1
+    assert page.count("could not be followed") + page.count("moves on its own") >= 1
     assert "taken: fits the accelerometer" in page
 
 
@@ -165,7 +165,7 @@ def test_a_place_that_fits_ten_times_worse_is_not_taken_even_when_more_are_wante
     wall, half = candidate(0), candidate(1)
     choice = judged(choice_of([wall, half]), {wall.region: fits(0.01), half.region: fits(0.2)}, 2)
     assert choice.regions == (wall.region,)
-    assert "moves by itself" in choice.candidates[1].verdict
+    assert "moves on its own" in choice.candidates[1].verdict
 
 
 def test_where_nothing_fits_the_pictures_order_stands_without_what_contradicts():

@@ -31,7 +31,7 @@ def record(length_s: float, late_s: Floats, stamps: Floats) -> tuple[Acceleratio
     )
 
 
-def test_a_skew_of_a_cheap_quartz_is_taken_out_and_told() -> None:
+def test_a_skew_of_a_cheap_quartz_is_taken_out_and_reported() -> None:
     stamps = np.arange(1.0, 399.0, 0.1)
     late = 25e-6 * (stamps - 20.0)
     acceleration, measured = record(400.0, late, stamps)
@@ -56,7 +56,7 @@ def test_even_clocks_and_short_records_are_left_alone(length_s: float, skew: flo
     assert found.warnings == ()
 
 
-def test_a_clock_that_was_set_in_the_middle_is_told() -> None:
+def test_a_clock_that_was_set_in_the_middle_is_reported() -> None:
     stamps = np.arange(1.0, 599.0, 0.1)
     acceleration, measured = record(600.0, np.where(stamps < 300.0, 0.0, 0.004), stamps)
     found = on_one_clock(measured, acceleration, "camera")

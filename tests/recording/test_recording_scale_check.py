@@ -1,4 +1,4 @@
-"""A calibration that was given: a scale of the camera that is not the recording's is refused or told."""
+"""A calibration that was given: a scale of the camera that is not the recording's is refused or reported."""
 
 import json
 from dataclasses import replace
@@ -36,7 +36,7 @@ def inputs(seed, *, factor=1.0, amplitude=1.0, source=Source.CAMERA):
 
 
 def judged(given, along="", **more):
-    """What is told of one sensor."""
+    """What is reported of one sensor."""
     acceleration, sensed = given
     return fitting(acceleration, [sensed], along, **more)
 
@@ -58,12 +58,12 @@ def test_the_apparent_scale_is_the_factor_that_the_camera_is_wrong_by(factor):
     assert 0.6 < np.std(ratio) < 1.6
 
 
-def test_a_scale_that_is_right_or_nearly_so_is_not_told_a_wrong_one_is_refused():
+def test_a_scale_that_is_right_or_nearly_so_is_not_reported_a_wrong_one_is_refused():
     assert judged(inputs(0)).warnings == judged(inputs(0, factor=1.003)).warnings == []
     for factor in (1.02, 1.04, 1.1):
         (text,) = judged(inputs(0, factor=factor), " along x").warnings
-        told = float(text.split("along x is ")[1].split(" ±")[0])
-        assert told == pytest.approx(factor, abs=4e-3)
+        reported = float(text.split("along x is ")[1].split(" ±")[0])
+        assert reported == pytest.approx(factor, abs=4e-3)
         assert "does not belong to this recording; the error band holds the" in text
     for factor in (1.3, 0.7, -1.0):
         with pytest.raises(midspan.UntrustedError, match="does not belong to this recording"):
@@ -75,11 +75,11 @@ def test_beside_another_sensor_less_is_refused_and_the_message_names_the_sensor(
     _, wrong = inputs(8, factor=1.1)
     with pytest.raises(midspan.UntrustedError, match=r"left: its displacement is 1\.1"):
         fitting(acceleration, [right, replace(wrong, sensor="left")])
-    told = fitting(acceleration, [right, replace(inputs(8, factor=1.03)[1], sensor="left")])
-    assert [line[:5] for line in told.warnings] == ["left:"]
+    reported = fitting(acceleration, [right, replace(inputs(8, factor=1.03)[1], sensor="left")])
+    assert [line[:5] for line in reported.warnings] == ["left:"]
     # What it is off by goes into the band of this one alone, though both are cameras.
-    assert told.scale_std["camera"] == 0.0
-    assert told.scale_std["left"] == pytest.approx(0.03, rel=0.1)
+    assert reported.scale_std["camera"] == 0.0
+    assert reported.scale_std["left"] == pytest.approx(0.03, rel=0.1)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1e-3, 1e-2])
@@ -172,9 +172,9 @@ def test_a_wrong_scale_of_the_second_axis_leaves_it_out_and_the_first_stays(site
     assert np.std(error) < (0.025 if method == "kalman" else 0.006)
 
 
-def test_a_scale_of_the_second_axis_that_is_somewhat_off_is_told_and_the_right_one_is_not(site, known, tmp_path):
+def test_a_scale_of_the_second_axis_that_is_somewhat_off_is_reported_and_the_right_one_is_not(site, known, tmp_path):
     recording = midspan.open_recording(site)
-    told = [
+    reported = [
         [
             line
             for line in midspan.estimate(recording, given).warnings
@@ -182,9 +182,9 @@ def test_a_scale_of_the_second_axis_that_is_somewhat_off_is_told_and_the_right_o
         ]
         for given in (with_scale(known, "x", factor, tmp_path / "given.json") for factor in (1.0, 1.07))
     ]
-    # Where most of its measurements contradict the acceleration it is left out instead, and that is told as well.
-    assert told[0] == []
-    assert len(told[1]) == 1
+    # Where most of its measurements contradict the acceleration it is left out instead, and that is reported as well.
+    assert reported[0] == []
+    assert len(reported[1]) == 1
 
 
 @pytest.mark.parametrize("factor", [1.3, -1.0])

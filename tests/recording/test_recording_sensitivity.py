@@ -91,9 +91,12 @@ def test_an_accelerometer_that_reads_two_percent_too_much_is_held(tmp_path):
 def test_beside_metres_the_gain_is_estimated_and_its_tolerance_is_what_the_motion_must_beat(tmp_path):
     folder = write(tmp_path / "metres", CASES["displacement"], "displacement")
     assert SENSITIVITY not in midspan.estimate(folder).not_in_band
-    learnt = midspan.calibrate(folder)
-    assert 0.0 < learnt.accelerometer_scale_std < 0.01
-    for std, kept in ((10.0 * learnt.accelerometer_scale_std, False), (0.1 * learnt.accelerometer_scale_std, True)):
+    estimated = midspan.calibrate(folder)
+    assert 0.0 < estimated.accelerometer_scale_std < 0.01
+    for std, kept in (
+        (10.0 * estimated.accelerometer_scale_std, False),
+        (0.1 * estimated.accelerometer_scale_std, True),
+    ):
         set_keys(folder, "accelerometer", scale_std=std)
         found = midspan.calibrate(folder)
         assert (found.accelerometer_scale_std == std) is kept
@@ -103,7 +106,7 @@ def test_beside_metres_the_gain_is_estimated_and_its_tolerance_is_what_the_motio
 
 
 def test_result_command_and_report_say_that_it_is_left_out(tmp_path, capsys):
-    folder, told = write(tmp_path / "told", CASES["radar"], "radar"), []
+    folder, reported = write(tmp_path / "told", CASES["radar"], "radar"), []
     for std in (0.0, STD):
         set_keys(folder, "accelerometer", scale_std=std)
         page, table = tmp_path / "report.html", tmp_path / "r.csv"
@@ -111,10 +114,10 @@ def test_result_command_and_report_say_that_it_is_left_out(tmp_path, capsys):
         document = json.loads(capsys.readouterr().out)
         stored = json.loads(table.with_suffix(".json").read_text(encoding="utf-8"))
         assert document["not_in_band"] == stored["not_in_band"]
-        told.append((SENSITIVITY in stored["not_in_band"], "own tolerance" in page.read_text(encoding="utf-8")))
+        reported.append((SENSITIVITY in stored["not_in_band"], "own tolerance" in page.read_text(encoding="utf-8")))
         assert not any("sensitivity" in line for line in stored["warnings"])
         page.unlink(), table.unlink(), table.with_suffix(".json").unlink()
-    assert told == [(True, True), (False, False)]
+    assert reported == [(True, True), (False, False)]
 
 
 def test_a_gain_that_was_estimated_holds_for_the_camera_alone(tmp_path):

@@ -1,4 +1,4 @@
-"""Several sensors of a kind end to end: each is calibrated and named by itself, both are better than one."""
+"""Several sensors of a kind end to end: each is calibrated and named on its own, both are better than one."""
 
 import json
 from dataclasses import replace
@@ -107,9 +107,9 @@ def test_each_has_its_own_clock_and_values_in_the_calibration(site):
 
 def test_result_report_and_figures_tell_them_apart(site):
     assert [series.sensor for series in site.result.measured] == ["one", "other"]
-    told = json.loads(metadata_json(site.result.table(), None))["sensors"]
-    assert [(one["name"], one["source"]) for one in told] == [("one", site.kind), ("other", site.kind)]
-    for one in told:
+    reported = json.loads(metadata_json(site.result.table(), None))["sensors"]
+    assert [(one["name"], one["source"]) for one in reported] == [("one", site.kind), ("other", site.kind)]
+    for one in reported:
         (span,) = one["used_s"]
         # A radar's first second may go to its range; nothing else is left out.
         assert span[0] == pytest.approx(site.named[one["name"]].met_s[0], abs=1.1)
@@ -161,7 +161,7 @@ def test_one_of_two_that_moves_by_itself_is_named_and_the_rows_keep_the_level(ki
 
 
 def test_a_refusal_names_the_sensor(tmp_path):
-    # The offset of one clock is told by the motion, and as said neither applied nor searched for.
+    # The offset of one clock is shown by the motion, and as said neither applied nor searched for.
     folder = write_several(tmp_path / "site", BASE, "displacement", pair("displacement"), "estimate_offset = false")
     with pytest.raises(midspan.UntrustedError, match=r"\bone: .*its clock .*one\.estimate_offset"):
         midspan.calibrate(folder)

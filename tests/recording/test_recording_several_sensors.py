@@ -1,4 +1,5 @@
-"""Several sensors of one kind: each is opened by itself, shown by inspect and check-config, never left out silently."""
+"""Several sensors of one kind: each is opened on its own, shown by inspect and check-config, never left out
+silently."""
 
 import json
 
@@ -114,18 +115,18 @@ def test_a_sensor_takes_its_own_part_of_a_calibration_of_several(folder):
         {"name": name, "noise_std_mm": n, "time_offset_s": 0.0} for n, name in ((1, "level"), (2, "gnss"))
     ]
     calibration = calibration_from_dict(tree)
-    known = {view.sensor: calibration.of_sensor(view.own, view.beside) for view in recording.views}
+    known = {view.sensor: calibration.of_sensor(view.own, view.companions) for view in recording.views}
     assert (known["gnss"].noise_std_m, known["level"].noise_std_m) == (2e-3, 1e-3)
     assert known["left"] is known["near"] is None
     # One without a name belongs to the only sensor of its kind, and to none of several.
     tree["displacement"] = tree["displacement"][0] | {"name": None}
     unnamed = calibration_from_dict(tree)
-    assert [unnamed.of_sensor(view.own, view.beside) for view in recording.views] == [None] * 6
+    assert [unnamed.of_sensor(view.own, view.companions) for view in recording.views] == [None] * 6
     text = (folder / "recording.toml").read_text()
     alone = text[: text.index("[[camera]]")] + text[text.index("[[displacement]]") : text.rindex("[[displacement]]")]
     (folder / "recording.toml").write_text(alone)
     (gnss,) = midspan.open_recording(folder).views
-    assert unnamed.of_sensor(gnss.own, gnss.beside) is unnamed.displacement
+    assert unnamed.of_sensor(gnss.own, gnss.companions) is unnamed.displacement
 
 
 def test_check_config_shows_every_section_and_what_is_missing(folder, capsys):
@@ -136,6 +137,6 @@ def test_check_config_shows_every_section_and_what_is_missing(folder, capsys):
     assert "displacement[1].unit" in said.out
     assert "far.file = 'far.npy': no such file yet" in said.err
     assert run(["check-config", str(folder), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["settings"]
-    assert [camera["name"] for camera in told["camera"]] == ["left", "right"]
-    assert told["infrared"] is None
+    reported = json.loads(capsys.readouterr().out)["settings"]
+    assert [camera["name"] for camera in reported["camera"]] == ["left", "right"]
+    assert reported["infrared"] is None

@@ -1,4 +1,4 @@
-"""A displacement sensor whose error is slow, as that of a GNSS receiver: learnt or given, it is in the band."""
+"""A displacement sensor whose error is slow, as that of a GNSS receiver: estimated or given, it is in the band."""
 
 import re
 
@@ -52,7 +52,7 @@ def inside(folder, known, method):
 
 @pytest.mark.parametrize("method", ["smoother", "kalman"])
 @pytest.mark.parametrize("lasting_s", [1.0, 10.0])
-def test_a_slow_error_is_learnt_and_in_the_band(lasting_s, method, tmp_path):
+def test_a_slow_error_is_estimated_and_in_the_band(lasting_s, method, tmp_path):
     shares = []
     for seed in range(2):
         share, found = inside(tmp_path, write(tmp_path, seed, lasting_s), method)
@@ -89,7 +89,7 @@ def test_a_time_that_the_record_does_not_tell_can_be_given(tmp_path):
 
 def test_what_a_record_does_not_tell_is_stated(tmp_path):
     for seed in range(3):
-        # Slow beside a noisy accelerometer: wanders by 2 mm · sqrt(2 (1 - exp(-10/60))) = 1.1 mm in 10 s.
+        # Slow with a noisy accelerometer: drifts by 2 mm · sqrt(2 (1 - exp(-10/60))) = 1.1 mm in 10 s.
         write(tmp_path, seed, 60.0, rate_hz=2.0)
         stated = [one for one in midspan.calibrate(tmp_path).warnings if "slow error" in one]
         if not stated:

@@ -263,7 +263,7 @@ def test_a_calibration_of_other_targets_is_refused(site_copy, result):
         midspan.estimate(midspan.open_recording(site_copy), result.calibration)
 
 
-def test_when_every_target_is_refused_all_reasons_are_told(site_copy):
+def test_when_every_target_is_refused_all_reasons_are_reported(site_copy):
     stack = frames(site_copy)
     write_stack(site_copy, np.random.default_rng(0).permutation(stack[:200]))
     with pytest.raises(midspan.UntrustedError, match=r"Target near: .* Target wall: "):

@@ -26,9 +26,9 @@ def folder(tmp_path):
 
 
 def refused(folder, error):
-    with pytest.raises(error) as told:
+    with pytest.raises(error) as reported:
         midspan.estimate(midspan.open_recording(folder))
-    return str(told.value)
+    return str(reported.value)
 
 
 def test_frames_that_last_less_than_a_second_are_no_matter_of_clocks(folder):
@@ -38,7 +38,7 @@ def test_frames_that_last_less_than_a_second_are_no_matter_of_clocks(folder):
     assert "clocks" not in text
 
 
-def test_times_in_milliseconds_are_told_by_their_distance(folder):
+def test_times_in_milliseconds_are_reported_by_their_distance(folder):
     np.savetxt(folder / "times.csv", 200.0 * np.arange(55), header="time_s", comments="")
     set_keys(folder, "infrared", times="times.csv")
     text = refused(folder, DataError)
@@ -54,7 +54,7 @@ def test_a_range_without_the_target_in_it_is_refused_by_its_own_name(folder):
     assert "[80.0, 90.0]" in text
 
 
-def test_what_was_mended_is_told_with_what_was_tracked(folder):
+def test_what_was_mended_is_reported_with_what_was_tracked(folder):
     stack = np.load(folder / "infrared.npy")
     stack[:, 20, 20] = np.nan
     stack[30] = np.nan
@@ -63,6 +63,6 @@ def test_what_was_mended_is_told_with_what_was_tracked(folder):
 
     found = track(folder)
     assert len(found.track.time_ns) == 54
-    told = " ".join(found.warnings)
-    assert "infrared: 54 frames have missing values (NaN), at most 1 a frame, filled" in told
-    assert "infrared: 1 frames (30) have more than 20 % of their values missing (NaN) and were passed over." in told
+    reported = " ".join(found.warnings)
+    assert "infrared: 54 frames have missing values (NaN), at most 1 a frame, filled" in reported
+    assert "infrared: 1 frames (30) have more than 20 % of their values missing (NaN) and were passed over." in reported

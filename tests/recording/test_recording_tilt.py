@@ -44,7 +44,7 @@ def test_rows_and_zero_each_have_the_tilts_variance(folder, method):
     set_keys(folder, "camera", tilt_std_mdeg=STD_MDEG, distance_m=DISTANCE_M)
     after = midspan.estimate(folder, known, method=method)
     set_keys(folder, "camera", tilt_std_mdeg=None, distance_m=None)
-    # fir looks for outliers beside the rows' band: to 0.1 µm.
+    # fir looks for outliers together with the rows' band: to 0.1 µm.
     np.testing.assert_allclose(after.displacement_mm, before.displacement_mm, atol=1e-4)
     # The tilt of the row's instant and that of the zero's; fir's rows without a whole window count it once more.
     more_mm2 = after.displacement_std_mm**2 - before.displacement_std_mm**2

@@ -48,7 +48,7 @@ def test_every_second_frame_is_every_second_row(footbridge):
     np.testing.assert_allclose(half.y_px, whole.y_px[::2], atol=2e-3)
 
 
-def test_frames_without_times_are_counted_and_this_is_told(footbridge_copy):
+def test_frames_without_times_are_counted_and_this_is_reported(footbridge_copy):
     write_stack(footbridge_copy, frames(footbridge_copy)[:30])
     found = track(footbridge_copy / "camera.npy")
     np.testing.assert_array_equal(found.track.time_ns, np.arange(30) * 1_000_000_000)
@@ -62,7 +62,7 @@ def test_a_region_outside_the_image_is_wrong_use(footbridge):
         track(footbridge, roi=Region(60, 60, 57, 57))
 
 
-def test_a_dark_frame_is_lost_and_told(footbridge_copy):
+def test_a_dark_frame_is_lost_and_reported(footbridge_copy):
     stack = frames(footbridge_copy)[:40]
     stack[20:23] = 0
     write_stack(footbridge_copy, stack)
@@ -157,14 +157,14 @@ def test_irregular_times_are_jitter_not_gaps(footbridge_copy):
     assert branch["gaps"] == []
 
 
-def test_a_stream_that_cannot_be_read_is_told_beside_the_others(footbridge_copy):
+def test_a_stream_that_cannot_be_read_is_reported_beside_the_others(footbridge_copy):
     (footbridge_copy / "camera.mkv").write_bytes(b"")
     tree = inspected(footbridge_copy)
     assert tree["camera"]["exit_code"] == 3
     assert tree["accelerometer"]["samples"] == 2500
 
 
-def test_streams_that_do_not_overlap_are_told(footbridge_copy):
+def test_streams_that_do_not_overlap_are_reported(footbridge_copy):
     set_keys(footbridge_copy, "camera", start_s=1000.0)
     overlap = inspected(footbridge_copy)["overlap"]
     assert overlap["overlapping"] is False

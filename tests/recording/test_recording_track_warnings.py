@@ -30,9 +30,9 @@ def test_pictures_that_were_stored_without_loss_are_never_called_compressed(tmp_
         source = tmp_path
         for k, image in enumerate(images):
             assert cv2.imwrite(str(tmp_path / f"image{k:03d}{suffix}"), image)
-    told = " ".join(track(source, roi=ROI, rate_hz=10.0).warnings)
-    assert "compressed" not in told
-    assert "missing" not in told
+    reported = " ".join(track(source, roi=ROI, rate_hz=10.0).warnings)
+    assert "compressed" not in reported
+    assert "missing" not in reported
 
 
 def test_motion_along_x_is_not_said_to_be_missing(tmp_path):
@@ -47,6 +47,6 @@ def test_motion_along_x_is_not_said_to_be_missing(tmp_path):
             frame.pts, frame.time_base = k, Fraction(1, 10)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    told = " ".join(track(tmp_path / "film.mkv", roi=ROI).warnings)
-    assert "compressed" in told
-    assert "much of it may be missing" not in told
+    reported = " ".join(track(tmp_path / "film.mkv", roi=ROI).warnings)
+    assert "compressed" in reported
+    assert "much of it may be missing" not in reported

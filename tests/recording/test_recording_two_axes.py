@@ -24,7 +24,7 @@ TRUE_SCALE, TRUE_OFFSET = 1.5, 0.137
 
 
 def slow(rng):
-    """A motion that 10 frames a second follow by themselves."""
+    """A motion that 10 frames a second follow on their own."""
     return Sum((random_motion((0.9, 1.0), 1.4e-3, rng=rng, lines=20), random_motion((0.06, 0.14), 0.5e-3, rng=rng)))
 
 
@@ -111,22 +111,22 @@ def test_an_accelerometer_that_points_the_other_way_turns_only_its_own_axis(site
     np.testing.assert_allclose(found.displacement_mm, result.displacement_mm, atol=1e-4)
 
 
-def test_the_trackers_are_told_where_to_look_along_both_axes(site, result, monkeypatch):
-    told, push = [], TargetChain.push
+def test_the_trackers_are_reported_where_to_look_along_both_axes(site, result, monkeypatch):
+    reported, push = [], TargetChain.push
 
     def recorded(self, frame, prediction=None):
-        told.append(prediction)
+        reported.append(prediction)
         return push(self, frame, prediction)
 
     monkeypatch.setattr(TargetChain, "push", recorded)
     track = midspan.estimate(midspan.open_recording(site), result.calibration).track
     # The first frames are gone through once before, to learn what is usual.
-    told = told[WARM_UP_FRAMES:]
-    assert len(told) == len(track.time_ns)
-    settled = np.arange(100, len(told))
+    reported = reported[WARM_UP_FRAMES:]
+    assert len(reported) == len(track.time_ns)
+    settled = np.arange(100, len(reported))
     for name in ("x", "y"):
         seen = getattr(track, f"{name}_px")
-        expected = np.array([getattr(told[k], f"{name}_px") for k in settled])
+        expected = np.array([getattr(reported[k], f"{name}_px") for k in settled])
         # Up to 5 Hz at ten frames a second: where the target was seen last says nothing of where it is now.
         assert np.std(seen[settled] - seen[settled - 1]) > 0.15
         # The acceleration does: over a tenth of a second it is good for a few hundredths of a pixel.
@@ -156,7 +156,7 @@ def test_a_tracked_axis_too_fast_for_the_camera_has_a_wide_band_not_a_wrong_one(
     assert (found.axis, found.across.axis) == ("x", "y")
     error = errors(site_copy, found)
     assert_right(error["x"])
-    # 4.6 Hz lies next to the Nyquist frequency of 5 Hz and cannot be told between frames: 0.25 mm rms are missed.
+    # 4.6 Hz lies next to the Nyquist frequency of 5 Hz and cannot be reported between frames: 0.25 mm rms are missed.
     assert np.mean(np.abs(error["y"]) < 1.96 * found.across.displacement_std_mm) > 0.9
     assert np.median(found.across.displacement_std_mm) > 10 * np.median(found.displacement_std_mm)
 
@@ -184,7 +184,7 @@ def shaken(site_copy):
     return site_copy
 
 
-def test_what_the_gate_did_along_the_second_axis_is_told(shaken):
+def test_what_the_gate_did_along_the_second_axis_is_reported(shaken):
     found = midspan.estimate(midspan.open_recording(shaken))
     # Single frames 4.5 mm off at 5 µm of noise; the clock is 0.137 s behind. Then the picture jumps at each frame.
     single, jumping = found.across.events

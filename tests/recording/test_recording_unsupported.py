@@ -1,4 +1,4 @@
-"""Long stretches without a displacement: their rows are lost, told once, and inside a band that says so."""
+"""Long segments without a displacement: their rows are lost, reported once, and inside a band that says so."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def calibration(damaged):
 
 
 @pytest.mark.parametrize("method", ["kalman", "lag", "adaptive-kalman", "smoother", "fir", "two-stage-fir"])
-def test_fifteen_seconds_without_a_value_are_lost_told_and_inside_the_band(damaged, calibration, method):
+def test_fifteen_seconds_without_a_value_are_lost_reported_and_inside_the_band(damaged, calibration, method):
     found = midspan.estimate(midspan.open_recording(damaged), calibration, method=method)
     gap = (found.time_s > GAP[0] - 1.0) & (found.time_s < GAP[1] - 0.6)
     status = found.estimate.status[gap]
@@ -39,8 +39,8 @@ def test_fifteen_seconds_without_a_value_are_lost_told_and_inside_the_band(damag
     assert np.mean(status == Status.LOST) > 0.25
     assert np.all(status[found.time_s[gap] > 97.0] != Status.TRACKING)
     # Whatever the method, the user reads it once: the rows of each method have the same ages.
-    (told,) = [event for event in found.events if event.kind == "lost" and 93.9 < event.time_ns / 1e9 < 97.0]
-    assert told.text in found.warnings
+    (reported,) = [event for event in found.events if event.kind == "lost" and 93.9 < event.time_ns / 1e9 < 97.0]
+    assert reported.text in found.warnings
     truth = read_columns(damaged / "truth.csv")
     error = found.displacement_mm - np.interp(found.time_s, truth[:, 0], truth[:, 1])
     # One curve of an error that is alike all through the gap: a single draw, and a band that grows with it.
@@ -48,7 +48,7 @@ def test_fifteen_seconds_without_a_value_are_lost_told_and_inside_the_band(damag
     assert np.max(found.displacement_std_mm[gap]) > 2.0 * np.min(found.displacement_std_mm[gap])
 
 
-def test_a_gap_that_is_only_coasted_through_is_not_told_as_lost(damaged, calibration):
+def test_a_gap_that_is_only_coasted_through_is_not_reported_as_lost(damaged, calibration):
     found = midspan.estimate(midspan.open_recording(damaged), calibration, method="kalman")
     # The scenario's own gap of four seconds, from 120 s on.
     rows = (found.time_s > 122.6) & (found.time_s < 123.9)

@@ -45,7 +45,7 @@ unused_targets = st.builds(
     st.one_of(st.just(math.nan), noises),
     st.just(math.nan),
     st.just(False),
-    st.just("moves by itself"),
+    st.just("moves on its own"),
 )
 # With a single target in use the camera's own keys are the target's: two stay as they are.
 target_lists = st.one_of(

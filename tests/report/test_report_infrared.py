@@ -124,22 +124,22 @@ def test_events_are_placed_on_the_accelerometers_clock(result):
 
 def test_what_stood_in_front_is_shaded_from_hidden_to_seen_and_to_the_end_where_it_stays(result):
     material = gather(result, None)
-    told = ((4.0, "hidden"), (5.0, "reference"), (6.5, "seen"), (15.0, "hidden"))
-    events = [Event(round(1e9 * at), kind, "") for at, kind in told]
+    reported = ((4.0, "hidden"), (5.0, "reference"), (6.5, "seen"), (15.0, "hidden"))
+    events = [Event(round(1e9 * at), kind, "") for at, kind in reported]
     found = infrared_figures.hidden_spans(material, SimpleNamespace(events=events))
     last = float(result.time_s[-1])
     assert np.allclose(found, [(4.0, 2.5), (15.0, last - 15.0)], atol=1e-6)
 
 
-def test_the_stretches_of_the_sources_cover_the_record_once(result):
+def test_the_segments_of_the_sources_cover_the_record_once(result):
     source = np.where((result.time_s >= 6.0) & (result.time_s < 9.0), Source.INFRARED, Source.CAMERA).astype(np.uint8)
     material = gather(replace(result, estimate=replace(result.estimate, source=source)), None)
     found = infrared_figures.source_spans(material)
     step = float(np.median(np.diff(result.time_s)))
-    # A stretch reaches from its first row to the row after it: one step of either end is open.
+    # A segment reaches from its first row to the row after it: one step of either end is open.
     assert np.allclose(found[Source.INFRARED], [(6.0, 3.0)], atol=1.5 * step)
     assert len(found[Source.CAMERA]) == 2
-    covered = sum(length for stretches in found.values() for _, length in stretches)
+    covered = sum(length for segments in found.values() for _, length in segments)
     assert covered == pytest.approx(float(result.time_s[-1] - result.time_s[0]), abs=2.0 * step)
 
 
@@ -154,7 +154,7 @@ def test_the_stretches_of_the_sources_cover_the_record_once(result):
     ],
 )
 def test_limits_of_temperature_have_digits_that_tell_them_apart(values, texts):
-    assert infrared_figures.told_apart(np.array(values)) == texts
+    assert infrared_figures.reported_apart(np.array(values)) == texts
 
 
 def surface(best):

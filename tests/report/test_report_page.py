@@ -156,7 +156,7 @@ def test_a_calibration_from_a_file_is_shown_with_what_the_recording_itself_says(
     assert "The region was given by the calibration file" in text
 
 
-def test_a_reference_of_another_time_is_told_not_raised(camera_result):
+def test_a_reference_of_another_time_is_reported_not_raised(camera_result):
     reference = TimeSeries(np.arange(10, dtype=np.int64) * 10**9 + 10**15, np.arange(10.0))
     text = report_html(camera_result, reference)
     assert "The reference could not be used. Result and reference have no instants in common" in text
@@ -210,13 +210,13 @@ def long_result(count, events=0):
     sensor = SensorSeries(
         "displacement", Source.DISPLACEMENT, time_ns[met], value[met] + noise, np.full(len(noise), 1e-5)
     )
-    told = tuple(Event(int(time_ns[i]), "gap", f"event number {i}.") for i in range(events))
+    reported = tuple(Event(int(time_ns[i]), "gap", f"event number {i}.") for i in range(events))
     calibration = Calibration(1e-3, 0.0, displacement=DisplacementCalibration(1e-5, TimeOffset(0.0, np.inf)))
-    return Result(block, calibration, settings, "smoother", innovation, told, (), measured=(sensor,), name="long")
+    return Result(block, calibration, settings, "smoother", innovation, reported, (), measured=(sensor,), name="long")
 
 
 def written_in_s(path, rows):
-    """Processor time of a report of so many rows with a reference, s."""
+    """Processor time of a report of this many rows with a reference, s."""
     result = long_result(rows, events=120)
     reference = TimeSeries(result.estimate.time_ns, result.estimate.displacement_m + 1e-6)
     start = time.process_time()
@@ -238,7 +238,7 @@ def test_a_long_record_stays_small_quick_and_keeps_its_peak(tmp_path):
 
 
 def shown_events(result):
-    """Outside the JSON: summaries of what is folded, and how often each event stands in a table."""
+    """Outside the JSON: summaries of what is aliased, and how often each event stands in a table."""
     text = report_html(result).split("Settings, calibration and events as JSON")[0]
     rows = re.findall(r"<td>event number (\d+)\.</td>", text)
     return re.findall(r"<summary>(.*?)</summary>", text), Counter(int(number) for number in rows)
@@ -247,16 +247,16 @@ def shown_events(result):
 def test_many_events_are_all_there_folded_by_their_kinds_with_counts():
     result = long_result(3000, events=120)
     of_two_kinds = tuple(replace(e, kind="switch") if k % 3 == 0 else e for k, e in enumerate(result.events))
-    folded, rows = shown_events(replace(result, events=of_two_kinds))
-    assert [line.split(",")[0] for line in folded] == ["switch: 40", "gap: 80", "all 120 in the order of time"]
+    collapsible, rows = shown_events(replace(result, events=of_two_kinds))
+    assert [line.split(",")[0] for line in collapsible] == ["switch: 40", "gap: 80", "all 120 in the order of time"]
     # The clock of this record begins with its first row, 10 ms a row; the last switch is event 117.
-    assert folded[0] == "switch: 40, from 0.000 to 1.170 s"
+    assert collapsible[0] == "switch: 40, from 0.000 to 1.170 s"
     assert rows == dict.fromkeys(range(120), 2)
 
 
 def test_a_few_events_stand_open_in_one_table():
-    folded, rows = shown_events(long_result(3000, events=12))
-    assert not folded
+    collapsible, rows = shown_events(long_result(3000, events=12))
+    assert not collapsible
     assert rows == dict.fromkeys(range(12), 1)
 
 

@@ -53,7 +53,7 @@ def test_the_largest_speed_is_the_motions_and_plain_unwrapping_slips_beyond_the_
     np.testing.assert_allclose(found.high.max(), UNIT * speed_m_s / np.pi, rtol=1e-3)
 
 
-def test_a_blocked_stretch_is_low_and_unused_and_its_end_is_told_on_the_accelerometers_clock():
+def test_a_blocked_segment_is_low_and_unused_and_its_end_is_reported_on_the_accelerometers_clock():
     found = traced(0.05, hidden=slice(1200, 1400), restarts=(1400,)).targets[0]
     t = found.time_ns / 1e9 - 5.0
     inside = (t >= BLOCKED[0]) & (t + 0.02 < BLOCKED[1])
@@ -116,9 +116,9 @@ def test_the_section_shows_the_profile_the_targets_the_circle_and_the_phase(resu
     truth_mm_s = np.abs(
         np.genfromtxt(result.recording.folder / "truth.csv", delimiter=",", names=True)["velocity_mm_s"]
     )
-    told = float(re.search(r"reached ([\d.]+) mm/s", section)[1])
+    reported = float(re.search(r"reached ([\d.]+) mm/s", section)[1])
     # The largest speed over 0.03 s with the phase's noise of 0.02 rad: 0.3 mm/s.
-    assert told == pytest.approx(truth_mm_s.max() / 1.06, rel=0.1)
+    assert reported == pytest.approx(truth_mm_s.max() / 1.06, rel=0.1)
 
 
 def test_the_radars_own_measurements_are_drawn_and_blocked_frames_are_not(result):

@@ -1,4 +1,4 @@
-"""Thinning keeps what the eye must see."""
+"""Thinning keeps what the camera must see."""
 
 import numpy as np
 
@@ -13,9 +13,9 @@ def test_an_envelope_holds_every_value_and_both_extremes():
     assert not found.whole
     assert np.max(found.high) == value.max()
     assert np.min(found.low) == value.min()
-    stretch = np.minimum(np.arange(100_000) // 200, 499)
-    assert np.all(value <= found.high[stretch])
-    assert np.all(value >= found.low[stretch])
+    segment = np.minimum(np.arange(100_000) // 200, 499)
+    assert np.all(value <= found.high[segment])
+    assert np.all(value >= found.low[segment])
 
 
 def test_a_short_series_is_drawn_as_it_is_with_a_break_in_its_pause():
@@ -32,7 +32,7 @@ def test_spans_cover_exactly_the_marked_rows_and_never_lose_a_short_one():
     mask[100:200], mask[500] = True, True
     found = spans(t, mask)
     np.testing.assert_allclose(found, [(10.0, 10.0), (50.0, 0.1)], atol=1e-9)
-    # A single row of a hundred thousand is still there, as long as one of the stretches.
+    # A single row of a hundred thousand is still there, as long as one of the segments.
     wide = np.zeros(100_000, dtype=bool)
     wide[77_777] = True
     ((start, length),) = spans(np.arange(100_000.0), wide, 1000)

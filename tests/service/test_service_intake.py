@@ -107,7 +107,7 @@ def test_ten_thousand_damaged_lines_are_blocks_or_faults():
     assert faults > INPUTS // 2
 
 
-def test_doubled_blocks_are_dropped_and_lost_ones_told(site):
+def test_doubled_blocks_are_dropped_and_lost_ones_reported(site):
     (first, _), intake, events = site
     for number in (100, 101, 101, 102, 106, 105, 107):
         intake.payload("a/acc", pack(block(number)))
@@ -134,8 +134,8 @@ def test_lost_blocks_are_one_event_a_minute_with_their_sum(site, monkeypatch):
         # Every second block is lost; two blocks last 0.4 s.
         monkeypatch.setattr(time, "time", lambda at_s=now_s + 0.2 * number: at_s)
         intake.payload("a/acc", pack(block(number)))
-    told = [text for _, kind, text in events if kind == "lost_records"]
-    assert told == [f"accelerometer: blocks were lost on their way: {n}." for n in (1, 150)]
+    reported = [text for _, kind, text in events if kind == "lost_records"]
+    assert reported == [f"accelerometer: blocks were lost on their way: {n}." for n in (1, 150)]
     assert first.streams["accelerometer"].lost == 48
 
 

@@ -1,4 +1,4 @@
-"""A live point without a shell: captures, jobs, a calibration beside the running one, and its acceptance."""
+"""A live point without a shell: captures, jobs, a calibration together with the running one, and its acceptance."""
 
 import re
 
@@ -131,7 +131,7 @@ def test_a_scale_that_has_changed_since_asks_for_a_new_calibration_once(tmp_path
         assert point.job is None
         return
     (event,) = said
-    # Beside a displacement whose unit is right the accelerometer measures 1/1.06 of it.
+    # with a displacement whose unit is right the accelerometer measures 1/1.06 of it.
     percent, std = re.search(
         r"accelerometer: .* a scale ([-+][\d.]+) ± ([\d.]+) % off calibration 1", event.text
     ).groups()

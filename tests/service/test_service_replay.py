@@ -117,7 +117,7 @@ def test_what_was_kept_gives_the_same_result_again(bridge, tmp_path, method):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-def test_a_stretch_can_be_exported_and_computed(bridge, tmp_path):
+def test_a_segment_can_be_exported_and_computed(bridge, tmp_path):
     replayed(bridge, tmp_path / "store").close()
     store, output = str(tmp_path / "store"), tmp_path / "part.parquet"
     assert run(["export", store, "--from", "5", "--to", "1970-01-01T00:00:12Z", "-o", str(output), "--quiet"]) == 0
@@ -189,13 +189,13 @@ def test_a_point_goes_on_from_its_checkpoint_with_the_same_rows(bridge, footbrid
 def arrivals(found, folder, calibration):
     """The records of a recording as live ones, with the frames as they are."""
     from midspan.recording.estimate import Asked
-    from midspan.recording.tracked import open_eyes
+    from midspan.recording.tracked import open_tracked_cameras
 
     recording = midspan.open_recording(folder)
     sides = Asked(recording, calibration, "kalman", True).sides
-    eyes = open_eyes(sides, None, lambda *_: None)
+    tracked_cameras = open_tracked_cameras(sides, None, lambda *_: None)
     assert any(isinstance(sensor, CameraSensor) for sensor in found.point.sensors.values())
-    for stream, record in records_of(found.point, sides, eyes, block_s=0.1):
+    for stream, record in records_of(found.point, sides, tracked_cameras, block_s=0.1):
         if isinstance(record, Arrival):
             yield stream, record
 

@@ -134,8 +134,8 @@ def test_readiness_says_whether_a_point_gives_rows(tmp_path):
     assert one.ready(second + 6.0)["reason"] == "no_rows"
     # All sources were recordings that are over.
     ended = replace(one, streams={name: replace(stream, reason="ended") for name, stream in one.streams.items()})
-    for told in (ended.ready(second + 6.0), ended.standing(second + 6.0)):
-        assert (told["reason"], told["status"]) == ("ended", "lost")
+    for reported in (ended.ready(second + 6.0), ended.standing(second + 6.0)):
+        assert (reported["reason"], reported["status"]) == ("ended", "lost")
     # Stamps of the accelerometer that went back bring no rows.
     pushed(one.live, second - 60, second - 40)
     assert one.ready(second + 6.0)["reason"] == "clock"
@@ -151,7 +151,7 @@ def test_readiness_says_whether_a_point_gives_rows(tmp_path):
     assert one.ready(second + 31.0)["reason"] == "lost"
 
 
-def test_rows_that_a_clock_has_made_uncertain_are_told_until_they_are_as_usual():
+def test_rows_that_a_clock_has_made_uncertain_are_reported_until_they_are_as_usual():
     def rows(std_m, begin_s):
         time_ns = (begin_s * NANOSECONDS + 10**7 * np.arange(100)).astype(np.int64)
         code = np.zeros(100, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Acceleration with missing, frozen and clipped stretches: refused, or bridged with a band that holds the truth."""
+"""Acceleration with missing, frozen and clipped segments: refused, or bridged with a band that holds the truth."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def with_hole(value, kind, start=3000, stop=3040):
 
 
 @pytest.mark.parametrize("kind", ["nan", "frozen", "gap"])
-def test_a_hole_is_bridged_marked_and_told(kind):
+def test_a_hole_is_bridged_marked_and_reported(kind):
     value, time_ns = with_hole(channel()[1], kind)
     found = prepared(value, time_ns)
     assert np.all(np.isfinite(found.value_m_s2))
@@ -68,7 +68,7 @@ def test_a_hole_is_bridged_marked_and_told(kind):
 
 @pytest.mark.parametrize("length", [10, 50, 200])
 @pytest.mark.parametrize("kind", ["nan", "gap"])
-def test_in_a_bridged_stretch_the_band_widens_and_holds_the_truth(kind, length):
+def test_in_a_bridged_segment_the_band_widens_and_holds_the_truth(kind, length):
     inside, wider = [], []
     for seed in range(12):
         motion, value = channel(seed)
@@ -126,9 +126,9 @@ def test_calibration_rows_have_no_mean_and_count_bridged_samples_for_next_to_not
 
 def test_white_noise_is_no_fast_motion():
     rng, time = np.random.default_rng(0), np.arange(4000) / 100.0
-    for fast_hz, told in ((None, False), (25.0, True), (40.0, True)):
+    for fast_hz, reported in ((None, False), (25.0, True), (40.0, True)):
         value = rng.normal(0.0, 1e-3, len(time))
         if fast_hz is not None:
             value = value + np.sin(2 * np.pi * fast_hz * time)
         series = TimeSeries(np.rint(1e9 * time).astype(np.int64), value)
-        assert any("too close" in line for line in prepare_acceleration(series, "a").warnings) is told
+        assert any("too close" in line for line in prepare_acceleration(series, "a").warnings) is reported

@@ -196,6 +196,6 @@ def test_a_filter_is_read_between_samples_as_its_own_cubic():
         lambda: integrating(complement(np.full(5, 0.2)), 0.01, rule="simpson"),
     ],
 )
-def test_wrong_settings_are_told(wrong):
+def test_wrong_settings_are_reported(wrong):
     with pytest.raises(UsageError, match="must be"):
         wrong()

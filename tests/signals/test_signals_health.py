@@ -1,4 +1,4 @@
-"""Rate, gaps, frozen and clipped stretches of constructed signals."""
+"""Rate, gaps, frozen and clipped segments of constructed signals."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_jitter_is_the_deviation_of_the_steps():
 
 
 @given(st.lists(st.booleans(), max_size=40))
-def test_runs_are_the_stretches_of_true(mask):
+def test_runs_are_the_segments_of_true(mask):
     mask = np.array(mask, dtype=bool)
     again = np.zeros(len(mask), dtype=bool)
     for start, end in runs(mask):

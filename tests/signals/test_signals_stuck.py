@@ -44,7 +44,7 @@ def test_coarse_resolution_at_rest_is_no_fault(step_m):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_motion_within_the_resolution_is_no_fault(seed):
-    # 0.3 mm of motion at 1.3 Hz, readings in whole millimetres: they stand still most of the time, and rightly so.
+    # 0.3 mm of motion at 1.3 Hz, readings in whole millimetres: they are static most of the time, and rightly so.
     quiet = Sines(np.array([3e-4, 4e-3]), np.array([1.3, 0.02]))
     time = np.arange(0.5, 59.5, 0.1)
     value = np.round(quiet.displacement(time) * 1e3) / 1e3
@@ -54,7 +54,7 @@ def test_motion_within_the_resolution_is_no_fault(seed):
 
 @pytest.mark.parametrize("length_s", [60.0, 600.0])
 def test_noise_and_bias_of_the_accelerometer_are_no_motion(length_s):
-    # A structure at rest, a sensor without any noise, a stretch of an hour's tenth: the integrated noise is metres.
+    # A structure at rest, a sensor without any noise, a segment of an hour's tenth: the integrated noise is metres.
     still = Sines(np.array([1e-9]), np.array([1.0]))
     time = np.arange(0.5, length_s - 0.5, 1.0)
     for seed in range(6):
@@ -76,7 +76,7 @@ def test_what_the_accelerometer_did_not_see_is_not_held_against_the_sensor():
     assert not found(time, value, samples[samples[:, 0] < 22.0]).any()
 
 
-def test_missing_values_inside_a_stuck_stretch_do_not_hide_it():
+def test_missing_values_inside_a_stuck_segment_do_not_hide_it():
     slow = Sines(np.array([5e-3]), np.array([0.05]))
     motion = Sum((slow, random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(2), flat="velocity")))
     time = np.arange(0.5, 59.5, 0.1)

@@ -78,7 +78,7 @@ def test_halving_the_step_leaves_the_papers_motion_unchanged():
 
 def test_the_papers_motion_peaks_at_about_eight_millimetres_and_starts_at_rest():
     fine = paper_beam_motion(0)
-    assert np.abs(fine.displacement_m).max() == pytest.approx(8.1e-3, abs=0.5e-3)  # the paper's Fig. 14, by eye
+    assert np.abs(fine.displacement_m).max() == pytest.approx(8.1e-3, abs=0.5e-3)  # the paper's Fig. 14, by camera
     assert fine.displacement_m[0] == fine.velocity_m_s[0] == 0.0
     assert paper_force().displacement(np.array([0.0, 100.0])).tolist() == [0.0, 0.0]
 

@@ -79,7 +79,7 @@ def test_fog_comes_and_goes_without_a_step_and_takes_the_contrast_it_promises(wa
     assert veiled.std() / warm.std() == pytest.approx(np.exp(-1.2 * 0.25), rel=1e-4)
 
 
-def test_the_whole_picture_moves_by_what_it_is_told_shadows_included(wall):
+def test_the_whole_picture_moves_by_what_it_is_reported_shadows_included(wall):
     camera = DayCamera(wall, Sky(length_s=DAY_S))
     for t in (5.0, 40.0):
         still, moved = camera.mean_image((0.0, 0.0), t), camera.mean_image((2.0, -3.0), t)
@@ -138,14 +138,14 @@ def test_headlights_dazzle_where_the_lamps_are_and_leave_with_the_car(wall):
     cars = Headlights((DAY_S / 2,), row_px=40.0, crossing_s=4.0)
     camera = DayCamera(wall, Sky(length_s=DAY_S), cars=cars)
     picture = camera.picture(0, np.zeros(2), DAY_S / 2 + 2.0)
-    # Half-way the car is in the middle of the picture, its lamps 7 px beside it.
+    # Half-way the car is in the middle of the picture, its lamps 7 px with it.
     assert picture[40, 25] == picture[40, 39] == 255
     assert picture[40, 32] < 255
     assert camera.picture(0, np.zeros(2), DAY_S / 2 + 4.1).mean() < 2.0
     assert camera.picture(0, np.zeros(2), DAY_S / 2 - 0.1).mean() < 2.0
 
 
-def test_drops_fall_in_the_rain_and_dry_within_the_time_told():
+def test_drops_fall_in_the_rain_and_dry_within_the_time_reported():
     drops = Drops(SIZE, ((10.0, 20.0),), rng=np.random.default_rng(0))
     assert drops.cover(9.9) is None
     assert drops.cover(20.0 + DRYING_S) is None

@@ -61,7 +61,7 @@ def test_the_radars_frames_lie_within_the_acceleration_and_the_truth_begins_at_t
     true_s = source.times_ns() / 1e9 + known["time_offset_s"]
     assert acceleration["time_s"][0] <= true_s[0]
     assert true_s[-1] <= acceleration["time_s"][-1]
-    assert abs(known["time_offset_s"]) < 0.5  # the largest offset that calibration searches for by itself
+    assert abs(known["time_offset_s"]) < 0.5  # the largest offset that calibration searches for on its own
     assert not source.info.warnings
     if SCENARIOS[name].camera is None:
         # The first frame lies on a sample, or between two in lively motion: a cubic meets 4 mm at 3 Hz to 2e-4 mm.

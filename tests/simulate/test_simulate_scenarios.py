@@ -57,7 +57,7 @@ def test_every_scenario_stays_within_its_scene_and_its_streams_overlap(name, see
     true_times = stamps + scenario.camera.time_offset_s
     assert true_times[0] >= 0.0
     assert true_times[-1] <= truth[-1, 0]
-    assert abs(scenario.camera.time_offset_s) < 0.5  # the largest offset that calibration searches for by itself
+    assert abs(scenario.camera.time_offset_s) < 0.5  # the largest offset that calibration searches for on its own
     assert np.abs(truth[:, 1]).max() / abs(scenario.camera.scale_mm_per_px) < 16  # px, the scene's reach
     # The zero is the first frame's, between two samples as well: a cubic meets 4 mm at 3 Hz to 2e-4 mm at 50 Hz.
     assert curve(true_times[0]) == pytest.approx(0.0, abs=5e-4)
@@ -141,7 +141,7 @@ def test_acceleration_on_file_twice_integrated_from_rest_is_the_truth(small, tmp
     spline = CubicSpline(acceleration["time_s"], acceleration["accel"] - 0.05)
     moved = 1e3 * spline.antiderivative(2)(acceleration["time_s"])
     drift = np.polynomial.Polynomial.fit(truth["time_s"], moved - truth["displacement_mm"], 5)
-    # White noise of 2.5 mm/s² integrates to a wander of some millimetres that a quintic follows to 0.1 mm.
+    # White noise of 2.5 mm/s² integrates to a drift of some millimetres that a quintic follows to 0.1 mm.
     rest = moved - truth["displacement_mm"] - drift(truth["time_s"])
     assert rest.std() < 0.15
     assert truth["displacement_mm"].std() > 1.0

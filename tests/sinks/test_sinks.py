@@ -83,9 +83,9 @@ def test_csv_has_the_columns_in_order_and_its_metadata_beside_it(tmp_path: Path)
     assert (tmp_path / "r.csv").read_text().splitlines()[2].startswith("0.003333333,")
     assert frame["source"].tolist() == [Source(code).word for code in SOURCE]
     assert frame["status"].tolist() == [Status(code).word for code in STATUS]
-    beside = json.loads((tmp_path / "r.json").read_text())
+    companions = json.loads((tmp_path / "r.json").read_text())
     digest = hashlib.sha256((tmp_path / "r.csv").read_bytes()).hexdigest()
-    assert beside == READABLE | {"csv": {"rows": COUNT, "sha256": digest}}
+    assert companions == READABLE | {"csv": {"rows": COUNT, "sha256": digest}}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["r.csv", "r.json"]
 
 

@@ -176,7 +176,7 @@ def test_a_file_of_times_comes_before_the_containers_stamps(tmp_path: Path) -> N
         open_frames(tmp_path / "a.mkv", FrameRequest(times=tmp_path / "t.csv")).times_ns()
 
 
-def test_a_rate_that_contradicts_the_container_is_told(tmp_path: Path) -> None:
+def test_a_rate_that_contradicts_the_container_is_reported(tmp_path: Path) -> None:
     write_video(tmp_path / "a.avi", noise(6))
     source = open_frames(tmp_path / "a.avi", FrameRequest(rate_hz=25.0))
     assert source.times_ns()[1] == 100_000_000

@@ -28,6 +28,6 @@ def test_a_tiff_of_pages_that_broke_off_is_refused_and_a_whole_one_is_not(tmp_pa
 
 def test_a_file_that_is_no_stack_is_not_answered_with_advice_to_trust_it(tmp_path):
     (tmp_path / "a.npz").write_bytes(b"hello" * 100)
-    with pytest.raises(DataError, match="cannot be read as a NumPy stack: File is not a zip file") as told:
+    with pytest.raises(DataError, match="cannot be read as a NumPy stack: File is not a zip file") as reported:
         open_frames(tmp_path / "a.npz", AT_5)
-    assert "pickle" not in str(told.value)
+    assert "pickle" not in str(reported.value)

@@ -20,7 +20,7 @@ BAR = 8
 
 
 def bars(numbers: range | list[int]) -> np.ndarray:
-    """A bright bar whose column tells the frame's number (modulo 56), above a texture that stands still."""
+    """A bright bar whose column tells the frame's number (modulo 56), above a texture that is static."""
     frames = np.full((len(numbers), 48, 64), 60, dtype=np.uint8)
     frames[:, 16:] = np.kron(np.random.default_rng(1).integers(40, 200, (8, 16)), np.ones((4, 4)))
     for image, number in zip(frames, numbers, strict=True):

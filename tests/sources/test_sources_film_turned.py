@@ -1,4 +1,4 @@
-"""Films that are turned for display: seen as a player shows them, and told so."""
+"""Films that are turned for display: seen as a player shows them, and reported so."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_a_turned_film_is_read_and_tracked_as_a_player_shows_it(upright, tmp_pat
 
 
 @pytest.mark.parametrize("matrix", [MIRRORED, SLANTED], ids=["mirrored", "slanted"])
-def test_what_is_no_quarter_turn_is_left_and_told(upright, tmp_path, capsys, matrix):
+def test_what_is_no_quarter_turn_is_left_and_reported(upright, tmp_path, capsys, matrix):
     film = film_matrix.write(tmp_path / "odd.mp4", upright, matrix=matrix)
     first = next(open_frames(film, FrameRequest()).frames())
     np.testing.assert_array_equal(first.pixels, upright[0])

@@ -191,7 +191,9 @@ def test_lvm_is_read_with_and_without_a_time_column(tmp_path: Path, sign: str, c
     series = read_series(path, request(value="acc"))
     np.testing.assert_array_equal(series.time_ns, [0, 250_000_000, 500_000_000])
     np.testing.assert_allclose(series.value, np.array([0, 1.5, 3.0]) * G, rtol=1e-15)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.lvm"], "no pickle may be left beside the user's file"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.lvm"], (
+        "no pickle may be left together with the user's file"
+    )
 
 
 def write_mseed(path: Path, encoding: pymseed.DataEncoding, values: np.ndarray, kind: str) -> None:

@@ -1,4 +1,4 @@
-"""Photron recordings: raw frames beside a text header."""
+"""Photron recordings: raw frames with a text header."""
 
 from pathlib import Path
 
@@ -72,14 +72,14 @@ def test_a_truncated_file_gives_the_frames_it_holds_and_says_so(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "reported"),
     [({"colour": "Bayer"}, "monochrome"), ({"rate": "none"}, "Record Rate"), ({"width": 999}, "bytes")],
 )
 def test_headers_that_do_not_fit_are_refused_with_their_key(
-    tmp_path: Path, changed: dict[str, object], told: str
+    tmp_path: Path, changed: dict[str, object], reported: str
 ) -> None:
     file = written(tmp_path, np.zeros((2, 4, 8)), 8, **changed)
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         open_frames(file, FrameRequest())
 
 

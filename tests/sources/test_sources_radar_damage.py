@@ -197,7 +197,7 @@ def test_a_capture_of_which_next_to_nothing_was_received_is_refused(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("adcCfg 2 1", "adcCfg inf 1", "line 4: adcCfg takes numbers"),
         ("adcCfg 2 1", "adcCfg 1e999 1", "line 4: adcCfg takes numbers"),
@@ -208,18 +208,18 @@ def test_a_capture_of_which_next_to_nothing_was_received_is_refused(tmp_path: Pa
         ("6000 0 0 30", "1e11 0 0 30", "the sampling rate must be from 1 to 1e+06 ksps"),
     ],
 )
-def test_settings_of_a_radar_that_no_radar_has_are_named(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_settings_of_a_radar_that_no_radar_has_are_named(tmp_path: Path, old: str, new: str, reported: str) -> None:
     path = settings(tmp_path)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
     with pytest.raises(DataError, match=r"radar\.cfg") as caught:
         read_settings(path)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (900 * "[" + 900 * "]", "at most 64 levels"),
         (100_000 * "[" + 100_000 * "]", "at most 64 levels"),
@@ -229,11 +229,11 @@ def test_settings_of_a_radar_that_no_radar_has_are_named(tmp_path: Path, old: st
         ("7", "lacks settings of mmWave Studio"),
     ],
 )
-def test_json_of_a_radar_that_is_no_such_tree_is_refused(tmp_path: Path, content: str, told: str) -> None:
+def test_json_of_a_radar_that_is_no_such_tree_is_refused(tmp_path: Path, content: str, reported: str) -> None:
     (tmp_path / "radar.json").write_text(content)
     with pytest.raises(DataError, match=r"radar\.json") as caught:
         read_settings(tmp_path / "radar.json")
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_settings_in_utf_16_are_named(tmp_path: Path) -> None:
@@ -281,7 +281,7 @@ def test_a_declared_size_beyond_memory_is_refused_before_it_is_allocated(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("beside", "told"),
+    ("companions", "reported"),
     [
         ({"rate_hz": 1e-300}, "says nothing of its rate"),
         ({"rate_hz": np.inf}, "says nothing of its rate"),
@@ -291,13 +291,15 @@ def test_a_declared_size_beyond_memory_is_refused_before_it_is_allocated(tmp_pat
         ({"rate_hz": np.array([1.0, 2.0])}, r"slow\.h5 cannot be read as radar data"),
     ],
 )
-def test_times_and_rates_that_no_radar_has_are_named(tmp_path: Path, beside: dict[str, object], told: str) -> None:
+def test_times_and_rates_that_no_radar_has_are_named(
+    tmp_path: Path, companions: dict[str, object], reported: str
+) -> None:
     path = tmp_path / "slow.h5"
     with h5py.File(path, "w") as file:
         file["iq"] = IQ
-        if "wavelength_m" not in beside:
+        if "wavelength_m" not in companions:
             file.attrs["carrier_hz"] = 77e9
-        for key, value in beside.items():
+        for key, value in companions.items():
             file[key] = value
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         open_radar(path, RadarRequest())

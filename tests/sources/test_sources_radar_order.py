@@ -57,7 +57,7 @@ def test_faint_ghosts_tell_the_pairing_of_a_target_near_a_quarter_of_the_range(o
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_a_target_at_a_quarter_of_the_range_itself_leaves_the_pairing_open_and_that_is_told(order) -> None:
+def test_a_target_at_a_quarter_of_the_range_itself_leaves_the_pairing_open_and_that_is_reported(order) -> None:
     found = paired(order, 16.0, seed=0)
     assert found.paired() is None
     decision = decide_order(found, order, said=True)
@@ -69,7 +69,7 @@ def test_a_target_at_a_quarter_of_the_range_itself_leaves_the_pairing_open_and_t
 def test_ghosts_are_one_of_what_the_wrong_pairing_makes_and_none_of_the_right_one() -> None:
     shares = [paired("IQIQ", 12.0, seed=seed).ghosts for seed in range(8)]
     for (wrong, wrong_std), (right, right_std) in shares:
-        # The bins beside the target expect a little more or less than the target's own place: at most 10 %.
+        # The bins together with the target expect a little more or less than the target's own place: at most 10 %.
         assert wrong == pytest.approx(1.0, abs=0.12)
         assert abs(right) < 5 * right_std
         assert wrong_std < 0.05

@@ -47,7 +47,7 @@ def test_auto_finds_the_order_of_near_targets_by_the_sign_of_the_beat_energy(tmp
     source = RawCapture(tmp_path / "adc.bin", RadarRequest(path))
     assert source.info.iq_order == order
     np.testing.assert_array_equal(cube_of(source), cube)
-    # Against the default of the capture software (Q first) it is told as a warning.
+    # Against the default of the capture software (Q first) it is reported as a warning.
     assert bool(source.info.warnings) == order.startswith("I")
 
 
@@ -137,7 +137,7 @@ def test_lost_packets_are_marked_in_the_receivers_that_they_hit(tmp_path: Path) 
     np.testing.assert_array_equal(block.valid, valid[:, 0])
 
 
-def test_a_cut_end_leaves_the_whole_frames_and_is_told(tmp_path: Path) -> None:
+def test_a_cut_end_leaves_the_whole_frames_and_is_reported(tmp_path: Path) -> None:
     words = words_by_hand(echoes((7.0,)), "IIQQ")
     source = opened(tmp_path, words[:-100], frames=40)
     assert source.info.frame_count == 39
@@ -207,7 +207,7 @@ def test_headers_before_each_chirp_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "reported"),
     [
         (
             {"samples": 128, "frames": 40},
@@ -218,9 +218,9 @@ def test_headers_before_each_chirp_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_settings_that_do_not_fit_the_size_are_refused_with_the_arithmetic(
-    tmp_path: Path, changed: dict[str, object], told: str
+    tmp_path: Path, changed: dict[str, object], reported: str
 ) -> None:
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         opened(tmp_path, words_by_hand(echoes((7.0,)), "IIQQ"), **changed)
 
 
@@ -318,7 +318,7 @@ def test_old_firmware_settings_without_a_subframe_are_read(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("xWR16xx", "xWR9943", "xWR9943, whose byte layout is not known"),
         ("frameCfg 0 0 1 0 10 1 0", "", "frameCfg is missing"),
@@ -331,11 +331,11 @@ def test_old_firmware_settings_without_a_subframe_are_read(tmp_path: Path) -> No
     ],
 )
 def test_settings_that_cannot_be_used_are_refused_with_their_command(
-    tmp_path: Path, old: str, new: str, told: str
+    tmp_path: Path, old: str, new: str, reported: str
 ) -> None:
     path = settings(tmp_path)
     path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         read_settings(path)
 
 

@@ -73,7 +73,7 @@ def test_a_single_target_of_one_channel_is_read_and_time_stamps_of_the_file_are_
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         ({}, "must hold a dataset iq"),
         ({"iq": np.zeros((4, 5))}, "complex I/Q"),
@@ -83,11 +83,11 @@ def test_a_single_target_of_one_channel_is_read_and_time_stamps_of_the_file_are_
         ({"i": IQ.real, "q": IQ.imag[:, :2]}, "same shape"),
     ],
 )
-def test_files_without_what_is_needed_are_refused(tmp_path: Path, content: dict[str, object], told: str) -> None:
+def test_files_without_what_is_needed_are_refused(tmp_path: Path, content: dict[str, object], reported: str) -> None:
     with h5py.File(tmp_path / "z.h5", "w") as file:
         for key, value in content.items():
             file[key] = value
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         open_radar(tmp_path / "z.h5", RadarRequest())
 
 
@@ -196,8 +196,8 @@ def test_sweeps_without_a_rate_follow_each_other_at_the_sensors_largest(tmp_path
     np.testing.assert_allclose(source.times_ns() / 1e9, time_s.ravel(), atol=2e-9)
     # Counts of 8000 are rounded to one: 1e-4 rad, which is 0.04 µm.
     np.testing.assert_allclose(moved_mm(source, phasors, 4), 0.5 * np.sin(2 * np.pi * time_s.ravel()), atol=1e-3)
-    told = "no sweep rate was set; the sweeps of a frame follow each other at the sensor's largest, 1372.8 Hz"
-    assert told in source.info.notes
+    reported = "no sweep rate was set; the sweeps of a frame follow each other at the sensor's largest, 1372.8 Hz"
+    assert reported in source.info.notes
 
 
 @pytest.mark.parametrize("changed", [{"max_sweep_rate": None}, {"max_sweep_rate": 100.0, "frame_rate": None}])

@@ -100,7 +100,7 @@ def test_silence_ends_the_capture_with_an_error_instead_of_waiting_for_ever() ->
         next(capture.frames())
 
 
-def test_a_socket_that_fails_is_told_with_its_reason_and_not_as_silence(monkeypatch) -> None:
+def test_a_socket_that_fails_is_reported_with_its_reason_and_not_as_silence(monkeypatch) -> None:
     def fails(*_: object) -> bytes:
         raise OSError(errno.ENETDOWN, "Network is down")
 
@@ -114,7 +114,7 @@ def test_a_socket_that_fails_is_told_with_its_reason_and_not_as_silence(monkeypa
             next(capture.frames())
 
 
-def test_a_reader_that_is_too_slow_loses_whole_frames_and_is_told() -> None:
+def test_a_reader_that_is_too_slow_loses_whole_frames_and_is_reported() -> None:
     with LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=WAIT_S, waiting=5)) as capture:
         send(DATAGRAMS, capture.port).join()
         deadline = threading.Event()

@@ -69,7 +69,7 @@ DIALECTS = st.fixed_dictionaries(
 def test_any_dialect_gives_the_same_series(tmp_path: Path, dialect: dict[str, object]) -> None:
     delimiter, sign, form = str(dialect["delimiter"]), str(dialect["sign"]), str(dialect["form"])
     if delimiter == sign or (delimiter == " " and dialect["trailing"]):
-        return  # "1,5,2,5" cannot be told apart by anyone; blanks at the end of a line are no delimiter
+        return  # "1,5,2,5" cannot be distinguished by anyone; blanks at the end of a line are no delimiter
     end = delimiter if dialect["trailing"] else ""
     rows = [delimiter.join(["time", "acc"]) + end] if dialect["header"] else []
     rows += [delimiter.join(["s" if form == "seconds" else "-", "m/s^2"]) + end] if dialect["unit_row"] and rows else []
@@ -122,7 +122,7 @@ def test_files_of_loggers_are_understood(tmp_path: Path, text: str, times_s: lis
     np.testing.assert_allclose(series.value, values, rtol=1e-15)
 
 
-def test_what_was_found_is_told_in_plain_words(tmp_path: Path) -> None:
+def test_what_was_found_is_reported_in_plain_words(tmp_path: Path) -> None:
     series = read_text(tmp_path, "Logger 7\n\ntime;acc\ns;g\n0,0;1\n0,1;2\n", unit=None)
     text = ". ".join(series.notes)
     for words in ("delimiter ';'", "decimal comma", "header in line 3", "units in line 4", "unit g from the file"):
@@ -160,7 +160,7 @@ def test_a_file_of_numbers_alone_names_its_columns(tmp_path: Path) -> None:
 
 def test_a_rate_replaces_a_time_column(tmp_path: Path) -> None:
     series = read_text(tmp_path, "a\n1\n2\n3\n", rate_hz=3.0, start_s=1.5)
-    # A third of a second rounded to whole nanoseconds, each stamp by itself.
+    # A third of a second rounded to whole nanoseconds, each stamp on its own.
     np.testing.assert_array_equal(series.time_ns, [1_500_000_000, 1_833_333_333, 2_166_666_667])
 
 
@@ -253,7 +253,7 @@ def test_a_file_that_cannot_be_read_is_named(
         ("05/04/2024", "2024-04-05", "could be the month"),
     ],
 )
-def test_dates_with_slashes_are_read_and_the_order_is_told(
+def test_dates_with_slashes_are_read_and_the_order_is_reported(
     tmp_path: Path, text: str, expected: str, words: str
 ) -> None:
     path = tmp_path / "a.csv"

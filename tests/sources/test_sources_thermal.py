@@ -54,7 +54,7 @@ def test_the_letters_of_a_block_among_the_pixels_begin_no_block(tmp_path: Path) 
     assert open_thermal(tmp_path / "a.seq").info.frame_count == 2
 
 
-def test_a_tail_four_bytes_short_is_whole_and_a_frame_cut_in_half_is_told(tmp_path: Path) -> None:
+def test_a_tail_four_bytes_short_is_whole_and_a_frame_cut_in_half_is_reported(tmp_path: Path) -> None:
     one = block(black_body(scene()), stamp_ms=1000)
     (tmp_path / "a.seq").write_bytes(one + block(black_body(scene()), stamp_ms=1033)[:-4])
     (tmp_path / "b.seq").write_bytes(one + one[: len(one) // 2])
@@ -71,7 +71,7 @@ def test_stamps_that_stand_still_give_way_to_the_rate(tmp_path: Path) -> None:
     assert "30 frames a second" in " ".join(source.info.notes)
 
 
-def test_frames_behind_bytes_that_are_none_are_found_again_and_that_is_told(tmp_path: Path) -> None:
+def test_frames_behind_bytes_that_are_none_are_found_again_and_that_is_reported(tmp_path: Path) -> None:
     frames = [block(black_body(scene(k)), stamp_ms=1000 + 33 * k) for k in range(4)]
     broken = b"FFF\0" * 3 + bytes(len(frames[1]) - 12)
     (tmp_path / "a.seq").write_bytes(frames[0] + broken + frames[2] + frames[3])
@@ -190,7 +190,7 @@ def test_a_stack_in_celsius_comes_back_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (lambda c: c + 273.15, "which are kelvin"),
         (lambda c: 100 * (c + 273.15), "which look like counts"),
@@ -198,9 +198,9 @@ def test_a_stack_in_celsius_comes_back_as_it_is(tmp_path: Path) -> None:
     ],
     ids=["kelvin", "counts", "nothing"],
 )
-def test_a_stack_in_another_unit_is_refused_with_what_was_received(tmp_path: Path, change, told: str) -> None:
+def test_a_stack_in_another_unit_is_refused_with_what_was_received(tmp_path: Path, change, reported: str) -> None:
     np.save(tmp_path / "a.npy", change(np.stack([scene(k) for k in range(2)])))
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         open_thermal(tmp_path / "a.npy", AT_30)
 
 
@@ -217,9 +217,9 @@ def test_missing_values_are_filled_and_frames_without_most_of_theirs_are_passed_
     assert [frame.index for frame in frames] == [0, 1, 2, 5]
     # A plane is filled with itself, but for float32.
     np.testing.assert_allclose([frame.pixels for frame in frames], stack[[0, 1, 2, 5]], atol=1e-5)
-    told = " ".join(source.info.damage)
-    assert "4 frames have missing values (NaN), at most 1 a frame" in told
-    assert "2 frames (3, 4) have more than 20 % of their values missing" in told
+    reported = " ".join(source.info.damage)
+    assert "4 frames have missing values (NaN), at most 1 a frame" in reported
+    assert "2 frames (3, 4) have more than 20 % of their values missing" in reported
 
 
 def test_a_sequence_that_begins_with_an_empty_frame_is_opened(tmp_path: Path) -> None:
@@ -248,11 +248,11 @@ def test_a_level_that_jumps_by_as_much_is_no_change_of_unit(tmp_path: Path) -> N
     assert len(list(open_thermal(tmp_path / "a.npy", AT_30).frames())) == 3
 
 
-def test_a_wall_as_hot_as_fahrenheit_would_make_it_is_told(tmp_path: Path) -> None:
+def test_a_wall_as_hot_as_fahrenheit_would_make_it_is_reported(tmp_path: Path) -> None:
     for name, stack in (("f.npy", 1.8 * scene() + 32.0), ("c.npy", scene())):
         np.save(tmp_path / name, stack[None])
-        told = " ".join(open_thermal(tmp_path / name, AT_30).info.damage)
-        assert ("if the numbers are °F" in told) == (name == "f.npy")
+        reported = " ".join(open_thermal(tmp_path / name, AT_30).info.damage)
+        assert ("if the numbers are °F" in reported) == (name == "f.npy")
 
 
 def test_counts_whose_scale_changes_on_the_way_are_refused_and_blank_frames_are_not(tmp_path: Path) -> None:
@@ -266,7 +266,7 @@ def test_counts_whose_scale_changes_on_the_way_are_refused_and_blank_frames_are_
 
 
 @pytest.mark.parametrize("scale", [0.01, 0.04, 0.1])
-def test_usual_scales_of_16_bit_pictures_are_told_from_each_other(tmp_path: Path, scale: float) -> None:
+def test_usual_scales_of_16_bit_pictures_are_reported_from_each_other(tmp_path: Path, scale: float) -> None:
     truth = scene()
     cv2.imwrite(str(tmp_path / "a.tiff"), np.rint((truth + 273.15) / scale).astype(np.uint16))
     source = open_thermal(tmp_path / "a.tiff", AT_30)
@@ -287,7 +287,7 @@ def test_a_stated_scale_wins_and_one_that_cannot_be_is_refused(tmp_path: Path) -
         open_thermal(tmp_path / "a.tiff", ThermalRequest(FrameRequest(rate_hz=30.0), kelvin_per_count=0.1))
 
 
-def test_pictures_of_8_bits_are_taken_as_grey_levels_and_that_is_told(tmp_path: Path) -> None:
+def test_pictures_of_8_bits_are_taken_as_grey_levels_and_that_is_reported(tmp_path: Path) -> None:
     for k in range(2):
         cv2.imwrite(str(tmp_path / f"p{k}.png"), scene(k).astype(np.uint8))
     source = open_thermal(tmp_path, AT_30)

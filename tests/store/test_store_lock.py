@@ -100,8 +100,8 @@ def test_a_second_run_or_replay_is_refused_before_it_writes(footbridge, tmp_path
     store = open_store(tmp_path / "store", points=["p"])
     before = files(tmp_path)
     assert run(["run", str(tmp_path / "SITE.toml"), "--for", "5"]) == 2
-    told = capsys.readouterr().err
-    assert f"{tmp_path / 'store'}: another process writes the point 'p'" in told
+    reported = capsys.readouterr().err
+    assert f"{tmp_path / 'store'}: another process writes the point 'p'" in reported
     assert run(["replay", str(footbridge), "-o", str(tmp_path / "store"), "--point", "p"]) == 2
     assert "another process writes the point 'p'" in capsys.readouterr().err
     assert files(tmp_path) == before
@@ -114,9 +114,9 @@ def test_an_address_in_use_is_refused_before_the_store_is_made(tmp_path, capsys)
         port = taken.getsockname()[1]
         (tmp_path / "SITE.toml").write_text(SITE.format(broker=free_port(), web=port))
         assert run(["run", str(tmp_path / "SITE.toml"), "--for", "5"]) == 2
-    told = capsys.readouterr().err
-    assert f"SITE.toml: service.listen: 127.0.0.1:{port} cannot be listened on (Address already in use)" in told
-    assert "write another address or port" in told
+    reported = capsys.readouterr().err
+    assert f"SITE.toml: service.listen: 127.0.0.1:{port} cannot be listened on (Address already in use)" in reported
+    assert "write another address or port" in reported
     assert not (tmp_path / "store").exists()
 
 

@@ -45,7 +45,7 @@ def test_dead_columns_at_the_edge_take_what_lies_beside_them():
     dead[:, :3] = True
     found = filled(slope(), dead)
     assert np.isfinite(found).all()
-    assert np.abs(found - slope())[:, :3].max() < 3 * (0.3 + 0.2)  # three pixels, each from beside and below
+    assert np.abs(found - slope())[:, :3].max() < 3 * (0.3 + 0.2)  # three pixels, each from together with and below
 
 
 @pytest.mark.parametrize("step", [0.0, 0.01, 0.04], ids=["floats", "0.01 K", "0.04 K"])

@@ -9,7 +9,7 @@ from midspan.records import Frame, PixelTrack, PixelTranslation, Status
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
 from midspan.thermal import cleaning
 from midspan.thermal.cleaning import ThermalCleaner
-from midspan.thermal.limits import LimitFollower, Limits, folded
+from midspan.thermal.limits import LimitFollower, Limits, reflected
 from midspan.thermal.pattern import estimate_pattern
 from midspan.thermal.shutter import ShutterWatch
 from midspan.vision.tracker import open_tracker
@@ -38,9 +38,9 @@ def cleaned(frames, name="hybrid"):
 def test_temperatures_of_the_target_are_kept_and_those_far_outside_go_to_its_middle() -> None:
     limits = Limits(10.0, 20.0)
     kept = np.linspace(7.5, 22.5, 7)
-    np.testing.assert_allclose(folded(kept, limits), kept, rtol=1e-6)
-    np.testing.assert_allclose(folded(np.array([-30.0, 33.0, 500.0]), limits), 15.0)
-    ramp = folded(np.linspace(0.0, 40.0, 400), limits)
+    np.testing.assert_allclose(reflected(kept, limits), kept, rtol=1e-6)
+    np.testing.assert_allclose(reflected(np.array([-30.0, 33.0, 500.0]), limits), 15.0)
+    ramp = reflected(np.linspace(0.0, 40.0, 400), limits)
     # No jump: a step of 0.1 K never makes more than three times as much.
     assert np.abs(np.diff(ramp)).max() < 0.35
 
@@ -67,7 +67,7 @@ def test_a_wall_that_cools_by_its_own_contrast_in_ten_seconds_is_not_folded() ->
         now = 15.0 - 0.14 * k / 4 + (1.0 - k / 480) * (region - 15.0)
         limits = follower.push(now, round(k / 4 * 1e9))
         # Nothing of the wall may be taken for something in front: one in a thousand lies beyond three sigma.
-        assert np.mean(folded(now, limits) != now.astype(np.float32)) < 0.02
+        assert np.mean(reflected(now, limits) != now.astype(np.float32)) < 0.02
 
 
 def test_a_body_that_covers_all_for_seconds_does_not_take_the_limits_along() -> None:
@@ -78,7 +78,7 @@ def test_a_body_that_covers_all_for_seconds_does_not_take_the_limits_along() -> 
         follower.push(np.full_like(region, 33.0), round(k / 20 * 1e9))
     # Three seconds of ten: three tenths of half the width.
     assert follower.limits.middle_c - before.middle_c < 0.35 * before.half_k
-    assert np.all(folded(np.full(4, 33.0), follower.limits) == np.float32(follower.limits.middle_c))
+    assert np.all(reflected(np.full(4, 33.0), follower.limits) == np.float32(follower.limits.middle_c))
 
 
 def test_a_warm_body_in_front_loses_no_frame_once_temperatures_are_folded() -> None:
@@ -114,7 +114,7 @@ def test_a_fixed_pattern_is_found_and_its_pull_towards_zero_goes() -> None:
 def test_a_scene_that_fades_while_it_moves_leaves_nothing_in_the_pattern() -> None:
     moved = swing(24)
     frames = filmed(ThermalView((WALL,), contrast_k=1.5, camera=ThermalCamera(netd_k=0.02, pattern_k=0.0)), moved)
-    # Contrast goes from 1 to 0.7 in the frames that are learnt from, as at dusk.
+    # Contrast goes from 1 to 0.7 in the frames that are learned from, as at dusk.
     fading = np.linspace(1.0, 0.7, 24)[:, None, None]
     stack = np.stack([f.pixels for f in frames]).astype(np.float64)
     level = stack.mean(axis=(1, 2), keepdims=True)
@@ -148,7 +148,7 @@ def test_shutter_events_are_found_to_the_frame_and_bridged(shutter: str, monkeyp
     assert cleaner.pattern is None
     error = np.array([[r.x_px, r.y_px] for r in rows if r is not None]) - np.delete(moved, closed, axis=0)
     assert np.sqrt(np.mean(error**2)) < 0.02
-    if shutter == "frozen":  # untold, the frozen picture says that the structure stands still: an error of pixels
+    if shutter == "frozen":  # untold, the frozen picture says that the structure is static: an error of pixels
         assert np.abs(error_px(followed(frames, "hybrid"), moved)[30:42]).max() > 1.0
 
 
@@ -181,7 +181,7 @@ def test_single_frames_that_a_recorder_writes_twice_are_left_out_without_an_even
     assert not any(v.events for v in verdicts)
 
 
-def test_a_jump_of_the_level_is_told_and_moves_the_limits() -> None:
+def test_a_jump_of_the_level_is_reported_and_moves_the_limits() -> None:
     frames = filmed(ThermalView((WALL,)), swing(20))
     stepped = [Frame(f.time_ns, f.pixels + np.float32(4.0 * (f.index >= 10)), f.index) for f in frames]
     rows, events, cleaner = cleaned(stepped)

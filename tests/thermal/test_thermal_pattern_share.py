@@ -48,7 +48,7 @@ def target_on(frames):
 
 
 @pytest.mark.parametrize(("contrast_k", "rms_px"), [(1.0, 1.0), (0.5, 0.6)])
-def test_what_a_learnt_pattern_leaves_is_within_what_is_stated(contrast_k, rms_px):
+def test_what_a_learned_pattern_leaves_is_within_what_is_stated(contrast_k, rms_px):
     z, before = [], []
     for seed in range(4):
         celsius, moved = filmed(seed, contrast_k=contrast_k, pattern_k=0.1, rms_px=rms_px, count=90)

@@ -15,7 +15,7 @@ RENDERED_PX = int(RADIUS_PX + 6 * EDGE_PX) + 2  # beyond, the floor is not chang
 
 @dataclass(frozen=True)
 class Pull:
-    """Pulled by `pull_px` in so many frames, held, released to vibrate freely; then again."""
+    """Pulled by `pull_px` in this many frames, held, released to vibrate freely; then again."""
 
     pull_px: float = -70.0
     frequency_hz: float = 7.7  # the first frame after the release is 108 px away

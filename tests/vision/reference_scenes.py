@@ -104,7 +104,7 @@ class Body:
         return rows, round(self.share * REGION.height * REGION.width / rows)
 
     def left(self, seconds):
-        """Column of its left edge so many seconds after its start; None once it has gone."""
+        """Column of its left edge this many seconds after its start; None once it has gone."""
         half = 0.5 * self.crossing_s
         way = REGION.width + self.size[1] + 20
         gone = min(seconds, half)

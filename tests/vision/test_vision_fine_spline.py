@@ -56,11 +56,11 @@ def test_places_are_renewed_together_with_the_picture(make_scene):
         samples = samples.plus(Sample(scene.image(SIZE, SIZE, *place).astype(np.float32), put))
     plane = learn_plane(samples)
     shift = wrong.mean(axis=0) - places.mean(axis=0)
-    learnt = read_fine(plane.grid, 0.0, 0.0)
+    learned = read_fine(plane.grid, 0.0, 0.0)
     expected = scene.image(SIZE, SIZE, *shift)
-    gain = np.polyfit(expected[8:-8, 8:-8].ravel(), learnt[8:-8, 8:-8].ravel(), 1)
+    gain = np.polyfit(expected[8:-8, 8:-8].ravel(), learned[8:-8, 8:-8].ravel(), 1)
     # Places wrong by 0.02 px would leave 0.3 DN at slopes of 15 DN/px; what all have in common cannot be known.
-    assert np.std(learnt[8:-8, 8:-8] - np.polyval(gain, expected[8:-8, 8:-8])) < 0.15
+    assert np.std(learned[8:-8, 8:-8] - np.polyval(gain, expected[8:-8, 8:-8])) < 0.15
 
 
 def test_frames_at_one_place_are_one_sample(make_scene):

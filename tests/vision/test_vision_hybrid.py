@@ -86,7 +86,7 @@ def test_reported_deviation_is_the_error(start, film, learning):
         found, variance, _ = results(tracker, frames, positions, std=0.3)
         errors.append((found - positions) ** 2)
         reported.append(variance)
-    # Eight references and two axes carry ±18 % by themselves.
+    # Eight references and two axes carry ±18 % on their own.
     assert 0.8 < np.sqrt(np.mean(reported) / np.mean(errors)) < 1.3
 
 
@@ -133,18 +133,18 @@ def test_gains_before_and_after_learning_agree_with_the_closed_form_of_a_plane_w
 
 
 def test_learning_from_a_given_translation_takes_over_its_unit_along_its_axis(start, film):
-    # A translation told 5 % too large must come back 5 % too large, along its axis only.
+    # A translation reported 5 % too large must come back 5 % too large, along its axis only.
     positions = motion(60, 0.45)
     frames = film(positions)
-    told = start(PhaseTracker)
-    told.learn(frames, 1.05 * positions[:, 1], direction="y")
-    found, _, _ = results(told, film(positions, seed=5))
+    announced = start(PhaseTracker)
+    announced.learn(frames, 1.05 * positions[:, 1], direction="y")
+    found, _, _ = results(announced, film(positions, seed=5))
     slopes = [np.polyfit(positions[:, k], found[:, k], 1)[0] for k in (0, 1)]
-    # 60 frames of 0.004 px over 0.19 and 0.32 px rms: 0.3 % for the slopes here, and as much for those learnt.
+    # 60 frames of 0.004 px over 0.19 and 0.32 px rms: 0.3 % for the slopes here, and as much for those learned.
     assert slopes == pytest.approx([1.0, 1.05], abs=0.012)
 
 
-def test_an_axis_without_motion_keeps_its_gain_and_the_other_is_learnt(start, film):
+def test_an_axis_without_motion_keeps_its_gain_and_the_other_is_learned(start, film):
     tracker = start()
     before = tracker.phase_gain_px_per_rad
     model = tracker.learn(film(motion(60, 0.4) * [0.0, 1.0]))

@@ -238,9 +238,9 @@ def test_a_translation_and_its_prediction_are_the_same_place():
 
 
 def test_events_of_a_frame_are_kept_where_the_model_does_not_reach():
-    told = (Event(0, "reference", "new key frame"),)
-    found = ideal_translation(replace(track(200.0, 0.0)[0], events=told), RIM, ACTION)
-    assert (found.status, found.events, found.strength) == (Status.LOST, told, 0.0)
+    reported = (Event(0, "reference", "new key frame"),)
+    found = ideal_translation(replace(track(200.0, 0.0)[0], events=reported), RIM, ACTION)
+    assert (found.status, found.events, found.strength) == (Status.LOST, reported, 0.0)
 
 
 def test_a_phase_gain_is_that_of_the_ideal_camera():
@@ -276,7 +276,7 @@ def test_a_lens_that_cannot_be_is_refused(changed, words):
         lens("pinhole", **changed)
 
 
-def test_a_region_beyond_the_boards_is_told():
+def test_a_region_beyond_the_boards_is_reported():
     covered = lens("pinhole", covered_px=200.0)
     assert lens_warnings(Region(300, 200, 64, 64), covered) == []
     (line,) = lens_warnings(Region(560, 20, 64, 64), covered)
@@ -371,7 +371,7 @@ def test_corners_that_fit_no_lens_are_refused(pinhole_scene):
         calibrate_lens(noisy(pinhole_scene, 12, 13, std=2.0), Board(), SIZE)
 
 
-def test_one_wrong_view_is_left_out_and_told(pinhole_scene):
+def test_one_wrong_view_is_left_out_and_reported(pinhole_scene):
     views = noisy(pinhole_scene, 12, 14)
     views[3] = views[3] + np.random.default_rng(15).normal(0, 5.0, (54, 2))
     fit = calibrate_lens(views, Board(), SIZE)
@@ -380,7 +380,7 @@ def test_one_wrong_view_is_left_out_and_told(pinhole_scene):
     assert fit.lens.matrix[:2] == pytest.approx(PINHOLE["matrix"][:2], rel=0.005)
 
 
-def test_boards_in_the_middle_only_are_told(pinhole_scene):
+def test_boards_in_the_middle_only_are_reported(pinhole_scene):
     views = [view for view in noisy(pinhole_scene, 40, 16) if np.abs(view - (319.5, 239.5)).max() < 215][:12]
     fit = calibrate_lens(views, Board(), SIZE)
     assert any("rim is not covered" in line for line in fit.warnings)

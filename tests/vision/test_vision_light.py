@@ -33,7 +33,7 @@ def added(watch, frame, found):
 def watched(scenes, turned, gain=lambda t: 1.0, front=lambda t: False, seconds=60):
     """Standard deviation (n,) px at one frame a second; turned, gain, front: functions of the time in s."""
     rng = np.random.default_rng(0)
-    watch, told = None, []
+    watch, reported = None, []
     for t in range(seconds):
         y = 1.3 * np.sin(1.7 * t)
         one, other = (scene.render(0.0, y) - 110.0 for scene in scenes)
@@ -46,8 +46,8 @@ def watched(scenes, turned, gain=lambda t: 1.0, front=lambda t: False, seconds=6
         if watch is None:
             watch = opened(frame)
         found = PixelTranslation(frame.time_ns, 0.0, y, 1e-5, 1e-5, 1.0, Status.TRACKING)
-        told.append(np.sqrt(added(watch, frame, found)))
-    return np.array(told)
+        reported.append(np.sqrt(added(watch, frame, found)))
+    return np.array(reported)
 
 
 def unlike(reference, seen):

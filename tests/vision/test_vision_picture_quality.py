@@ -93,7 +93,7 @@ def test_the_difference_of_two_noisy_pictures_tells_their_noise_wherever_they_li
 
 @pytest.mark.parametrize("texture", TEXTURES)
 @pytest.mark.parametrize("name", ["0.02", "usual"])
-def test_raw_frames_are_neither_widened_nor_told_of(texture, name):
+def test_raw_frames_are_neither_widened_nor_reported_of(texture, name):
     path = 0.02 * np.sin(2 * np.pi * 0.7 * TIME_S) if name == "0.02" else PATH
     watch, track, wide = watched(film(texture, path, seed=11), path)
     assert np.median(wide.variance_y_px2 / track.variance_y_px2) <= 1.02**2
@@ -192,7 +192,7 @@ def test_the_scale_s_own_share_grows_with_compression_and_falls_with_motion():
 
 
 def frozen_share(now, before, left):
-    """Share of the texture in blocks that stood still, of pictures whose first column is `left` in the frame."""
+    """Share of the texture in blocks that was static, of pictures whose first column is `left` in the frame."""
     now, before = (np.pad(picture, ((0, 0), (left, 0))) for picture in (now, before))
     watch = opened(before, Region(left, 0, now.shape[1] - left, now.shape[0]))
     for k, picture in enumerate((before, now)):
@@ -245,25 +245,25 @@ def test_blocks_of_one_tone_and_steps_between_blocks_are_seen_and_bricks_are_not
 
 
 @pytest.mark.parametrize("lens_px", [1.5, 2.5])
-def test_frames_out_of_focus_are_told_of_and_widened(lens_px):
+def test_frames_out_of_focus_are_reported_of_and_widened(lens_px):
     sharp, soft = film("natural", seed=17), film("natural", seed=17, lens_px=lens_px)
     watch, track, wide = watched(sharp[:20] + soft[20:])
-    told = " ".join(picture_warnings(watch, "y"))
-    assert "30 of 50 frames" in told
-    assert "compressed" not in told
+    reported = " ".join(picture_warnings(watch, "y"))
+    assert "30 of 50 frames" in reported
+    assert "compressed" not in reported
     factor = wide.variance_y_px2 / track.variance_y_px2
     assert np.median(factor[:20]) == 1.0
     assert np.median(factor[20:]) > 1.1
 
 
-def test_a_first_frame_out_of_focus_is_told_of():
+def test_a_first_frame_out_of_focus_is_reported_of():
     soft, sharp = film("natural", seed=18, lens_px=1.8), film("natural", seed=18)
     watch, _, _ = watched(soft[:3] + sharp[3:])
     assert "Start at a sharp frame" in " ".join(picture_warnings(watch, "y"))
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_light_cut_off_at_full_scale_is_told_of_and_widened(bits):
+def test_light_cut_off_at_full_scale_is_reported_of_and_widened(bits):
     watch, track, wide = watched(film("blocks", seed=19, gain=1.5, camera=Camera(bits=bits)))
     assert watch.saturated_share > 0.03
     assert "end of the scale" in " ".join(picture_warnings(watch, "y"))
@@ -281,7 +281,7 @@ def test_ten_bits_cut_off_in_a_file_of_sixteen_are_seen_and_a_float_has_no_scale
     assert share_at_ends(grey) == 0.0
 
 
-def test_a_region_with_little_texture_is_told_of():
+def test_a_region_with_little_texture_is_reported_of():
     watch, _, _ = watched(film("weak", seed=20), region=Region(72, 72, 24, 24))
     assert "little texture" in " ".join(picture_warnings(watch, "y"))
 

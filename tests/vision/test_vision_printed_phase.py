@@ -196,7 +196,7 @@ def test_phase_alone_wraps_where_the_hybrid_does_not(start, learning, film):
     assert hybrid.push(far, Prediction(0.0, 9.0, 0.1, 0.1)).y_px == pytest.approx(9.0, abs=0.05)
 
 
-def test_until_it_has_learnt_the_matcher_measures(start, film):
+def test_until_it_has_learned_the_matcher_measures(start, film):
     tracker, matcher = start(), open_tracker("template", film([(0.0, 0.0)], seed=0)[0], REGION)
     for frame in film([(0.0, 0.0), (0.3, 5.2), (0.1, -7.7)]):
         assert tracker.push(frame) == matcher.push(frame)

@@ -91,7 +91,7 @@ def test_a_whole_pixel_is_found_to_the_digit(start, make_frame):
     tracker = start()
     moved = np.roll(tracker.reference.pixels, (5, -7), axis=(0, 1))
     found = tracker.push(make_frame(moved, 1))
-    # The entries on both sides differ, so that the maximum of the spline lies a little beside the entry.
+    # The entries on both sides differ, so that the maximum of the spline lies a little together with the entry.
     still = tracker.push(tracker.reference)
     assert (found.x_px + 7.0, found.y_px - 5.0) == pytest.approx((still.x_px, still.y_px), abs=1e-3)
     assert found.quality == pytest.approx(still.quality, abs=1e-4)
@@ -126,10 +126,10 @@ def test_the_reported_deviation_is_that_of_the_noise(film, start):
     tracker = start()
     found = [tracker.push(frame) for frame in film([(3.3, -2.6)] * 60)]
     scatter = np.std([(one.x_px, one.y_px) for one in found], axis=0)
-    told = np.sqrt(np.mean([(one.variance_x_px2, one.variance_y_px2) for one in found], axis=0))
-    # The residual holds the template's noise and what the interpolation loses, too: it may be told, not less.
-    assert np.all(told > scatter)
-    assert np.all(told < 4.0 * scatter)
+    reported = np.sqrt(np.mean([(one.variance_x_px2, one.variance_y_px2) for one in found], axis=0))
+    # The residual holds the template's noise and what the interpolation loses, too: it may be reported, not less.
+    assert np.all(reported > scatter)
+    assert np.all(reported < 4.0 * scatter)
 
 
 def test_a_ridge_has_no_maximum():

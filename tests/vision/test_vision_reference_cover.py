@@ -1,4 +1,5 @@
-"""Bodies in front of a target: told from light, measured past, nothing learnt of them, and no step when they go."""
+"""Bodies in front of a target: distinguished from light, measured past, nothing learned of them, and no step when they
+go."""
 
 import numpy as np
 import pytest
@@ -87,7 +88,7 @@ def test_while_the_light_swings_a_body_makes_no_key_frames_of_itself(sweep, body
     assert np.abs((xy - moved)[-10:].mean(axis=0)).max() < 0.05
 
 
-def test_a_body_that_stays_for_ever_is_told_and_the_rest_of_the_target_measured_with_a_larger_error(still) -> None:
+def test_a_body_that_stays_for_ever_is_reported_and_the_rest_of_the_target_measured_with_a_larger_error(still) -> None:
     frames, moved = still
     body = Body(0.4, 6.0, 4.0, leaves=False)
     tracker = KeyFrameTracker(frames[0], REGION)
@@ -148,14 +149,14 @@ def test_a_tracker_restored_while_something_is_in_front_goes_on_alike(still, cut
 def test_a_tracker_restored_from_an_abandoned_future_knows_nothing_of_it(still) -> None:
     frames, moved = still
     seen = crossed(frames, moved, Body(0.4, 6.0, 4.0, 6.0))
-    whole, told = KeyFrameTracker(frames[0], REGION), []
-    track(whole, seen[:60], told)
-    assert [event.kind for event in told] == ["hidden"]
+    whole, reported = KeyFrameTracker(frames[0], REGION), []
+    track(whole, seen[:60], reported)
+    assert [event.kind for event in reported] == ["hidden"]
     tracker = KeyFrameTracker(frames[0], REGION)
     track(tracker, seen[:60])
     state = tracker.state
-    track(tracker, frames[60:70], told)  # without the body: it is told to have gone
-    assert told[-1].kind == "seen"
+    track(tracker, frames[60:70], reported)  # without the body: it is reported to have gone
+    assert reported[-1].kind == "seen"
     tracker.restore(state)
     np.testing.assert_array_equal(tracker.state.appearance.doubtful, whole.state.appearance.doubtful)
     assert tracker.state.appearance.doubtful.any()

@@ -24,7 +24,7 @@ def scenes():
 
 
 @pytest.fixture(scope="module")
-def learnt_trackers(scenes):
+def learned_trackers(scenes):
     return {name: started(scenes[name], np.random.default_rng(21)) for name in NAMES}
 
 
@@ -35,12 +35,12 @@ def picture(index, pixels):
 LEARN_FRAMES = RegistrationSettings().learn_frames
 
 
-def started(scene, rng, *, region=REGION, settings=None, learnt=50):
+def started(scene, rng, *, region=REGION, settings=None, learned=50):
     """A tracker that has seen its learning frames, all within ±0.6 px of the reference."""
     tracker = RegistrationTracker(
         picture(0, CAMERA.expose(scene.render(0, 0), rng=rng)), region, settings or RegistrationSettings()
     )
-    for k, (x, y) in enumerate(rng.uniform(-0.6, 0.6, (learnt, 2))):
+    for k, (x, y) in enumerate(rng.uniform(-0.6, 0.6, (learned, 2))):
         tracker.push(picture(k + 1, CAMERA.expose(scene.render(x, y), rng=rng)), NEAR)
     return tracker
 
@@ -73,10 +73,10 @@ DISTURBED = {
 
 @pytest.mark.parametrize("what", DISTURBED)
 @pytest.mark.parametrize("name", ["natural", "blocks", "facade"])
-def test_one_disturbance_leaves_less_than_five_thousandths_of_a_pixel(scenes, learnt_trackers, name, what):
+def test_one_disturbance_leaves_less_than_five_thousandths_of_a_pixel(scenes, learned_trackers, name, what):
     # Frames without noise, so that what is left is the disturbance's own: what a frame at the same place without it
     # gives is taken off, because the noise of reference and template is common to both.
-    tracker = learnt_trackers[name]
+    tracker = learned_trackers[name]
     begin = tracker.state
     errors = []
     for k, (x, y) in enumerate(np.random.default_rng(3).uniform(-0.05, 0.05, (4, 2))):
@@ -135,13 +135,14 @@ def test_scatter_is_near_the_cramer_rao_bound_and_the_reported_deviation_is_the_
         true.append(error**2)
     # 120 frames on two axes: the ratio itself carries ±5 %; the goal of 1.2 is the benchmark's, with more frames.
     assert np.sqrt(np.mean(scatter)) < limit
-    # Five references on two axes: ten values of the zero's error: the ratio carries ±15 % beside the goal's 25 %.
+    # Five references on two axes: ten values of the zero's error: the ratio carries ±15 % together with the goal's 25
+    # %.
     assert 0.7 < np.sqrt(np.mean(reported) / np.mean(true)) < 1.45
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_learnt_template_makes_no_step(scenes, learnt_trackers, name):
-    tracker = learnt_trackers[name]
+def test_a_learned_template_makes_no_step(scenes, learned_trackers, name):
+    tracker = learned_trackers[name]
     first = RegistrationTracker(tracker.reference, REGION, RegistrationSettings(learn_frames=0))
     rng = np.random.default_rng(31)
     images = [CAMERA.expose(scenes[name].render(*p), rng=rng) for p in rng.uniform(-0.6, 0.6, (40, 2))]
@@ -155,7 +156,7 @@ def test_a_learnt_template_makes_no_step(scenes, learnt_trackers, name):
     assert np.all(np.abs(moved.mean(axis=0)) < 2.0 * math.sqrt(1 / 48 + 1 / 40) * moved.std(axis=0))
 
 
-def test_the_frames_learnt_from_keep_their_mean_place(scenes):
+def test_the_frames_learned_from_keep_their_mean_place(scenes):
     scene, rng = scenes["natural"], np.random.default_rng(8)
     images = [CAMERA.expose(scene.render(*p), rng=rng) for p in rng.uniform(-0.6, 0.6, (30, 2))]
     frames = [picture(k + 1, image) for k, image in enumerate(images)]
@@ -176,7 +177,7 @@ def test_frames_at_one_place_only_are_averaged(scenes, name):
     tracker = RegistrationTracker(picture(0, CAMERA.expose(scene.render(0, 0), rng=rng)), REGION, settings)
     for k in range(40):
         tracker.push(picture(k + 1, CAMERA.expose(scene.render(0, 0), rng=rng)), NEAR)
-    assert tracker.state.learnt is not None
+    assert tracker.state.learned is not None
     assert tracker.state.samples is not None  # it goes on learning until the structure moves
     places = rng.uniform(-0.5, 0.5, (20, 2))
     found = [
@@ -273,7 +274,7 @@ def test_a_tracker_restored_from_its_state_gives_the_same_values(scenes):
     settings = RegistrationSettings(learn_frames=8)
     tracker = RegistrationTracker(picture(0, images[0]), REGION, settings)
     whole = [tracker.push(picture(k, image)) for k, image in enumerate(images)]
-    for cut in (5, 16):  # before and after the template has been learnt
+    for cut in (5, 16):  # before and after the template has been learned
         first = RegistrationTracker(picture(0, images[0]), REGION, settings)
         for k in range(cut):
             first.push(picture(k, images[k]))

@@ -116,6 +116,6 @@ def test_a_roll_that_a_disc_does_not_show_is_in_the_stated_deviation():
     scene = Dots(columns=420, dots=1)
     frames, _ = filmed(scene, Pull(pull_px=60.0, frequency_hz=3.1, damping=0.02, pulled=10, held=2, free=98), 110)
     found = followed("registration", frames, scene.region(0))
-    # The dot lies 0.4 px beside the region's middle: a roll of 3 degrees that nothing shows moves it by 0.02 px. Where
-    # one is fitted, the deviation must say so: 4 of it are exceeded once in 100 such films.
+    # The dot lies 0.4 px together with the region's middle: a roll of 3 degrees that nothing shows moves it by 0.02 px.
+    # Where one is fitted, the deviation must say so: 4 of it are exceeded once in 100 such films.
     assert np.all(np.abs([f.y_px for f in found]) < 4.0 * np.sqrt([f.variance_y_px2 for f in found]))

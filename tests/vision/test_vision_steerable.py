@@ -52,7 +52,7 @@ def test_taps_are_those_of_the_tables_but_for_the_mean():
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
-def test_noise_comes_out_with_the_power_that_is_told(axis):
+def test_noise_comes_out_with_the_power_that_is_reported(axis):
     noise = np.random.default_rng(1).normal(0, 1, (600, 600)).astype(np.float32)
     # 350 000 pixels, about 15 of them to one independent value: 1 % at one sigma.
     for response, power in zip(responses(noise, axis), noise_power(), strict=True):

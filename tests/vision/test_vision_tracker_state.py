@@ -60,9 +60,9 @@ def test_a_tracker_built_anew_goes_on_from_a_state_to_the_last_bit(films, name, 
     frames, region = films[film]
     make = opened(name)
     guesses = cycle([None, None, Prediction(0.0, 0.0, 5.0, 5.0)]) if film == "wall" else cycle([None])
-    told = [(frame, guess) for frame, guess in zip(frames, guesses, strict=False)]
+    reported = [(frame, guess) for frame, guess in zip(frames, guesses, strict=False)]
     old, states, rows = make(frames[0], region), {}, []
-    for k, (frame, guess) in enumerate(told):
+    for k, (frame, guess) in enumerate(reported):
         if k in CUTS:
             states[k] = old.state
         rows.append(old.push(frame, guess))
@@ -71,6 +71,6 @@ def test_a_tracker_built_anew_goes_on_from_a_state_to_the_last_bit(films, name, 
         new = make(frames[0], region)
         # Written and read, as a checkpoint is: nothing is shared with the old one, and no code is in it.
         new.restore(pickle.loads(pickle.dumps(state)))
-        later = [new.push(frame, guess) for frame, guess in told[cut:]]
+        later = [new.push(frame, guess) for frame, guess in reported[cut:]]
         np.testing.assert_equal([astuple(row) for row in later], [astuple(row) for row in rows[cut:]])
         assert new.region_now == old.region_now

@@ -1,10 +1,10 @@
 //! The update of one hypothesis by a measurement that it accepts: states, noise, parameters, and steps of the zero.
 //!
-//! The variance of each channel's noise is followed by the variational Bayes filter (S. Särkkä, A. Nummenmaa, Recursive noise
-//! adaptive Kalman filtering by variational Bayesian approximations, IEEE Trans. Automat. Contr. 54 (2009) 596-600, doi
-//! 10.1109/TAC.2008.2008348): a mean, over the measurements that are remembered, of what is left of each innovation after
-//! its update and of what the updated state's variance adds to it. The parameters are constants that are carried as
-//! sensitivities; some of them are estimated.
+//! The variance of each channel's noise is followed by the variational Bayes filter (S. Särkkä, A. Nummenmaa, Recursive
+//! noise adaptive Kalman filtering by variational Bayesian approximations, IEEE Trans. Automat. Contr. 54 (2009)
+//! 596-600, doi 10.1109/TAC.2008.2008348): a mean, over the measurements that are remembered, of what is left of each
+//! innovation after its update and of what the updated state's variance adds to it. The parameters are constants that
+//! are carried as sensitivities; some of them are estimated.
 
 use super::cause::Decision;
 use super::hypothesis::{Hypothesis, LastShift, Mark};
@@ -82,8 +82,8 @@ fn ask_for_step(hyp: &mut Hypothesis, scene: &Scene, share: f64) {
     }
 }
 
-/// Whether innovations tell by odds (logarithm) of `least` that the sensor's zero has stepped; then it is taken out of the
-/// states, what it may be off by included, and the hypothesis remembers it.
+/// Whether innovations tell by odds (logarithm) of `least` that the sensor's zero has stepped; then it is taken out of
+/// the states, what it may be off by included, and the hypothesis remembers it.
 #[inline]
 pub fn find_step(hyp: &mut Hypothesis, scene: &Scene, least: f64) -> bool {
     let (model, channel) = (scene.model, scene.channel);
@@ -169,8 +169,8 @@ pub fn linearise(moved: &[f64], parameters: &[f64], row: &Row, e: &mut [f64]) {
 
 /// Takes the sensitivities `e` (1 + k) to a gain and to estimated scale errors at the displacement after the update.
 ///
-/// moved: by which the update moves the expected measurement. While place and velocity at the start are not known that is
-/// most of the motion: the sensitivity at the prediction would leave the scale error's share of it in the state.
+/// moved: by which the update moves the expected measurement. While place and velocity at the start are not known that
+/// is most of the motion: the sensitivity at the prediction would leave the scale error's share of it in the state.
 #[inline]
 pub fn move_to_updated(e: &mut [f64], row: &Row, parameters: &[ParameterModel], at_s: f64, moved: f64) {
     for (q, (effect, parameter)) in row.effects.iter().zip(parameters).enumerate() {

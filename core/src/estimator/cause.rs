@@ -1,5 +1,5 @@
-//! The causes of what a measurement is: how often each is met, how likely it makes an innovation, and what it does to the
-//! filter, side by side.
+//! The causes of what a measurement is: how often each is met, how likely it makes an innovation, and what it does to
+//! the filter, side by side.
 //!
 //! The priors are rates: how often each is met in the field. The likelihood of what is measured later, by any channel,
 //! decides between them ([`super::hypotheses`]).
@@ -16,8 +16,9 @@ use super::situation::{
 use super::update::scale_state;
 use serde::{Deserialize, Serialize};
 
-/// A prediction whose variance is this many times the measurement's own cannot tell an outlier from a measurement inside
-/// the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
+/// A prediction whose variance is this many times the measurement's own cannot tell an outlier from a measurement
+/// inside the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one
+/// leaves.
 pub const VAGUE: f64 = 25.0;
 /// What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 const BIAS_TOO: f64 = 0.05;
@@ -27,7 +28,7 @@ pub enum Prior {
     /// Nothing: the innovation tells it.
     AnySize,
     /// Nothing, nor does the innovation tell it, but those after it.
-    ToldLater,
+    ReportedLater,
     /// The zero is where it was before its last shift, or the sensor's clock is.
     FormerZero,
 }
@@ -225,8 +226,8 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
         }
     }
     if hyp.marks[c].stepped && !innovation.within(GATE) {
-        // The two instants are farther apart than usual, as in a passage: rejected, or taken for an error of the motion's
-        // state, it would leave the acceleration alone or begin a velocity that nothing moves with.
+        // The two instants are farther apart than usual, as in a passage: rejected, or taken for an error of the
+        // motion's state, it would leave the acceleration alone or begin a velocity that nothing moves with.
         let (s, off) = (scene.channel.shift, innovation.error / scene.channel.row.units_per_m);
         hyp.p[(s, s)] += off * off;
         innovation = look(hyp, scene, work);
@@ -275,9 +276,9 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
         }
         Cause::Shift(prior) => {
             hyp.tests[group].clear();
-            // Where only later measurements tell the size, nothing is known of it here: the prior takes a fiftieth of its
-            // deviation.
-            let unknown = if prior == Prior::ToldLater { VAGUE * total } else { error * error };
+            // Where only later measurements tell the size, nothing is known of it here: the prior takes a fiftieth of
+            // its deviation.
+            let unknown = if prior == Prior::ReportedLater { VAGUE * total } else { error * error };
             hyp.p[(s, s)] += unknown / (row.units_per_m * row.units_per_m);
             hyp.marks[c].shifted = true;
             hyp.memory.shift = Some(LastShift { at_s: scene.at_s, sensor: channel.sensor, size_m: size });
@@ -316,9 +317,9 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
     }
 }
 
-/// Lets a channel's zero be where it was before its shift, or its clock; as well as one measurement tells, where that comes
-/// later than returns do on the mean: what does not go back soon has moved for good, and a second shift has nearly undone
-/// the first.
+/// Lets a channel's zero be where it was before its shift, or its clock; as well as one measurement tells, where that
+/// comes later than returns do on the mean: what does not go back soon has moved for good, and a second shift has
+/// nearly undone the first.
 fn restore_zero(hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) {
     let (channel, c) = (scene.channel, scene.row.channel);
     scale_state(&mut hyp.x, &mut hyp.p, channel.shift, 0.0);

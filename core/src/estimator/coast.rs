@@ -1,8 +1,8 @@
 //! The samples between two measurements, while there is one hypothesis: most of a record.
 //!
-//! It does what [`super::run`] does of a sample without a measurement, by the same sums in the same order, so that the bits
-//! of the filter are the same; quantity by quantity, each in a loop of its own over the samples of a segment, with what
-//! stays as it is between measurements looked up once.
+//! It does what [`super::run`] does of a sample without a measurement, by the same sums in the same order, so that the
+//! bits of the filter are the same; quantity by quantity, each in a loop of its own over the samples of a segment, with
+//! what stays as it is between measurements looked up once.
 
 use super::hypothesis::Hypothesis;
 use super::innovation::{Mixed, Mixture, Work};
@@ -80,7 +80,8 @@ impl Course {
         }
     }
 
-    /// What one sample leaves: what a hypothesis is now; ahead: what its velocity state is ahead of the true velocity, m/s.
+    /// What one sample leaves: what a hypothesis is now; ahead: what its velocity state is ahead of the true velocity,
+    /// m/s.
     fn set(&mut self, hyp: &Hypothesis, a: usize, ahead: f64, others: &[usize]) {
         let (i, x, p) = (motion_of(a), &hyp.x, &hyp.p);
         self.count = 1;
@@ -307,8 +308,8 @@ vectorised! {
     }
 }
 
-/// The motion's estimate at each sample; lean: see [`Model::lean`]. Without it (a loop of its own) the input does not wait
-/// for the state.
+/// The motion's estimate at each sample; lean: see [`Model::lean`]. Without it (a loop of its own) the input does not
+/// wait for the state.
 #[inline(always)]
 fn move_mean<const LEANS: bool>(
     mean: &mut MotionMean,
@@ -336,8 +337,8 @@ fn move_mean<const LEANS: bool>(
     (*mean, *motion) = (state, axis);
 }
 
-/// A sensitivity of the motion from state `i` on, or its covariance with another state, at each sample: in column `j` of a
-/// matrix. input: what the velocity state is moved by, and what the input adds, both with the opposite sign.
+/// A sensitivity of the motion from state `i` on, or its covariance with another state, at each sample: in column `j`
+/// of a matrix. input: what the velocity state is moved by, and what the input adds, both with the opposite sign.
 #[inline(always)]
 fn move_pair(
     matrix: &mut Matrix,

@@ -94,7 +94,8 @@ pub fn channels_exist<'a>(items: impl Iterator<Item = &'a Timed>, channels: usiz
     items.filter_map(Timed::channel).all(|c| c < channels)
 }
 
-/// Items of which the hypotheses do not say the same yet, and what each of as many hypotheses as there were took them for.
+/// Items of which the hypotheses do not say the same yet, and what each of as many hypotheses as there were took them
+/// for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Undecided {
     /// What is final, until it is taken over.
@@ -223,8 +224,8 @@ impl Undecided {
     }
 }
 
-/// The filter with its best hypothesis alone, after so many decided measurements, and what that took those for that were
-/// not decided yet.
+/// The filter with its best hypothesis alone, after this many decided measurements, and what that took those for that
+/// were not decided yet.
 #[derive(Clone, Debug)]
 pub struct Logged {
     /// The filter.

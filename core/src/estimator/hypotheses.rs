@@ -1,9 +1,9 @@
 //! What a measurement far from its prediction means: hypotheses, each a filter of its own, weighed by their likelihood.
 //!
 //! While measurements agree with their predictions there is one hypothesis: that they are good. One that does not agree
-//! splits each hypothesis by what may have happened just then, see [`super::cause`]. Each goes on as a filter of its own;
-//! the likelihood of what is measured later decides. Hypotheses that fall behind the best are dropped, those that have
-//! come to agree are one again, and no more than a fixed number is kept.
+//! splits each hypothesis by what may have happened just then, see [`super::cause`]. Each goes on as a filter of its
+//! own; the likelihood of what is measured later decides. Hypotheses that fall behind the best are dropped, those that
+//! have come to agree are one again, and no more than a fixed number is kept.
 
 use super::cause::{Cause, Decision, apply, log_ends};
 use super::hypothesis::{Doubt, Hypothesis};
@@ -16,17 +16,17 @@ use serde::{Deserialize, Serialize};
 pub const MAX_FIRST: usize = 64;
 /// And later.
 const MAX_LATER: usize = 32;
-/// While the first are judged one may fall behind by so many times the odds: three outliers in a row may look like motion
-/// until the fifth.
+/// While the first are judged one may fall behind by this many times the odds: three outliers in a row may look like
+/// motion until the fifth.
 const FIRST_ODDS: f64 = 2.0;
-/// Two are one again where every state agrees to a fifth of its standard deviation, its variance to a tenth and the noise
-/// to a fifth: what is lost by that is below a hundredth of the band.
+/// Two are one again where every state agrees to a fifth of its standard deviation, its variance to a tenth and the
+/// noise to a fifth: what is lost by that is below a hundredth of the band.
 const SAME_MEAN: f64 = 0.05;
 const SAME_VARIANCE: f64 = 0.1;
 const SAME_NOISE: f64 = 0.2;
 const TINY: f64 = 1e-24;
-/// After so many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what they
-/// have not distinguished they will not.
+/// After this many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what
+/// they have not distinguished they will not.
 const SETTLES: f64 = 20.0;
 const KINDS: usize = Cause::CANDIDATES.len();
 
@@ -167,7 +167,8 @@ impl Hypotheses {
         }
     }
 
-    /// Adds copies of those made in which the error of the acceleration has just ended; returns how many there are then.
+    /// Adds copies of those made in which the error of the acceleration has just ended; returns how many there are
+    /// then.
     fn end_bursts(&mut self, made: usize, most: usize, log_ends: f64) -> usize {
         let mut count = made;
         for b in 0..made {

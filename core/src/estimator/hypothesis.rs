@@ -29,9 +29,9 @@ impl Doubt {
 
     /// What is left of it after a measurement at an instant (s) that was taken for what `cause` says.
     ///
-    /// After a gap the clock is in doubt until the motion, of angular frequency `rate_s`, has gone through one period: before
-    /// that a motion that is seen late looks like one that began otherwise, or as if the acceleration were wrong. After
-    /// stamps that went back the next measurement tells, where the prediction is sharp.
+    /// After a gap the clock is in doubt until the motion, of angular frequency `rate_s`, has gone through one period:
+    /// before that a motion that is seen late looks like one that began otherwise, or as if the acceleration were
+    /// wrong. After stamps that went back the next measurement tells, where the prediction is sharp.
     pub fn after(self, cause: Cause, at_s: f64, rate_s: f64, is_sharp: bool) -> Self {
         let left = match self {
             Self::Gap | Self::Until(_) if cause == Cause::Outlier => return self,
@@ -97,8 +97,8 @@ pub struct LastShift {
     pub size_m: f64,
 }
 
-/// The evidence of a measurement for its cause: an innovation and its variance in the channel's unit, or of a step that began
-/// earlier its size (m), variance (m²) and how long ago it was.
+/// The evidence of a measurement for its cause: an innovation and its variance in the channel's unit, or of a step that
+/// began earlier its size (m), variance (m²) and how long ago it was.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     /// Innovation, or size of the step.

@@ -95,8 +95,8 @@ impl Innovation {
     }
 }
 
-/// Before a channel's measurement: its zero begins with the first, and follows the reference, or its slow error goes on.
-/// Returns the factor by which that state was scaled.
+/// Before a channel's measurement: its zero begins with the first, and follows the reference, or its slow error goes
+/// on. Returns the factor by which that state was scaled.
 ///
 /// An unknown zero is wide for the hypotheses' weights alone: the first measurement that is accepted begins it, see
 /// `update::begin_zero`.
@@ -134,8 +134,8 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
     factor
 }
 
-/// Where a sensor's clock has stepped, lets the difference between its time's displacement and this one's go on to change
-/// as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
+/// Where a sensor's clock has stepped, lets the difference between its time's displacement and this one's go on to
+/// change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
 pub fn follow_clock(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
     let (mark, s, apart) = (&hyp.marks[scene.row.channel], scene.channel.shift, scene.channel.apart);
     if !mark.stepped {
@@ -207,10 +207,10 @@ pub fn predict_value(
         predict_covariance(&mut p, &model.layout, dt, &uncertain, &[]);
         let input = motion[channel.row.axis].input;
         innovate(&x, channel, &AxisMotion::default(), input, 0.0, &mut e);
-        let told: f64 = hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();
+        let reported: f64 = hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();
         let variance = project(&p, &channel.row, &mut gain) + quadratic(&e[1..], &hyp.spread);
         let variance = variance + channel.row.units_per_m * channel.row.units_per_m * zero_variance;
-        mixture.add(hyp.memory.weight.exp(), Mixed { value: -e[0] - told, variance, velocity: 0.0 });
+        mixture.add(hyp.memory.weight.exp(), Mixed { value: -e[0] - reported, variance, velocity: 0.0 });
     }
     let mixed = mixture.mixed();
     (mixed.value, mixed.variance)

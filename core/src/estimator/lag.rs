@@ -1,10 +1,11 @@
-//! The estimator's rows given out a number of samples, or up to a quarter more, later, smoothed by what came until then.
+//! The estimator's rows given out a number of samples, or up to a quarter more, later, smoothed by what came until
+//! then.
 //!
-//! The window moves on in hops of a quarter of the lag, counted in samples from the first one, so that any cutting of the
-//! input gives the same rows. What the estimator's own filter leaves of a hop is kept where one hypothesis took all its
-//! measurements as good; else the filter is run again over it, and only from where something is decided otherwise. Of a hop
-//! only the rows that are given out are smoothed, behind them the adjoint is carried from measurement to measurement.
-//! Innovations and events are those of the estimator, as they come.
+//! The window moves on in hops of a quarter of the lag, counted in samples from the first one, so that any cutting of
+//! the input gives the same rows. What the estimator's own filter leaves of a hop is kept where one hypothesis took all
+//! its measurements as good; else the filter is run again over it, and only from where something is decided otherwise.
+//! Of a hop only the rows that are given out are smoothed, behind them the adjoint is carried from measurement to
+//! measurement. Innovations and events are those of the estimator, as they come.
 
 use super::cause::Decision;
 use super::decided::{Decided, Log};
@@ -45,14 +46,14 @@ struct Piece {
     settled: bool,
     /// Whether the estimator's own run left it.
     own: bool,
-    /// The items that it was run with, as it had them before and after it put those of one instant in order, and what they
-    /// were taken for; none where the estimator's own run left it.
+    /// The items that it was run with, as it had them before and after it put those of one instant in order, and what
+    /// they were taken for; none where the estimator's own run left it.
     items: Vec<Timed>,
     decisions: Vec<Decision>,
 }
 
-/// A fixed-lag stream; the estimator's log is its window: the samples that are not given out yet, and those after which the
-/// filter may be run again.
+/// A fixed-lag stream; the estimator's log is its window: the samples that are not given out yet, and those after which
+/// the filter may be run again.
 #[derive(Clone, Debug)]
 pub struct Lag {
     /// The estimator whose decisions it takes.

@@ -13,9 +13,9 @@
 //! two last are parameters, and so is the share of the measured acceleration that is the accelerometer's wrong gain:
 //! constants whose effect on every estimate and innovation is carried along as a sensitivity. The columns of the state
 //! matrix X (n, 1 + parameters) are the estimate, and what one unit of each parameter moves it by; they obey the same
-//! equations and share the gains, so that covariance and gains are those of the filter without parameters (separate bias
-//! estimation: B. Friedland, Treatment of bias in recursive filtering, IEEE Trans. Automat. Contr. 14 (1969) 359-367, doi
-//! 10.1109/TAC.1969.1099223).
+//! equations and share the gains, so that covariance and gains are those of the filter without parameters (separate
+//! bias estimation: B. Friedland, Treatment of bias in recursive filtering, IEEE Trans. Automat. Contr. 14 (1969)
+//! 359-367, doi 10.1109/TAC.1969.1099223).
 //!
 //! What a measurement means is decided by hypotheses ([`hypotheses`], [`cause`]); `smoother` and `lag` run the filter
 //! again with what was decided, and then back in time ([`smoother`]).

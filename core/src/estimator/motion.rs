@@ -1,9 +1,9 @@
 //! How the measured acceleration drives the motion: x' = v, v' = a − b − w, with white noise w, and b' = a slow walk.
 //!
 //! Between two samples the input enters by the Numerov (Fox-Goodwin, Newmark beta = 1/12) rule: fourth order in x, no
-//! phase error, amplitude error 0.07 % at a tenth of the sampling rate where the zero-order hold of the usual multi-rate
-//! filter errs by 31 % (delay of half a sample). A displacement at any instant inside an interval is met exactly: the
-//! input's response is a cubic in the time since the interval's start.
+//! phase error, amplitude error 0.07 % at a tenth of the sampling rate where the zero-order hold of the usual
+//! multi-rate filter errs by 31 % (delay of half a sample). A displacement at any instant inside an interval is met
+//! exactly: the input's response is a cubic in the time since the interval's start.
 
 use super::layout::motion_of;
 use super::matrix::Matrix;
@@ -38,11 +38,11 @@ impl AxisMotion {
         Response { x: t * (t * (0.5 * a + slope * t / 6.0) - self.lead * slope), v: t * (a + 0.5 * slope * t) }
     }
 
-    /// Begins an interval of length `dt` at whose end the acceleration is `now`; returns what the velocity state is moved by
-    /// for it (m/s), see [`shift_velocity`].
+    /// Begins an interval of length `dt` at whose end the acceleration is `now`; returns what the velocity state is
+    /// moved by for it (m/s), see [`shift_velocity`].
     ///
-    /// The velocity state of the Numerov rule is the true velocity plus lead · a'. Where the length of the intervals changes,
-    /// so does the lead, and the state is moved by the difference.
+    /// The velocity state of the Numerov rule is the true velocity plus lead · a'. Where the length of the intervals
+    /// changes, so does the lead, and the state is moved by the difference.
     #[inline(always)]
     pub fn begin(&mut self, now: f64, dt: f64, lead: f64) -> f64 {
         let slope = (now - self.input) / dt;

@@ -119,7 +119,8 @@ impl MotionCovariance {
     }
 }
 
-/// Φ P Φ' over `dt` seconds, the walks of all states, and noise of the acceleration with these densities (axes,) or none.
+/// Φ P Φ' over `dt` seconds, the walks of all states, and noise of the acceleration with these densities (axes,) or
+/// none.
 ///
 /// uncertain: as of [`Layout::find_uncertain`]; nothing is to be done for the other constants.
 #[inline]

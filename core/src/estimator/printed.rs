@@ -1,9 +1,9 @@
-//! `adaptive-kalman` exactly as printed: the noise of the displacement is learnt from frame to frame.
+//! `adaptive-kalman` exactly as printed: the noise of the displacement is estimated from frame to frame.
 //!
 //! The adaptive multirate filter of Ma, Choi and Sohn, Computer-Aided Civil and Infrastructure Engineering 37 (2022)
-//! 688-703, doi 10.1111/mice.12767, equations 7 to 26: displacement and velocity, the acceleration held over each sample,
-//! and the noise variance by equation 20, which can become negative and runs away under a bias. Letters as there: G the
-//! covariance before a frame, K the gain, R the noise variance of a frame, beta the forgetting factor.
+//! 688-703, doi 10.1111/mice.12767, equations 7 to 26: displacement and velocity, the acceleration held over each
+//! sample, and the noise variance by equation 20, which can become negative and runs away under a bias. Letters as
+//! there: G the covariance before a frame, K the gain, R the noise variance of a frame, beta the forgetting factor.
 
 use serde::{Deserialize, Serialize};
 
@@ -49,7 +49,7 @@ pub struct Frame {
     pub source: u8,
 }
 
-/// How R is learnt.
+/// How R is estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Learning {
     /// The forgetting factor.
@@ -131,8 +131,8 @@ struct Carried {
 }
 
 impl Printed {
-    /// At the first sample, from which times count; until the first frame nothing is known of the position that the printed
-    /// start puts to zero.
+    /// At the first sample, from which times count; until the first frame nothing is known of the position that the
+    /// printed start puts to zero.
     pub fn new(bias: f64, velocity_std: f64, displacement_std: f64) -> Self {
         Self {
             x: 0.0,
@@ -164,8 +164,8 @@ impl Printed {
         self.v += dt * a;
     }
 
-    /// Runs over samples (time in s, acceleration, noise density), with frames in time order; met: of each frame, None where
-    /// it was not used. Returns how many frames are done.
+    /// Runs over samples (time in s, acceleration, noise density), with frames in time order; met: of each frame, None
+    /// where it was not used. Returns how many frames are done.
     pub fn run(
         &mut self,
         samples: impl Iterator<Item = [f64; 3]>,
@@ -202,8 +202,8 @@ impl Printed {
 
     /// Types II and III: the frames of an interval, then on to its end by equations 21 to 26.
     ///
-    /// For one frame they are equations 23 to 25, and more frames in one interval go on from there. The position is known no
-    /// better before the first frame than a frame's noise.
+    /// For one frame they are equations 23 to 25, and more frames in one interval go on from there. The position is
+    /// known no better before the first frame than a frame's noise.
     fn take_frames(
         &mut self,
         frames: &[Frame],
@@ -260,8 +260,8 @@ impl Printed {
 
     /// Follows how far innovations exceed what G and the declared noise explain.
     ///
-    /// The mean of all so far until the memory is full: what the first frame finds is the start's own error. While the start
-    /// settles, the variance G is too wide to be taken off.
+    /// The mean of all so far until the memory is full: what the first frame finds is the start's own error. While the
+    /// start settles, the variance G is too wide to be taken off.
     fn follow_beyond(&mut self, eta: f64, g: f64, declared: f64) {
         let mut beyond = eta * eta - declared - g;
         if self.count <= SETTLING_FRAMES {
@@ -271,8 +271,8 @@ impl Printed {
         self.beyond = kept * self.beyond + (1.0 - kept) * beyond;
     }
 
-    /// Displacement and variance at a time after the last sample, before a frame there: equations 7 and 8. Infinite variance
-    /// before the first frame, which the zero belongs to.
+    /// Displacement and variance at a time after the last sample, before a frame there: equations 7 and 8. Infinite
+    /// variance before the first frame, which the zero belongs to.
     pub fn predict(&self, time_s: f64) -> (f64, f64) {
         let dt = time_s - self.time_s;
         let variance = if self.count > 0.0 { self.p.moved(dt, self.input_noise).x } else { f64::INFINITY };

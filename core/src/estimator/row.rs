@@ -1,7 +1,7 @@
 //! A measurement's row h: what each state moves it by, as data.
 //!
-//! Rows are built here alone; the update, the weights of the hypotheses, the steps' signatures and the smoother all take
-//! them as they are, so that a sensor that measures something else is another builder.
+//! Rows are built here alone; the update, the weights of the hypotheses, the steps' signatures and the smoother all
+//! take them as they are, so that a sensor that measures something else is another builder.
 
 use super::layout::{Layout, State, motion_of};
 use super::motion::AxisMotion;
@@ -14,7 +14,8 @@ pub enum Effect {
     Nothing,
     /// A relative error of its scale.
     Scale,
-    /// A scale that was learnt from the accelerometer is too large by what its gain is too large: the opposite of Scale.
+    /// A scale that was estimated from the accelerometer is too large by what its gain is too large: the opposite of
+    /// Scale.
     Gain,
     /// The offset of its clock.
     Clock,

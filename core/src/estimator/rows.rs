@@ -216,8 +216,8 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     }
 }
 
-/// Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some frames. What
-/// is farther off is a clock that has stepped.
+/// Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some
+/// frames. What is farther off is a clock that has stepped.
 const BACK_STD_S: f64 = 0.02;
 
 /// What several hypotheses found as one: means and variances by their weights.

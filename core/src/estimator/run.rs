@@ -1,7 +1,7 @@
 //! The one loop of the estimator over a block of samples and measurements.
 //!
-//! Measurements are either judged as they come, by hypotheses (see [`super::hypotheses`]), or taken as was decided before:
-//! then one hypothesis is enough, and what the pass back ([`super::smoother`]) needs can be left.
+//! Measurements are either judged as they come, by hypotheses (see [`super::hypotheses`]), or taken as was decided
+//! before: then one hypothesis is enough, and what the pass back ([`super::smoother`]) needs can be left.
 
 use super::acceptance::{accept, find_step};
 use super::cause::{Cause, Decision, VAGUE, apply};
@@ -203,8 +203,8 @@ impl Filter {
         }
     }
 
-    /// The accelerations of a sample, with what leaning takes added: an error of the displacement makes that times it of
-    /// the acceleration, far below its noise.
+    /// The accelerations of a sample, with what leaning takes added: an error of the displacement makes that times it
+    /// of the acceleration, far below its noise.
     #[inline]
     fn leaned(&self, model: &Model, value: &[f64], dt: f64, now: &mut [f64; MAX_AXES]) {
         let x = &self.hyps.best().x;

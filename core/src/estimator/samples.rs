@@ -1,7 +1,8 @@
 //! Blocks of samples of the acceleration, and what it alone tells of the displacement before anything else is measured.
 //!
-//! That is off by a straight line, of the velocity that the motion had at the first sample: differences of phase that are
-//! compared with it are constant, where the motion itself turns the phase by more than half a cycle from frame to frame.
+//! That is off by a straight line, of the velocity that the motion had at the first sample: differences of phase that
+//! are compared with it are constant, where the motion itself turns the phase by more than half a cycle from frame to
+//! frame.
 
 use super::model::since;
 use super::motion::GAP_STEPS;

@@ -1,10 +1,10 @@
-//! The second pass over what the estimator decided in a whole record: forward with the decisions of the best hypothesis,
-//! then back in time.
+//! The second pass over what the estimator decided in a whole record: forward with the decisions of the best
+//! hypothesis, then back in time.
 //!
-//! Memory stays bounded: the filter is kept at every block's start only, and each block is run once more on its way back
-//! (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75). As far as nothing
-//! was decided otherwise later, the filters that the estimator logged are taken: the best hypothesis's past is what it
-//! decided. It knows better than the filter did what led predictions away, and where steps of zeros were.
+//! Memory stays bounded: the filter is kept at every block's start only, and each block is run once more on its way
+//! back (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75). As far
+//! as nothing was decided otherwise later, the filters that the estimator logged are taken: the best hypothesis's past
+//! is what it decided. It knows better than the filter did what led predictions away, and where steps of zeros were.
 
 use super::cause::{Cause, Decision, Prior};
 use super::decided::{Decided, Log, Logged};
@@ -39,8 +39,8 @@ struct SecondPass<'a> {
     density: Vec<f64>,
 }
 
-/// The rows of all axes, smoothed by the whole record; log: of an estimator that has finished; logged: whether its filters
-/// are used, which belong to its own settings; block: samples of a part.
+/// The rows of all axes, smoothed by the whole record; log: of an estimator that has finished; logged: whether its
+/// filters are used, which belong to its own settings; block: samples of a part.
 pub fn smooth(log: &Log, settings: &Settings, logged: bool, block: usize) -> Rows {
     let mut settings = settings.clone();
     // Steps of zeros are put in place before, and none is asked for.
@@ -83,8 +83,8 @@ impl SecondPass<'_> {
         parts
     }
 
-    /// The logged filter after so many samples where it is as a run by what was decided would find it: before anything is
-    /// other in the second pass, and of the hypothesis that was right.
+    /// The logged filter after this many samples where it is as a run by what was decided would find it: before
+    /// anything is other in the second pass, and of the hypothesis that was right.
     fn known(&self, samples: usize, other_s: f64) -> Option<&Logged> {
         let one = self.log.filters.get(&samples)?;
         let then = self.log.decided.decisions.get(one.decided..one.decided + one.open.len())?;
@@ -166,9 +166,10 @@ fn add_errors(errors: &[Error], time_s: &[f64], axes: usize, density: &mut [f64]
 
 /// What led predictions away that were found wrong, and the decisions by which measurements then are taken.
 ///
-/// The filter learns of it by the measurement that it contradicts; but it happened since the last good one before, of the
-/// same channel. Measurements between are asked again, and those that were taken for outliers before, as far as they belong
-/// to the same cause: they contradicted a state that was wrong. Without a good one before nothing is changed.
+/// The filter learns of it by the measurement that it contradicts; but it happened since the last good one before, of
+/// the same channel. Measurements between are asked again, and those that were taken for outliers before, as far as
+/// they belong to the same cause: they contradicted a state that was wrong. Without a good one before nothing is
+/// changed.
 fn unforeseen(decided: &Decided, model: &Model) -> (Vec<Error>, Vec<Decision>) {
     let mut decisions = decided.decisions.clone();
     let (mut errors, mut again) = (Vec::new(), vec![false; decisions.len()]);
@@ -230,7 +231,7 @@ fn put_steps_in_place(decided: &mut Decided, model: &Model) {
             let met = |&k: &usize| decided.items[k].channel() == Some(c) && !decided.decisions[k].is_outlier();
             let place = (first..=j).find(met);
             if let Some(k) = place {
-                decided.decisions[k] = Decision::of(Cause::Shift(Prior::ToldLater));
+                decided.decisions[k] = Decision::of(Cause::Shift(Prior::ReportedLater));
             }
         }
     }
@@ -251,8 +252,8 @@ mod tests {
 
     #[test]
     fn outliers_of_the_cause_that_a_wrong_state_explains_are_asked_again() {
-        // Every third of a second; one outlier long before, then a state that is led away and contradicts sound measurements
-        // on both sides of one that it took.
+        // Every third of a second; one outlier long before, then a state that is led away and contradicts sound
+        // measurements on both sides of one that it took.
         let outliers = [1, 11, 13, 14, 16];
         let cause = |j: usize| match j {
             17 => Cause::Lost,

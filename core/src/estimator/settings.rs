@@ -53,7 +53,7 @@ pub enum ParameterKind {
     /// A clock's offset, s: measured late by so much.
     ClockOffset,
     /// Relative error of the accelerometer's gain along an axis: it measures too much by so much. The scales that were
-    /// learnt from the accelerometer are too large by the same.
+    /// estimated from the accelerometer are too large by the same.
     GainError {
         /// The accelerometer's axis.
         axis: usize,
@@ -65,7 +65,7 @@ pub enum ParameterKind {
 pub struct Parameter {
     /// What it is.
     pub kind: ParameterKind,
-    /// Numbers of the channels that it concerns; of a gain, those whose scale was learnt from the accelerometer.
+    /// Numbers of the channels that it concerns; of a gain, those whose scale was estimated from the accelerometer.
     pub channels: Vec<usize>,
     /// Its standard deviation before anything is measured.
     pub std: f64,
@@ -80,7 +80,7 @@ pub struct Parameter {
 /// How often each cause is met, and what decides; see `cause`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, FromPyObject)]
 pub struct Rates {
-    /// Least share of measurements that are wrong by any amount; more is learnt.
+    /// Least share of measurements that are wrong by any amount; more is estimated.
     pub outlier: f64,
     /// Share of those whose next one is wrong too, of errors of the acceleration that last from one measurement to the
     /// next, and of a sensor's targets that shift with one.

@@ -5,8 +5,8 @@ use super::innovation::{Innovation, Scene};
 
 /// Innovations beyond this number of standard deviations are asked what happened: one in 16 000 is by chance.
 pub const GATE: f64 = 4.0;
-/// A measurement this many times (in variance) as far off as predicted is an outlier until the next one says otherwise: 100
-/// deviations. The least weight of anything else would move the rows by that share of whatever size it has.
+/// A measurement this many times (in variance) as far off as predicted is an outlier until the next one says otherwise:
+/// 100 deviations. The least weight of anything else would move the rows by that share of whatever size it has.
 pub const WILD: f64 = 1e4;
 /// The share of outliers is that of this number of measurements.
 pub const OUTLIER_MEMORY: f64 = 20.0;
@@ -71,8 +71,8 @@ impl<'a> Situation<'a> {
         if self.runs { rates.stays } else { rates.outlier.max(self.mark.share.min(MAX_OUTLIERS)) }
     }
 
-    /// Whether it is asked what else than an outlier it may be: of the first measurements it is not, as what is met once an
-    /// hour is not met just then.
+    /// Whether it is asked what else than an outlier it may be: of the first measurements it is not, as what is met
+    /// once an hour is not met just then.
     pub(super) fn asked(&self) -> bool {
         let wild =
             self.mark.outliers == 0.0 && self.innovation.error * self.innovation.error > WILD * self.innovation.total();
@@ -121,15 +121,15 @@ impl<'a> Situation<'a> {
         if self.mark.doubt == Doubt::None { met_within(rates.clock, self.lapse) } else { P_STEPPED }
     }
 
-    /// Whether a step of the clock is asked for inside the gate: not where the prediction may be off by more than what one
-    /// makes.
+    /// Whether a step of the clock is asked for inside the gate: not where the prediction may be off by more than what
+    /// one makes.
     pub(super) fn doubted(&self) -> bool {
         matches!(self.mark.doubt, Doubt::Once | Doubt::Gap) && tells_step(self.scene, self.innovation.total())
     }
 }
 
-/// Whether an innovation's variance is less than what a step of the clock makes; where clocks do not step there is nothing
-/// to tell.
+/// Whether an innovation's variance is less than what a step of the clock makes; where clocks do not step there is
+/// nothing to tell.
 pub(super) fn tells_step(scene: &Scene, total: f64) -> bool {
     let (apart, g) = (scene.channel.apart.variance_m2, scene.channel.row.units_per_m);
     apart == 0.0 || total < apart * g * g
@@ -145,8 +145,8 @@ pub fn log_any_size(e: f64, total: f64) -> f64 {
     -(2.0 * DECADES * std::f64::consts::LN_10).ln() - 0.5 * (e * e).max(total).ln()
 }
 
-/// Logarithm of the density of a measurement that is wrong: its error is alike in all decades from its own deviation on,
-/// and those decades that the prediction cannot tell leave what is predicted.
+/// Logarithm of the density of a measurement that is wrong: its error is alike in all decades from its own deviation
+/// on, and those decades that the prediction cannot tell leave what is predicted.
 pub fn log_wrong(e: f64, total: f64, own: f64) -> f64 {
     let hidden = (0.5 * (total / own).log10() / DECADES).min(1.0);
     (hidden * log_normal(e, total).exp() + log_any_size(e, total).exp()).ln()

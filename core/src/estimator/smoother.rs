@@ -1,10 +1,11 @@
 //! The pass back over what the filter left of a block: what was measured later corrects what was found before.
 //!
-//! It is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J.
-//! Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and what only adds variance
-//! to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say of a combination of
-//! states that was widely uncertain is a small difference of what they say of each. L and W are carried from measurement to
-//! measurement; at a sample between, its covariances P with all states are moved on to the later one, Φ P.
+//! It is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int.
+//! J. Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and what only adds
+//! variance to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say of a
+//! combination of states that was widely uncertain is a small difference of what they say of each. L and W are carried
+//! from measurement to measurement; at a sample between, its covariances P with all states are moved on to the later
+//! one, Φ P.
 
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
@@ -25,8 +26,8 @@ const MIN_VARIANCE_SHARE: f64 = 1e-12;
 /// The processor takes this many elements of a row together.
 const LANES: usize = 8;
 
-/// What later measurements say: of each state its elements of L and W, side by side, (n, 1 + k + 2 n); of live states those
-/// that are not used are 0.
+/// What later measurements say: of each state its elements of L and W, side by side, (n, 1 + k + 2 n); of live states
+/// those that are not used are 0.
 #[derive(Clone, Debug)]
 pub struct Adjoint {
     rows: Vec<[f64; LANES]>,
@@ -119,8 +120,8 @@ impl Adjoint {
         self.back_to(way.start_s, &mut at_s, axes);
     }
 
-    /// Carries the adjoint back through the items before item `next` in the intervals of samples from `first` on; returns
-    /// the number of the first of them.
+    /// Carries the adjoint back through the items before item `next` in the intervals of samples from `first` on;
+    /// returns the number of the first of them.
     fn back_through_all(
         &mut self,
         way: &WayBack,
@@ -138,8 +139,8 @@ impl Adjoint {
 
     /// Finds the states that are uncertain as the pass back counts them.
     ///
-    /// A state that is certain in all of the block is so before it too, until a measurement whose record scales it by 0: its
-    /// adjoint is of no weight.
+    /// A state that is certain in all of the block is so before it too, until a measurement whose record scales it by
+    /// 0: its adjoint is of no weight.
     fn find_live(&mut self, way: &WayBack, counting: &Counting) {
         if self.live_rows.len() == counting.rows.len() && way.uncertain == self.uncertain {
             return;
@@ -259,8 +260,8 @@ impl Adjoint {
         }
     }
 
-    /// Rotates the columns of W to as many as there are live states; W W' stays. By Householder's reflections, to a lower
-    /// triangle.
+    /// Rotates the columns of W to as many as there are live states; W W' stays. By Householder's reflections, to a
+    /// lower triangle.
     fn narrow(&mut self) {
         let Self { rows, width, live, columns, used, .. } = self;
         let (rows, width, first, end) = (rows.as_flattened_mut(), *width * LANES, *columns, *used);
@@ -285,8 +286,8 @@ impl Adjoint {
         *used = (first + live.len()).min(end);
     }
 
-    /// Smoothed displacement, its variance and the velocity of one axis at a sample of a span; ahead: how much later (s) than
-    /// the sample the adjoint is.
+    /// Smoothed displacement, its variance and the velocity of one axis at a sample of a span; ahead: how much later
+    /// (s) than the sample the adjoint is.
     fn smoothed(&mut self, way: &WayBack, (span, k, a): (usize, usize, usize), ahead: f64, view: &Counted) -> Mixed {
         let Counted { model, counting, last } = view;
         let Self { rows, width, columns, used, live, pc, pv, met, sensitivity, .. } = self;
@@ -359,9 +360,9 @@ fn squared(v: &[f64]) -> f64 {
 
 /// How the pass back counts the states, and by which parameters.
 ///
-/// x becomes x + z of the channel that all of an axis count from, where its zero is unknown, and the zeros of the others of
-/// which nothing is known become what they differ from it by. Until a known zero begins, x and those zeros are only known
-/// relative to each other; so they are wide in one of the new states alone.
+/// x becomes x + z of the channel that all of an axis count from, where its zero is unknown, and the zeros of the
+/// others of which nothing is known become what they differ from it by. Until a known zero begins, x and those zeros
+/// are only known relative to each other; so they are wide in one of the new states alone.
 #[derive(Clone, Debug)]
 pub struct Counting {
     /// Of each axis the zero that all count from, and the unknown zeros that are counted from it.

@@ -23,11 +23,11 @@ const SLOWEST_HZ: f64 = 0.2;
 const SOUND_SHARE: f64 = 0.25;
 /// The structure lies within this many times what the first measurements of the only channel scatter by.
 ///
-/// A wider prior would make each measurement unlikely that begins it anew: of two, the farther off the first one is, the
-/// more likely would the first one be.
+/// A wider prior would make each measurement unlikely that begins it anew: of two, the farther off the first one is,
+/// the more likely would the first one be.
 const SCATTER_WITHIN: f64 = 3.0;
 /// It lies within this many metres where the measurements are fewer than [`FEW`].
-const FARTHEST_M: f64 = 1.0;
+const MAX_M: f64 = 1.0;
 const FEW: usize = 4;
 /// Shortest time between two measurements that a speed is taken from, s.
 const SHORTEST_S: f64 = 1e-3;
@@ -55,7 +55,7 @@ impl Beginning {
     /// From the first samples, their times (s) and the first measurements, none of which may be missing.
     pub fn new(samples: View, time_s: &[f64], items: &[Timed], settings: &Settings, model: &Model) -> Self {
         let axes = settings.axes;
-        let (mut place, mut within, mut speed) = (vec![0.0; axes], vec![FARTHEST_M; axes], vec![0.0; axes]);
+        let (mut place, mut within, mut speed) = (vec![0.0; axes], vec![MAX_M; axes], vec![0.0; axes]);
         for a in 0..axes {
             speed[a] = moving(deviation(&along(samples, a, samples.len())).sqrt(), settings.motion[a]);
             let channels: Vec<usize> = (0..settings.channels.len())
@@ -249,8 +249,8 @@ impl Estimator {
         }
     }
 
-    /// When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it, but not before
-    /// the first sample: without acceleration the zero would be uncertain by decimetres.
+    /// When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it, but not
+    /// before the first sample: without acceleration the zero would be uncertain by decimetres.
     fn start_s(&self, first_s: f64, sampled_s: f64) -> f64 {
         let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
         match zero_s.filter(|&zero_s| first_s - MAX_BEFORE_S <= zero_s && zero_s < first_s) {

@@ -1,15 +1,15 @@
 //! Steps of a sensor's zero that no single measurement shows: the ratio of likelihoods over many innovations.
 //!
-//! A step that began at some instant leaves a signature in all innovations after it, through the filter's own gains. Its
-//! size and the ratio of likelihoods follow from sums of signature times innovation, and the estimate with the step from
-//! the one without it (A. S. Willsky, H. L. Jones, A generalized likelihood ratio approach to the detection and
+//! A step that began at some instant leaves a signature in all innovations after it, through the filter's own gains.
+//! Its size and the ratio of likelihoods follow from sums of signature times innovation, and the estimate with the step
+//! from the one without it (A. S. Willsky, H. L. Jones, A generalized likelihood ratio approach to the detection and
 //! estimation of jumps in linear systems, IEEE Trans. Automat. Contr. 21 (1976) 108-112, doi
 //! 10.1109/TAC.1976.1101146; the exact correction is Friedland's, doi 10.1109/TAC.1969.1099223). Sums are kept for a
 //! bounded number of instants. An error of the acceleration that left a wrong velocity is weighed against each step: it
 //! asks for no correction, as the filter follows the sensor then.
 //!
-//! Each quantity holds both causes of all instants side by side, so that the processor takes several at a time; where an
-//! instant is not in use all is 0 and stays so.
+//! Each quantity holds both causes of all instants side by side, so that the processor takes several at a time; where
+//! an instant is not in use all is 0 and stays so.
 
 use super::hypothesis::{Contradiction, Hypothesis};
 use super::layout::{MOTION_STATES, motion_of};
@@ -23,11 +23,11 @@ use serde::{Deserialize, Serialize};
 
 /// Instants at which a step may have begun, of each sensor along each axis.
 pub const INSTANTS: usize = 16;
-/// From one of them to the next the updates take over this share of what a measurement is off, all together: a step there
-/// looks alike. So the instants reach back over four times the filter's memory at least.
+/// From one of them to the next the updates take over this share of what a measurement is off, all together: a step
+/// there looks alike. So the instants reach back over four times the filter's memory at least.
 pub const APART_BY: f64 = 0.25;
-/// A step is taken out where it is likelier than none (logarithm of the odds), as the likeliest hypothesis is taken. With
-/// one an hour, five measurements a second and sizes alike in all decades that is at 5.1 deviations of its size.
+/// A step is taken out where it is likelier than none (logarithm of the odds), as the likeliest hypothesis is taken.
+/// With one an hour, five measurements a second and sizes alike in all decades that is at 5.1 deviations of its size.
 pub const SURE: f64 = 0.0;
 /// After this share of the gaps a sensor has been moved or set up anew, as its clock may have been.
 const P_MOVED: f64 = 0.1;
@@ -187,8 +187,8 @@ impl StepTest {
         (self.sums[0][lane], matched)
     }
 
-    /// Logarithm of the odds of a cause of any size, each decade of which is as likely; None where they are below `least`
-    /// or the size is below its deviation.
+    /// Logarithm of the odds of a cause of any size, each decade of which is as likely; None where they are below
+    /// `least` or the size is below its deviation.
     fn odds(&self, lane: usize, prior: f64, weighed: &Weighed, least: f64) -> Option<f64> {
         let (known, matched) = self.matched(lane, weighed.parameters);
         // Most are refused here, without a division.
@@ -224,8 +224,8 @@ impl StepTest {
         may
     }
 
-    /// The place of the likeliest instant of a step; None where the odds (logarithm) of each, against no step or against
-    /// a wrong acceleration, whichever is likelier, are below `least`.
+    /// The place of the likeliest instant of a step; None where the odds (logarithm) of each, against no step or
+    /// against a wrong acceleration, whichever is likelier, are below `least`.
     pub fn likeliest(&self, weighed: &Weighed, least: f64) -> Option<usize> {
         let (Weighed { channel, rates, .. }, may) = (weighed, self.may_tell(weighed, least));
         let mut best: Option<(usize, f64)> = None;

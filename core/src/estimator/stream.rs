@@ -1,7 +1,7 @@
 //! The estimator as a stream: any cutting of the input into pushes gives the same rows.
 //!
-//! Measurements wait for the samples that cover their time. Rows are held back until the first few measurements have come:
-//! the first of them is then judged by those after it.
+//! Measurements wait for the samples that cover their time. Rows are held back until the first few measurements have
+//! come: the first of them is then judged by those after it.
 
 use super::decided::{Log, Logged, MAX_UNDECIDED, Undecided, channels_exist};
 use super::innovation::{Work, predict_value};
@@ -115,8 +115,8 @@ impl Estimator {
         true
     }
 
-    /// Takes samples, which are later than all before, and adds what is due; back: takes what a pass back needs, while one
-    /// hypothesis takes all measurements as good.
+    /// Takes samples, which are later than all before, and adds what is due; back: takes what a pass back needs, while
+    /// one hypothesis takes all measurements as good.
     pub fn push(&mut self, samples: View, mut back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
         for first in (0..samples.len()).step_by(self.limits.block) {
             let end = samples.len().min(first + self.limits.block);
@@ -154,8 +154,8 @@ impl Estimator {
         }
     }
 
-    /// Whether the filter's displacement counts from a channel's zero: an unknown zero has been met, or of the known ones of
-    /// the axis one.
+    /// Whether the filter's displacement counts from a channel's zero: an unknown zero has been met, or of the known
+    /// ones of the axis one.
     fn counts(&self, c: usize) -> bool {
         let Some(filter) = &self.memory.filter else { return false };
         let marks = &filter.hyps.best().marks;
@@ -278,9 +278,9 @@ impl Estimator {
 
     /// Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
     ///
-    /// The last acceleration is held over a step or two; None where no samples come. Until the filter and the channel's zero
-    /// have begun only the acceleration tells: the variance is infinite before the filter begins and NaN afterwards, when
-    /// measurements from before come too late.
+    /// The last acceleration is held over a step or two; None where no samples come. Until the filter and the channel's
+    /// zero have begun only the acceleration tells: the variance is infinite before the filter begins and NaN
+    /// afterwards, when measurements from before come too late.
     pub fn predict(&self, c: usize, time_ns: i64) -> Option<(f64, f64)> {
         let time_s = since(time_ns, self.origin_ns());
         let Some(filter) = self.memory.filter.as_ref().filter(|_| self.counts(c)) else {

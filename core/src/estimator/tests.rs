@@ -222,8 +222,8 @@ impl Plain {
     }
 }
 
-/// A camera that tilts about its foot, and a gyroscope on the beam: a state and a channel are added here by a name, its walk
-/// and the entries of two rows; neither the prediction nor the update knows of them.
+/// A camera that tilts about its foot, and a gyroscope on the beam: a state and a channel are added here by a name, its
+/// walk and the entries of two rows; neither the prediction nor the update knows of them.
 #[test]
 fn a_tilt_state_and_a_gyroscope_are_a_name_and_a_row_each() {
     let (lever, slope, walk) = (7.0, -0.4, 1e-7);

@@ -30,7 +30,7 @@ pub fn project(p: &Matrix, row: &Row, ph: &mut [f64]) -> f64 {
 pub fn update(x: &mut Matrix, p: &mut Matrix, gain: &mut [f64], e: &[f64], total: f64) {
     let n = gain.len();
     for (i, own) in gain.iter_mut().enumerate() {
-        // Of a state that is known for certain nothing is learnt.
+        // Of a state that is known for certain nothing is estimated.
         if *own != 0.0 {
             *own /= total;
             for (value, &error) in x.row_mut(i).iter_mut().zip(e) {
@@ -51,8 +51,8 @@ pub fn update(x: &mut Matrix, p: &mut Matrix, gain: &mut [f64], e: &[f64], total
 
 /// Takes the first measurement of a channel of whose zero nothing is known: what it differs by is the zero.
 ///
-/// It is the limit of [`update`] for an endless variance of that state, which would leave nothing of the others in double
-/// precision; zero: the state's place; own: the measurement's variance. `gain` (n,) holds K after.
+/// It is the limit of [`update`] for an endless variance of that state, which would leave nothing of the others in
+/// double precision; zero: the state's place; own: the measurement's variance. `gain` (n,) holds K after.
 pub fn begin_zero(x: &mut Matrix, p: &mut Matrix, row: &Row, zero: usize, gain: &mut [f64], (e, own): (&[f64], f64)) {
     let g = row.units_per_m;
     p.scale_both(zero, 0.0);
@@ -92,10 +92,10 @@ pub fn scale_state(x: &mut Matrix, p: &mut Matrix, i: usize, factor: f64) {
 
 /// Brings the reference's state `i` from one variance (m²) to another; returns the factor that it is scaled by.
 ///
-/// A farther reference adds an error of its own; a nearer one is without what was added since: of an error that is a sum
-/// of independent steps, the part up to a variance `now` is now / was of it on the mean, and as uncertain as a Brownian
-/// bridge there. So the first reference again is exact, and a variance that goes up and down tells nothing of the error's
-/// size.
+/// A farther reference adds an error of its own; a nearer one is without what was added since: of an error that is a
+/// sum of independent steps, the part up to a variance `now` is now / was of it on the mean, and as uncertain as a
+/// Brownian bridge there. So the first reference again is exact, and a variance that goes up and down tells nothing of
+/// the error's size.
 pub fn move_reference(x: &mut Matrix, p: &mut Matrix, i: usize, was: f64, now: f64) -> f64 {
     if now < was {
         let factor = now / was;

@@ -72,8 +72,8 @@ pub fn put_in_order(items: &mut [Timed]) {
     }
 }
 
-/// Keeps at most so many measurements, the newest of those in time order; of the marks before them the last of each kind
-/// stays, as they hold from their instant on. Returns the time of the oldest item where any was dropped.
+/// Keeps at most this many measurements, the newest of those in time order; of the marks before them the last of each
+/// kind stays, as they hold from their instant on. Returns the time of the oldest item where any was dropped.
 pub fn keep_newest(items: &mut VecDeque<Timed>, most: usize) -> Option<f64> {
     if items.len() <= most {
         return None;

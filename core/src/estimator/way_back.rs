@@ -1,4 +1,5 @@
-//! What a run leaves of a block for the pass back: of each sample what the filter found, of each item what it did to it.
+//! What a run leaves of a block for the pass back: of each sample what the filter found, of each item what it did to
+//! it.
 
 use super::coast::Course;
 use super::hypothesis::Hypothesis;
@@ -50,8 +51,8 @@ pub struct WayBack {
     pub(super) start_s: f64,
     /// Times of the samples, s.
     pub(super) time_s: Vec<f64>,
-    /// Of each sample and axis displacement relative to the datum (1 + k), true velocity (1 + k), and the covariances of
-    /// both with the live states: those of the motion and those that are uncertain then.
+    /// Of each sample and axis displacement relative to the datum (1 + k), true velocity (1 + k), and the covariances
+    /// of both with the live states: those of the motion and those that are uncertain then.
     nodes: Vec<f64>,
     spans: Vec<Span>,
     live: Vec<usize>,
@@ -64,7 +65,8 @@ pub struct WayBack {
     pub(super) uncertain: Vec<bool>,
 }
 
-/// The node of a sample along an axis: displacement and velocity (1 + k), and the covariances of both with the live states.
+/// The node of a sample along an axis: displacement and velocity (1 + k), and the covariances of both with the live
+/// states.
 pub(super) struct Node<'a> {
     pub(super) places: &'a [f64],
     pub(super) speeds: &'a [f64],
@@ -154,13 +156,13 @@ impl WayBack {
         self.time_s.extend_from_slice(time_s);
     }
 
-    /// Adds source and status of so many samples' rows along the next axis.
+    /// Adds source and status of this many samples' rows along the next axis.
     pub fn add_statuses(&mut self, count: usize, status: (u8, u8)) {
         self.statuses.extend(std::iter::repeat_n(status, count));
     }
 
-    /// Adds the nodes of the next samples along the next axis, of what the filter left; its other states are the live ones
-    /// but the axis' motion.
+    /// Adds the nodes of the next samples along the next axis, of what the filter left; its other states are the live
+    /// ones but the axis' motion.
     pub(super) fn add_nodes(&mut self, hyp: &Hypothesis, model: &Model, a: usize, course: &Course) {
         let (i, x, p, columns) = (motion_of(a), &hyp.x, &hyp.p, self.columns);
         let live = &self.live[self.spans.last().map_or(0, |span| span.live)..];

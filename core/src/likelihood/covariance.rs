@@ -1,4 +1,5 @@
-//! Covariances of the filter that whitens: of displacement, velocity and bias, and of a slow error of the sensor with them.
+//! Covariances of the filter that whitens: of displacement, velocity and bias, and of a slow error of the sensor with
+//! them.
 //!
 //! x' = v, v' = −b − w, b' = w_b, with white noise w of density S_a ((m/s²)²/Hz) and a random walk w_b of the bias; the
 //! slow error g is a first-order Gauss-Markov process (Gelb, Applied Optimal Estimation, 1974, section 4.5).

@@ -32,8 +32,8 @@ pub fn integrate(time_s: &[f64], value: &[f64]) -> Vec<Cubic> {
         .collect()
 }
 
-/// The derivative of an order up to 3 of cubics (n,) between edges (n + 1,) at instants (m,); beyond the edges that of the
-/// cubic there. Empty where there is no cubic. `cubics`: four coefficients each, as of [`Cubic`].
+/// The derivative of an order up to 3 of cubics (n,) between edges (n + 1,) at instants (m,); beyond the edges that of
+/// the cubic there. Empty where there is no cubic. `cubics`: four coefficients each, as of [`Cubic`].
 pub fn derivative(edges_s: &[f64], cubics: &[f64], time_s: &[f64], order: u8) -> Vec<f64> {
     let Some(last) = (cubics.len() / 4).checked_sub(1) else { return Vec::new() };
     let mut k = 0;
@@ -70,8 +70,8 @@ mod tests {
         let time_s: Vec<f64> = (0..2000).map(|k| f64::from(k) * 0.01).collect();
         let value: Vec<f64> = time_s.iter().map(|t| -omega * omega * (omega * t).sin()).collect();
         let cubics = integrate(&time_s, &value);
-        // From rest the sine's own speed ω is missing. What is open of an integral is a line; beyond that Numerov's rule
-        // errs by (ω dt)⁴ / 240 = 1.6e-8 of the displacement, and the cubic between samples by (ω dt)⁴ / 384.
+        // From rest the sine's own speed ω is missing. What is open of an integral is a line; beyond that Numerov's
+        // rule errs by (ω dt)⁴ / 240 = 1.6e-8 of the displacement, and the cubic between samples by (ω dt)⁴ / 384.
         let at: Vec<f64> = (0..1900).map(|k| f64::from(k) * 0.0103 + 1e-3).collect();
         let found = derivative(&time_s, cubics.as_flattened(), &at, 0);
         let errors: Vec<f64> = at.iter().zip(found).map(|(t, x)| x + omega * t - (omega * t).sin()).collect();

@@ -2,15 +2,18 @@
 //!
 //! A filter with the states x, v, b and no input whitens what is left of a translation when the acceleration's response
 //! is taken out; gains and covariance depend on no column, so one run whitens all of them. It steps from measurement to
-//! measurement: nothing is resampled. Kailath, "An innovations approach to least-squares estimation", IEEE TAC 13 (1968).
+//! measurement: nothing is resampled. Kailath, "An innovations approach to least-squares estimation", IEEE TAC 13
+//! (1968).
 
 use super::covariance::{Covariance, Motion, WithSlowError};
 
 /// Before the first measurements everything is unknown: a variance far above any noise, in units of the noise variance.
 pub const DIFFUSE: f64 = 1e9;
-/// The bias walk that belongs to an acceleration noise, (rad/s)²: bias errors below 0.01 Hz are left to the displacement.
+/// The bias walk that belongs to an acceleration noise, (rad/s)²: bias errors below 0.01 Hz are left to the
+/// displacement.
 pub const BIAS_WALK_RATIO: f64 = 0.003;
-/// Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
+/// Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's
+/// part.
 pub const MAX_STEP_S: f64 = 5.0;
 
 /// The noises of a run.

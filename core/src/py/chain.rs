@@ -17,8 +17,8 @@ use pyo3::types::PyBytes;
 /// Changes with every change of what a chain remembers.
 const VERSION: u16 = 1;
 
-/// Stamp (ns), x, y (px), variances (px²), quality, code of the status, strength, variances of the reference (px²), and why
-/// nothing was looked for: 0 it was, 1 dark, 2 frozen.
+/// Stamp (ns), x, y (px), variances (px²), quality, code of the status, strength, variances of the reference (px²), and
+/// why nothing was looked for: 0 it was, 1 dark, 2 frozen.
 pub type PyRow = (i64, f64, f64, f64, f64, f64, u8, f64, f64, f64, u8);
 /// Frames in which the target was seen, and known coarsely; mean variance (px²), mean (px) and square sum (px²).
 type PyAxisCounts = (u64, u64, f64, f64, f64);
@@ -231,8 +231,8 @@ impl TargetChain {
         Some((memory.largest_px2, memory.notable_ns))
     }
 
-    /// What a codec did: share inherited from the frame before, share of the texture that stood still, standard deviation
-    /// (px); None: not watched.
+    /// What a codec did: share inherited from the frame before, share of the texture that was static, standard
+    /// deviation (px); None: not watched.
     #[getter]
     fn compression(&self) -> Option<(f64, f64, f64)> {
         let Compression { inherited_share, frozen_share, std_px } = self.0.watch.picture.as_ref()?.compression();

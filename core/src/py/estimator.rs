@@ -31,8 +31,8 @@ type RowArrays<'py> = (Bound<'py, PyArray1<i64>>, Vec<AxisArrays<'py>>);
 /// Stamps, values, variances and verdicts (m,) of one channel.
 type InnovationArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i8>>);
-/// What happened (see [`code`]): when (ns), to which channel, size (mm), its standard deviation (mm), of outliers in a row
-/// how many and how long (s).
+/// What happened (see [`code`]): when (ns), to which channel, size (mm), its standard deviation (mm), of outliers in a
+/// row how many and how long (s).
 type ReportTuple = (u8, i64, usize, f64, f64, usize, f64);
 /// Rows or None, innovations of each channel, events, variance of the zero of each axis.
 type OutputTuple<'py> = (Option<RowArrays<'py>>, Vec<InnovationArrays<'py>>, Vec<ReportTuple>, Vec<f64>);
@@ -203,7 +203,7 @@ impl Estimator {
 
 #[pymethods]
 impl Estimator {
-    /// lag_samples: rows come so many samples later, whatever `log` and `rows` say; None: as they come.
+    /// lag_samples: rows come this many samples later, whatever `log` and `rows` say; None: as they come.
     #[new]
     #[pyo3(signature = (settings, *, log, rows, waiting, block, lag_samples))]
     fn new(

@@ -12,7 +12,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// A residual above this moves the region once more: half a pixel, and some play.
-const FARTHEST_RESIDUAL_PX: f64 = 0.6;
+const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The region is moved so often.
 const MOVES: usize = 4;
 
@@ -115,7 +115,8 @@ impl PhaseTarget {
         Some([Axis::X, Axis::Y].map(|axis| steerable::responses(&Image::from(&values), axis, &self.taps)))
     }
 
-    /// About a whole-pixel place that is moved once more while the residual is large: the gain holds for small ones only.
+    /// About a whole-pixel place that is moved once more while the residual is large: the gain holds for small ones
+    /// only.
     fn near<T: Pixel>(&self, image: &Image<'_, T>, mut x: i64, mut y: i64) -> Option<Found> {
         let axes = [&self.axes[0], &self.axes[1]];
         for _ in 0..MOVES {
@@ -128,7 +129,7 @@ impl PhaseTarget {
             if !(right + down).is_finite() {
                 return None;
             }
-            if self.ratios.is_some() || right.abs().max(down.abs()) <= FARTHEST_RESIDUAL_PX {
+            if self.ratios.is_some() || right.abs().max(down.abs()) <= MAX_RESIDUAL_PX {
                 return Some((x, y, right, down, variance_x, variance_y, fix.coherence));
             }
             let [right, down] = [right, down].map(|value| value.round_ties_even() as i64);
@@ -140,8 +141,8 @@ impl PhaseTarget {
 
 #[pymethods]
 impl PhaseTarget {
-    /// `place`: of the region in the reference frame; `axes`: the model's; `ratios`: translation by mean phase along each
-    /// axis alone, as printed, or None: both axes together.
+    /// `place`: of the region in the reference frame; `axes`: the model's; `ratios`: translation by mean phase along
+    /// each axis alone, as printed, or None: both axes together.
     #[new]
     fn new(
         place: Corners,
@@ -156,12 +157,14 @@ impl PhaseTarget {
         Ok(Self { region, offset, taps: taps.halves(), axes, ratios })
     }
 
-    /// The translation about a whole-pixel place; None outside the image, without values or where it cannot be determined.
+    /// The translation about a whole-pixel place; None outside the image, without values or where it cannot be
+    /// determined.
     fn near_to(&self, pixels: &Bound<'_, PyAny>, x: i64, y: i64) -> PyResult<Option<Found>> {
         Ok(with_image!(Pixels::of(pixels)?, image => self.near(image, x, y)))
     }
 
-    /// Phases of the active pixels (rows · columns,) along x and y about a whole-pixel place, 0 elsewhere; None as above.
+    /// Phases of the active pixels (rows · columns,) along x and y about a whole-pixel place, 0 elsewhere; None as
+    /// above.
     fn changes<'py>(
         &self,
         py: Python<'py>,

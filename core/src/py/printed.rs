@@ -32,8 +32,8 @@ struct PrintedFilter {
 
 #[pymethods]
 impl PrintedFilter {
-    /// bias, velocity_std, displacement_std: at the first sample; start_noise: variance R of the first frames, or None for
-    /// the first declared one and `held_noise`; waiting: this many frames may wait.
+    /// bias, velocity_std, displacement_std: at the first sample; start_noise: variance R of the first frames, or None
+    /// for the first declared one and `held_noise`; waiting: this many frames may wait.
     #[new]
     #[pyo3(signature = (*, bias, velocity_std, displacement_std, beta, first_frames, start_noise, held_noise, waiting))]
     #[allow(clippy::too_many_arguments)]
@@ -76,7 +76,8 @@ impl PrintedFilter {
         Ok(())
     }
 
-    /// Rows of samples (times in s, accelerations and noise densities, each (n,)), and what the frames met that they cover.
+    /// Rows of samples (times in s, accelerations and noise densities, each (n,)), and what the frames met that they
+    /// cover.
     fn push<'py>(
         &mut self,
         py: Python<'py>,

@@ -134,10 +134,10 @@ impl PyRegistration {
 
 #[pymethods]
 impl PyRegistration {
-    /// `grid`: fine spline coefficients around the window, which begins at the pixel `origin` (row, column) of them; `taps`:
-    /// of the low-pass on these; `weight` (h, w): one over the noise variance, about 1; `gradient_noise`: what noise adds to
-    /// the mean square of the low-passed gradient; `level`: subtracted from frames of `shape`; `difference_noise`: of a
-    /// frame less the template.
+    /// `grid`: fine spline coefficients around the window, which begins at the pixel `origin` (row, column) of them;
+    /// `taps`: of the low-pass on these; `weight` (h, w): one over the noise variance, about 1; `gradient_noise`: what
+    /// noise adds to the mean square of the low-passed gradient; `level`: subtracted from frames of `shape`;
+    /// `difference_noise`: of a frame less the template.
     #[new]
     #[pyo3(signature = (
         template, *, grid, origin, weight, taps, gradient_noise, difference_noise, min_share, reference_noise, floor_px2,

@@ -9,8 +9,8 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// See [`Scene::render`]; `coefficients` (samples down, 8, columns), `x_px`, `y_px` (1 or rows, moments), `shape`: rows and
-/// columns, `order`: of the derivative along x and y, 0 or 1.
+/// See [`Scene::render`]; `coefficients` (samples down, 8, columns), `x_px`, `y_px` (1 or rows, moments), `shape`: rows
+/// and columns, `order`: of the derivative along x and y, 0 or 1.
 #[pyfunction]
 fn render_scene<'py>(
     py: Python<'py>,

@@ -268,8 +268,8 @@ pub struct PyTemplate(pub Arc<Template>);
 
 #[pymethods]
 impl PyTemplate {
-    /// `window`: x, y, width, height; `gains`: what white noise of variance 1 in the raw image gives a filtered pixel, its
-    /// gradients and these once more filtered.
+    /// `window`: x, y, width, height; `gains`: what white noise of variance 1 in the raw image gives a filtered pixel,
+    /// its gradients and these once more filtered.
     #[new]
     #[pyo3(signature = (*, window, taps, grid, basis, information, gains, threshold))]
     fn new(

@@ -1,5 +1,5 @@
-//! Whether a target is seen: its amplitude as a share of the calibrated one, averaged over the frames that tell a dip of
-//! its noise from an obstruction.
+//! Whether a target is seen: its amplitude as a share of the calibrated one, averaged over the frames that tell a dip
+//! of its noise from an obstruction.
 
 /// The band of amplitudes in which a target is seen.
 pub struct Band {

@@ -1,9 +1,9 @@
 //! Unwrapping inside a filter: the wrapped phase corrects a prediction from the accelerometer.
 //!
-//! States: range change u (m), its rate v (m/s) and the bias b (m/s²) of the acceleration in the line of sight. Only the
-//! innovation is wrapped, so no speed is too high while the prediction is within a quarter of a wavelength. Innovations
-//! that are far outside get a larger variance (Huber, Ann. Math. Stat. 35, 1964); the acceleration's noise is scaled
-//! until innovations are as large as predicted.
+//! States: range change u (m), its rate v (m/s) and the bias b (m/s²) of the acceleration in the line of sight. Only
+//! the innovation is wrapped, so no speed is too high while the prediction is within a quarter of a wavelength.
+//! Innovations that are far outside get a larger variance (Huber, Ann. Math. Stat. 35, 1964); the acceleration's noise
+//! is scaled until innovations are as large as predicted.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -136,8 +136,8 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// `speed`, `speed_std`, `bias_std`: of the range at the first frame, m/s and m/s²; `inflation`: natural logarithm of
-    /// the factor on the acceleration's noise there.
+    /// `speed`, `speed_std`, `bias_std`: of the range at the first frame, m/s and m/s²; `inflation`: natural logarithm
+    /// of the factor on the acceleration's noise there.
     pub fn new(rad_per_m: f64, trust: Trust, speed: f64, speed_std: f64, bias_std: f64, inflation: f64) -> Self {
         let mut covariance = [[0.0; 3]; 3];
         covariance[1][1] = speed_std * speed_std;

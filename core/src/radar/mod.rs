@@ -1,4 +1,4 @@
-//! A radar target's phase: unwrapping by itself and inside a filter, and whether the target is seen.
+//! A radar target's phase: unwrapping on its own and inside a filter, and whether the target is seen.
 
 pub mod blockage;
 pub mod follow;

@@ -1,7 +1,7 @@
 //! A band-limited scene at any translation: its quintic spline, of eight samples a pixel, read at the pixels.
 //!
-//! With motion blur a pixel is the mean over moments of exposure, whose weights are added up first; with a rolling shutter
-//! each row has its own moments.
+//! With motion blur a pixel is the mean over moments of exposure, whose weights are added up first; with a rolling
+//! shutter each row has its own moments.
 
 use crate::track::interpolate::{quintic, quintic_slope};
 use crate::track::vector::vectorised;
@@ -52,8 +52,8 @@ struct Taps {
 }
 
 impl Scene<'_> {
-    /// The picture of `rows` by `columns` pixels; `moments`: those of all rows, or of each row. None where a row has none
-    /// or one lies beyond the margin.
+    /// The picture of `rows` by `columns` pixels; `moments`: those of all rows, or of each row. None where a row has
+    /// none or one lies beyond the margin.
     pub fn render(
         &self,
         rows: usize,
@@ -92,7 +92,8 @@ impl Scene<'_> {
     }
 }
 
-/// First sample, and the weights of it and those after it for reading at each of the places; None below the first sample.
+/// First sample, and the weights of it and those after it for reading at each of the places; None below the first
+/// sample.
 fn axis_weights(places: Vec<f64>, derivative: bool) -> Option<(usize, Vec<Vec<f64>>)> {
     let least = places.iter().copied().fold(f64::INFINITY, f64::min);
     let most = places.iter().copied().fold(f64::NEG_INFINITY, f64::max);

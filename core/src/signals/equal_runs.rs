@@ -1,7 +1,7 @@
 //! Runs of equal values, and from which length on a run is longer than chance makes it.
 //!
-//! A run of n neighbours that are equal has the chance pⁿ, p the share of equal neighbours lately. A run counts as frozen
-//! from the length on of which chance makes one in 1 / [`CHANCE`].
+//! A run of n neighbours that are equal has the chance pⁿ, p the share of equal neighbours lately. A run counts as
+//! frozen from the length on of which chance makes one in 1 / [`CHANCE`].
 
 /// Chance below which a run is none: once in four months at 100 Hz.
 pub const CHANCE: f64 = 1e-9;
@@ -19,8 +19,8 @@ pub struct Run {
 
 /// Runs (n,) of equal values (n,), going on from the last value before them with the length of its run and its share.
 ///
-/// `forget`: share of a new neighbour in the running share; `gentle`: a run that ends with a step of at most this was rest
-/// or chance. Any cutting of the values gives the same.
+/// `forget`: share of a new neighbour in the running share; `gentle`: a run that ends with a step of at most this was
+/// rest or chance. Any cutting of the values gives the same.
 pub fn follow(value: &[f64], before: (f64, i64, f64), forget: f64, gentle: f64) -> Vec<Run> {
     let (mut last, mut length, mut share) = before;
     let mut frozen = by_chance(share, forget);

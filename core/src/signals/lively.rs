@@ -1,7 +1,7 @@
 //! How lively a motion is: the running mean square of an acceleration.
 
-/// Mean square (n,) of values (n,) less `mean`, over what came up to each of them: exponential, `kept` is the share that the
-/// mean before a sample has in the one after it. `before`: the mean square before the first value.
+/// Mean square (n,) of values (n,) less `mean`, over what came up to each of them: exponential, `kept` is the share
+/// that the mean before a sample has in the one after it. `before`: the mean square before the first value.
 pub fn mean_square(value: &[f64], mean: f64, before: f64, kept: f64) -> Vec<f64> {
     let mut power = before;
     let squares = value.iter().map(|&value| {

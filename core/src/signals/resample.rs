@@ -12,8 +12,8 @@ pub type Pair = [f64; 2];
 /// Values (n,) of local cubic splines through uneven knots at increasing instants, or None where an instant lies in no
 /// interval that is bridged.
 ///
-/// `at_s` (n,), `knot_s` (k,): s, increasing; `value` (k,): not finite where a knot does not count; `longest_s`: longest
-/// interval that is bridged; `reach_s`: how far behind the start of an interval a knot is looked at.
+/// `at_s` (n,), `knot_s` (k,): s, increasing; `value` (k,): not finite where a knot does not count; `longest_s`:
+/// longest interval that is bridged; `reach_s`: how far behind the start of an interval a knot is looked at.
 pub fn spline(at_s: &[f64], knot_s: &[f64], value: &[Pair], longest_s: f64, reach_s: f64) -> Vec<Option<Pair>> {
     let knots = Knots::new(knot_s, value, longest_s);
     let mut next = 0;
@@ -109,7 +109,8 @@ impl<'a> Knots<'a> {
         }
     }
 
-    /// The equation of the knot `i` after those between it and the end are eliminated; `outer`: its interval on that side.
+    /// The equation of the knot `i` after those between it and the end are eliminated; `outer`: its interval on that
+    /// side.
     fn eliminated(&self, towards_the_end: Option<Eliminated>, i: usize, outer: f64) -> Eliminated {
         // At the end the second derivative is constant over the interval.
         let share = towards_the_end.map_or(-1.0, |one| outer / one.diagonal);
@@ -145,8 +146,8 @@ impl Cubic {
 
 /// A filter from a series to a wanted quantity, read between samples.
 ///
-/// `wanted` (n,): from the series to the quantity; `bend` (n,): to its second derivative times the square of the step; n
-/// odd. Between two samples the quantity runs as the cubic with these second derivatives.
+/// `wanted` (n,): from the series to the quantity; `bend` (n,): to its second derivative times the square of the step;
+/// n odd. Between two samples the quantity runs as the cubic with these second derivatives.
 pub struct Taps<'a> {
     /// Taps of the quantity.
     pub wanted: &'a [f64],

@@ -7,7 +7,8 @@ const EIGHTH: f32 = 0.414_213_56;
 
 /// The angle (rad) of the point (x, y), -π to π; of the origin 0.
 ///
-/// An angle below an eighth of a turn's half by an odd polynomial (S. Moshier's atanf), others by their difference to π/4.
+/// An angle below an eighth of a turn's half by an odd polynomial (S. Moshier's atanf), others by their difference to
+/// π/4.
 #[inline(always)]
 pub fn angle(y: f32, x: f32) -> f32 {
     let (wide, high) = (x.abs(), y.abs());
@@ -48,7 +49,8 @@ mod tests {
 
         #[test]
         fn cosines_are_those_of_the_standard_library(at in -3.15..3.15f32) {
-            // The series ends with the eleventh power: 1.575¹³ / 13! = 6e-8, four times that in the cosine, and rounding.
+            // The series ends with the eleventh power: 1.575¹³ / 13! = 6e-8, four times that in the cosine, and
+            // rounding.
             prop_assert!((f64::from(cosine(at)) - f64::from(at).cos()).abs() < 6e-7);
         }
     }

@@ -60,8 +60,8 @@ pub struct Fused {
 
 /// Gain of every block, drawn to the median of all as far as its own is uncertain; None without one.
 ///
-/// `gain`: of blocks, with their inverse variances for noise of scale 1; `usual`: the scale to be expected, None where it
-/// is not known.
+/// `gain`: of blocks, with their inverse variances for noise of scale 1; `usual`: the scale to be expected, None where
+/// it is not known.
 pub fn gains(gain: &[(f64, f64)], usual: Option<f64>) -> Vec<Option<f64>> {
     let usable = |&(gain, information): &(f64, f64)| gain.is_finite() && information > 0.0;
     let mut all: Vec<f64> = gain.iter().filter(|one| usable(one)).map(|one| one.0).collect();
@@ -85,8 +85,8 @@ pub fn gains(gain: &[(f64, f64)], usual: Option<f64>) -> Vec<Option<f64>> {
             let (gain, information) = *one;
             usable(one).then(|| {
                 let (square, variance) = ((gain - middle).powi(2), noise / information);
-                // A block's own gain also counts as far as it lies outside the noise: covered blocks must not be averaged
-                // away.
+                // A block's own gain also counts as far as it lies outside the noise: covered blocks must not be
+                // averaged away.
                 let alone = (1.0 - 4.0 * variance / square.max(1e-300)).max(0.0);
                 middle + (spread / (spread + variance).max(1e-300)).max(alone) * (gain - middle)
             })
@@ -142,9 +142,9 @@ fn voted(blocks: &[Counted], begin: &PoseValue, square: f64) -> PoseValue {
 
 /// The pose of the blocks by Tukey's biweight from the pose that most blocks vote for.
 ///
-/// Its scale is from the median distance of the blocks, at most 1.3 times the `usual` one (None: not known), so that more
-/// than half of them may say anything. Roll and zoom are drawn to zero as far as they may be noise. `begin`: the pose
-/// before.
+/// Its scale is from the median distance of the blocks, at most 1.3 times the `usual` one (None: not known), so that
+/// more than half of them may say anything. Roll and zoom are drawn to zero as far as they may be noise. `begin`: the
+/// pose before.
 pub fn fuse(blocks: &[Shown], begin: &PoseValue, usual: Option<f64>) -> Fused {
     let counted: Vec<Counted> = blocks
         .iter()

@@ -80,7 +80,8 @@ struct Products {
     warp: [[f64; 5]; 2],
 }
 
-/// A frame, less its level, compared with a template whose window begins at the pixel `origin` (x, y) of an image at rest.
+/// A frame, less its level, compared with a template whose window begins at the pixel `origin` (x, y) of an image at
+/// rest.
 pub struct View<'a, T> {
     /// The frame.
     pub image: Image<'a, T>,

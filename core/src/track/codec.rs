@@ -1,10 +1,10 @@
 //! What a codec did to the frames: how much of each picture is inherited from the one before.
 //!
 //! Most lossy codecs predict a picture from the one before, moved by quarters of a pixel, and leave out what differs
-//! little. So a picture inherits a part of the one before: its noise, which in a raw recording is new in each frame, and
-//! the rounding of its motion. The noise of the difference to the frame before, over the noise of the difference to a frame
-//! long ago, is 1 in raw frames; what is missing from 1 is the inherited share. Codecs that code each picture separately
-//! show steps at the edges of blocks.
+//! little. So a picture inherits a part of the one before: its noise, which in a raw recording is new in each frame,
+//! and the rounding of its motion. The noise of the difference to the frame before, over the noise of the difference to
+//! a frame long ago, is 1 in raw frames; what is missing from 1 is the inherited share. Codecs that code each picture
+//! separately show steps at the edges of blocks.
 //!
 //! The constants that turn these into pixels were set on simulated frames through x264 and MJPEG (docs/validation.md).
 
@@ -20,21 +20,22 @@ const CHECK_FRAMES: u64 = 96;
 /// The same until the first checks have shown something, and how many those are.
 const FIRST_CHECKS: usize = 5;
 const FIRST_FRAMES: u64 = 8;
-/// Rounding to whole grey levels alone makes so much noise, 1/√12; a difference with less is of one picture with itself.
+/// Rounding to whole grey levels alone makes so much noise, 1/√12; a difference with less is of one picture with
+/// itself.
 const ROUNDING_NOISE: f64 = 0.29;
-const LEAST_CHECKS: usize = 2;
+const MIN_CHECKS: usize = 2;
 /// Checks that medians are taken over: a median of 64 is known to a sixth of one check's scatter.
 const CHECKS_KEPT: usize = 64;
 /// Side of the square that is compared, px.
 const SAMPLE_PX: usize = 64;
-const LEAST_SAMPLE_PX: i64 = 16;
+const MIN_SAMPLE_PX: i64 = 16;
 /// What chance makes of the inherited share in raw frames: over many checks, and more in a single one of a full square.
 const CHANCE_SHARE: f64 = 0.03;
 const CHANCE_SHARE_ONCE: f64 = 0.045;
 /// Motion rounded to quarters of a pixel errs by 0.072 px where nothing is added to the prediction. Of two predictions
 /// averaged, and of blocks predicted each on its own, this much is left for a picture whose noise is all inherited.
 const INHERITED_STD_PX: f64 = 0.032;
-const MOST_COLOUR: f64 = 3.5;
+const MAX_COLOUR: f64 = 3.5;
 const CLEAR_SHARE: f64 = 0.25;
 const CLEAR_COLOUR: f64 = 1.4;
 /// Blockiness from which on pictures may be coded separately.
@@ -143,7 +144,7 @@ impl Comparison {
         Some(Check {
             by_earlier: inherited(before, earlier),
             by_reference: inherited(before, reference),
-            colour: if fine > 0.0 { broad / fine } else { MOST_COLOUR },
+            colour: if fine > 0.0 { broad / fine } else { MAX_COLOUR },
             noise: fine,
             blockiness: self.blockiness,
             stairs: self.stairs,
@@ -161,7 +162,7 @@ fn inherited(before: [f64; 2], then: [f64; 2]) -> f64 {
 /// Standard deviation (px) for an inherited share, 0 to 1, of noise of such a colour in such blocks.
 fn inherited_std_px(share: f64, usual: &Check) -> f64 {
     // Where little is inherited, the codec left out the finest detail, but not because it predicted.
-    let coarse = usual.colour.max(1.0).min(1.0 + 5.0 * share).min(MOST_COLOUR);
+    let coarse = usual.colour.max(1.0).min(1.0 + 5.0 * share).min(MAX_COLOUR);
     // Steps at the edges of blocks show pictures coded separately: what seems inherited there is only at rest.
     let alone = (2.0 * usual.blockiness / share - 0.5).clamp(0.0, 1.0);
     INHERITED_STD_PX * share * coarse / (1.0 + 3.0 * alone)
@@ -172,7 +173,7 @@ fn inherited_std_px(share: f64, usual: &Check) -> f64 {
 pub struct Compression {
     /// Share that a picture inherits from the one before.
     pub inherited_share: f64,
-    /// Share of the texture that stood still.
+    /// Share of the texture that was static.
     pub frozen_share: f64,
     /// Standard deviation of what that does to a translation, px.
     pub std_px: f64,
@@ -197,8 +198,8 @@ pub struct CodecWatch {
     size: i64,
     reference: Option<Square>,
     memory: CodecMemory,
-    /// What is usual, and whether frames inherit in the first checks as well: light that turns parts only those long after
-    /// each other, whatever a codec does. Both only change with a check.
+    /// What is usual, and whether frames inherit in the first checks as well: light that turns parts only those long
+    /// after each other, whatever a codec does. Both only change with a check.
     usual: Check,
     soon_too: bool,
 }
@@ -234,14 +235,14 @@ impl CodecWatch {
         self.memory.last = None;
     }
 
-    /// What a codec did to the frames so far; `frozen_share`: of the texture that stood still, 0 to 1; `refocused`: whether
-    /// the usual frame has another sharpness than the reference.
+    /// What a codec did to the frames so far; `frozen_share`: of the texture that was static, 0 to 1; `refocused`:
+    /// whether the usual frame has another sharpness than the reference.
     pub fn compression(&self, frozen_share: f64, refocused: bool) -> Compression {
         let (usual, checks, mut share, mut variance) = (&self.usual, self.memory.checks.len(), 0.0, 0.0);
-        if checks >= LEAST_CHECKS {
+        if checks >= MIN_CHECKS {
             variance = (STAIR_STD_PX * usual.stairs * (usual.blockiness / ONLY_STAIRS).clamp(0.0, 1.0)).powi(2);
-            // Against the reference alone: a change of light parts frames from it too, but leaves their noise white; blur
-            // does not.
+            // Against the reference alone: a change of light parts frames from it too, but leaves their noise white;
+            // blur does not.
             let clear = usual.by_reference > CLEAR_SHARE && usual.colour > CLEAR_COLOUR && !refocused;
             if (usual.by_earlier > self.chance(checks) || clear) && self.soon_too {
                 share = usual.inherited();
@@ -340,12 +341,12 @@ impl CodecWatch {
     fn take_medians(&mut self) {
         let soon = self.memory.first.len();
         self.usual = self.memory.checks.check();
-        self.soon_too = soon < LEAST_CHECKS || self.memory.first.check().inherited() > self.chance(soon);
+        self.soon_too = soon < MIN_CHECKS || self.memory.first.check().inherited() > self.chance(soon);
     }
 
     /// The square about the target's middle; None where it leaves the image or a pixel has no value.
     fn sample<T: Pixel>(&self, image: &Image<'_, T>, place: [f64; 2]) -> Option<Square> {
-        if self.size < LEAST_SAMPLE_PX {
+        if self.size < MIN_SAMPLE_PX {
             return None;
         }
         let (region, side) = (self.region, self.side());

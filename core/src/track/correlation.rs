@@ -91,7 +91,7 @@ fn adjacent<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; 
     #[cfg(target_arch = "x86_64")]
     if super::vector::is_wide() {
         // SAFETY: the processor has AVX2, and each line holds eight values from each of the row's places on.
-        return unsafe { beside_wide(row, lines) };
+        return unsafe { adjacent_wide(row, lines) };
     }
     let mut sums = [[0.0f32; ACROSS]; N];
     for (c, &value) in row.iter().enumerate() {
@@ -105,7 +105,7 @@ fn adjacent<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; 
 /// As [`adjacent`], by name: the compiler does not keep the lines apart, which makes it three times as slow.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-unsafe fn beside_wide<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N] {
+unsafe fn adjacent_wide<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32; ACROSS]; N] {
     use std::arch::x86_64::{
         _mm256_add_ps, _mm256_loadu_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_storeu_ps,
     };
@@ -125,10 +125,11 @@ unsafe fn beside_wide<const N: usize>(row: &[f32], lines: [&[f32]; N]) -> [[f32;
     out
 }
 
-/// ZNCC (-1 to 1) of `template` at every whole-pixel position in `patch`: (rows - h + 1, columns - w + 1); 0 where a window
-/// is constant.
+/// ZNCC (-1 to 1) of `template` at every whole-pixel position in `patch`: (rows - h + 1, columns - w + 1); 0 where a
+/// window is constant.
 ///
-/// `patch` is roughly free of its mean (single precision loses the difference otherwise); `template` (h, w) has zero mean.
+/// `patch` is roughly free of its mean (single precision loses the difference otherwise); `template` (h, w) has zero
+/// mean.
 pub fn zncc_map(patch: &Grid, template: &Grid) -> Grid<f64> {
     let norm: f64 = template.values.iter().map(|&value| f64::from(value) * f64::from(value)).sum();
     let energy = window_energies(patch, template.rows, template.columns);

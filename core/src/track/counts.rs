@@ -52,8 +52,8 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Counts a frame with the target at `place`: of such detail (square) along x and y over the reference's, NaN where it
-    /// is not known, and of this ratio of saturated pixels to the others.
+    /// Counts a frame with the target at `place`: of such detail (square) along x and y over the reference's, NaN where
+    /// it is not known, and of this ratio of saturated pixels to the others.
     pub fn add(&mut self, place: [f64; 2], variance: [f64; 2], sharp: [f64; 2], saturated: f64) {
         self.frames += 1;
         self.blurred += u64::from(sharp[0].min(sharp[1]) < BLURRED);

@@ -1,8 +1,8 @@
 //! A fair variance for frames that match the reference without noise.
 //!
 //! The reference frame, and any frame equal to it, matches itself perfectly and would seem to be known exactly; but its
-//! noise is that of the template, and the zero of the displacement is no better known than that. A template's noise also
-//! enters through the edge of its window, which moves over the frame: measured 1.2 to 1.4 times a frame's own.
+//! noise is that of the template, and the zero of the displacement is no better known than that. A template's noise
+//! also enters through the edge of its window, which moves over the frame: measured 1.2 to 1.4 times a frame's own.
 
 use super::running_median::RunningMedian;
 use serde::{Deserialize, Serialize};

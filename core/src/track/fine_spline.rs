@@ -137,7 +137,8 @@ impl Line {
         Self { even: vec![0.0; columns + HALF], odd: vec![0.0; columns + HALF - 1] }
     }
 
-    /// Fill with the sums of nine rows of coefficients from `row` on, about pixels from `left` on, each times its weight.
+    /// Fill with the sums of nine rows of coefficients from `row` on, about pixels from `left` on, each times its
+    /// weight.
     #[inline(always)]
     fn down(&mut self, grid: &Fine, row: usize, left: usize, taps: &Taps) {
         let row = row + taps.first;

@@ -116,8 +116,8 @@ impl Region {
         }
     }
 
-    /// Moved by a translation, rounded to whole pixels, and then the least to lie inside an image of this size, cut to that
-    /// where it is larger (equation 28 of doi 10.1111/mice.12767).
+    /// Moved by a translation, rounded to whole pixels, and then the least to lie inside an image of this size, cut to
+    /// that where it is larger (equation 28 of doi 10.1111/mice.12767).
     pub fn followed(self, place: [f64; 2], rows: usize, columns: usize) -> Self {
         let along = |first: i64, moved: f64, size: usize, pixels: usize| {
             let size = size.min(pixels);

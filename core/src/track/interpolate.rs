@@ -74,7 +74,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Splines of degree 5 keep polynomials of degree 5; the cardinal spline is cut off where it has fallen to 1e-4.
+        /// Splines of degree 5 keep polynomials of degree 5; the cardinal spline is cut off where it has fallen to
+        /// 1e-4.
         #[test]
         fn a_line_and_a_slow_wave_are_kept(shift in -1.0..1.0f64) {
             let taps = cardinal_taps(shift);

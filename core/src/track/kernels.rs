@@ -2,11 +2,11 @@
 //!
 //! In each block of the window the frame is a T - a d·∇T + level + ramps, with the template T at a known phase, a small
 //! remaining shift d and a gain a. The kernels are the rows of (Zᵀ W A)⁻¹ Zᵀ W that belong to a d and a: A holds the
-//! gradients, the template, 1, two ramps and the template times each ramp (light that falls off across the block), W one
-//! over each pixel's noise variance, and Z the same columns as A of the low-passed template. Whatever is in A and not
-//! wanted drops out exactly; the low-pass in Z alone keeps the template's noise and aliasing, which the gradient amplifies,
-//! out of the result (an instrument in the sense of regression). What they give for the second order of a shift is known
-//! and taken off, so that kernels for every eighth of a pixel are enough.
+//! gradients, the template, 1, two ramps and the template times each ramp (light that falls off across the block), W
+//! one over each pixel's noise variance, and Z the same columns as A of the low-passed template. Whatever is in A and
+//! not wanted drops out exactly; the low-pass in Z alone keeps the template's noise and aliasing, which the gradient
+//! amplifies, out of the result (an instrument in the sense of regression). What they give for the second order of a
+//! shift is known and taken off, so that kernels for every eighth of a pixel are enough.
 
 use super::fine_spline::{Curvatures, Fine, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
@@ -73,8 +73,8 @@ pub fn edges(size: usize, most: usize, least: usize) -> Vec<usize> {
     (0..=count).map(|k| k * size / count).collect()
 }
 
-/// A block's kernels for a d along x and y and for a, pixel after pixel, and what they give for x and y (rows) of a block
-/// turned by 1 rad or enlarged by 1 about its middle, and of the second order of a shift.
+/// A block's kernels for a d along x and y and for a, pixel after pixel, and what they give for x and y (rows) of a
+/// block turned by 1 rad or enlarged by 1 about its middle, and of the second order of a shift.
 #[derive(Clone, Debug)]
 pub struct Exact {
     /// Of the pixels.
@@ -165,7 +165,8 @@ fn columns(planes: &Slopes) -> [Vec<f64>; UNKNOWNS] {
     out
 }
 
-/// How a block's pixels change when it is turned by 1 rad, when it is enlarged by 1, and to the second order of a shift.
+/// How a block's pixels change when it is turned by 1 rad, when it is enlarged by 1, and to the second order of a
+/// shift.
 fn warps(planes: &Slopes, curvatures: &Curvatures) -> [Vec<f64>; WARPS] {
     let (rows, columns) = (planes.value.rows, planes.value.columns);
     let mut out: [Vec<f64>; WARPS] = std::array::from_fn(|_| Vec::with_capacity(rows * columns));
@@ -184,8 +185,8 @@ fn warps(planes: &Slopes, curvatures: &Curvatures) -> [Vec<f64>; WARPS] {
 
 /// Kernels as whole numbers of 16 bits with a step each.
 ///
-/// Half the memory is half the time, as kernels come from outside the processor's caches. Their rounding makes less than a
-/// thousandth of the noise of a frame.
+/// Half the memory is half the time, as kernels come from outside the processor's caches. Their rounding makes less
+/// than a thousandth of the noise of a frame.
 #[derive(Clone, Debug)]
 pub struct Halves {
     /// Pixel after pixel, of a d along x and y and of a.

@@ -1,10 +1,10 @@
 //! A better template than one frame: two samples a pixel, fitted to frames whose sub-pixel places differ.
 //!
-//! One frame holds what lies above half a cycle a pixel aliased to lower frequencies; frames at different places alias it
-//! differently, so that together they distinguish it. The spline coefficients minimise the squared differences from all
-//! frames, each at its place, plus a penalty on the fourth power of the Laplacian that stands for how the spectrum of
-//! pictures through a lens falls (after Elad and Feuer, 1997, doi 10.1109/83.650118). Here are the normal equations of
-//! that; Python solves them by conjugate gradients.
+//! One frame holds what lies above half a cycle a pixel aliased to lower frequencies; frames at different places alias
+//! it differently, so that together they distinguish it. The spline coefficients minimise the squared differences from
+//! all frames, each at its place, plus a penalty on the fourth power of the Laplacian that stands for how the spectrum
+//! of pictures through a lens falls (after Elad and Feuer, 1997, doi 10.1109/83.650118). Here are the normal equations
+//! of that; Python solves them by conjugate gradients.
 
 use super::fine_spline::{Fine, Spreading, Taps, read_into, slopes, spread_into};
 use super::grid::{Grid, Part};

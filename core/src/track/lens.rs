@@ -1,8 +1,8 @@
 //! The two lens models of OpenCV: where a ray falls on the picture, and back, with derivatives.
 //!
 //! Rays are (x, y) on the plane at distance 1 before the camera; the lens moves them to (x, y) as a picture shows them.
-//! Pinhole: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, rational radial terms, tangential terms and thin prism (Weng, Cohen and
-//! Herniou 1992, doi 10.1109/34.159901). Fisheye: k1 … k4 (Kannala and Brandt 2006, doi 10.1109/TPAMI.2006.153).
+//! Pinhole: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, rational radial terms, tangential terms and thin prism (Weng, Cohen
+//! and Herniou 1992, doi 10.1109/34.159901). Fisheye: k1 … k4 (Kannala and Brandt 2006, doi 10.1109/TPAMI.2006.153).
 
 /// Where Newton's steps end, of the plane's unit.
 const CLOSE: f64 = 1e-13;

@@ -12,7 +12,7 @@ use super::vector::{sums, vectorised};
 const THINNED: usize = 3;
 /// Blocks a side: what hides less than half of them is no light. A block has this many means a side at least.
 const BLOCKS: usize = 4;
-const LEAST_BLOCK: usize = 5;
+const MIN_BLOCK: usize = 5;
 /// Pixels near the top of 8 bits are cut off: more light changes them without any shading.
 const CLIPPED: f64 = 250.0;
 /// A frame whose mean is above black by less than this share of full scale is dark; black is 0, or in video of limited
@@ -48,8 +48,8 @@ impl Reference {
         Self { region, full, means: means_at(image, region, [0.0; 2]) }
     }
 
-    /// Share (0 to 1) of the target's picture that is not the reference's, where it lies `shift` (x, y) px from its region;
-    /// None where either leaves the image.
+    /// Share (0 to 1) of the target's picture that is not the reference's, where it lies `shift` (x, y) px from its
+    /// region; None where either leaves the image.
     pub fn unlike<T: Pixel>(&self, image: &Image<'_, T>, shift: [f64; 2]) -> Option<f64> {
         let reference = self.means.as_ref()?;
         Some(unlike(reference, &means_at(image, self.region, shift)?, self.full))
@@ -109,7 +109,7 @@ struct Block {
 
 /// The share of a picture that is not the reference's, of two of one size.
 fn unlike(reference: &Means, now: &Means, full: f64) -> f64 {
-    let side = (reference.rows.min(reference.columns) / LEAST_BLOCK).clamp(1, BLOCKS);
+    let side = (reference.rows.min(reference.columns) / MIN_BLOCK).clamp(1, BLOCKS);
     let mut shares: Vec<[f64; 2]> = block_sums(reference, now, full, side)
         .into_iter()
         .filter(|block| block.count > 0.0)

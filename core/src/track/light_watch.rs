@@ -1,9 +1,9 @@
 //! How far changed light may move the result of a tracker whose reference stays the first frame.
 //!
-//! A bump or a ledge is shaded anew when the light turns: part of that looks as if the target had moved. A tracker with one
-//! reference frame does not see it; the picture does, as it is less and less the reference's. Under light from another side
-//! a picture is a · reference + b · something else, and the shift that is taken for motion goes with b: its variance with
-//! the share of the picture's contrast, squared, that is not the reference's (see [`super::light`]).
+//! A bump or a ledge is shaded anew when the light turns: part of that looks as if the target had moved. A tracker with
+//! one reference frame does not see it; the picture does, as it is less and less the reference's. Under light from
+//! another side a picture is a · reference + b · something else, and the shift that is taken for motion goes with b:
+//! its variance with the share of the picture's contrast, squared, that is not the reference's (see [`super::light`]).
 
 use super::image::{Image, Pixel, Region};
 use super::light::Reference;
@@ -16,7 +16,7 @@ const LOOKS: usize = 5;
 /// this share, and pictures without noise by this much.
 const USUAL_LOOKS: usize = 6;
 const SCATTER: f64 = 0.5;
-const LEAST_SCATTER: f64 = 1e-3;
+const MIN_SCATTER: f64 = 1e-3;
 /// Standard deviation (px) that a picture of which nothing is the reference's any more stands for.
 pub const LIGHT_PX: f64 = 0.12;
 /// A standard deviation beyond which changed light is reported, px.
@@ -46,7 +46,7 @@ impl LightMemory {
             self.first.push(share);
             return;
         }
-        let usual = (1.0 + SCATTER) * self.first.iter().copied().fold(f64::INFINITY, f64::min) + LEAST_SCATTER;
+        let usual = (1.0 + SCATTER) * self.first.iter().copied().fold(f64::INFINITY, f64::min) + MIN_SCATTER;
         let mut last = self.last.clone();
         last.sort_by(f64::total_cmp);
         self.variance_px2 = LIGHT_PX * LIGHT_PX * (last[last.len() / 2] - usual).max(0.0);
@@ -70,8 +70,8 @@ impl LightWatch {
         Self { reference: Reference::new(reference, region), memory: LightMemory::default() }
     }
 
-    /// The variance (px²) along either axis as the picture shows it; `place`: of the target that was found in the frame,
-    /// None: in which it was not.
+    /// The variance (px²) along either axis as the picture shows it; `place`: of the target that was found in the
+    /// frame, None: in which it was not.
     pub fn push<T: Pixel>(&mut self, image: &Image<'_, T>, time_ns: i64, place: Option<[f64; 2]>) -> f64 {
         let due_ns = self.memory.due_ns;
         let place = place.filter(|_| due_ns.is_none_or(|due_ns| time_ns >= due_ns));

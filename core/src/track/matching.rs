@@ -54,7 +54,8 @@ impl Features {
         Kind { blocks: blocks.collect(), members }
     }
 
-    /// Calls `found` with the place of each feature, that of each other one of its kind, and the square of their distance.
+    /// Calls `found` with the place of each feature, that of each other one of its kind, and the square of their
+    /// distance.
     fn compare(&self, now: &Self, mut found: impl FnMut(usize, usize, f32)) {
         let mut kinds = self.kinds.clone();
         kinds.sort_unstable();

@@ -1,7 +1,7 @@
 //! Trackers: from the pixels of a frame to the translation of a target, and what its image says of that.
 //!
-//! Splines on the pixel grid, correlation of a template and its peak (`template`), and maximum-likelihood kernels in blocks
-//! and of the whole window (`registration`). Arrays are row after row.
+//! Splines on the pixel grid, correlation of a template and its peak (`template`), and maximum-likelihood kernels in
+//! blocks and of the whole window (`registration`). Arrays are row after row.
 
 pub mod angles;
 pub mod bank;

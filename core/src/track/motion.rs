@@ -24,8 +24,8 @@ pub struct Motion {
     pub speed: [f64; 2],
     /// How many frames the target has been lost since.
     pub lost_frames: u64,
-    /// Whether that was because it could not be distinguished from places that look like it: where it was then says nothing
-    /// of where it is.
+    /// Whether that was because it could not be distinguished from places that look like it: where it was then says
+    /// nothing of where it is.
     pub confused: bool,
 }
 

@@ -1,8 +1,8 @@
 //! The sub-pixel peak of the ZNCC surface and its covariance.
 //!
-//! Around the whole-pixel peak the template's quintic spline is moved over the frame's window: the numerator of ZNCC is then
-//! itself a quintic spline of the shift, the template's energy a known function of it, and Newton's method climbs the
-//! surface.
+//! Around the whole-pixel peak the template's quintic spline is moved over the frame's window: the numerator of ZNCC is
+//! then itself a quintic spline of the shift, the template's energy a known function of it, and Newton's method climbs
+//! the surface.
 
 use super::correlation::products;
 use super::grid::{Grid, Part};
@@ -115,8 +115,8 @@ fn log_zncc(numerator: &[[f64; TAPS]; TAPS], norm: &Grid<f64>, x: f64, y: f64) -
     })
 }
 
-/// The shift x, y (px) within -1 to 1 px at which the ZNCC surface has its maximum, by Newton's method from the whole-pixel
-/// peak; None where it has none inside.
+/// The shift x, y (px) within -1 to 1 px at which the ZNCC surface has its maximum, by Newton's method from the
+/// whole-pixel peak; None where it has none inside.
 ///
 /// `numerator` are spline coefficients, `norm` (p, p) the polynomial of ln √(energy of the shifted template).
 pub fn maximum(numerator: &[[f64; TAPS]; TAPS], norm: &Grid<f64>) -> Option<[f64; 2]> {
@@ -211,7 +211,8 @@ vectorised! {
     }
 }
 
-/// What is left of the frame's window when the template, shifted by `shift` (x, y px), is taken out; None without a match.
+/// What is left of the frame's window when the template, shifted by `shift` (x, y px), is taken out; None without a
+/// match.
 ///
 /// `window` (h, w) without its mean (overwritten), `grid` the template's spline coefficients.
 pub fn residual(window: &mut Grid, grid: &Grid, basis: &[Grid; 3], shift: [f64; 2]) -> Option<Residual> {
@@ -255,8 +256,8 @@ fn solved(mut matrix: Moments, mut right: [f64; 4]) -> [f64; 4] {
     right
 }
 
-/// Variances x and y (px²) from how the shift changes when one block after the other is left out; level and gain are fitted
-/// anew each time.
+/// Variances x and y (px²) from how the shift changes when one block after the other is left out; level and gain are
+/// fitted anew each time.
 fn jackknife(sums: &[BlockSums], moments: &[Moments]) -> [f64; 2] {
     let (mut matrix, mut right) = (Moments::default(), [0.0; 4]);
     for (sums, moments) in sums.iter().zip(moments) {
@@ -291,7 +292,8 @@ pub struct Precision {
     pub information: [Square; 2],
     /// Pixels in the window.
     pub pixels: f64,
-    /// What white noise of variance 1 in the raw image adds to a filtered pixel's variance, and to both of `information`.
+    /// What white noise of variance 1 in the raw image adds to a filtered pixel's variance, and to both of
+    /// `information`.
     pub noise_gain: f64,
     /// See `noise_gain`.
     pub gradient_gains: [f64; 2],
@@ -310,8 +312,8 @@ impl Precision {
 
     /// Variances x and y (px²) of the peak by linear theory.
     ///
-    /// The residual holds the noise of frame and template alike, so both are counted. Where it is correlated (an object in
-    /// front, a shadow, rotation), the jackknife over blocks replaces the white-noise theory.
+    /// The residual holds the noise of frame and template alike, so both are counted. Where it is correlated (an object
+    /// in front, a shadow, rotation), the jackknife over blocks replaces the white-noise theory.
     pub fn variances(&self, sums: &[BlockSums]) -> [f64; 2] {
         let white = sums.iter().map(|sums| sums.square).sum::<f64>() / (self.pixels - 4.0) / self.noise_gain;
         let [bread, meat] = [0, 1].map(|k| without_noise(&self.information[k], 0.5 * white * self.gradient_gains[k]));

@@ -1,9 +1,9 @@
 //! A target's translation from the mean phases of its active pixels along x and y.
 //!
 //! Z. Ma, J. Choi, P. Liu, H. Sohn, Automation in Construction 140 (2022) 104338, doi 10.1016/j.autcon.2022.104338,
-//! equations 4 and 17: translation = ratio · mean phase. Here both axes are solved together by the slopes of the phases;
-//! pixels whose phase contradicts the others (something stands before them) do not count in a frame, unless they are the
-//! majority.
+//! equations 4 and 17: translation = ratio · mean phase. Here both axes are solved together by the slopes of the
+//! phases; pixels whose phase contradicts the others (something stands before them) do not count in a frame, unless
+//! they are the majority.
 
 use super::phase_axis::{AxisModel, Phases, Weights, phases, take_errors};
 use super::steerable::Responses;
@@ -129,7 +129,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Pixels of a plane wave along each axis, and the responses after a translation; one in eleven may be off by `off`.
+    /// Pixels of a plane wave along each axis, and the responses after a translation; one in eleven may be off by
+    /// `off`.
     fn waves(shift: [f64; 2], off: f32) -> ([AxisModel; 2], [Responses; 2]) {
         let both = [0usize, 1].map(|axis| {
             let mut now = Responses::default();

@@ -10,16 +10,16 @@ use std::f32::consts::{FRAC_PI_2, PI};
 
 /// The residual is watched in 4 by 4 blocks.
 pub const BLOCKS: usize = 16;
-const MOST_SIGMA: f64 = 4.0;
-const MOST_BEND_RAD: f64 = 0.3;
-const LEAST_AGREEING: f64 = 0.4;
+const MAX_SIGMA: f64 = 4.0;
+const MAX_BEND_RAD: f64 = 0.3;
+const MIN_AGREEING: f64 = 0.4;
 const NEARLY_ALL: f64 = 0.99;
 /// A response of less than this share of the reference's power is none: rounding leaves 1e-12.
 const SILENT: f32 = 1e-6;
 /// Of the square of a normal variable of variance 1.
 const MEDIAN_OF_SQUARE: f64 = 0.4549;
 /// Blocks that the scatter of the mean is estimated from.
-const LEAST_BLOCKS: usize = 4;
+const MIN_BLOCKS: usize = 4;
 /// The blocks' variance counts where it exceeds the pixels' by this factor.
 const MUCH_LARGER: f64 = 3.0;
 
@@ -131,12 +131,12 @@ impl AxisModel {
         median(&mut squares_by_unit(error, &self.unit)) / MEDIAN_OF_SQUARE
     }
 
-    /// The weights without the pixels whose phase is off by more than noise and the linear gain explain; None where next to
-    /// none are, or where most of the weight would go.
+    /// The weights without the pixels whose phase is off by more than noise and the linear gain explain; None where
+    /// next to none are, or where most of the weight would go.
     pub fn agreeing(&self, error: &[f32], noise: f64) -> Option<Weights> {
-        let mut each = agreeing(&self.weights.each, error, &self.unit, (MOST_SIGMA * MOST_SIGMA * noise) as f32);
+        let mut each = agreeing(&self.weights.each, error, &self.unit, (MAX_SIGMA * MAX_SIGMA * noise) as f32);
         let share = sum_f64(&each);
-        (LEAST_AGREEING..NEARLY_ALL).contains(&share).then(|| {
+        (MIN_AGREEING..NEARLY_ALL).contains(&share).then(|| {
             each.iter_mut().for_each(|weight| *weight = (f64::from(*weight) / share) as f32);
             self.weighted(each, self.weights.sensitivity / share)
         })
@@ -154,7 +154,7 @@ impl AxisModel {
                 [dot_f64(&weights.each[part.clone()], &error[part]), weights.of_blocks[block]]
             })
             .collect();
-        if parts.len() < LEAST_BLOCKS {
+        if parts.len() < MIN_BLOCKS {
             return white;
         }
         // Leaving one block out changes the weighted mean by this much.
@@ -176,9 +176,10 @@ impl AxisModel {
 vectorised! {
 /// Phases of a frame's responses.
 ///
-/// The angle of the complex product lies in -π … π by itself; a difference of two angles would not. Where there is next
-/// to no response (an even surface stands before the target) there is no phase: a quarter of a turn, one way and the other,
-/// agrees with no translation and draws to none, where 0 would draw to the place that the region was moved to.
+/// The angle of the complex product lies in -π … π on its own; a difference of two angles would not. Where there is
+/// next to no response (an even surface stands before the target) there is no phase: a quarter of a turn, one way and
+/// the other, agrees with no translation and draws to none, where 0 would draw to the place that the region was moved
+/// to.
 pub fn phases(axis: &AxisModel, now: &Responses) -> Phases {
     let count = axis.index.len();
     let (mut even, mut odd) = (vec![0f32; count], vec![0f32; count]);
@@ -232,7 +233,7 @@ fn squares_by_unit(error: &[f32], unit: &[f32]) -> Vec<f32> {
 vectorised! {
 /// The weights of the pixels whose error is within a limit times their unit, else 0.
 fn agreeing(weights: &[f32], error: &[f32], unit: &[f32], limit: f32) -> Vec<f32> {
-    let bend = (MOST_BEND_RAD * MOST_BEND_RAD) as f32;
+    let bend = (MAX_BEND_RAD * MAX_BEND_RAD) as f32;
     let mut kept = vec![0f32; weights.len()];
     for (((kept, &weight), &error), &unit) in kept.iter_mut().zip(weights).zip(error).zip(unit) {
         *kept = if error * error <= limit * unit + bend { weight } else { 0.0 };

@@ -23,8 +23,8 @@ pub struct Detail {
 }
 
 vectorised! {
-/// Detail of one in `every` bands of a picture; a band is eight rows: whole blocks of rows see a pattern of bricks alike
-/// wherever it lies between the pixels. NaN of a picture without an inside.
+/// Detail of one in `every` bands of a picture; a band is eight rows: whole blocks of rows see a pattern of bricks
+/// alike wherever it lies between the pixels. NaN of a picture without an inside.
 pub fn detail<T: Pixel>(picture: &Image<'_, T>, every: usize) -> Detail {
     let (rows, columns) = (picture.rows, picture.columns);
     if rows < 3 || columns < 3 {
@@ -108,8 +108,8 @@ pub fn same<T: Pixel>(one: &Image<'_, T>, other: &Image<'_, T>) -> bool {
     (one.rows, one.columns) == (other.rows, other.columns) && (0..one.rows).all(|r| one.row(r) == other.row(r))
 }
 
-/// First rows and columns of the codec's blocks that lie wholly in a picture whose first pixel is at `left`, `top` of the
-/// whole one, with `more` pixels after them.
+/// First rows and columns of the codec's blocks that lie wholly in a picture whose first pixel is at `left`, `top` of
+/// the whole one, with `more` pixels after them.
 fn corners<T: Pixel>(picture: &Image<'_, T>, left: usize, top: usize, more: usize) -> impl Iterator<Item = [usize; 2]> {
     let starts = |from: usize, length: usize| {
         let first = from.wrapping_neg() % BLOCK_PX;
@@ -166,13 +166,13 @@ pub fn blockiness<T: Pixel>(picture: &Image<'_, T>, left: usize, top: usize) -> 
 /// Square sums of the differences of neighbours: in blocks that are bit for bit those before, and in all.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Texture {
-    /// In the blocks that stood still.
+    /// In the blocks that was static.
     pub frozen: f64,
-    /// In all; 0 where none stood still.
+    /// In all; 0 where none was static.
     pub whole: f64,
 }
 
-/// The texture of the codec's blocks that stood still between two pictures of one size from one place.
+/// The texture of the codec's blocks that was static between two pictures of one size from one place.
 pub fn frozen_texture<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: usize) -> Texture {
     if (now.rows, now.columns) != (before.rows, before.columns) {
         return Texture::default();

@@ -1,7 +1,7 @@
 //! The noise of one picture as the difference of two registered ones shows it.
 //!
-//! The other picture is moved to the same place by its quintic spline and brought to the same contrast. The spread of the
-//! difference comes from its median, that of its second difference in x and y from the finest detail alone.
+//! The other picture is moved to the same place by its quintic spline and brought to the same contrast. The spread of
+//! the difference comes from its median, that of its second difference in x and y from the finest detail alone.
 
 use super::image::Image;
 use super::interpolate::{CARDINAL_TAPS, REACH_PX, cardinal_taps};

@@ -1,7 +1,7 @@
 //! Knowing when not to trust the picture: compression, blur and saturation, from the frames alone.
 //!
-//! What a frame's variance becomes rests on the frames up to it: on medians over the last checks (see [`super::codec`]) and
-//! frames, and on the frame itself.
+//! What a frame's variance becomes rests on the frames up to it: on medians over the last checks (see [`super::codec`])
+//! and frames, and on the frame itself.
 
 use super::codec::{CodecMemory, CodecWatch, Compression};
 use super::counts::Counts;
@@ -12,24 +12,24 @@ use super::picture::{Detail, detail, frozen_texture, share_at_ends, sharpness};
 use super::running_median::RunningMedian;
 use serde::{Deserialize, Serialize};
 
-/// Rows that the detail of a frame is taken from, and its share at the ends of the scale: light that drives pixels there
-/// covers more than one row.
+/// Rows that the detail of a frame is taken from, and its share at the ends of the scale: light that drives pixels
+/// there covers more than one row.
 const DETAIL_ROWS: usize = 32;
 const ENDS_ROWS: usize = 64;
 /// Frames that the usual share of static texture is a mean of, about.
 const FROZEN_MEAN_FRAMES: u64 = 96;
 /// Frames whose steps are taken for the target's speed.
 const FROZEN_FRAMES: usize = 9;
-const MOST_FROZEN: f64 = 0.9;
+const MAX_FROZEN: f64 = 0.9;
 /// Of the reference's detail (square): below it a variance is widened.
 const BLURRED: f64 = 0.6;
 /// A smaller ratio of details says no more.
-const LEAST_SHARP: f64 = 1e-3;
+const MIN_SHARP: f64 = 1e-3;
 /// Share of the pixels at the ends of the scale from which on they count.
 pub const SATURATED_SHARE: f64 = 0.015;
 /// Standard deviation (px) times the square root of the saturated over the other pixels.
 const SATURATED_STD_PX: f64 = 0.025;
-const LEAST_UNSATURATED: f64 = 0.02;
+const MIN_UNSATURATED: f64 = 0.02;
 
 /// By how much a picture of which a part is static lags along one axis.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -44,8 +44,8 @@ struct Lag {
 impl Lag {
     /// The next frame, in which a share (0 to 1) of the texture is static.
     ///
-    /// Static texture lags by its share of the step, and of the lag that it had: e = share · (e + step), with the rms of
-    /// the last steps.
+    /// Static texture lags by its share of the step, and of the lag that it had: e = share · (e + step), with the rms
+    /// of the last steps.
     fn push(&mut self, value_px: f64, share: f64) {
         let step = self.value_px.map_or(0.0, |last| value_px - last);
         if self.squares_px2.len() == FROZEN_FRAMES {
@@ -54,7 +54,7 @@ impl Lag {
         self.squares_px2.push(step * step);
         let usual = (self.squares_px2.iter().sum::<f64>() / self.squares_px2.len() as f64).sqrt();
         self.value_px = Some(value_px);
-        self.lag_px = share.min(MOST_FROZEN) * (self.lag_px + usual);
+        self.lag_px = share.min(MAX_FROZEN) * (self.lag_px + usual);
     }
 }
 
@@ -66,7 +66,7 @@ pub struct PictureMemory {
     /// The last frames' sharpness along x and y.
     sharp: [RunningMedian<USUAL_FRAMES>; 2],
     lags: [Lag; 2],
-    /// The usual share of the texture that stood still.
+    /// The usual share of the texture that was static.
     frozen_share: f64,
     counts: Counts,
 }
@@ -82,8 +82,8 @@ impl PictureMemory {
 /// Looks at every frame that a tracker has measured, and says how far to widen its variances.
 pub struct PictureWatch {
     region: Region,
-    /// Whether the frames come from a file which leaves nothing out; what they share with each other is then the scene's,
-    /// not a codec's.
+    /// Whether the frames come from a file which leaves nothing out; what they share with each other is then the
+    /// scene's, not a codec's.
     lossless: bool,
     detail: Detail,
     ends: f64,
@@ -101,13 +101,13 @@ fn numbers<T: Pixel>(target: &Image<'_, T>) -> (Detail, f64) {
 
 /// A ratio of sharpness as a number up to 1, whichever of the two is the sharper; NaN where it is not known.
 fn change(sharp: f64) -> f64 {
-    if sharp.is_nan() { sharp } else { sharp.min(1.0 / sharp.max(LEAST_SHARP)) }
+    if sharp.is_nan() { sharp } else { sharp.min(1.0 / sharp.max(MIN_SHARP)) }
 }
 
 /// Factor of the variance for detail of `sharp` times the reference's; 1 where that is not known.
 fn blur_factor(sharp: f64) -> f64 {
     let change = change(sharp);
-    if change < BLURRED { BLURRED / change.max(LEAST_SHARP) } else { 1.0 }
+    if change < BLURRED { BLURRED / change.max(MIN_SHARP) } else { 1.0 }
 }
 
 impl PictureWatch {
@@ -126,8 +126,8 @@ impl PictureWatch {
         self.memory.lags = [Lag::default(), Lag::default()];
     }
 
-    /// Looks at a frame with the target at `place`, known to `variance`, and returns that as wide as the picture asks for;
-    /// the first frame pushed is the reference. None where the region is larger than the image.
+    /// Looks at a frame with the target at `place`, known to `variance`, and returns that as wide as the picture asks
+    /// for; the first frame pushed is the reference. None where the region is larger than the image.
     pub fn push<T: Storable>(&mut self, image: &Image<'_, T>, place: [f64; 2], variance: [f64; 2]) -> Option<[f64; 2]> {
         let region = self.region.followed(place, image.rows, image.columns);
         let target = image.cut(region)?;
@@ -140,7 +140,7 @@ impl PictureWatch {
             self.follow(frozen, place, sharp);
         }
         let share = ends.max(self.ends);
-        let saturated = if share > SATURATED_SHARE { share / (1.0 - share).max(LEAST_UNSATURATED) } else { 0.0 };
+        let saturated = if share > SATURATED_SHARE { share / (1.0 - share).max(MIN_UNSATURATED) } else { 0.0 };
         self.memory.counts.add(place, variance, sharp, saturated);
         let added = self.compression().std_px.powi(2) + SATURATED_STD_PX * SATURATED_STD_PX * saturated;
         Some(std::array::from_fn(|k| {
@@ -175,7 +175,7 @@ impl PictureWatch {
         self.memory = memory;
     }
 
-    /// Share of the texture that stood still since the frame before.
+    /// Share of the texture that was static since the frame before.
     fn frozen_share<T: Storable>(&self, image: &Image<'_, T>) -> f64 {
         let Some(before) = &self.memory.before else { return 0.0 };
         let [x, y] = before.corner;
@@ -186,7 +186,7 @@ impl PictureWatch {
         if texture.whole > 0.0 { texture.frozen / texture.whole } else { 0.0 }
     }
 
-    /// Follows what a codec left standing still, and the detail over the reference's, square and without noise, for the
+    /// Follows what a codec left static, and the detail over the reference's, square and without noise, for the
     /// usual frame: they show what a codec did.
     fn follow(&mut self, frozen: f64, place: [f64; 2], sharp: [f64; 2]) {
         let memory = &mut self.memory;

@@ -20,8 +20,9 @@ struct Sums {
     left: [f64; 2],
 }
 
-/// How well what is expected is `seen` (`left`: the difference) in each of so many cells: 1 alike, 0 unrelated or one of
-/// them without contrast, which is what a thing in front leaves; the level is free. None where a pixel's cell is none.
+/// How well what is expected is `seen` (`left`: the difference) in each of this many cells: 1 alike, 0 unrelated or one
+/// of them without contrast, which is what a thing in front leaves; the level is free. None where a pixel's cell is
+/// none.
 ///
 /// For cells of equal contrast this is their correlation. Cells without texture agree while nothing is seen in them.
 pub fn agreement(seen: &[f32], left: &[f32], cell: &[i64], cells: usize) -> Option<Vec<f64>> {
@@ -49,9 +50,9 @@ pub fn agreement(seen: &[f32], left: &[f32], cell: &[i64], cells: usize) -> Opti
 
 /// Moves of least log det from `products` (3 n, 3 n) of n pictures and their slopes along x and y, from `moves` on.
 ///
-/// Log det is concave: a weighted sum of squares with the inverse as weights lies above it and touches it, and each round
-/// goes to that sum's least. `trust`: standard deviation of a mix that pictures leave open, as a share of their contrast.
-/// None where the pictures do not determine their places, or the shapes differ.
+/// Log det is concave: a weighted sum of squares with the inverse as weights lies above it and touches it, and each
+/// round goes to that sum's least. `trust`: standard deviation of a mix that pictures leave open, as a share of their
+/// contrast. None where the pictures do not determine their places, or the shapes differ.
 pub fn least(products: &Grid<f64>, moves: &[[f64; 2]], rounds: usize, trust: f64) -> Option<Vec<[f64; 2]>> {
     let (n, mut moves) = (moves.len(), moves.to_vec());
     if n < 2 || products.rows != 3 * n || products.columns != 3 * n {

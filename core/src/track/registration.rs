@@ -1,9 +1,10 @@
 //! Registration of a frame with a template: maximum-likelihood kernels, fused into translation, roll and zoom.
 //!
-//! The window is multiplied by kernels made for the template at the nearest eighth of a pixel. Where nothing disturbs it
-//! that gives one pose of all (see [`super::undisturbed`]); else each block has kernels of its own, which give its
-//! translation in one step (see [`super::kernels`]), and the blocks are fused so that what covers, shades, turns or enlarges
-//! a part of the target does not move the result (see [`super::blocks`]). Nothing of the frame is interpolated.
+//! The window is multiplied by kernels made for the template at the nearest eighth of a pixel. Where nothing disturbs
+//! it that gives one pose of all (see [`super::undisturbed`]); else each block has kernels of its own, which give its
+//! translation in one step (see [`super::kernels`]), and the blocks are fused so that what covers, shades, turns or
+//! enlarges a part of the target does not move the result (see [`super::blocks`]). Nothing of the frame is
+//! interpolated.
 
 use super::bank::{Bank, Plane};
 use super::blocks::PoseValue;
@@ -16,8 +17,8 @@ use super::template::{Fix, Template};
 use super::undisturbed::{Known, Undisturbed};
 use std::sync::Arc;
 
-/// Blocks along each axis, and the least size in px for which there are fewer of them: few large ones, the most exact, and
-/// many small ones, the most robust.
+/// Blocks along each axis, and the least size in px for which there are fewer of them: few large ones, the most exact,
+/// and many small ones, the most robust.
 const COARSE: (usize, usize) = (5, 20);
 const FINE: (usize, usize) = (8, 10);
 /// Times the usual noise: 30 degrees of freedom exceed it about once in 500 frames.
@@ -117,10 +118,11 @@ impl Registration {
     }
 
     /// The pose in a frame less a level since the reference frame, around `begin`: of the whole window where nothing
-    /// disturbs it, else from blocks or, where these disagree, from the window's correlation if that is the better known.
+    /// disturbs it, else from blocks or, where these disagree, from the window's correlation if that is the better
+    /// known.
     ///
-    /// Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then, and the
-    /// most consistent of them err, but the window as a whole does not.
+    /// Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then, and
+    /// the most consistent of them err, but the window as a whole does not.
     pub fn look<T: Pixel>(
         &mut self,
         image: Image<T>,

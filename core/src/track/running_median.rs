@@ -1,4 +1,5 @@
-//! The median of the last N values, one value at a time: a push costs the logarithm of N and a shift of the sorted ones.
+//! The median of the last N values, one value at a time: a push costs the logarithm of N and a shift of the sorted
+//! ones.
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;

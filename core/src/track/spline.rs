@@ -38,7 +38,8 @@ pub fn coefficients(image: &Grid<f64>) -> Grid<f64> {
     out
 }
 
-/// Turn each column from values into coefficients: the inverse of sampling, one recursion down and one up for each pole.
+/// Turn each column from values into coefficients: the inverse of sampling, one recursion down and one up for each
+/// pole.
 fn filtered_down(grid: &mut Grid<f64>) {
     let (n, columns) = (grid.rows, grid.columns);
     if n < 2 {

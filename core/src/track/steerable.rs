@@ -1,9 +1,9 @@
-//! Local phase: the responses of steerable quadrature filters along x or y (Freeman and Adelson, 1991, tables III and V,
-//! doi 10.1109/34.93808).
+//! Local phase: the responses of steerable quadrature filters along x or y (Freeman and Adelson, 1991, tables III and
+//! V, doi 10.1109/34.93808).
 //!
 //! The filters are separable: nine taps along the axis, even (second derivative of a Gaussian) or odd (its Hilbert
-//! transform), and the Gaussian across it. Even taps are symmetric and odd ones antisymmetric, so that neighbours at equal
-//! distances are added or subtracted first.
+//! transform), and the Gaussian across it. Even taps are symmetric and odd ones antisymmetric, so that neighbours at
+//! equal distances are added or subtracted first.
 
 use super::image::Image;
 use super::vector::vectorised;

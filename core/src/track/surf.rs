@@ -1,8 +1,8 @@
 //! SURF: blobs by box filters on an integral image, and their descriptors of 64 values.
 //!
 //! Bay, Tuytelaars and Van Gool, "SURF: speeded up robust features", 2006, doi 10.1007/11744023_32. Derivatives of a
-//! Gaussian are replaced by boxes of sizes 9, 15, 21, 27 … px, a filter of size L standing for the scale 1.2 L / 9 px. A
-//! blob is a maximum of the Hessian's determinant over position and scale, refined by a quadratic in all three.
+//! Gaussian are replaced by boxes of sizes 9, 15, 21, 27 … px, a filter of size L standing for the scale 1.2 L / 9 px.
+//! A blob is a maximum of the Hessian's determinant over position and scale, refined by a quadratic in all three.
 
 use super::image::Image;
 use super::integral::Integral;
@@ -92,7 +92,8 @@ pub fn find(integral: &Integral, settings: &Settings, variance: f64) -> Vec<Blob
     blobs
 }
 
-/// Determinant of the Hessian at every `step`-th pixel (rows, columns), by the boxes' areas; 0 where one leaves the image.
+/// Determinant of the Hessian at every `step`-th pixel (rows, columns), by the boxes' areas; 0 where one leaves the
+/// image.
 pub struct Hessian {
     rows: usize,
     columns: usize,
@@ -247,7 +248,8 @@ fn peaks(integral: &Integral, octave: &Octave, threshold: f32, blobs: &mut Vec<B
     }
 }
 
-/// Whether no neighbour exceeds the middle of three samples along each axis; of equal ones the first in memory is taken.
+/// Whether no neighbour exceeds the middle of three samples along each axis; of equal ones the first in memory is
+/// taken.
 fn is_peak(value: f32, near: impl Fn(usize, usize, usize) -> f32) -> bool {
     (0..27).filter(|&place| place != 13).all(|place| {
         let other = near(place / 9, place / 3 % 3, place % 3);

@@ -1,7 +1,7 @@
 //! SURF's descriptors: sums of Haar wavelets' responses about a blob, 64 values of unit length.
 //!
-//! Four sums (dx, dy, |dx|, |dy|) over 4 by 4 fields of 5 by 5 responses, in the blob's frame or upright. What lies outside
-//! the image is left out.
+//! Four sums (dx, dy, |dx|, |dy|) over 4 by 4 fields of 5 by 5 responses, in the blob's frame or upright. What lies
+//! outside the image is left out.
 
 use super::integral::Integral;
 use super::surf::{Blob, SCALE_OF_SIZE};

@@ -1,7 +1,7 @@
 //! A template with all that is computed from it once, and the peak of its ZNCC in a frame.
 //!
-//! After Ma, Liu, Choi and Sohn, equation 2: every whole-pixel position of a span is tried, and the spline peak next to the
-//! best one is the translation.
+//! After Ma, Liu, Choi and Sohn, equation 2: every whole-pixel position of a span is tried, and the spline peak next to
+//! the best one is the translation.
 
 use super::correlation::{smooth, zncc_map};
 use super::grid::{Grid, Part};
@@ -193,7 +193,8 @@ fn first_largest(values: &[f64]) -> usize {
     best
 }
 
-/// Polynomial (powers of y by powers of x) of ln √(energy of the template shifted by -1 … 1 px), through Chebyshev's nodes.
+/// Polynomial (powers of y by powers of x) of ln √(energy of the template shifted by -1 … 1 px), through Chebyshev's
+/// nodes.
 fn log_norm(grid: &Grid) -> Grid<f64> {
     let nodes: [f64; ENERGY_TERMS] =
         std::array::from_fn(|k| (std::f64::consts::PI * (k as f64 + 0.5) / ENERGY_TERMS as f64).cos());

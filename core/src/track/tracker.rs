@@ -17,17 +17,17 @@ pub const SUSPICIOUS: f64 = 4.0;
 /// Of the target's information: less agrees by chance, or with what moves differently in the region.
 pub const MAJORITY: f64 = 0.5;
 /// Of the reference's noise: less is a picture without noise, whose blocks differ by aliasing.
-const LEAST_NOISE: f64 = 0.5;
+const MIN_NOISE: f64 = 0.5;
 /// Of the reference's noise: a frame that agrees better than this is the reference itself.
 const SELF_SHARE: f64 = 0.05;
-/// Noise up to this times the usual one, and shares of a frame's noise that become usual below and above: noise below it
-/// counts quickly, noise above it slowly, so that a long disturbance does not become the usual.
+/// Noise up to this times the usual one, and shares of a frame's noise that become usual below and above: noise below
+/// it counts quickly, noise above it slowly, so that a long disturbance does not become the usual.
 const ALIKE: f64 = 1.2;
 const QUICK_SHARE: f64 = 0.1;
 const SLOW_SHARE: f64 = 0.005;
-/// Of the target's information that must agree in a frame that is learnt from.
+/// Of the target's information that must agree in a frame that is learned from.
 const LEARN_SHARE: f64 = 0.7;
-/// At the window's edge, px: more roll or zoom would blur what is learnt.
+/// At the window's edge, px: more roll or zoom would blur what is learned.
 const LEARN_TURN_PX: f64 = 0.03;
 /// Strength of a quality of 1.
 const FULL_QUALITY: f64 = 100.0;
@@ -100,7 +100,7 @@ pub struct Tracker {
     given: Given,
     /// What changes.
     pub memory: Memory,
-    /// Whether the last frame shows the target undisturbed, neither turned nor enlarged, to be learnt from.
+    /// Whether the last frame shows the target undisturbed, neither turned nor enlarged, to be learned from.
     pub learnable: bool,
 }
 
@@ -118,7 +118,7 @@ impl Tracker {
     /// The noise to be expected of a frame; None while none has shown it.
     fn usual(&self) -> Option<f64> {
         let shown = self.memory.usual_noise;
-        (shown > 0.0).then(|| shown.max(LEAST_NOISE * self.given.reference_noise))
+        (shown > 0.0).then(|| shown.max(MIN_NOISE * self.given.reference_noise))
     }
 
     /// Takes a frame whose target lies where it is expected; else it must be searched for, and the frame is not taken.

@@ -1,12 +1,13 @@
 //! A frame that shows the target undisturbed: one pose of the whole window, and the test that its blocks agree with it.
 //!
-//! Three sums over the pixels of each block of the window - with the template's slopes along x and y and with the template,
-//! all low-passed, at the nearest phase - are all that is taken from a frame. What they must be is linear in translation,
-//! roll, zoom, gain and the ramps of gain and level across the window; generalised least squares over all blocks gives
-//! those. A block's level drops out of its sums. Kernels that leave each block a gain and ramps of its own (see
-//! [`super::kernels`]) lose 4 % of the precision to them in 25 blocks, and more in smaller ones; here they cost 1 %. What
-//! disturbs a part of the target shows in the rest of its blocks: a frame in which one of them, or all together, have more
-//! of it than noise makes is no such frame, and the blocks are asked one by one (see [`super::climb`]).
+//! Three sums over the pixels of each block of the window - with the template's slopes along x and y and with the
+//! template, all low-passed, at the nearest phase - are all that is taken from a frame. What they must be is linear in
+//! translation, roll, zoom, gain and the ramps of gain and level across the window; generalised least squares over all
+//! blocks gives those. A block's level drops out of its sums. Kernels that leave each block a gain and ramps of its own
+//! (see [`super::kernels`]) lose 4 % of the precision to them in 25 blocks, and more in smaller ones; here they cost 1
+//! %. What disturbs a part of the target shows in the rest of its blocks: a frame in which one of them, or all
+//! together, have more of it than noise makes is no such frame, and the blocks are asked one by one (see
+//! [`super::climb`]).
 
 use super::bank::{Division, Plane};
 use super::blocks::PoseValue;
@@ -19,8 +20,8 @@ use super::vector::{WIDE_LANES as LANES, sum, vectorised};
 use super::window_tables::{GAIN, SPARSE, SUMS, Tables, UNKNOWNS, WANTED};
 use std::ops::Range;
 
-/// Blocks along each axis, and the least size in px for which there are fewer of them: the unknowns of the whole window are
-/// distinguished by many blocks, not by large ones.
+/// Blocks along each axis, and the least size in px for which there are fewer of them: the unknowns of the whole window
+/// are distinguished by many blocks, not by large ones.
 const DIVISION: (usize, usize) = (5, 8);
 /// Three normal components reach this sum of squares in one of 25 blocks once in 30 000 frames.
 const WORST_SQUARE: f64 = 30.0;
@@ -348,8 +349,8 @@ fn noise(tables: &Tables, sums: &BlockSums, found: &[f64; UNKNOWNS], expected: f
     (count >= MIN_BLOCKS && likely).then_some(noise)
 }
 
-/// x, y, roll and zoom, the last two drawn to zero as far as they may be noise, and their covariance with that of the zero;
-/// few blocks show the noise only roughly, so that its variance and the usual are averaged.
+/// x, y, roll and zoom, the last two drawn to zero as far as they may be noise, and their covariance with that of the
+/// zero; few blocks show the noise only roughly, so that its variance and the usual are averaged.
 ///
 /// `normal`: for a gain of 1.
 fn shrunk(

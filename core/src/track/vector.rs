@@ -8,7 +8,8 @@ use std::array::from_fn;
 
 /// A function compiled for any processor and for AVX2; which of the two runs is decided when it is called.
 ///
-/// The work is to be done in loops: what an iterator collects may stay a function of its own, compiled for any processor.
+/// The work is to be done in loops: what an iterator collects may stay a function of its own, compiled for any
+/// processor.
 macro_rules! vectorised {
     ($(#[$doc:meta])* $vis:vis fn $name:ident $(<$T:ident : $bound:path>)? ($($arg:ident : $ty:ty),* $(,)?)
      $(-> $out:ty)? $body:block) => {

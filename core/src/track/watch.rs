@@ -1,5 +1,5 @@
-//! What a frame's translation becomes besides its tracker: fair variances, frozen and dark frames, light, codec, blur and
-//! saturation. Everything rests on the frames up to it.
+//! What a frame's translation becomes besides its tracker: fair variances, frozen and dark frames, light, codec, blur
+//! and saturation. Everything rests on the frames up to it.
 
 use super::codec::CodecMemory;
 use super::fair_variance::FairVariance;

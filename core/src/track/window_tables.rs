@@ -9,8 +9,8 @@ use super::kernels::phase_shift;
 use super::matrix::{Matrix, inverse};
 use super::vector::{WIDE_LANES as LANES, dot, vectorised};
 
-/// Kernels are whole numbers of 8 bits, a quarter of the memory that they are read from in each frame. What they respond to
-/// is computed from these: their rounding only costs precision, less than a thousandth of it.
+/// Kernels are whole numbers of 8 bits, a quarter of the memory that they are read from in each frame. What they
+/// respond to is computed from these: their rounding only costs precision, less than a thousandth of it.
 const LARGEST: f32 = 127.0;
 /// Of a block: with the slopes along x and y, and with the template.
 pub const SUMS: usize = 3;
@@ -56,8 +56,8 @@ pub struct Tables {
 }
 
 impl Tables {
-    /// The tables of a phase; `share` of each block's gradients that is texture, `centres` of the blocks from the window's
-    /// middle.
+    /// The tables of a phase; `share` of each block's gradients that is texture, `centres` of the blocks from the
+    /// window's middle.
     pub fn new(plane: &Plane, division: &Division, share: &[f64], centres: &[[f64; 2]], phase: usize) -> Self {
         let [x, y] = phase_shift(phase);
         let (height, width) = (plane.window.height, plane.window.width);
@@ -101,8 +101,8 @@ impl Tables {
 
     /// Fill in the weights by which the sums give the unknowns.
     ///
-    /// x, y, roll and zoom come from their score, the sums times these weights, through the normal matrix; the others from
-    /// the sums times theirs, less what x, y, roll and zoom put there.
+    /// x, y, roll and zoom come from their score, the sums times these weights, through the normal matrix; the others
+    /// from the sums times theirs, less what x, y, roll and zoom put there.
     fn weigh(&mut self) {
         let mut whole = Matrix::<UNKNOWNS>::default();
         let mut weighted = Vec::with_capacity(self.rows.len());
@@ -152,7 +152,8 @@ impl Kernels {
         &self.values[first..first + self.width]
     }
 
-    /// Low-passed slopes along x and y (both negative) and values of a block, weighted, without its mean, as whole numbers.
+    /// Low-passed slopes along x and y (both negative) and values of a block, weighted, without its mean, as whole
+    /// numbers.
     fn fill(&mut self, smooth: &Slopes, weight: &Grid, part: Part) {
         for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
             let sign = if sum == 2 { 1.0 } else { -1.0 };
@@ -166,8 +167,8 @@ impl Kernels {
         }
     }
 
-    /// Responses of a block's sums to the unknowns, the second order of a shift, and each other: covariance for noise of
-    /// scale 1.
+    /// Responses of a block's sums to the unknowns, the second order of a shift, and each other: covariance for noise
+    /// of scale 1.
     fn responses(&self, seen: &Seen, weight: &Grid, part: Part) -> [[f64; RESPONSES]; SUMS] {
         std::array::from_fn(|k| responses_of(self, k, seen, weight, part).map(f64::from))
     }
@@ -259,9 +260,9 @@ struct Seen {
 }
 
 vectorised! {
-    /// Sums over a block of the products of one of its kernels with what changes with x, y, roll and zoom about its middle,
-    /// gain, ramps of gain and of level about that, in px, and the second order of a shift; and with the three kernels over
-    /// the weight.
+    /// Sums over a block of the products of one of its kernels with what changes with x, y, roll and zoom about its
+    /// middle, gain, ramps of gain and of level about that, in px, and the second order of a shift; and with the three
+    /// kernels over the weight.
     fn responses_of(kernels: &Kernels, k: usize, seen: &Seen, weight: &Grid, part: Part) -> [f32; RESPONSES] {
         let Seen { moved, curved, .. } = seen;
         let middle = |first: usize, end: usize| 0.5 * (first as f32 + end as f32 - 1.0);
@@ -321,8 +322,8 @@ fn row(responses: &[f64; RESPONSES], [x, y]: [f64; 2], size: [f64; 2]) -> Row {
     Row { response, weight: [0.0; UNKNOWNS], second, inverse }
 }
 
-/// Inverse covariance of a block's sums for noise of scale 1, times the share of them that is texture; zeros where there is
-/// none. `rows`: with the covariance in place of the inverse.
+/// Inverse covariance of a block's sums for noise of scale 1, times the share of them that is texture; zeros where
+/// there is none. `rows`: with the covariance in place of the inverse.
 fn inverse_covariance(rows: &[Row; SUMS], share: f64) -> Matrix<SUMS> {
     let mut covariance = rows.map(|row| row.inverse);
     let slopes = covariance[0][0] * covariance[1][1] - covariance[0][1] * covariance[0][1];

@@ -51,7 +51,7 @@ def clearly_better(fit: Fit, other: Fit) -> bool:
 
 
 def least_lead(count: int) -> float:
-    """By how much (logarithm) the likelier of two fits to so many measurements must lead for no noise to decide."""
+    """By how much (logarithm) the likelier of two fits to this many measurements must lead for no noise to decide."""
     return max(_least_by_chance(count), 0.5 * count * float(np.log1p(AMBIGUOUS_SHARE)))
 
 

@@ -34,7 +34,7 @@ from midspan.signals.health import dominant_frequency
 # This many readings are compared, from the first on; many blocks a clock may step between.
 MAX_READINGS, BLOCKS = 1500, 16
 MIN_READINGS = 60
-# Motion slower than this share of the acceleration's main frequency is left out: double integrals wander there.
+# Motion slower than this share of the acceleration's main frequency is left out: double integrals drift there.
 SLOWEST_SHARE, SLOWEST_HZ = 0.25, 0.05
 # Ordinates of the acceleration's spectrum tell its main frequency where white noise is as strong so improbably.
 BY_CHANCE = 1e-3
@@ -272,7 +272,7 @@ def _without(columns: list[Floats], values: Floats) -> float:
 
 REMEDIES = {
     Cause.UNIT: "Check displacement.unit, accelerometer.unit and that both sensors measure the same axis, or have it "
-    "learnt: displacement.estimate_scale = true.",
+    "estimated: displacement.estimate_scale = true.",
     Cause.CLOCK: "Correct its time column or displacement.start_s, or set displacement.estimate_offset = true.",
     Cause.STEP: "Cut the recording where the clock steps, or correct the time column.",
     Cause.LOW_PASS: "Use a logger whose low-pass lies far above the motion.",

@@ -35,7 +35,7 @@ WINDOW_S, WINDOW_ROWS, SUSPICIOUS, CONTRADICTING = 8.0, 12, 5.0, 3.0
 # One measurement contradicts by this many squared deviations at most: it may be an outlier.
 MAX_SQUARE = 25.0
 # Price of a jump; what it must gain over none and over a clock that drifts; what its rival may come near to.
-PRICE, MIN_GAIN, MIN_BESIDE, RIVAL = 30.0, 30.0, 15.0, 10.0
+PRICE, MIN_GAIN, MIN_NEXT_TO, RIVAL = 30.0, 30.0, 15.0, 10.0
 # Changes within this many s may be one: the filter that all offsets are tried with takes its time after a jump.
 SETTLED_S = 3.0
 # How well a straight line is tried, and a rival; a rival is so far away, s.
@@ -43,7 +43,7 @@ LINE_STEP_S, RIVAL_STEP_S, APART_S = 4e-4, 2e-3, 0.03
 # An instant is possible that is worse than the best by no more than this; of a segment this many instants are tried.
 UNSURE, INSTANTS = 8.0, 240
 # On either side of a jump at least this many measurements must be, and this share of them explained.
-LEAST_ROWS, EXPLAINED = 10, 0.8
+MIN_ROWS, EXPLAINED = 10, 0.8
 # A jump counts from this many of its standard deviations on; the search ends after this many places without one.
 SIGNIFICANT, MAX_TRIED = 6.0, 12
 # A clock that is off before the jump by less than this, s, stays as calibrated there.
@@ -103,20 +103,20 @@ def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
     """First row of the first window from `begin` on that contradicts the acceleration or the offset before."""
     # The filter needs a way to settle.
     start = max(0, begin - _rows_in(one, REACH_S, 0)) if len(one.rows) > 1 else 0
-    if len(one.rows) - max(start, begin) < 2 * LEAST_ROWS:
+    if len(one.rows) - max(start, begin) < 2 * MIN_ROWS:
         return None
     part = one.near(start, len(one.rows), LARGEST_S + 1.0)
     windows = knots(part, late_s[start:], np.arange(0, len(part.rows), _rows_in(part, WINDOW_S, WINDOW_ROWS)))
     reference, known = 0.0, 0.0
     columns = (windows.first, windows.late_s, windows.information, windows.square)
-    for first, late, told, square in zip(*columns, strict=True):
-        variance = 1.0 / max(told, NO_INFORMATION) + (1.0 / known if known else 0.0)
+    for first, late, reported, square in zip(*columns, strict=True):
+        variance = 1.0 / max(reported, NO_INFORMATION) + (1.0 / known if known else 0.0)
         moved = known > 0.0 and abs(late - reference) > SUSPICIOUS * np.sqrt(variance)
         if (square > CONTRADICTING or moved) and start + first >= begin:
             return int(start + first)
         # What lies far back says little of a clock that drifts.
-        known = 0.5 * known + told
-        reference += (late - reference) * told / max(known, NO_INFORMATION)
+        known = 0.5 * known + reported
+        reference += (late - reference) * reported / max(known, NO_INFORMATION)
     return None
 
 
@@ -164,13 +164,13 @@ class _Segment:
 def _jump_near(one: Compared, late_s: Floats, place: int, begin: int) -> ClockJump | None:
     reach = _rows_in(one, REACH_S, REACH_ROWS)
     start, end = max(begin, place - reach), min(len(one.rows), place + reach)
-    if end - start < 2 * LEAST_ROWS:
+    if end - start < 2 * MIN_ROWS:
         return None
     rows = one.rows[start:end]
     # Offsets are sought beyond the lateness before the segment, which the jumps before it have made.
     base = float(late_s[start])
     covered = (one.samples[:, 0] >= rows[0, 0] + base) & (one.samples[:, 0] <= rows[-1, 0] + base)
-    if np.count_nonzero(covered) < 2 * LEAST_ROWS:
+    if np.count_nonzero(covered) < 2 * MIN_ROWS:
         # The acceleration has a gap here, or its own clock ran away.
         return None
     later = Compared(one.samples, rows + np.array([base, 0.0, 0.0]))
@@ -232,7 +232,7 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
     """A candidate at its best instant and size; None where it does not explain what it must."""
     for step in FINER_S:
         guess = _nearer(segment, guess, step)
-    if min(guess.row, segment.count - guess.row) < LEAST_ROWS:
+    if min(guess.row, segment.count - guess.row) < MIN_ROWS:
         return None
     # Deviations of the lateness before and after, s, from the slopes of the innovations.
     sides = segment.stamps([replace(guess, before_s=1.0, after_s=0.0), replace(guess, before_s=0.0, after_s=1.0)])
@@ -253,7 +253,7 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
     *others, least = segment.loss(segment.stamps(none))
     if min(others) - least < MIN_GAIN:
         return None
-    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < MIN_BESIDE:
+    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < MIN_NEXT_TO:
         return None
     first, last = _possible(segment, guess)
     return ClockJump(guess.row, late_s, std_s, first, last, guess.before_s, _rival(segment, guess))

@@ -26,7 +26,7 @@ from midspan.records import Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration, along
 from midspan.signals.medians import white_noise
 
-# Standard deviation of a component before anything is known of it: a sensor that is mounted by eye, 17 degrees.
+# Standard deviation of a component before anything is known of it: a sensor that is mounted by camera, 17 degrees.
 USUAL_COMPONENT = 0.3
 # Steps towards the most likely direction, at most; one within this share of its standard deviation is the last.
 STEPS, LAST_STEP = 6, 0.1

@@ -21,7 +21,7 @@ from midspan.calibration.fit import (
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
-from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
+from midspan.calibration.scale import MIN_GAIN as MIN_AGREEMENT
 from midspan.calibration.sensor_response import Exposed, LowPass, find_exposure, find_low_pass
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
@@ -157,22 +157,22 @@ def calibrate_noise(
         pair = replace(pair, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
-    learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, edge, floored=floored_fit is not fit)
-    learnt = replace(
-        learnt,
-        scale_std=float(np.hypot(learnt.scale_std, used.spread)),
+    estimated = _with_scale(pair, floored_fit, offset, search, max_offset_s, edge, floored=floored_fit is not fit)
+    estimated = replace(
+        estimated,
+        scale_std=float(np.hypot(estimated.scale_std, used.spread)),
         low_pass=low_pass,
         unseen_m=slow.unseen,
         open_exposure_s=used.open_s,
     )
-    assert learnt.findings is not None
+    assert estimated.findings is not None
     if slow.pair.rows is not free.rows or slow.pair.level is not None:
         # What is judged stays judged as it was.
         levelled = replace(pair, rows=slow.pair.rows, level=slow.pair.level)
         fit = _within_floor(levelled, best_corner(levelled, floored_fit.offset_s))
-        findings = replace(learnt.findings, levelled=(levelled, fit))
-        learnt = replace(learnt, **levels_of(levelled, fit), findings=findings)
-    return learnt if gain_std == 0.0 else _without_gain(learnt, gain_std, used.spread)
+        findings = replace(estimated.findings, levelled=(levelled, fit))
+        estimated = replace(estimated, **levels_of(levelled, fit), findings=findings)
+    return estimated if gain_std == 0.0 else _without_gain(estimated, gain_std, used.spread)
 
 
 def levels_of(pair: Pair, fit: Fit, factor: float = 1.0) -> dict[str, Any]:
@@ -212,17 +212,17 @@ def _sought(
     return here if one_clock else there, offset, search, found
 
 
-def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:
+def _without_gain(estimated: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:
     """The calibration without the accelerometer's gain, where the motion tells it better than `known_std`, relative."""
-    assert learnt.findings is not None
-    findings = learnt.findings
+    assert estimated.findings is not None
+    findings = estimated.findings
     unknown = replace(findings.noise[0], ratio=None)
-    pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
+    pair, fit = with_input_noise(unknown, best_corner(unknown, estimated.offset.value_s))
     fit = _within_floor(pair, fit)
     fit = with_corner_doubt(pair, fit, disputed=exceeds_own_noise(pair, fit))
     std = float(np.hypot(fit.relative_std, spread))
     if not (fit.relative_std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
-        return learnt
+        return estimated
     # What is known before counts as well: the mean of both, by their variances.
     weight = known_std**2 / (known_std**2 + std**2)
     if findings.levelled is None:
@@ -232,7 +232,7 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
         findings = replace(findings, fit=judged, levelled=(pair, fit))
     gain = 1.0 / (1.0 + weight * (fit.ratio - 1.0))
     gain_std = std * float(np.sqrt(weight))
-    return replace(learnt, **levels_of(pair, fit), gain=gain, gain_std=gain_std, findings=findings)
+    return replace(estimated, **levels_of(pair, fit), gain=gain, gain_std=gain_std, findings=findings)
 
 
 def _within_floor(pair: Pair, fit: Fit) -> Fit:
@@ -272,7 +272,7 @@ def _with_scale(
     # The same without what a smaller ratio was made to lose: comparable with the ratio as it is.
     others = [evaluate(replace(pair, ratio=one.ratio), one.offset_s, one.corner) for one in others]
     free = max(others, key=lambda one: one.likelihood)
-    turned = [one.likelihood for one in others if one.ratio < 0.0 and one.gain > LEAST_AGREEMENT]
+    turned = [one.likelihood for one in others if one.ratio < 0.0 and one.gain > MIN_AGREEMENT]
     upright = [one.likelihood for one in (*others, likeliest) if one.ratio > 0.0]
     scale, std = local.ratio, float(np.sqrt(local.ratio_variance))
     straight = straightened(unknown, local)
@@ -284,7 +284,7 @@ def _with_scale(
         offset=offset,
         scale=scale,
         scale_std=std,
-        drifts=local.gain < LEAST_AGREEMENT and _drifts(pair, offset.value_s),
+        drifts=local.gain < MIN_AGREEMENT and _drifts(pair, offset.value_s),
         reversed_gain=max(turned, default=-np.inf) - max(upright),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
         exposure_s=pair.exposure_s,
@@ -305,7 +305,7 @@ def _drifts(pair: Pair, offset_s: float) -> bool:
     time_s, density = pair.samples[:, 0], pair.samples[:, 2]
     samples, slow = (np.column_stack((time_s, part, density)) for part in (fast, value - fast))
     fit = best_corner(replace(pair, ratio=None, samples=samples, outside=slow), offset_s)
-    return fit.gain > LEAST_AGREEMENT and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR
+    return fit.gain > MIN_AGREEMENT and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR
 
 
 def edge_s(max_offset_s: float, length_s: float = np.inf) -> float:

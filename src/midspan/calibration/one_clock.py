@@ -63,7 +63,7 @@ class OneClock:
         return time_ns + round(NANOSECONDS * late_s)
 
     def also(self, measured: Displacement) -> "OneClock":
-        """Other measurements of the same frames on the same clock; what was to tell has been told.
+        """Other measurements of the same frames on the same clock; what was to tell has been reported.
 
         Those that may be on either side of a jump are left out.
         """
@@ -89,9 +89,9 @@ def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str
         return OneClock(measured)
     course = clock_course(acceleration, measured, window_s=max(DRIFT_WINDOW_S, length_s / MAX_DRIFT_WINDOWS))
     late, std = course.at(course.time_ns), course.std_at(course.time_ns)
-    told, uneven_s = _uneven(course, sensor, measured.time_ns)
+    reported, uneven_s = _uneven(course, sensor, measured.time_ns)
     if not np.any((np.abs(late) > SIGNIFICANT * std) & (np.abs(late) > MIN_LATE_S)):
-        return OneClock(measured, tuple(told), uneven_s=uneven_s)
+        return OneClock(measured, tuple(reported), uneven_s=uneven_s)
     skew_std = float(np.sqrt(course.covariance[1, 1]))
     text = (
         f"{sensor}: its clock leaves the calibrated offset by {1e3 * late[0]:+.2f} ms at the start and "
@@ -99,7 +99,7 @@ def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str
         "this was corrected."
     )
     return OneClock(
-        course.corrected(measured), (Notice("clock-corrected", text), *told), course=course, uneven_s=uneven_s
+        course.corrected(measured), (Notice("clock-corrected", text), *reported), course=course, uneven_s=uneven_s
     )
 
 
@@ -153,8 +153,8 @@ def one_clock(
 
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
-    told = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
-    found = filtered(acceleration, moved, told).innovation
+    reported = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
+    found = filtered(acceleration, moved, reported).innovation
     far = found.value_m**2 > CONTRADICTS**2 * found.variance_m2
     rejected = np.concatenate(([0], np.cumsum(far)))
     first = np.arange(len(found.time_ns))
@@ -230,11 +230,13 @@ def _apart(
     around = round((AROUND_S + LARGEST_S) * NANOSECONDS)
     span = (int(time_ns[0]) - around, int(time_ns[-1]) + around)
     # What is looked for must not lead the path.
-    beside = replace(moved, value_m=moved.value_m.copy())
+    companions = replace(moved, value_m=moved.value_m.copy())
     if which.stop is not None:
-        beside.value_m[which] = np.nan
+        companions.value_m[which] = np.nan
     rows = smooth(
-        part(acceleration, inside(acceleration.time_ns, *span)), part(beside, inside(beside.time_ns, *span)), kalman
+        part(acceleration, inside(acceleration.time_ns, *span)),
+        part(companions, inside(companions.time_ns, *span)),
+        kalman,
     ).estimate
     return at(rows, time_ns + np.rint(NANOSECONDS * other_s).astype(np.int64))[0] - at(rows, time_ns)[0]
 

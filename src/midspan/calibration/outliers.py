@@ -16,7 +16,8 @@ from midspan.signals.stuck import resolution
 OUTLIER_LIMIT = 5.0
 # A measurement is lonely when it leaves its neighbours by this many times their own range.
 LONELY_LIMIT = 2.0
-# A structure is shaken where the mean square of its acceleration is so many times the usual: by chance 2 % of the time.
+# A structure is shaken where the mean square of its acceleration is this many times the usual: by chance 2 % of the
+# time.
 SHAKEN = 4.0
 # Rounds of marking outliers, at most.
 MARKING_ROUNDS = 12

@@ -1,4 +1,4 @@
-"""Whether what two sensors differ by is more than the accelerometer's own noise: then one of them errs by itself.
+"""Whether what two sensors differ by is more than the accelerometer's own noise: then one of them errs on its own.
 
 Where the camera errs (a mast that nods, a lens that breathes, air that shimmers) the likelihood has no other place for
 it than the accelerometer's noise, or the camera's. The accelerometer's own readings say how much noise they can have.
@@ -35,7 +35,7 @@ MIN_GAIN = 10.0
 # Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
 # this many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
 STRONG, MAX_ORDINATES, LEAKED = 3.0, 24, 0.02
-# What may err by itself in a sensor other than the accelerometer, in words.
+# What may err on its own in a sensor other than the accelerometer, in words.
 OF_THE_SENSOR = {
     "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
     "displacement": "slow errors, or a mounting that moves",
@@ -55,7 +55,7 @@ def _own_density(pair: Pair) -> float:
     """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz: CHANCE is exceeded.
 
     The lowest of many bands lies below the noise by chance: the mean of a band's ordinates has a gamma distribution, of
-    which the lowest quantile of so many is the most that it lies below. Infinite where they are too few.
+    which the lowest quantile of this many is the most that it lies below. Infinite where they are too few.
     """
     from scipy.special import gammaincinv
 

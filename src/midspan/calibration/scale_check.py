@@ -18,16 +18,16 @@ from midspan.signals.stamps import inside
 # So much of the recording is compared at most, for speed.
 COMPARED_S = 300.0
 # A scale that is off by this share is reported; beyond the second it is refused. Both only beyond this many deviations.
-TOLD, REFUSED, CERTAIN = 0.005, 0.2, 5.0
-# Beside another sensor a scale so far off is refused: two scales in one filter push the velocity to and fro, and the
-# gate takes over now one and now the other (10 % off: up to 0.4 m).
-REFUSED_BESIDE = 0.08
+REPORTED, REFUSED, CERTAIN = 0.005, 0.2, 5.0
+# Together with another sensor a scale so far off is refused: two scales in one filter push the velocity to and fro, and
+# the gate takes over now one and now the other (10 % off: up to 0.4 m).
+REFUSED_NEXT_TO = 0.08
 # What it is off by beyond this many deviations goes into the band, however little it is.
 EXPECTED = 2.0
 # The accelerometer's noise may make this share of the motion that it tells; above it hides the scale.
 MAX_NOISE = 0.1
 # A clock that is off is reported from this many noise deviations of the displacement on, and refused from this many.
-CLOCK_TOLD, CLOCK_REFUSED = 2.0, 5.0
+CLOCK_REPORTED, CLOCK_REFUSED = 2.0, 5.0
 # Measurements that are searched for a clock offset at most; a faster sensor is thinned.
 MAX_ROWS = 6000
 # What of the calibration says the scale of a sensor. The clocks of cameras are followed through the recording, those of
@@ -99,7 +99,7 @@ def fitting(
     UntrustedError where one is wrong beyond doubt.
     """
     found = Fitting([], {})
-    refused = REFUSED if len(sensors) < 2 else REFUSED_BESIDE
+    refused = REFUSED if len(sensors) < 2 else REFUSED_NEXT_TO
     for sensed in sensors:
         known = sensed.relative_scale_std
         found.scale_std[sensed.sensor] = known
@@ -119,7 +119,7 @@ def _scale_warnings(
 ) -> list[Notice]:
     known = sensed.relative_scale_std
     off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
-    if off <= max(TOLD, least):
+    if off <= max(REPORTED, least):
         return []
     text = (
         f"{sensed.sensor}: its displacement{along} is {scale.value:.4g} ± {float(np.hypot(scale.std, known)):.2g} "
@@ -135,10 +135,10 @@ def _scale_warnings(
 
 def _clock_warnings(scale: ApparentScale, known: Sensed) -> list[Notice]:
     std = float(np.hypot(scale.late_std_s, known.clock_std_s))
-    if not abs(scale.late_s) > CERTAIN * std or scale.moved_m <= CLOCK_TOLD * scale.noise_m:
+    if not abs(scale.late_s) > CERTAIN * std or scale.moved_m <= CLOCK_REPORTED * scale.noise_m:
         return []
     text = (
-        f"{known.sensor}: its clock is {1e3 * scale.late_s:+.3g} ± {1e3 * std:.2g} ms off beside the "
+        f"{known.sensor}: its clock is {1e3 * scale.late_s:+.3g} ± {1e3 * std:.2g} ms off relative to the "
         f"accelerometer's with the calibration's time_offset_s, which is {1e3 * scale.moved_m:.2g} mm of displacement "
         f"(rms; its noise is {1e3 * scale.noise_m:.2g} mm): it does not belong to this recording. Calibrate this "
         "recording."

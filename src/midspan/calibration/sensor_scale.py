@@ -14,7 +14,7 @@ from midspan.calibration.fit import Fit, Pair, with_corner_doubt
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, levels_of, nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
-from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
+from midspan.calibration.scale import MIN_GAIN as MIN_AGREEMENT
 from midspan.calibration.scale import REFUSED_ABOVE, alias_in_words, is_ambiguous, noise_needed
 from midspan.calibration.slow_error import SlowError, find_slow_error
 from midspan.calibration.time_offset import OffsetSearch, search_offset
@@ -60,8 +60,8 @@ def calibrate_sensor_scale(
     if max_offset_s > 0.0:
         search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))
         found, variance = nearest(search)
-        told = applied(search, found, variance, max_offset_s)
-        offset = TimeOffset(0.0, told.variance) if _objection(search.pair, found) else told
+        reported = applied(search, found, variance, max_offset_s)
+        offset = TimeOffset(0.0, reported.variance) if _objection(search.pair, found) else reported
     late = offset.value_s != 0.0
     try:
         _refuse(pair, still)
@@ -69,15 +69,15 @@ def calibrate_sensor_scale(
         if not late:
             raise
         raise _clocks_differ(offset) from None
-    learnt = _scaled(_with_slow_error(pair, still, noise_time_s), offset, search)
+    estimated = _scaled(_with_slow_error(pair, still, noise_time_s), offset, search)
     # An offset that was left as it is takes from the scale, or adds to it, what it then would be.
     bias = abs(still.ratio / found.ratio - 1.0) if late else 0.0
-    relative = learnt.factor_std / abs(learnt.factor)
+    relative = estimated.factor_std / abs(estimated.factor)
     if np.hypot(bias, relative) > REFUSED_ABOVE:
         if late:
             raise _clocks_differ(offset)
-        raise UntrustedError(f"displacement.estimate_scale: {_too_vague(pair, learnt.factor, relative)}")
-    return replace(learnt, factor_std=float(np.hypot(learnt.factor_std, bias * learnt.factor)))
+        raise UntrustedError(f"displacement.estimate_scale: {_too_vague(pair, estimated.factor, relative)}")
+    return replace(estimated, factor_std=float(np.hypot(estimated.factor_std, bias * estimated.factor)))
 
 
 def _with_slow_error(pair: Pair, fit: Fit, time_s: float | None) -> SlowError:
@@ -134,7 +134,7 @@ def _refuse(pair: Pair, fit: Fit) -> None:
 
 
 def _objection(pair: Pair, fit: Fit) -> str:
-    if fit.gain < LEAST_AGREEMENT or fit.relative_std > REFUSED_ABOVE:
+    if fit.gain < MIN_AGREEMENT or fit.relative_std > REFUSED_ABOVE:
         return _too_vague(pair, 1.0 / fit.ratio, fit.relative_std)
     if needed := noise_needed(pair, fit):
         return (

@@ -28,7 +28,7 @@ from midspan.calibration.outliers import cleaned
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.records import Floats
 
-# A level is told by this many innovations at least: its variance is then known to a quarter. And it holds for this
+# A level is shown by this many innovations at least: its variance is then known to a quarter. And it holds for this
 # share of them: what is briefer, as a sensor that is stuck for some seconds, is no level of the noise.
 MIN_SEGMENT, MIN_SHARE = 30, 0.1
 # Unknowns of a change, half a ln n each: its instant, and the variance on both sides for one.

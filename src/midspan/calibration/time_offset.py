@@ -249,8 +249,8 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
     pair = with_input_noise(pair, best_corner(pair, near.offset_s))[0]
     sides = [_grid(pair, -until_s, -within_s), _grid(pair, within_s, until_s)]
     best = max((fit for side in sides for fit in _refined(pair, side, *scan(pair, side))), key=likelihood_of)
-    beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
-    own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=likelihood_of)
+    companions = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
+    own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in companions), key=likelihood_of)
     return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None
 
 

@@ -113,7 +113,7 @@ def refuse_contradicted(events: Sequence[Event], targets: int, sensor: str) -> N
     if found and len({event.text for event in found}) >= targets:
         raise UntrustedError(
             f"{sensor}: at {shown(found[0].time_ns)} its phase and the acceleration contradict each other, and no "
-            "other target tells which is right: its clock steps or frames are lost, the target moves by itself, or the "
+            "other target tells which is right: its clock steps or frames are lost, it moves on its own, or the "
             "accelerometer was knocked. Cut the recording there, and calibrate (calibration.window_s) on a part "
             "without it; give each frame a time stamp, or use a second target."
         )
@@ -186,7 +186,7 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
 def _powers(
     prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, unknowns: int
 ) -> tuple[float, float, float]:
-    """Mean squares, m², about polynomials of so many unknowns: of the acceleration integrated twice, of what a
+    """Mean squares, m², about polynomials of this many unknowns: of the acceleration integrated twice, of what a
     displacement (n,) differs from it by, and of what acceleration that is missing leaves open.
     """
     first, last = np.searchsorted(prepared.time_ns, (time_ns[0], time_ns[-1]))

@@ -10,10 +10,10 @@ import numpy as np
 from midspan.fusion.entry import MAX_M_S2
 from midspan.records import Event, Floats, Nanoseconds
 from midspan.signals.health import (
-    BESIDE,
     CLIPPED_RUN,
     EQUAL_AT_FIRST,
     MIN_HZ,
+    NEIGHBOURS,
     REST_SHARE,
     SPIKE,
     SPIKE_SAMPLES,
@@ -203,8 +203,8 @@ def bridge(
     missing[: memory.given] = False
     faulty = (missing, held, decided)
     filled, events, release, lost = _filled(time_ns, value, faulty, memory, (figures, limits), end=end)
-    told = [Event(int(time_ns[a]), "spike", f"{figures.name}: {b - a} {SPIKE_TEXT}") for a, b in runs(alone)]
-    events = [*told, *events]
+    reported = [Event(int(time_ns[a]), "spike", f"{figures.name}: {b - a} {SPIKE_TEXT}") for a, b in runs(alone)]
+    events = [*reported, *events]
     if release == memory.given:
         return replace(memory, time_ns=time_ns, value=value), filled, events
     power = mean_square(filled.value, figures.mean_m_s2, memory.power, limits.rate_hz)
@@ -259,7 +259,7 @@ def _spikes(value: Floats, memory: AxisMemory, usual: tuple[AxisFigures, AxisLim
     if not far[given:].any():
         return np.zeros(settled, dtype=bool), settled
     alone, last = spikes(value, figures.mean_m_s2, limits.spike_std), runs(far)[-1]
-    if not end and last[1] + BESIDE > settled and last[1] - last[0] <= SPIKE_SAMPLES:
+    if not end and last[1] + NEIGHBOURS > settled and last[1] - last[0] <= SPIKE_SAMPLES:
         settled = max(int(last[0]), given)
         alone[settled:] = False
     alone[:given] = False

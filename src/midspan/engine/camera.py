@@ -141,7 +141,7 @@ class TargetChain:
         return translation_of(row, events)
 
     def rows(self, frames: Sequence[Frame]) -> bytes:
-        """The rows of frames as `=qdddddBdddB`, up to one that has to be pushed by itself, without predictions.
+        """The rows of frames as `=qdddddBdddB`, up to one that has to be pushed on its own, without predictions.
 
         While the tracker learns, and where it is none of the core's, that is the first.
         """

@@ -112,13 +112,13 @@ class Table:
                 self.scaled([number], 0.0)
         for axis, std in enumerate(stds):
             compared = [number for number, one in enumerate(self.channels) if one.axis == axis]
-            learnt = tuple(number for number in compared if number not in self.in_true_metres)
-            if estimated and len(learnt) < len(compared) and (self.given or std == 0.0):
+            learned = tuple(number for number in compared if number not in self.in_true_metres)
+            if estimated and len(learned) < len(compared) and (self.given or std == 0.0):
                 wide = float(np.hypot(std, GIVEN_SCALE_STD))
-                own = Parameter(ParameterKind.GAIN_ERROR, learnt, wide, FIRST_NS, SCALE_WALK, CLEAR_MOTION, axis)
+                own = Parameter(ParameterKind.GAIN_ERROR, learned, wide, FIRST_NS, SCALE_WALK, CLEAR_MOTION, axis)
                 self.parameters.append(own)
             elif std > 0.0:
-                self.parameters.append(Parameter(ParameterKind.GAIN_ERROR, learnt, std, axis=axis))
+                self.parameters.append(Parameter(ParameterKind.GAIN_ERROR, learned, std, axis=axis))
 
 
 def as_first_term(exposure_s: float, frequency_hz: float) -> float:

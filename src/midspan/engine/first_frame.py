@@ -55,8 +55,8 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
         return Begun(skipped, reason, _closing(source.frames(first + skipped, last)))
     for skipped, frame in enumerate(islice(chain((opening,), frames), MAX_SKIPPED)):
         if not _core.is_dark(np.asarray(frame.pixels), 1):
-            told = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
-            return Begun(skipped, told if skipped else "", _closing(chain((frame,), frames)))
+            reported = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
+            return Begun(skipped, reported if skipped else "", _closing(chain((frame,), frames)))
     return Begun(0, "", _closing(source.frames(first, last)))
 
 
@@ -77,14 +77,17 @@ def _unusable_temperatures(
     closed = _closed(source, used, usual_k) if _contrast(opening.pixels) < FLAT_SHARE * usual_k else 0
     begin = slice(used.start + closed, used.stop)
     covered, share = _covered(source, begin, regions, (times[closed:], np.median(np.stack(seen), axis=0)))
-    told = []
+    reported = []
     if closed:
-        told.append(f"the first {closed} frames show a closed shutter or a cover")
+        reported.append(f"the first {closed} frames show a closed shutter or a cover")
     if covered:
-        which = "then" if told else "the first"
-        told.append(f"{which} {covered} frames show something else over {100.0 * share:.0f} % of a target")
-    text = " and ".join(told)
-    return closed + covered, f"{text}; they were skipped, and the zero is at the first frame after them" if told else ""
+        which = "then" if reported else "the first"
+        reported.append(f"{which} {covered} frames show something else over {100.0 * share:.0f} % of a target")
+    text = " and ".join(reported)
+    return (
+        closed + covered,
+        f"{text}; they were skipped, and the zero is at the first frame after them" if reported else "",
+    )
 
 
 def _closed(source: FrameSource, used: slice, usual_k: float) -> int:
@@ -134,7 +137,7 @@ def _far_share(now: NDArray[Any], usual: NDArray[Any]) -> float:
 
 
 def _contrast(pixels: NDArray[Any]) -> float:
-    """From quartile to quartile of every so many pixels, K."""
+    """From quartile to quartile of every this many pixels, K."""
     step = max(min(pixels.shape) // 60, 1)
     low, high = np.percentile(pixels[::step, ::step], (25.0, 75.0))
     return float(high - low)

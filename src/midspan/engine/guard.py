@@ -133,7 +133,7 @@ class Guard:
         state = self.state
         kept, marks = np.ones(len(time_ns), dtype=bool), np.zeros(len(time_ns), dtype=bool)
         if state.broken:
-            # After a step of the clock, of an interval much shorter than usual no motion could be told.
+            # After a step of the clock, of an interval much shorter than usual no motion could be reported.
             half_ns = round(0.5 * NANOSECONDS / self.settings.rate_hz)
             kept = time_ns >= (FIRST_NS if state.used_ns is None else state.used_ns + half_ns)
             marks[np.flatnonzero(kept)[:1]] = state.used_ns is not None
@@ -154,9 +154,9 @@ class Guard:
         state, memories, decided = self.state, [], []
         for number, figures in enumerate(self.settings.axes):
             new = (time_ns, value[:, number])
-            memory, found, told = bridge(state.axes[number], new, figures, self._limits[number], end=end)
+            memory, found, reported = bridge(state.axes[number], new, figures, self._limits[number], end=end)
             memories.append(memory)
-            events += told
+            events += reported
             decided.append(joined([state.decided[number], found]))
         count = min(len(axis.value) for axis in decided)
         block = self._samples(decided, count)

@@ -298,7 +298,7 @@ class Merge:
         if self._silent_ns is None or first.out or first.newest_ns is None:
             return LAST_NS
         if number == 0 and self._now_ns is None:
-            # Without ticks a pause of the first stream cannot be told from a clock that was set ahead.
+            # Without ticks a pause of the first stream cannot be distinguished from a clock that was set ahead.
             return LAST_NS
         return first.newest_ns + first.pause_ns + MAX_AHEAD * self._silent_ns
 

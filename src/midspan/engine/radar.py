@@ -5,10 +5,10 @@ estimator predicts; where it does not, or worse than the phase itself, a filter 
 Where neither can name the cycle the zero of the phase is a new one: its variance rises, until the range of the beat
 frequency tells by how many cycles the phase is off.
 
-What is uncertain of a phase is told in two parts. White, new in every frame: the receiver's noise, by the amplitude;
-the oscillator's as it was calibrated; and the bend that something else in the bin makes, which is not white but comes
-back with the range: its mean over many turns is none, and over a small one it is a part of the conversion factor's
-error. Common, the variance of the reference: cycles that may have been lost since the first frame.
+What is uncertain of a phase is reported in two parts. White, new in every frame: the receiver's noise, by the
+amplitude; the oscillator's as it was calibrated; and the bend that something else in the bin makes, which is not white
+but comes back with the range: its mean over many turns is none, and over a small one it is a part of the conversion
+factor's error. Common, the variance of the reference: cycles that may have been lost since the first frame.
 """
 
 import cmath
@@ -53,7 +53,7 @@ MODULATED_FRAMES, NOISY, MAX_BENT_RAD2 = 10.0, 2.7, 0.2
 # something else: noise alone is once in 500 million frames.
 SUDDEN = 36.0
 # Shorter times without a target are no events, s.
-MIN_TOLD_S = 0.1
+MIN_REPORTED_S = 0.1
 # A target's swing has more power at its frequency than the process by which it is modelled: it is taken for this many
 # times as large, with its corner at this share of the frequency. Two deviations then hold a swing at one frequency.
 OWN_RATIO, OWN_CORNER = 2.0, 0.25
@@ -255,9 +255,9 @@ class _Follower:
         state, events = self.state, tuple[Event, ...]()
         if state.unseen_ns < 0:
             state.unseen_ns = time_ns
-        if not state.told and time_ns - state.unseen_ns >= MIN_TOLD_S * NANOSECONDS:
+        if not state.reported and time_ns - state.unseen_ns >= MIN_REPORTED_S * NANOSECONDS:
             text = "no frame arrives that is whole and free of interference" if kind == "lost frames" else "is not seen"
-            state.told, events = True, (Event(state.unseen_ns, kind, f"{self.name}: {text} from here on."),)
+            state.reported, events = True, (Event(state.unseen_ns, kind, f"{self.name}: {text} from here on."),)
         sure = state.first is None and base[1] < UNSURE_RAD2
         common = state.lost_rad2 + state.doubt_rad2
         status = Status.COASTING if sure else Status.LOST
@@ -266,10 +266,10 @@ class _Follower:
     def _measured(self, time_ns: int, phase_rad: float, seen: _Seen, events: list[Event]) -> PhaseMeasurement:
         """A phase with what is uncertain of it; the target is seen again."""
         state = self.state
-        if state.told:
+        if state.reported:
             lasting_s = (time_ns - state.unseen_ns) / NANOSECONDS
             events.insert(0, Event(time_ns, "seen", f"{self.name}: is seen again after {lasting_s:.1f} s."))
-        state.unseen_ns, state.told = -1, False
+        state.unseen_ns, state.reported = -1, False
         white = seen.variance_rad2 + self.white_rad2
         common = state.lost_rad2 + state.doubt_rad2 + self._own_motion(time_ns)
         return PhaseMeasurement(time_ns, phase_rad, white, common, Status.TRACKING, seen.strength, tuple(events))

@@ -55,9 +55,9 @@ class FollowedState:
     clear: frames in a row that show the target; power: running mean of its power over the calibrated one;
     strength: amplitude over the calibrated one in the last frame, modulated: running mean square of its steps, halved;
     unseen_ns: the first frame since it was seen last, -1 while it is seen;
-    told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
-    before: the same before the cycle was lost, while it is in doubt; doubt_rad2: variance of the zero while it is in
-    doubt, lost_rad2: for good; astray_ns: when the given prediction last named another cycle than the target's
+    reported: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less
+    phase; before: the same before the cycle was lost, while it is in doubt; doubt_rad2: variance of the zero while it
+    is in doubt, lost_rad2: for good; astray_ns: when the given prediction last named another cycle than the target's
     own; fallen, forgotten_ns: whether the variance of its own motion is a small one by now, and
     when it fell last.
     """
@@ -81,7 +81,7 @@ class FollowedState:
     given_rad2: float = 0.0
     given_count: float = FIRST_COUNT
     unseen_ns: int = -1
-    told: bool = False
+    reported: bool = False
     refuted: bool = False
     gap: RangeGap = field(default_factory=RangeGap)
     before: RangeGap | None = None

@@ -1,4 +1,4 @@
-"""What of a result's rows, innovations, events and radar frames is worth telling, in sentences."""
+"""What of a result's rows, innovations, events and radar frames is worth reporting, in sentences."""
 
 from collections.abc import Mapping, Sequence
 
@@ -46,7 +46,7 @@ def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
     for kind in dict.fromkeys(event.kind for event in events):
         texts = [event.text for event in events if event.kind == kind]
         if len(texts) > MAX_WARNED:
-            texts[MAX_WARNED:] = [f"{len(texts) - MAX_WARNED} more such stretches stand in the events."]
+            texts[MAX_WARNED:] = [f"{len(texts) - MAX_WARNED} more such segments stand in the events."]
         found += [Notice(EVENT_CODES[kind], text) for text in texts]
     return found
 

@@ -244,7 +244,7 @@ class RadarSensor:
     @property
     def unseen(self) -> str:
         """Whether no target is seen, and that is an event."""
-        return "lost" if all(state.told for state in self.chain.state) else ""
+        return "lost" if all(state.reported for state in self.chain.state) else ""
 
     @property
     def state(self) -> tuple[FollowedState, ...]:

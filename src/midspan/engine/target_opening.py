@@ -29,8 +29,8 @@ from midspan.vision.tracker import TRACKERS, UPDATING, AxisMotion, Tracker, open
 # its own tail); it pulls by its share of this many px: 0.17 to 0.3 px were seen with a tenth to a half covered.
 USUAL_SHARE, COVERED_PX = 0.01, 1.5
 
-# The pattern's pull on a tracker is tried on so many drawn patterns and frames, whose scene moves by this much or more
-# (standard deviation): below it the pull does not depend on the motion.
+# The pattern's pull on a tracker is tried on this many drawn patterns and frames, whose scene moves by this much or
+# more (standard deviation): below it the pull does not depend on the motion.
 PULL_DRAWS, PULL_FRAMES, PULL_PX = 4, 8, 0.1
 
 Opener = Callable[[Frame], Tracker]
@@ -126,7 +126,7 @@ class ThermalTarget(Tracker):
 
     @property
     def frames_to_learn(self) -> int:
-        """How many frames the tracker and the pattern can be learnt from."""
+        """How many frames the tracker and the pattern can be learned from."""
         return max(PATTERN_FRAMES, self.tracker.frames_to_learn)
 
     @property

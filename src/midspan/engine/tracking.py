@@ -134,7 +134,7 @@ class TargetTracking:
     @property
     def events(self) -> list[Event]:
         """What happened in the frames so far."""
-        return [event for told in self._events.values() for event in told]
+        return [event for reported in self._events.values() for event in reported]
 
     @property
     def rows(self) -> PixelTrack:
@@ -165,13 +165,24 @@ class TargetTracking:
         time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, why = self._columns.row(
             number
         )
-        told = self._events.get(number, ())
+        reported = self._events.get(number, ())
         return PixelTranslation(
-            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told, UNSEEN[why]
+            time_ns,
+            x,
+            y,
+            variance_x,
+            variance_y,
+            quality,
+            Status(status),
+            strength,
+            more_x,
+            more_y,
+            reported,
+            UNSEEN[why],
         )
 
     def warnings(self, axes: str) -> list[Notice]:
-        """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
+        """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy"."""
         found, chain = list[Notice](), self.chain
         if chain.frozen_frames:
             text = f"{chain.frozen_frames} frames only repeat the picture before them (frozen); they were not used."
@@ -251,7 +262,7 @@ class CameraTracking:
         self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
         self.done = 0
         # The trackings of further cameras of the same recording; how a thermal camera's range was found.
-        self.beside: tuple[CameraTracking, ...] = ()
+        self.companions: tuple[CameraTracking, ...] = ()
         self.range_surface: RangeSurface | None = None
 
     @property
@@ -266,7 +277,7 @@ class CameraTracking:
         self.targets = kept
 
     def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
-        """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not told."""
+        """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not reported."""
         settings, chain = self.settings, target.chain
         return SeenTarget(
             name=target.name,
@@ -324,13 +335,13 @@ class CameraTracking:
             target.add(translation)
 
     def close(self) -> None:
-        """Let the file go, and those of the cameras beside it."""
+        """Let the file go, and those of the cameras with it."""
         self._frames.close()
-        for one in self.beside:
+        for one in self.companions:
             one.close()
 
     def warnings(self, axes: str | None = None) -> list[Notice]:
-        """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one).
+        """What of the frames tracked so far is worth reporting, along the image `axes` (left out: the measured one).
 
         They call the sensor by its kind.
         """
@@ -434,7 +445,7 @@ class StoredTracking(CameraTracking):
         self.chosen = tuple(Target(track.region, track.name) for track in tracks)
         self.skipped, self.done = 0, len(self.time_ns)
         self.choice = self.range_surface = None
-        self.beside = ()
+        self.companions = ()
         for target, track in zip(self.targets, tracks, strict=True):
             target.add_stored(track, used)
 

@@ -16,7 +16,7 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracked import open_eyes, side_of
+from midspan.recording.tracked import open_tracked_cameras, side_of
 from midspan.records import TimeSeries
 from midspan.settings.load import validate
 from midspan.settings.stored.calibration import Calibration
@@ -81,10 +81,10 @@ def run_all(
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     else:
-        eyes = open_eyes((side_of(recording, calibration),), None, progress)
-        tracking = eyes[0].tracking if eyes else None
+        tracked_cameras = open_tracked_cameras((side_of(recording, calibration),), None, progress)
+        tracking = tracked_cameras[0].tracking if tracked_cameras else None
         if tracking is not None:
-            tracking.beside = tuple(eye.tracking for eye in eyes[1:])
+            tracking.companions = tuple(tracked_camera.tracking for tracked_camera in tracked_cameras[1:])
     # The frames are tracked in the first run; what the methods take is measured without it.
     estimate(recording, calibration, tracking=tracking, given=given, progress=progress)
     forms = [(method, False) for method in METHODS]

@@ -129,7 +129,7 @@ def read_reference(path: str | Path, unit: str | None = None, axis: str | None =
     if across is None:
         raise DataError(
             f"{recording.file}: [reference] holds displacement along {recording.axis}; for the axis {axis!r} its file "
-            f'must have a column {_own(axis)} beside it, and camera.direction must be "xy". Name the reference\'s file '
+            f'must have a column {_own(axis)} with it, and camera.direction must be "xy". Name the reference\'s file '
             "itself."
         )
     return across

@@ -63,7 +63,7 @@ TEXTS = (
     ),
 )
 EVENT_KINDS = frozenset(kind for kind, _ in TEXTS)
-# Of these the whole point is told, not one of its axes.
+# Of these the whole point is reported, not one of its axes.
 OF_THE_POINT = ("late", "overflow")
 
 
@@ -81,7 +81,7 @@ class Rows:
 
 
 def rows_of(output: OutputArrays, channels: Sequence[Channel], max_waiting: int) -> Rows:
-    """One output of the core as records; max_waiting: so many measurements may wait for samples."""
+    """One output of the core as records; max_waiting: this many measurements may wait for samples."""
     rows, innovations, reports, zero = output
     return Rows(
         () if rows is None else tuple(Estimate(rows[0], *axis) for axis in rows[1]),
@@ -94,7 +94,7 @@ def rows_of(output: OutputArrays, channels: Sequence[Channel], max_waiting: int)
 def _event(report: Report, channels: Sequence[Channel], max_waiting: int) -> Event:
     code, time_ns, number, size_mm, std_mm, count, lasting_s = report
     (kind, text), channel = TEXTS[code], channels[number]
-    told = text.format(
+    reported = text.format(
         sensor=channel.sensor,
         target=channel.target,
         name=f"{channel.sensor}, target {channel.target}",
@@ -104,4 +104,4 @@ def _event(report: Report, channels: Sequence[Channel], max_waiting: int) -> Eve
         lasting_s=lasting_s,
         max_waiting=max_waiting,
     )
-    return Event(time_ns, kind, told, 0 if kind in OF_THE_POINT else channel.axis)
+    return Event(time_ns, kind, reported, 0 if kind in OF_THE_POINT else channel.axis)

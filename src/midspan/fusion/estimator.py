@@ -99,7 +99,7 @@ class Estimator(Stream):
 
     Measurements wait for the samples that cover their time; rows are held back until the first few have come. log: keep
     all that a second pass needs. rows: whether rows are given out, which only a second pass does not need. max_waiting:
-    so many measurements may wait for samples, older ones are dropped; None: MAX_WAITING.
+    this many measurements may wait for samples, older ones are dropped; None: MAX_WAITING.
     """
 
     def __init__(

@@ -11,7 +11,7 @@ START_S = 0.01
 
 class ParameterKind(IntEnum):
     """What a parameter is: the relative error of a scale, a clock's offset in s (measured late by so much), or the
-    relative error of the accelerometer's gain (it measures too much by so much), also in scales learnt from it.
+    relative error of the accelerometer's gain (it measures too much by so much), also in scales estimated from it.
     """
 
     SCALE_ERROR = 1
@@ -23,10 +23,10 @@ class ParameterKind(IntEnum):
 class Parameter:
     """What is unknown of a group of channels (their numbers): see `ParameterKind`.
 
-    channels: of a gain, those whose scale was learnt from the accelerometer. std: standard deviation of what it is
+    channels: of a gain, those whose scale was estimated from the accelerometer. std: standard deviation of what it is
     before, 0. Only the band holds it, unless it is estimated from an instant on. walk: density of its random walk,
-    unit²/s: how it drifts. clear: a measurement tells it only where the square of the sensitivity is so many times the
-    variance of the prediction, see `engine.channels`. axis: of a gain error whose accelerometer it is.
+    unit²/s: how it drifts. clear: a measurement tells it only where the square of the sensitivity is this many times
+    the variance of the prediction, see `engine.channels`. axis: of a gain error whose accelerometer it is.
     """
 
     kind: ParameterKind
@@ -42,7 +42,7 @@ class Parameter:
 class Rates:
     """How often each is met, and what decides.
 
-    outlier: least share of measurements that are wrong by any amount; more is learnt. stays: of those whose next one
+    outlier: least share of measurements that are wrong by any amount; more is estimated. stays: of those whose next one
     is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
     that shift with one.
     shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.

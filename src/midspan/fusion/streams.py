@@ -45,7 +45,7 @@ class KalmanSettings:
     """How the filter behaves besides the noise levels, which come with the measurements.
 
     bias_walk: density of the accelerometer bias's random walk, (m/s²)²/s; higher follows faster drift. The default lets
-    the bias wander by about 0.8 mm/s² in a minute and costs below 1 % where it is constant.
+    the bias drift by about 0.8 mm/s² in a minute and costs below 1 % where it is constant.
     displacement_std, velocity_std, bias_std: uncertainty before the first measurement, m, m/s, m/s².
     bias: expected bias before the first measurement, m/s² (the mean of the first samples is good).
     coasting_s: age of the last accepted measurement beyond which a row is `coasting`; lost_s: beyond which it is
@@ -143,7 +143,7 @@ class KalmanFilter:
 
     Displacement pushed before the acceleration that covers its time waits for it; any cutting of the input into blocks
     gives the same rows. They begin with the first measurement, and are held back until the first few have come: the
-    first is judged by those after it. lag_samples: each row comes so many samples, or up to a quarter more, later,
+    first is judged by those after it. lag_samples: each row comes this many samples, or up to a quarter more, later,
     smoothed by what was measured until then.
     """
 

@@ -23,14 +23,14 @@ HELD = (
     "printed calibration comes on top; where R of equation 10 takes that up, the filter runs away, and its errors are "
     "centimetres. With the guarded filter, whose input rule is exact, and our calibration the two trackers differ."
 )
-LEARNT = (
+ESTIMATED = (
     "What the printed scale factor is off by, times the region's shift, is in the residual displacement that beta and "
-    "the active pixels are learnt from; and by the calibrated factor it is in all errors alike. With our calibration, "
+    "the active pixels are estimated from; and by the calibrated factor in all errors alike. With our calibration, "
     "in the row after the next, the same trackers differ as published."
 )
 SMALLER = (
     "The gain is there and smaller: by the calibrated factor both have the error of the scale factor, and beta and the "
-    "active pixels are learnt with it. Matching errs by little more than a hundredth of a pixel on this texture."
+    "active pixels are estimated with it. Matching errs by little more than a hundredth of a pixel on this texture."
 )
 CHANCE = (
     "What the printed calibration leaves of scale factor and clock offset limits R², not the pixels: the sets differ "
@@ -172,7 +172,7 @@ INDOOR = Experiment(
             },
             unit="",
         ),
-        *_alone("Fig. 10", "53 % lower at most", ("features", "hybrid"), BETTER, LEARNT),
+        *_alone("Fig. 10", "53 % lower at most", ("features", "hybrid"), BETTER, ESTIMATED),
         _guarded("Fig. 10", "53 % lower at most", ("features", "hybrid"), BETTER),
         Entry(
             "Sec. 4.1, wrapping",

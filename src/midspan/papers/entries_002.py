@@ -172,7 +172,7 @@ BRIDGE = Experiment(
             errors=True,
         ),
     ),
-    "vibrations of 0.3 to 3 or 4 Hz with peaks of 2 and 3 mm; a tree and a fence that move by themselves are the "
+    "vibrations of 0.3 to 3 or 4 Hz with peaks of 2 and 3 mm; a tree and a fence that move on their own are the "
     "stronger targets; noise as at 48 m",
 )
 

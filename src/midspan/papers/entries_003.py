@@ -134,8 +134,9 @@ STOREY = Experiment(
             },
             errors=True,
             because=(
-                "Excitations 3 and 5 fold to 0.9 and 1.3 Hz, which Lee's low-pass already takes off; the anti-aliasing "
-                "stage then only adds the noise of each frame, and the trapezoidal rule is 7 % wrong at 10.3 Hz."
+                "Excitations 3 and 5 alias to 0.9 and 1.3 Hz, which Lee's low-pass already takes off; the "
+                "anti-aliasing stage then only adds the noise of each frame, and the trapezoidal rule is 7 % wrong "
+                "at 10.3 Hz."
             ),
         ),
         Entry(
@@ -184,8 +185,8 @@ STOREY = Experiment(
             },
             errors=True,
             because=(
-                "Where nothing folds below 1 Hz there is nothing to take off: the existing technique does without the "
-                "noise that the anti-aliasing stage adds and is equal or a little better."
+                "Where nothing aliases below 1 Hz there is nothing to take off: the existing technique does "
+                "without the noise that the anti-aliasing stage adds and is equal or a little better."
             ),
         ),
     ),
@@ -210,7 +211,7 @@ PUSHED = Experiment(
                 "at 3 below existing": "proposed at 3 frames/s < existing at 3 frames/s",
             },
             errors=True,
-            because="At 3 frames/s 5.1 Hz folds to 0.9 Hz, where Lee's low-pass leaves little of it.",
+            because="At 3 frames/s 5.1 Hz aliases to 0.9 Hz, where Lee's low-pass leaves little of it.",
         ),
     ),
     "pushes of 15 to 25 mm and 2.5 s; the rest as for the storey model",
@@ -224,7 +225,7 @@ BRIDGE = Experiment(
         Entry(
             "Fig. 26",
             "RMSE of three excitations, 3 frames/s",
-            "64 % lower at most; in excitation 2, where nothing folds low, no difference",
+            "64 % lower at most; in excitation 2, where nothing aliases low, no difference",
             _suffixed(PRINTED, " at 3 frames/s"),
             _suffixed(OURS, " at 3 frames/s"),
             {

@@ -31,7 +31,7 @@ FRAME_RATE = Fraction(30000, 3 * 1001)  # every third frame of 29.97 Hz, as both
 CAMERA = Camera(exposure_s=0.008, full_well_e=5000.0, read_noise_e=8.0)
 TIME_OFFSET_S = 0.037
 LEAD_S = 1.0
-CALIBRATION = "calibration"  # the name of the span that the scale factor is learnt in
+CALIBRATION = "calibration"  # the name of the span that the scale factor is estimated in
 
 Frames = NDArray[np.uint8]
 

@@ -99,7 +99,7 @@ class Run:
 
     fused_mm: error of each excitation; apart_mm: that by the true scale factor, of the same track; late_mm: the latter
     against the truth half a sample earlier, since a filter that holds the acceleration is late by that; of a way that
-    is not as printed the first only. tracker: with what it has learnt; frame_ms: processor time of a frame, tracked
+    is not as printed the first only. tracker: with what it has estimated; frame_ms: processor time of a frame, tracked
     and fused.
     """
 

@@ -178,7 +178,7 @@ def scale_factors(effort: Effort) -> Measured:
     seen = filmed(frames, px, CAMERA_MM, motion, length_s, effort.seed)
     few = slice(None, 200)
     known = replace(warm, frames=warm.frames[few], px=warm.px[few])
-    grey = in_grey(warm.frames, learnt(known).best)
+    grey = in_grey(warm.frames, estimated(known).best)
     ours = ThermalTarget(warm.frames[0], INFRARED_ROI, lambda frame: open_tracker("template", frame, INFRARED_ROI))
     plain = open_tracker("registration", seen.frames[0], WALL_ROI)
     values: dict[str, float] = {}
@@ -246,7 +246,7 @@ def in_range(frames: Sequence[Frame]) -> PixelTrack:
     return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 
-def learnt(one: Filmed) -> RangeSurface:
+def estimated(one: Filmed) -> RangeSurface:
     """The optimised range of a calibration."""
     expected = Expected(one.px, "y", BAND_HZ)
     return optimise_range(one.frames, INFRARED_ROI, in_range, expected, DIVISIONS)
@@ -294,7 +294,7 @@ def _tracked(one: Filmed, limits: Limits) -> list[PixelTranslation]:
 
 
 def ranges(effort: Effort) -> Measured:
-    """Cases 1 to 5: the range is learnt from case 1 and used in the others; a finger crosses in case 2."""
+    """Cases 1 to 5: the range is estimated from case 1 and used in the others; a finger crosses in case 2."""
     length_s, rate_hz = (12.0, 15.0) if effort.quick else (30.0, 15.0)
     finger = WarmBody(length_s - 6.5, 8.0, 14.0, 12.0, 60.0, 24.0, celsius=33.0)
     rng, seed = np.random.default_rng([3, effort.seed]), effort.seed
@@ -320,7 +320,7 @@ def ranges(effort: Effort) -> Measured:
     case_1 = films.pop("case 1")
     few = slice(None, 200)
     known = replace(case_1, frames=case_1.frames[few], px=case_1.px[few])
-    surface = learnt(known)
+    surface = estimated(known)
     # The finger is 12 px wide and goes by at 24 px/s: from its way into the region to its way out.
     front = (length_s - 6.5 + 0.5, length_s - 6.5 + 3.5)
     both = {name: by_range(one, surface, known, *([front] if name == "case 2" else [])) for name, one in films.items()}
@@ -393,7 +393,7 @@ def bridge(effort: Effort) -> Measured:
     ]
     few = slice(None, int(10 * rate_hz), 3)
     known = replace(case[0], frames=case[0].frames[few], px=case[0].px[few])
-    surface = learnt(known)
+    surface = estimated(known)
     return Measured(by_range(case[1], surface, known)[0] | _corners(surface))
 
 
@@ -469,7 +469,7 @@ def day_and_night(effort: Effort) -> Measured:
     sensed = seen.acceleration
     calibration = slice(None, 100, 2)
     known = replace(warm, frames=warm.frames[calibration], px=warm.px[calibration])
-    levels = learnt(known).best
+    levels = estimated(known).best
     grey = in_grey(warm.frames, levels)
     rule = UpdatingSettings("features", FEATURES, literal=True)
     printed = {
@@ -545,7 +545,7 @@ def _fused(
     settings = MethodSettings(KalmanSettings(bias=ACCELEROMETER.bias_m_s2), literal=literal)
     rows = run_method(method, acceleration, displacement, settings).estimate
     error = 1e3 * (rows.displacement_m - truth_m[-len(rows.time_ns) :])
-    # The learnt noise R remembers 20 frames: 2 s, and the start is one of them.
+    # The estimated noise R remembers 20 frames: 2 s, and the start is one of them.
     return float(np.std(error[round(5.0 * FELT_HZ) :]))
 
 

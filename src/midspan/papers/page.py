@@ -46,7 +46,7 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
             for curve in one.curves
         ]
         free = page.bullets([f"{name}: {text}" for name, text in _free(own)], "")
-        chosen = page.folded("What the paper does not print, chosen here", free)
+        chosen = page.collapsible("What the paper does not print, chosen here", free)
         body.append(
             page.section(
                 paper.key, paper.name, page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn

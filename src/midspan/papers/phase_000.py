@@ -69,7 +69,7 @@ def scene(name: str, effort: Effort) -> Measured:
         "flow": followed(one, "phase", literal=True, **FLOW),
         "existing features": existing_technique(one, limit_px),
     }
-    values = _camera_alone(runs, alone) | fused_values(one, runs) | _learnt(one, runs)
+    values = _camera_alone(runs, alone) | fused_values(one, runs) | _estimated(one, runs)
     shown = {"features": "features", "hybrid": "hybrid", "ours (registration)": "registration"}
     tracks = {label: (runs[name].track, one.scale_m_per_px) for label, name in shown.items()}
     return Measured(with_means(values), (error_curve(one, "camera alone", tracks),))
@@ -92,7 +92,7 @@ def _camera_alone(runs: dict[str, Run], existing: dict[str, Track]) -> dict[str,
     return values
 
 
-def _learnt(one: Film, runs: dict[str, Run]) -> dict[str, Any]:
+def _estimated(one: Film, runs: dict[str, Run]) -> dict[str, Any]:
     """Both scale factors, active pixels and R² of mean phase on displacement by the printed calibration: figures 9, 12
     and 14.
     """

@@ -81,7 +81,7 @@ def cases(seed: int) -> dict[str, Case]:
     laboratory = (sine(0.04, 0.3), sine(0.04, 0.5), sine(0.02, 1.0), vibration(0.03, own + 1))
     walking = (vibration(2e-3, own + 2), vibration(3e-3, own + 3), vibration(2e-3, own + 4, 4.0))
     rng = np.random.default_rng([6, seed])
-    # Two stronger reflectors on the way to the bridge's target: a tree and a fence that move by themselves.
+    # Two stronger reflectors on the way to the bridge's target: a tree and a fence that move on their own.
     trees = (
         Reflector(4.1, 2200.0, 1.0, 0.3, own=random_motion((0.2, 1.5), 0.4e-3, rng=rng)),
         Reflector(5.6, 1500.0, 0.9, -0.3, own=random_motion((0.5, 3.0), 0.2e-3, rng=rng)),
@@ -224,11 +224,11 @@ def tested(name: str, effort: Effort) -> Measured:
     """One test over its motions, in their order."""
     case = cases(effort.seed)[name]
     first = 1000 * effort.seed
-    learnt = known(case, seen(case, case.motions[2], first + 90))
+    estimated = known(case, seen(case, case.motions[2], first + 90))
     found, curves = [], []
     for k, motion in enumerate(case.motions):
         one = seen(case, motion, first + k)
-        series, others = steps(case, learnt, one)
+        series, others = steps(case, estimated, one)
         found.append(errors_mm(one, series, others))
         if (name, k) in DRAWN:
             curves.append(_drawn(DRAWN[name, k], one, series))
@@ -237,12 +237,12 @@ def tested(name: str, effort: Effort) -> Measured:
     values |= {f"{key}, fast": [found[k][key] for k in fast] for key in ("existing", "aided")}
     values |= {f"{key}, slow": found[0][key] for key in ("existing", "aided")}
     values |= {f"{key}, all": float(np.sqrt(np.mean(np.square(values[key])))) for key in found[0]}
-    values["printed factor"] = learnt.factors[0]
-    values["our factor"] = learnt.target.conversion_factor
-    values["printed, off by"] = abs(learnt.factors[0] - case.factor * case.start_over_middle)
-    values["ours, off by"] = abs(learnt.target.conversion_factor - case.factor)
-    values["target chosen"] = float(learnt.chosen == 0)
-    values["our target, off by bins"] = abs(learnt.target.range_m - case.range_m) / case.chirp.bin_m
+    values["printed factor"] = estimated.factors[0]
+    values["our factor"] = estimated.target.conversion_factor
+    values["printed, off by"] = abs(estimated.factors[0] - case.factor * case.start_over_middle)
+    values["ours, off by"] = abs(estimated.target.conversion_factor - case.factor)
+    values["target chosen"] = float(estimated.chosen == 0)
+    values["our target, off by bins"] = abs(estimated.target.range_m - case.range_m) / case.chirp.bin_m
     values["delay (s)"] = FIR["half_window"] / RATE_HZ
     return Measured(values, tuple(curves))
 

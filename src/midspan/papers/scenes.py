@@ -14,7 +14,7 @@ from midspan.errors import UsageError
 from midspan.papers.filming import FREE, PAPER_SCENES, film, write_recording
 from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ, Excitation, Later, Sweep, random, sine
 from midspan.simulate.day.infrared import DayCourse
-from midspan.simulate.day.setup import DaySetup, Eye
+from midspan.simulate.day.setup import CameraPlan, DaySetup
 from midspan.simulate.day.sky import Sky
 from midspan.simulate.files.folder import Progress, check_free
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
@@ -67,7 +67,7 @@ def _pushes(length_s: float, rng: np.random.Generator) -> Motion:
     return Window(Sum((Sines(np.array([2e-3]), np.array([1.0])), *slow)), 1.0, length_s - 1.0, ramp_s=2.0)
 
 
-def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
+def _plan(scale_mm_per_px: float, every: int) -> CameraSetup:
     """A camera at 29.97 Hz of which every N-th frame is used."""
     return CameraSetup(
         rate_hz=CAMERA_HZ,
@@ -95,7 +95,7 @@ def _storey(number: int, tone_hz: float) -> Scenario:
         duration_s=56.0,
         motion=_tones((8e-3, 2.8e-3), (0.1, tone_hz), 56.0),
         accelerometer=ACCELEROMETER,
-        camera=_eye(6.4346, 10),
+        camera=_plan(6.4346, 10),
         free=_STOREY_FREE,
     )
 
@@ -107,7 +107,7 @@ def _footbridge(number: int, motion: Drawn) -> Scenario:
         duration_s=50.0,
         motion=motion,
         accelerometer=ACCELEROMETER,
-        camera=_eye(1.345, 10),
+        camera=_plan(1.345, 10),
         free=_BRIDGE_FREE,
     )
 
@@ -172,8 +172,8 @@ def _lab(
     """The storey model of the paper on vision and infrared; sky_s, air_s: what is a day to the light and to the air."""
     setup = DaySetup(
         sky=Sky(length_s=sky_s),
-        camera=Eye((96, 96), scale_mm_per_px=-0.945, rate_hz=rate_hz),
-        infrared=Eye((90, 112), scale_mm_per_px=-1.094, rate_hz=rate_hz, start_s=0.01),
+        camera=CameraPlan((96, 96), scale_mm_per_px=-0.945, rate_hz=rate_hz),
+        infrared=CameraPlan((90, 112), scale_mm_per_px=-1.094, rate_hz=rate_hz, start_s=0.01),
         contrast_k=0.9,
         course=DayCourse(mean_c=25.9, swing_k=1.5 if air_s < 1e4 else 0.0, period_s=air_s),
         thermal=ThermalCamera(netd_k=0.05, pattern_k=0.03),
@@ -208,7 +208,7 @@ _COLD_BRIDGE = Scenario(
     day=DaySetup(
         sky=Sky(),
         camera=None,
-        infrared=Eye((90, 112), scale_mm_per_px=-3.827, rate_hz=30.0, start_s=0.01),
+        infrared=CameraPlan((90, 112), scale_mm_per_px=-3.827, rate_hz=30.0, start_s=0.01),
         contrast_k=1.5,
         course=DayCourse(mean_c=-1.0, swing_k=0.0),
         thermal=ThermalCamera(netd_k=0.05, pattern_k=0.015),

@@ -358,12 +358,12 @@ def bridge_spectrum(effort: Effort) -> Measured:
     record = recorded(bridge_motion(3, effort.seed), BRIDGE_S, CAMERA_HZ / 30, BRIDGE, effort.seed)
     found = record.run(FIRS)
     inner = slice(600, -600)
-    folded = sorted({round(alias_hz(f, CAMERA_HZ / 30), 3) for f in MODES_HZ})[1:]
+    aliased = sorted({round(alias_hz(f, CAMERA_HZ / 30), 3) for f in MODES_HZ})[1:]
     values: dict[str, Any] = {}
     for name, (error, _) in found.items():
         whole = 1e3 * record.truth_m[inner] + error[inner]
         values[f"{name} at the modes"] = _tones(1e3 * record.truth_m[inner] - whole, MODES_HZ)
-        values[f"{name} at the aliases"] = max(_tones(error[inner], folded))
+        values[f"{name} at the aliases"] = max(_tones(error[inner], aliased))
     values["modes"] = _tones(1e3 * record.truth_m[inner], MODES_HZ)
     return Measured(values)
 

@@ -154,7 +154,7 @@ def factor_spread(modulation_rad: float, leak_share: float, turn_rad: float) -> 
     """Relative standard deviation of the conversion factor from what else is in the bin, to be added to its own.
 
     modulation_rad: of the phase (NaN: not known, then nothing is added); leak_share: amplitude of what was taken out as
-    standing still over that of the target; turn_rad: standard deviation of the phase. A bend of e rad changes the slope
+    static over that of the target; turn_rad: standard deviation of the phase. A bend of e rad changes the slope
     of the phase by up to e where it hardly turns, and by exp(-turn²/2) of that where it turns; half of the turn is
     counted, for what moves half as much. What was taken out is accepted once the phase turns enough to prove it.
     """

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from midspan.records import Floats
 
-# Over so many bins is the floor taken; with fewer nothing is said. The power of noise is distributed exponentially, and
-# a Hann window leaves half as many bins independent: their median is six times its usual value once in 250 000 frames.
+# Over this many bins is the floor taken; with fewer nothing is said. The power of noise is distributed exponentially,
+# and a Hann window leaves half as many bins independent: their median is six times its usual value once in 250 000
+# frames.
 PROBED_BINS = 16
 MIN_RISE = 6.0
-# Frames that the usual floor is taken from, at most and at least: before there are so many nothing is said. Bursts that
-# fill half of them would be taken for usual, and a gain that changes for good costs half as many.
+# Frames that the usual floor is taken from, at most and at least: before there are this many nothing is said. Bursts
+# that fill half of them would be taken for usual, and a gain that changes for good costs half as many.
 MEMORY_FRAMES, MIN_FRAMES = 512, 16
 
 

@@ -45,7 +45,7 @@ class OrderEvidence:
         return self._without_ghosts()
 
     def _without_ghosts(self) -> tuple[str, str] | None:
-        """The pairing beside whose other one there are ghosts: near a quarter of the range they are faint."""
+        """The pairing compared with whose other one there are ghosts: near a quarter of the range they are faint."""
         for right, wrong in ((0, 1), (1, 0)) if len(self.ghosts) == len(_PAIRINGS) else ():
             share, std = self.ghosts[wrong]
             if share > max(MIN_GHOST, CERTAIN * std) and abs(self.ghosts[right][0]) < LESS * share:
@@ -56,7 +56,7 @@ class OrderEvidence:
         """Whether energy lies clearly in the nearer half, and in the nearest eighth too."""
         return self.halves_db[order] >= MIN_DB and self.eighths_db[order] >= MIN_DB
 
-    def told(self) -> str:
+    def reported(self) -> str:
         """The figures, for messages."""
         return ", ".join(f"{order} {value:+.1f} dB" for order, value in self.halves_db.items())
 
@@ -98,7 +98,7 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
     """
     pair = evidence.paired()
     order = claimed if pair is None or claimed in pair else next(o for o in pair if o[0] == claimed[0])
-    figures = f"energy of the nearer over the farther half of the range: {evidence.told()}"
+    figures = f"energy of the nearer over the farther half of the range: {evidence.reported()}"
     if pair is None and (other := _as_clear(evidence, order)):
         text = f"The samples cannot tell whether the I/Q order is {order} or {other} ({figures}): the targets lie at a"
         text += f" quarter of the range, where both look alike but for the sign of the motion. Taken is {order}."

@@ -29,8 +29,8 @@ EXCESS, SIGNIFICANCE = 1.5, 4.0
 DECIDED_STD = 0.2
 # Every factor and clock offset may be off by this much more than is stated.
 MIN_RELATIVE, MIN_CLOCK_S = 3e-4, 5e-5
-# A filter takes this much off the variance of white noise, but nothing off a motion; one target is left out beside
-# another whose error is this many times less (variances).
+# A filter takes this much off the variance of white noise, but nothing off a motion; one target is left out together
+# with another whose error is this many times less (variances).
 AVERAGED, LEFT_OUT_RATIO = 25.0, 4.0
 # Frames that two targets must both be seen in; the smallest motions that count, and for which a target is left out, m.
 MIN_FRAMES, MIN_M, MIN_LEFT_OUT_M = 400, 1e-6, 1e-5
@@ -57,8 +57,8 @@ class Shown:
 class OwnMotions:
     """power_m2 (targets, bands): variance of each target's own motion; frequency_hz (bands,): where it lies.
 
-    left_out (targets,): those beside which another is so much better that they are not to be used; undecided (bands,):
-    that one of two moves is sure, but not which: both hold the whole.
+    left_out (targets,): those together with which another is so much better that they are not to be used; undecided
+    (bands,): that one of two moves is sure, but not which: both hold the whole.
     """
 
     power_m2: Floats
@@ -181,7 +181,7 @@ def _alone(shown: Shown, target: int, integrals: Integrals, frequency: Floats) -
 
 
 def _unexplained(shown: Shown, target: int, integrals: Integrals, hz: Floats) -> Floats:
-    """Power (bins,) at frequencies by which a target that does not move by itself differs from the accelerometer."""
+    """Power (bins,) at frequencies by which a target that does not move on its own differs from the accelerometer."""
     period, step_hz = _period(shown), float(hz[0])
     inertial = 2.0 * step_hz * integrals.noise_density / (2.0 * np.pi * hz) ** 4 * (1.0 + (CORNER_HZ / hz) ** 2)
     late = (2.0 * np.pi * hz * MIN_CLOCK_S) ** 2

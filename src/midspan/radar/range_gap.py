@@ -1,4 +1,4 @@
-"""Which cycle the phase came back on after an outage, told by the range itself while the frames come in.
+"""Which cycle the phase came back on after an outage, shown by the range itself while the frames come in.
 
 The beat frequency tells the range without ambiguity, to some cycles of the phase a frame. Range less phase is constant
 while no cycle is lost; compared before and after an outage it tells how many were. What else lies in the bin pulls the
@@ -71,7 +71,7 @@ class RangeGap:
 
 
 def cycles_lost(before: RangeGap, after: RangeGap) -> int | None:
-    """By how many cycles the phase must be raised after an outage; None while that cannot be told."""
+    """By how many cycles the phase must be raised after an outage; None while that cannot be reported."""
     std = math.hypot(before.std, after.std)
     if not math.isfinite(std):
         return None

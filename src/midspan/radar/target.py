@@ -354,9 +354,9 @@ def _no_target(targets: tuple[Target, ...]) -> str:
     if not targets:
         return "The radar sees no target: no peak of the range profile stands 4 dB above the noise. Check its aim."
     worst = sorted(targets, key=lambda target: -target.amplitude)[:3]
-    told = "; ".join(f"{target.range_m:.2f} m ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
+    reported = "; ".join(f"{target.range_m:.2f} m ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
     return (
         f"No fixed target to calibrate the conversion factor on (limits: coherence {MIN_COHERENCE:g}, standard "
-        f"deviation {100 * MAX_RELATIVE_STD:g} %, factor ±{MAX_FACTOR:g}). Strongest: {told}. Calibrate on a "
+        f"deviation {100 * MAX_RELATIVE_STD:g} %, factor ±{MAX_FACTOR:g}). Strongest: {reported}. Calibrate on a "
         "time with more motion, check that both files are of the same event, or aim the radar at something fixed."
     )

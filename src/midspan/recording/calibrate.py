@@ -144,14 +144,14 @@ def usual_in_window(recording: Recording) -> AxisFigures:
     return usual_figures(recording.acceleration.value[calibration_window(recording)], recording.prepared.rate_hz)
 
 
-def _white_noise(recording: Recording | None, learnt: float, warnings: list[Notice]) -> float:
+def _white_noise(recording: Recording | None, estimated: float, warnings: list[Notice]) -> float:
     """White noise per sample of the acceleration, m/s²: as estimated, or as its section says where that holds."""
     given = None if recording is None else recording.accelerometer.noise_std
-    if given is None or learnt <= 2.0 * given:
-        return learnt if given is None else given
+    if given is None or estimated <= 2.0 * given:
+        return estimated if given is None else given
     text = (
-        f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were {learnt:.2g} "
+        f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were {estimated:.2g} "
         "m/s²; the larger one is used. Check the region, the mounting and the axes."
     )
     warnings.append(Notice("accelerometer-noisy", text))
-    return learnt
+    return estimated

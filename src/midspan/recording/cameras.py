@@ -51,10 +51,10 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
         if len(refused) == 1:
             raise refused[0][1]
         raise UntrustedError(" ".join(f"{view.sensor}: {error}" for view, error in refused))
-    told = tuple(
+    reported = tuple(
         Notice("part-left-out", f"[{view.sensor}] is left out of the result. {error}") for view, error in refused
     )
-    found[0] = replace(found[0], warnings=(*told, *found[0].warnings))
+    found[0] = replace(found[0], warnings=(*reported, *found[0].warnings))
     return tuple(found)
 
 
@@ -63,7 +63,7 @@ def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
     if not seen:
         return None
     first, *others = (one.tracking for one in seen)
-    first.beside = tuple(others)
+    first.companions = tuple(others)
     return first
 
 
@@ -93,14 +93,14 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         if tracking.learns_by_acceleration:
             tracking, parts = _taught(view, tracking, parts, progress)
         parts = tuple(_named(view, tracking, part) for part in parts)
-    told = [Notice("window-moved", line) for line in moved]
+    reported = [Notice("window-moved", line) for line in moved]
     if view.kind == "infrared" and is_grey(view):
-        told.append(Notice("thermal", f"infrared: {AGC_NOTE}."))
+        reported.append(Notice("thermal", f"infrared: {AGC_NOTE}."))
     else:
         # Of these the scale factor suffers.
-        told += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
-    told += [line for part in parts for line in part.warnings]
-    return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in told))
+        reported += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
+    reported += [line for part in parts for line in part.warnings]
+    return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in reported))
 
 
 def _in_best_range(
@@ -117,12 +117,12 @@ def _in_best_range(
         seen = seen_targets(view, tracking)
         surface = best_range(frames, view_of(view), seen, parts[0], divisions)
     except UntrustedError as error:
-        told = (
+        reported = (
             f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
             f"for grey levels: it sees °C as they are, and may lose the target. {error} Or give "
             "infrared.temperature_range_c."
         )
-        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, Notice("thermal", told))), *parts[1:])
+        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, Notice("thermal", reported))), *parts[1:])
     tracking.close()
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
@@ -132,9 +132,10 @@ def _in_best_range(
 def _taught(
     view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
 ) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
-    """Tracking and noise anew with trackers that have learnt from the accelerometer, by the first calibration.
+    """Tracking and noise anew with trackers that have estimated from the accelerometer, by the first calibration.
 
-    Scale factor and clock offset stay: what was learnt rests on them, and is learnt again wherever they are given.
+    Scale factor and clock offset stay: what was estimated rests on them, and is estimated again wherever they are
+    given.
     """
     tracking.close()
     again = open_tracking(view, parts[0].calibration, progress)

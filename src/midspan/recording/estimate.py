@@ -41,7 +41,7 @@ from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
-from midspan.recording.tracked import Eye, Side, known_sensors, open_eyes, side_of
+from midspan.recording.tracked import Side, TrackedCamera, known_sensors, open_tracked_cameras, side_of
 from midspan.records import Estimate, Event, Innovation, Nanoseconds, Source, part
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
@@ -150,7 +150,7 @@ class FirstPass:
     """
 
     sides: tuple[Side, ...]
-    eyes: tuple[Eye, ...]
+    tracked_cameras: tuple[TrackedCamera, ...]
     estimator: Estimator | Lag
     sensors: Mapping[str, Sensor]
     outcome: Outcome
@@ -220,21 +220,29 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
 def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> FirstPass:
     """All records of the recording through its point."""
     sides = asked.sides
-    eyes = open_eyes(sides, tracking, progress)
+    tracked_cameras = open_tracked_cameras(sides, tracking, progress)
     wanted = asked.by_settings
     lag_s = wanted.lag_s if asked.row.rows is Pass.LAGGED else None
     memory = wanted.noise_memory if asked.row.follows_noise else None
     # As printed, a paper's tracker works with the predictions of the paper's own filter.
     printed = wanted if wanted.literal and asked.row.rows is not None else None
-    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory, printed=printed, given=asked.given)
-    outcome = run(point, sides, eyes)
-    for eye in eyes:
-        eye.tracking.close()
+    point = measuring_point(
+        sides, tracked_cameras, lag_s=lag_s, noise_memory=memory, printed=printed, given=asked.given
+    )
+    outcome = run(point, sides, tracked_cameras)
+    for tracked_camera in tracked_cameras:
+        tracked_camera.tracking.close()
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome.measured_ns))
     events, series = outcome.events_of, []
     cameras = tuple(
-        camera_result(eye.tracking, eye.sensor, eye.calibrations, events.get(eye.sensor, ())) for eye in eyes
+        camera_result(
+            tracked_camera.tracking,
+            tracked_camera.sensor,
+            tracked_camera.calibrations,
+            events.get(tracked_camera.sensor, ()),
+        )
+        for tracked_camera in tracked_cameras
     )
     for axis in range(len(sides)):
         rows = outcome.estimate(axis)
@@ -242,7 +250,7 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
         for view, known in known_sensors(sides[0]) if axis == 0 else ():
             log = (outcome.measured_by(view.sensor), point.estimator.settings.channels, rows)
             series[0][view.sensor] = ROWS[view.kind].series(view, known, log)
-    return FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, tuple(series))
+    return FirstPass(sides, tracked_cameras, point.estimator, point.sensors, outcome, cameras, tuple(series))
 
 
 # Of the values that are wrong.
@@ -326,7 +334,10 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
 def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
     """Relative standard deviations of the sensors' scales along an axis as compared with the accelerometer, by name."""
     own = first.sides[axis].calibration.accelerometer_scale_std
-    found = {eye.sensor: eye.calibrations[axis].relative_std for eye in first.eyes}
+    found = {
+        tracked_camera.sensor: tracked_camera.calibrations[axis].relative_std
+        for tracked_camera in first.tracked_cameras
+    }
     found |= {view.sensor: known.relative_std for view, known in known_sensors(first.sides[0])}
     return {name: without_gain(std, own) for name, std in found.items()}
 
@@ -344,7 +355,7 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
         settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart:
-        settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, first.sensors, ran))
+        settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.tracked_cameras, first.sensors, ran))
     if apart or first.wrong or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         for name, stamps in first.wrong.items():
@@ -395,7 +406,11 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     two, more = _second_axis(first, found, checked)
     warnings = (
         *recording.channel_warnings,
-        *(renamed(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
+        *(
+            renamed(line, tracked_camera.sensor)
+            for tracked_camera in first.tracked_cameras
+            for line in tracked_camera.tracking.warnings()
+        ),
         *found.warnings,
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
@@ -472,9 +487,9 @@ def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool
         refuse_rejections(view, found.innovations[1])
     except UntrustedError as error:
         return False, [left_out(first.sides[1], error)]
-    told = event_warnings(tuple(event for event in found.events if event.axis == 1))
-    told = [line.worded(f"Along {view.axis}: {line}") for line in told]
-    return True, told + shares(found.innovations[1], found.rows[1], f" along {view.axis}")
+    reported = event_warnings(tuple(event for event in found.events if event.axis == 1))
+    reported = [line.worded(f"Along {view.axis}: {line}") for line in reported]
+    return True, reported + shares(found.innovations[1], found.rows[1], f" along {view.axis}")
 
 
 def clocks_shared(main: Side) -> set[str]:

@@ -50,7 +50,7 @@ def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
     a margin for the clock offset.
     """
     source, prepared = recording.radar, recording.prepared
-    times, told = source.times_ns(), list[Notice]()
+    times, reported = source.times_ns(), list[Notice]()
     if not len(times):
         raise DataError(f"radar.file = {recording.own.settings.file!r}: holds no frames.")
     require_overlap(prepared.time_ns, times, "radar")
@@ -70,14 +70,14 @@ def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
         used = slice(used.start, used.start + max(most, MIN_FRAMES))
         length_s = (int(times[used.stop - 1]) - int(times[used.start])) / NANOSECONDS
         text = f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory."
-        told.append(Notice("window-moved", text))
+        reported.append(Notice("window-moved", text))
     blocks = source.profiles(used.start, used.stop)
     frames = collected(blocks, used.stop - used.start, progress, "reading the radar's calibration window")
     holes = float(np.mean(~frames.valid.all(axis=1)))
     if holes > WARNED_LOST:
         text = f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets)."
-        told.append(Notice("radar-data", text))
-    return opened(frames, prepared, ends, recording.max_offset_s, told)
+        reported.append(Notice("radar-data", text))
+    return opened(frames, prepared, ends, recording.max_offset_s, reported)
 
 
 def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
@@ -98,7 +98,7 @@ def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
 
 def _known(view: Recording, calibration: Calibration) -> Any:
     """The part of a calibration for a view's sensor; UsageError where it has none."""
-    if (found := calibration.of_sensor(view.own, view.beside)) is None:
+    if (found := calibration.of_sensor(view.own, view.companions)) is None:
         raise UsageError(
             f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
         )

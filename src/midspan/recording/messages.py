@@ -18,23 +18,23 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]
         "[{0}] is left out of the result: the calibration that was given has no {0} part. Run `midspan calibrate` on a "
         "recording with both cameras."
     )
-    missing = [view.sensor for view in recording.cameras if calibration.of_sensor(view.own, view.beside) is None]
+    missing = [view.sensor for view in recording.cameras if calibration.of_sensor(view.own, view.companions) is None]
     return [Notice("part-left-out", text.format(name)) for name in missing]
 
 
 def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
     """UsageError for a calibration of other cameras, of another axis, or of a radar in another way."""
     for radar in (view for view in recording.views if view.kind == "radar"):
-        if (made := calibration.of_sensor(radar.own, radar.beside)) is not None:
+        if (made := calibration.of_sensor(radar.own, radar.companions)) is not None:
             require_same_way(made, recording.settings.fusion.literal)
     views = recording.cameras
-    if views and not any(calibration.of_sensor(view.own, view.beside) for view in views):
+    if views and not any(calibration.of_sensor(view.own, view.companions) for view in views):
         raise UsageError(
             f"The calibration has no {views[0].sensor} part, but the recording has a camera. Run `midspan calibrate` "
             "on a recording of this camera."
         )
     for view in views:
-        camera, known = view.settings.camera, calibration.of_sensor(view.own, view.beside)
+        camera, known = view.settings.camera, calibration.of_sensor(view.own, view.companions)
         if camera is None or known is None:
             continue
         made_for = calibration.direction if len(views) == 1 else known.direction

@@ -22,7 +22,7 @@ from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
+from midspan.recording.tracked import Side, TrackedCamera, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, ClockOffset, RangeFrame, Source, Status
 from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
@@ -67,9 +67,9 @@ def bias_walk(side: Side) -> float:
     return max(KalmanSettings().bias_walk, noise + WALK_S * side.calibration.bias_drift_m_s3**2)
 
 
-def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
+def clock_offsets_ns(main: Side, tracked_cameras: Sequence[TrackedCamera]) -> dict[str, int]:
     """What is added to each sensor's stamps (ns) to get the accelerometer's clock."""
-    return {name: round(NANOSECONDS * offset.value_s) for name, offset in offsets_of(main, eyes).items()}
+    return {name: round(NANOSECONDS * offset.value_s) for name, offset in offsets_of(main, tracked_cameras).items()}
 
 
 def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
@@ -81,7 +81,10 @@ def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFram
 
 
 def zero_instant(
-    main: Side, eyes: Sequence[Eye], sensors: Mapping[str, Sensor], ran: Mapping[str, OneClock] | None = None
+    main: Side,
+    tracked_cameras: Sequence[TrackedCamera],
+    sensors: Mapping[str, Sensor],
+    ran: Mapping[str, OneClock] | None = None,
 ) -> int | None:
     """The instant (ns) that the displacement counts from: a camera's first frame, at its target's row, or a radar's;
     None: the sensor's own zero.
@@ -89,9 +92,9 @@ def zero_instant(
     sensors: the stages by name. ran: how the sensors' clocks ran, by name, where that is known. Of two cameras the
     first one's; where that one was dark when it began, the first frame of either.
     """
-    offsets_ns = clock_offsets_ns(main, eyes)
-    firsts = [(eye.sensor, eye.zero_ns) for eye in eyes]
-    if not eyes:
+    offsets_ns = clock_offsets_ns(main, tracked_cameras)
+    firsts = [(tracked_camera.sensor, tracked_camera.zero_ns) for tracked_camera in tracked_cameras]
+    if not tracked_cameras:
         # The first sensor's zero is that of the displacement.
         view, radar = next((view, sensors[view.sensor]) for view, _ in known_sensors(main))
         if isinstance(radar, RadarSensor):
@@ -105,16 +108,16 @@ def zero_instant(
         stamp if ran is None else ran[name].first_ns(stamp)
         for name, stamp in ((name, stamp + offsets_ns[name]) for name, stamp in firsts)
     ]
-    return min(stamps) if eyes and eyes[0].begins_dark else next(iter(stamps), None)
+    return min(stamps) if tracked_cameras and tracked_cameras[0].begins_dark else next(iter(stamps), None)
 
 
-def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
+def unseen_std_m(main: Side, tracked_cameras: Sequence[TrackedCamera], axis: int) -> float:
     """What the tilt of the cameras, their contradiction of the accelerometer and its logger's low-pass make of the
     displacement along an axis, m: of several the most.
     """
     seen = []
-    for eye in eyes:
-        camera, known = eye.view.settings.camera, eye.calibrations[axis]
+    for tracked_camera in tracked_cameras:
+        camera, known = tracked_camera.view.settings.camera, tracked_camera.calibrations[axis]
         seen.append(hypot(0.0 if camera is None else tilt_std_m(camera, known), known.apart_std_m))
     # A displacement sensor's own zero has no part of it, and each row holds it once, not twice.
     lost = [known.apart_std_m / sqrt(2.0) for _, known in known_sensors(main) if known.kind == Source.DISPLACEMENT.word]
@@ -122,13 +125,13 @@ def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
 
 
 def estimator_settings(
-    table: Table, sides: Sequence[Side], eyes: Sequence[Eye], sensors: Mapping[str, Sensor]
+    table: Table, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera], sensors: Mapping[str, Sensor]
 ) -> EstimatorSettings:
     """What the estimator is given of a recording's axes and sensors."""
     # What else is in the bin of a radar's best target makes an error of its phase at the zero, m: it does not average
     # out while the structure is where it was.
     known = [one for _, one in known_sensors(sides[0])][:1]
-    bent_m = known[0].used[0].bent_m if not eyes and known and known[0].kind == Source.RADAR.word else 0.0
+    bent_m = known[0].used[0].bent_m if not tracked_cameras and known and known[0].kind == Source.RADAR.word else 0.0
     return EstimatorSettings(
         channels=tuple(table.channels),
         axes=len(sides),
@@ -137,17 +140,17 @@ def estimator_settings(
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
         bias_walk=max(bias_walk(side) for side in sides),
         motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
-        zero_ns=zero_instant(sides[0], eyes, sensors),
+        zero_ns=zero_instant(sides[0], tracked_cameras, sensors),
         misfit=tuple(side.calibration.misfit for side in sides),
         lean=tuple(GRAVITY_M_S2 * side.calibration.slope for side in sides),
-        unseen_std_m=tuple(unseen_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
+        unseen_std_m=tuple(unseen_std_m(sides[0], tracked_cameras, axis) for axis in range(len(sides))),
         unseen_zero_std_m=(bent_m, *(0.0 for _ in sides[1:])),
     )
 
 
 def measuring_point(
     sides: Sequence[Side],
-    eyes: Sequence[Eye],
+    tracked_cameras: Sequence[TrackedCamera],
     *,
     lag_s: float | None = None,
     noise_memory: float | None = None,
@@ -170,9 +173,14 @@ def measuring_point(
     sensors: dict[str, Sensor] = {}
     # As printed, the filter's own deviation bounds the search, however small it is.
     min_std_px = MIN_STD_PX if printed is None else 0.0
-    for number, eye in enumerate(eyes):
-        sensors[eye.sensor] = camera_channels(
-            table, eye.tracking, eye.calibrations, eye.view.exposure_s, first=number == 0, min_std_px=min_std_px
+    for number, tracked_camera in enumerate(tracked_cameras):
+        sensors[tracked_camera.sensor] = camera_channels(
+            table,
+            tracked_camera.tracking,
+            tracked_camera.calibrations,
+            tracked_camera.view.exposure_s,
+            first=number == 0,
+            min_std_px=min_std_px,
         )
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
@@ -180,8 +188,8 @@ def measuring_point(
     section = recording.accelerometer
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=section.estimate_scale)
-    offsets_ns = clock_offsets_ns(main, eyes)
-    settings = estimator_settings(table, sides, eyes, sensors)
+    offsets_ns = clock_offsets_ns(main, tracked_cameras)
+    settings = estimator_settings(table, sides, tracked_cameras, sensors)
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
     merge = Merge([ACCELEROMETER, *sensors], *wait_s)
     for name in sensors:
@@ -190,8 +198,8 @@ def measuring_point(
     rate_hz = 1.0 / interval_s(main.recording.acceleration.time_ns)
     guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
     unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
-    one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
-    switch: Switch | None = named(SWITCH)(recording, eyes) if one_at_a_time else None
+    one_at_a_time = recording.settings.fusion.switching == "matches" and len(tracked_cameras) > 1
+    switch: Switch | None = named(SWITCH)(recording, tracked_cameras) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
     estimator: Estimator | Lag
     if printed is not None:

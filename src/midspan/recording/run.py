@@ -12,7 +12,7 @@ from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
 from midspan.fusion.blocks import REJECTED, Rows
 from midspan.recording.point import clock_offsets_ns, radar_frames
-from midspan.recording.tracked import Eye, Side, known_sensors
+from midspan.recording.tracked import Side, TrackedCamera, known_sensors
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -115,15 +115,15 @@ def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> lis
     return [(int(own[0]), int(own[-1])) for own in parts if len(own)]
 
 
-def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
+def run(point: Point, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera]) -> Outcome:
     """Push all records of a recording into its point."""
     outcome = Outcome()
     for name, sensor in point.sensors.items():
         if isinstance(sensor, RadarSensor):
             outcome.radars[name] = RadarLog(sensor.chain.targets)
-    cameras = {eye.sensor: eye for eye in eyes}
-    kept = {eye.sensor: eye.tracking.done for eye in eyes}
-    for name, record in records_of(point, sides, eyes):
+    cameras = {tracked_camera.sensor: tracked_camera for tracked_camera in tracked_cameras}
+    kept = {tracked_camera.sensor: tracked_camera.tracking.done for tracked_camera in tracked_cameras}
+    for name, record in records_of(point, sides, tracked_cameras):
         with in_words_of(name):
             outputs = point.push(record)
         keep(outputs, cameras, kept)
@@ -138,7 +138,7 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
 
 
 def records_of(
-    point: Point, sides: Sequence[Side], eyes: Sequence[Eye], *, block_s: float = np.inf
+    point: Point, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera], *, block_s: float = np.inf
 ) -> Iterator[tuple[str, Arrival | Complete]]:
     """All records of a recording, readings ahead of the frames that they cover; with each the stream that it is from.
 
@@ -147,7 +147,9 @@ def records_of(
     main = sides[0].recording
     value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
     readings = {ACCELEROMETER: Readings(main.acceleration.time_ns, value)}
-    feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
+    feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {
+        tracked_camera.sensor: frames_of(tracked_camera) for tracked_camera in tracked_cameras
+    }
     for view, known in known_sensors(sides[0]):
         sensor = point.sensors[view.sensor]
         if isinstance(sensor, RadarSensor):
@@ -155,7 +157,7 @@ def records_of(
         else:
             series = view.displacement
             readings[view.sensor] = Readings(known.even(series.time_ns), series.value[:, None])
-    offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], eyes)}
+    offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], tracked_cameras)}
     blocks, frames = blocks_of(readings, offsets_ns, block_s), in_time(feeds, offsets_ns)
     # At equal stamps the blocks come first.
     for _, name, record in heapq.merge(blocks, frames, key=lambda due: due[0]):
@@ -181,9 +183,9 @@ def blocks_of(
                 places[name], counts[name] = end, counts[name] + 1
 
 
-def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
+def frames_of(tracked_camera: TrackedCamera) -> Iterator[Tracked | Frame]:
     """A camera's frames: first those that were tracked while it was calibrated, with their translations."""
-    tracking = eye.tracking
+    tracking = tracked_camera.tracking
     for k in range(tracking.done):
         stamp = int(tracking.time_ns[k])
         yield Tracked(stamp, stamp, tuple(target.translation(k) for target in tracking.targets))
@@ -218,7 +220,7 @@ def in_time(
             yield stamp, name, Complete(stamp)
 
 
-def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, int]) -> None:
+def keep(outputs: Sequence[Output], cameras: Mapping[str, TrackedCamera], kept: dict[str, int]) -> None:
     """Let the cameras keep what was found in their frames, on their own clocks.
 
     kept: how many of the following frames of each they have kept already.
@@ -228,7 +230,7 @@ def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, 
             kept[output.sensor] -= 1
             if kept[output.sensor] >= 0:
                 continue
-            eye = cameras[output.sensor]
-            early_ns = -round(NANOSECONDS * eye.calibrations[0].offset.value_s)
+            tracked_camera = cameras[output.sensor]
+            early_ns = -round(NANOSECONDS * tracked_camera.calibrations[0].offset.value_s)
             found = [one for one in output.found if isinstance(one, PixelTranslation)]
-            eye.tracking.keep([one.later(early_ns) for one in found])
+            tracked_camera.tracking.keep([one.later(early_ns) for one in found])

@@ -32,7 +32,7 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True)
-class Eye:
+class TrackedCamera:
     """One camera of a recording, its tracking, and what was estimated of it along each axis, the main one first."""
 
     view: Recording
@@ -60,13 +60,13 @@ class Eye:
 def known_sensors(main: Side) -> list[tuple[Recording, Any]]:
     """The calibrated sensors of a recording that are no cameras: the view of each, and what was estimated of it."""
     views = [view for view in main.recording.views if view.kind not in CAMERAS]
-    known = [(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
+    known = [(view, main.calibration.of_sensor(view.own, view.companions)) for view in views]
     return [one for one in known if one[1] is not None]
 
 
-def offsets_of(main: Side, eyes: Sequence[Eye]) -> dict[str, TimeOffset]:
+def offsets_of(main: Side, tracked_cameras: Sequence[TrackedCamera]) -> dict[str, TimeOffset]:
     """The calibrated clock offset of each sensor, by its name."""
-    found = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
+    found = {tracked_camera.sensor: tracked_camera.calibrations[0].offset for tracked_camera in tracked_cameras}
     return found | {view.sensor: known.offset for view, known in known_sensors(main)}
 
 
@@ -89,18 +89,20 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     return Side(recording, calibration, prepared, acceleration, kalman)
 
 
-def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:
+def open_tracked_cameras(
+    sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress
+) -> tuple[TrackedCamera, ...]:
     """The calibrated cameras of a recording, the one whose zero counts first.
 
     tracking: what calibrating left, with those of further cameras with it; None: each is opened.
     """
-    opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.beside)}
-    eyes = []
+    opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.companions)}
+    tracked_cameras = []
     for view in sides[0].recording.cameras:
-        parts = (side.calibration.of_sensor(view.own, view.beside) for side in sides)
+        parts = (side.calibration.of_sensor(view.own, view.companions) for side in sides)
         if known := tuple(part for part in parts if part is not None):
             view, _ = where_it_sees(view.later(known[0].offset.value_s))
             with in_words_of(view.sensor):
                 own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
-            eyes.append(Eye(view, own, known))
-    return tuple(eyes)
+            tracked_cameras.append(TrackedCamera(view, own, known))
+    return tuple(tracked_cameras)

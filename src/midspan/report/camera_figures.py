@@ -157,13 +157,13 @@ def _edges(centres: Any) -> tuple[float, float]:
 
 def tracker(camera: CameraResult, clock: Clock) -> Picture:
     """The tracker's quality and standard deviation frame by frame, lost frames marked."""
-    track, learnt = camera.track, camera.calibrations[0]
-    t = clock.at(track.time_ns + round(1e9 * learnt.offset.value_s))
-    _, variance = track.along(learnt.direction)
-    std = np.sqrt(learnt.variance_factor * variance)
+    track, learned = camera.track, camera.calibrations[0]
+    t = clock.at(track.time_ns + round(1e9 * learned.offset.value_s))
+    _, variance = track.along(learned.direction)
+    std = np.sqrt(learned.variance_factor * variance)
     figure = sheet(3.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for axes, value, name in ((upper, track.quality, "quality"), (lower, std, f"σ along {learnt.direction} (px)")):
+    for axes, value, name in ((upper, track.quality, "quality"), (lower, std, f"σ along {learned.direction} (px)")):
         known = np.isfinite(value)
         if known.any():
             draw_line(axes, envelope(t[known], value[known], value[known]), Colour.BLUE, name, linewidth=0.8)
@@ -250,7 +250,7 @@ def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
     for axes, axis, mask, fit, colour in zip(
         others, "xy", (found.x, found.y), found.r_squared, (Colour.ORANGE, Colour.SKY), strict=True
     ):
-        how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
+        how = f"learned, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
         axes.set_title(f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})", fontsize=9)
         axes.imshow(_tinted(grey, mask, colour))
     for axes in (whole, *others):

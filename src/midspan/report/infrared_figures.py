@@ -148,9 +148,9 @@ def _strip(axes: "Axes", material: Material) -> None:
     axes.set_yticks([])
     axes.grid(False)
     axes.set_ylabel("source", rotation=0, ha="right", va="center")
-    told = [f"{code.word}: {100.0 * share:.3g} %" for code, share in known]
+    reported = [f"{code.word}: {100.0 * share:.3g} %" for code, share in known]
     handles = [axes.plot([], [], color=COLOURS.get(code, OTHER), linewidth=5.0)[0] for code, _ in known]
-    axes.legend(handles, told, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
+    axes.legend(handles, reported, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
 
 
 def source_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
@@ -170,7 +170,7 @@ def chosen_place(found: RangeSurface) -> tuple[int, int]:
     return row, int(np.argmin(np.abs(found.high_c - found.best.high_c)))
 
 
-def told_apart(values: Floats) -> list[str]:
+def reported_apart(values: Floats) -> list[str]:
     """Temperatures (n,) as text with as many digits as tell them apart, two at least, four at most."""
     for digits in range(MIN_DIGITS, MAX_DIGITS):
         found = [f"{value:.{digits}f}" for value in values]
@@ -195,8 +195,8 @@ def surface(found: RangeSurface) -> Picture:
     axes.plot(
         column, row, marker="s", markersize=17, markerfacecolor="none", color=Colour.VERMILLION, markeredgewidth=2.0
     )
-    axes.set_xticks(range(len(found.high_c)), told_apart(found.high_c))
-    axes.set_yticks(range(len(low)), told_apart(low))
+    axes.set_xticks(range(len(found.high_c)), reported_apart(found.high_c))
+    axes.set_yticks(range(len(low)), reported_apart(low))
     axes.set_xlabel("upper limit (°C): of the region … of the whole view")
     axes.set_ylabel("lower limit (°C)")
     return picture(figure)

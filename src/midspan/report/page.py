@@ -118,7 +118,7 @@ def figure(drawn: Picture, title: str, caption: str, attributes: Mapping[str, st
     )
 
 
-def folded(summary: str, piece: str, kind: str = "") -> str:
+def collapsible(summary: str, piece: str, kind: str = "") -> str:
     """Something long, HTML already, that opens on a click."""
     return f"<details{_kind(kind)}><summary>{escape(summary)}</summary>{piece}</details>"
 

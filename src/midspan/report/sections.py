@@ -38,9 +38,9 @@ def _events(material: Material) -> list[str]:
     for kind in dict.fromkeys(event.kind for event in found):
         rows = tables.events(material, [event for event in found if event.kind == kind])
         when = f"at {rows[0][0]} s" if len(rows) == 1 else f"from {rows[0][0]} to {rows[-1][0]} s"
-        pieces.append(page.folded(f"{kind}: {len(rows)}, {when}", page.table(rows, header), "events"))
+        pieces.append(page.collapsible(f"{kind}: {len(rows)}, {when}", page.table(rows, header), "events"))
     whole = page.table(tables.events(material, found), header)
-    return [*pieces, page.folded(f"all {len(found)} in the order of time", whole, "events")]
+    return [*pieces, page.collapsible(f"all {len(found)} in the order of time", whole, "events")]
 
 
 def displacement(material: Material) -> str:
@@ -263,7 +263,7 @@ def footer(material: Material) -> str:
         f"Lengths in mm, times in s from {first:.3f} s of the accelerometer's clock on, frequencies in Hz.",
     )
     written = page.verbatim(json.dumps(json.loads(text), indent=2))
-    return page.folded("Settings, calibration and events as JSON", written) + page.footer(lines)
+    return page.collapsible("Settings, calibration and events as JSON", written) + page.footer(lines)
 
 
 def camera(material: Material) -> str:
@@ -273,17 +273,17 @@ def camera(material: Material) -> str:
 
 def _one(material: Material, found: CameraResult) -> str:
     """Frame, region, path, choice and quality of the tracking."""
-    learnt = found.calibrations[0]
+    learned = found.calibrations[0]
     caption = (
         "The first frame used with the region of interest; below, the region enlarged, and the target's translation in "
         "the image since then (dot: start). The path should be long in the measured direction "
-        f"({learnt.direction}) and short across it."
+        f"({learned.direction}) and short across it."
     )
     if found.source is Source.INFRARED:
         caption += " Grey levels are temperatures: brighter is warmer."
     pieces = [page.figure(camera_figures.frame(found), "Region of interest", caption)]
-    if len(learnt.targets) > 1:
-        pieces += ["<h3>Targets</h3>", page.table(tables.targets(learnt), tables.TARGETS_HEADER)]
+    if len(learned.targets) > 1:
+        pieces += ["<h3>Targets</h3>", page.table(tables.targets(learned), tables.TARGETS_HEADER)]
     pieces.append(_choice(material, found))
     active = found.targets[0].active_pixels
     if active is not None:

@@ -13,7 +13,7 @@ PAUSE_STEPS = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Stretches (k,) of a series: their middle times `t` and the lowest and highest value in each; NaN between pauses.
+    """Segments (k,) of a series: their middle times `t` and the lowest and highest value in each; NaN between pauses.
 
     whole: each segment is a single value, nothing was thinned.
     """
@@ -30,16 +30,16 @@ class Envelope:
         return np.repeat(self.t, 2), np.column_stack((self.low, self.high)).ravel()
 
 
-def starts(count: int, stretches: int) -> NDArray[np.int64]:
-    """First index of each of at most `stretches` nearly equal segments of `count` rows; every row where few."""
-    if count <= 2 * stretches:
+def starts(count: int, segments: int) -> NDArray[np.int64]:
+    """First index of each of at most `segments` nearly equal segments of `count` rows; every row where few."""
+    if count <= 2 * segments:
         return np.arange(count)
-    return np.unique(np.linspace(0, count, stretches, endpoint=False).astype(np.int64))
+    return np.unique(np.linspace(0, count, segments, endpoint=False).astype(np.int64))
 
 
-def envelope(t: Floats, low: Floats, high: Floats, stretches: int = 1200) -> Envelope:
+def envelope(t: Floats, low: Floats, high: Floats, segments: int = 1200) -> Envelope:
     """The envelope of series (n,) at times `t` (n,); `low` and `high` may be the same array. NaN is left out."""
-    at = starts(len(t), stretches)
+    at = starts(len(t), segments)
     whole = len(at) == len(t)
     if not whole:
         ends = np.append(at[1:], len(t)) - 1
@@ -52,11 +52,11 @@ def envelope(t: Floats, low: Floats, high: Floats, stretches: int = 1200) -> Env
     return Envelope(t, low, high, whole)
 
 
-def spans(t: Floats, mask: NDArray[np.bool_], stretches: int = 2000) -> list[tuple[float, float]]:
+def spans(t: Floats, mask: NDArray[np.bool_], segments: int = 2000) -> list[tuple[float, float]]:
     """Start and length in time of the runs where `mask` (n,) holds, thinned so that they stay few and visible."""
     if not mask.any():
         return []
-    at = starts(len(t), stretches)
+    at = starts(len(t), segments)
     held = np.logical_or.reduceat(mask, at)
     edges = np.append(t[at], t[-1])
     change = np.diff(np.concatenate(([0], held.astype(np.int8), [0])))

@@ -229,9 +229,9 @@ class Intake:
         stream.heard(time.time())
         # A block without any value tells nothing of the sensor.
         if stream.reason and not (isinstance(record, Readings) and not np.isfinite(record.value).any()):
-            if stream.told:
+            if stream.reported:
                 self._tell(one, "returned", f"{name}: records come again.")
-            stream.reason, stream.text, stream.told = "", "", False
+            stream.reason, stream.text, stream.reported = "", "", False
         try:
             one.live.push(arrival)
         except MidspanError as error:

@@ -72,8 +72,9 @@ class RowHealth:
         return replace(now, stepped=False, usual_m=math.exp(usual), count=min(count, USUAL_ROWS))
 
 
-# The mean's variance is that of the means of so many segments: errors of rows are correlated over the filter's memory,
-# which is below an eighth of what is compared. Of so few it is Student's, whose variance is (n - 1)/(n - 3) times it.
+# The mean's variance is that of the means of this many segments: errors of rows are correlated over the filter's
+# memory, which is below an eighth of what is compared. Of so few it is Student's, whose variance is (n - 1)/(n - 3)
+# times it.
 SEGMENTS = 8
 # Rows that both must have: a tenth of a second a segment at 100 Hz.
 MIN_COMMON_ROWS = 10 * SEGMENTS

@@ -20,7 +20,7 @@ from midspan.recording.messages import require_same_cameras
 from midspan.recording.point import clock_offsets_ns, measuring_point
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import open_recording
-from midspan.recording.tracked import open_eyes
+from midspan.recording.tracked import open_tracked_cameras
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -82,22 +82,25 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     method = recording.settings.fusion.method
     require_same_cameras(recording, calibration)
     sides = Asked(recording, calibration, method, given=True).sides
-    eyes = open_eyes(sides, None, silent)
+    tracked_cameras = open_tracked_cameras(sides, None, silent)
     lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
-    point = measuring_point(sides, eyes, lag_s=lag_s, given=True, log=False, wait_s=(LATENESS_S, SILENT_S))
+    point = measuring_point(sides, tracked_cameras, lag_s=lag_s, given=True, log=False, wait_s=(LATENESS_S, SILENT_S))
     motion_m = point.estimator.settings.motion[0][0]
-    journal = Journal(name, clock_offsets_ns(sides[0], eyes), calibration=number, motion_m=motion_m)
-    regions = {eye.sensor: around([target.region for target in eye.tracking.targets]) for eye in eyes}
+    journal = Journal(name, clock_offsets_ns(sides[0], tracked_cameras), calibration=number, motion_m=motion_m)
+    regions = {
+        tracked_camera.sensor: around([target.region for target in tracked_camera.tracking.targets])
+        for tracked_camera in tracked_cameras
+    }
     bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}
     found = Opened(point, journal, {}, {}, regions, bins)
     if push:
-        for stream, record in records_of(point, sides, eyes, block_s=BLOCK_S):
+        for stream, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S):
             if isinstance(record, Arrival):
                 found.counts[stream] = found.counts.get(stream, -1) + 1
                 found.newest_ns[stream] = record.newest_ns
             journal.given(point.push(record))
-    for eye in eyes:
-        eye.tracking.close()
+    for tracked_camera in tracked_cameras:
+        tracked_camera.tracking.close()
     return found
 
 

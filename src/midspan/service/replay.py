@@ -20,7 +20,7 @@ from midspan.recording.messages import require_same_cameras
 from midspan.recording.point import clock_offsets_ns, measuring_point
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
-from midspan.recording.tracked import open_eyes
+from midspan.recording.tracked import open_tracked_cameras
 from midspan.records import NANOSECONDS, Arrival, Complete, Readings
 from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
@@ -77,19 +77,21 @@ def replay(
     with naming(recording):
         require_same_cameras(recording, calibration)
         sides = Asked(recording, calibration, method, given).sides
-        eyes = open_eyes(sides, tracking, progress)
+        tracked_cameras = open_tracked_cameras(sides, tracking, progress)
         lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
-        point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False)
+        point = measuring_point(sides, tracked_cameras, lag_s=lag_s, given=given, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
         radars = {view.sensor: view.radar.info for view in recording.views if view.kind == "radar"}
         body, settings = json.dumps(calibration.with_even_clocks().to_dict()), settings_json(recording.settings, radars)
         number = store.add_calibration(name, first_ns, body, settings, accept=False)
         motion_m = point.estimator.settings.motion[0][0]
-        journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number, motion_m=motion_m)
+        journal = Journal(
+            name, clock_offsets_ns(sides[0], tracked_cameras), axes=axes, calibration=number, motion_m=motion_m
+        )
         player = Player(point, journal, store, speed, wait)
         try:
-            for _, record in records_of(point, sides, eyes, block_s=BLOCK_S):
+            for _, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S):
                 player.push(record)
                 done_s = (player.newest_ns - first_ns) / NANOSECONDS
                 progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
@@ -99,8 +101,8 @@ def replay(
             store.forget_since(name, player.oldest_ns, number)
             raise
         store.accept(name, number)
-        for eye in eyes:
-            eye.tracking.close()
+        for tracked_camera in tracked_cameras:
+            tracked_camera.tracking.close()
     progress(1, 1, "replaying")
     return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings))
 

@@ -66,7 +66,7 @@ class Service:
     # Life
 
     async def run(self, for_s: float | None = None) -> dict[str, Any]:
-        """Run for so many seconds; None: until `stop`. Everything that came is kept when it returns how all stands.
+        """Run for this many seconds; None: until `stop`. Everything that came is kept when it returns how all stands.
 
         Raises UsageError where the address is in use, or another process writes one of the points.
         """

@@ -49,8 +49,8 @@ class Stream:
     stamps: str = ""
     interval_s: float = 0.0
     # Whether the reason was an event, and when each code was one last.
-    told: bool = False
-    told_s: dict[str, float] = field(default_factory=dict)
+    reported: bool = False
+    reported_s: dict[str, float] = field(default_factory=dict)
     # Of the newest block, and of those that may come doubled.
     sequence: int | None = None
     end_ns: int = 0
@@ -105,7 +105,7 @@ class Stream:
         """How many blocks were lost since that was last an event; 0 where there is none, or the minute is not over."""
         count = self.lost if self._is_due("lost_records", now_s) else 0
         if count:
-            self.lost, self.told_s["lost_records"] = 0, now_s
+            self.lost, self.reported_s["lost_records"] = 0, now_s
         return count
 
     def refused(self, code: str, text: str, now_s: float) -> bool:
@@ -114,11 +114,11 @@ class Stream:
         self.reason, self.text = code, text
         is_event = self._is_due(code, now_s)
         if is_event:
-            self.told, self.told_s[code] = True, now_s
+            self.reported, self.reported_s[code] = True, now_s
         return is_event
 
     def _is_due(self, code: str, now_s: float) -> bool:
-        return now_s - self.told_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
+        return now_s - self.reported_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
 
 
 @dataclass(slots=True)

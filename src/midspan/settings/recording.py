@@ -80,7 +80,7 @@ class FusionSettings(Section):
         0.95, description="factor beta of `adaptive-kalman`; nearer to 1 learns more slowly"
     )
     first_frames: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
-        10, description="`adaptive-kalman` as printed: frames before its noise R is learnt"
+        10, description="`adaptive-kalman` as printed: frames before its noise R is estimated"
     )
     input_noise_m_s2: Annotated[float, IsNumber, limited(1e-12, 1e6, "m/s²")] | None = Field(
         None, description="its noise of the acceleration (the root of Q); left out: as calibrated"

@@ -31,7 +31,7 @@ class ChannelSettings(Section):
     start_s: Time = Field(0.0, description="time of the first sample, where there is no time column, s")
     noise_std: Noise | None = Field(
         None,
-        description="noise of one sample, in m/s² (accelerometer) or in `unit`; left out: learnt; higher trusts less",
+        description="noise of one sample, in m/s² (accelerometer) or in `unit`; left out: estimated; more trusts less",
     )
 
 

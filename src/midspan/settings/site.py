@@ -156,7 +156,7 @@ class PointSettings(Section):
     lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(0.5, description="delay of the method lag, s")
     calibration: FileName | None = Field(None, description="calibration.json; left out: calibrates itself")
     accept: Literal["auto", "manual"] = Field(
-        "auto", description="whether a calibration found on the way comes into force by itself"
+        "auto", description="whether a calibration found on the way comes into force on its own"
     )
     calibration_s: Annotated[float, IsNumber, limited(10.0, 3600.0, "s")] = Field(
         60.0, description="how long a calibration on the way records, s; longer needs less motion"

@@ -1,4 +1,4 @@
-"""From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and told."""
+"""From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and reported."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -166,20 +166,22 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     straight = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     value = np.where(held, with_crests(series.value, held), straight)
     density = _bridging_density(value, missing, usual)
-    told = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
-    told += [one.worded(f"{where}: {one}.") for one in series.notices]
+    reported = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
+    reported += [one.worded(f"{where}: {one}.") for one in series.notices]
     bridged_texts = [f"{line}; they were bridged and marked." for line in unusable_samples(series)]
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
         bridged_texts.append(f"gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
-    told += [Notice("samples-bridged", f"{where}: {text}") for text in bridged_texts]
-    told += [Notice("rate-too-low", f"{where}: {text}") for text in _slow_sampling(value, series.value, usual.rate_hz)]
+    reported += [Notice("samples-bridged", f"{where}: {text}") for text in bridged_texts]
+    reported += [
+        Notice("rate-too-low", f"{where}: {text}") for text in _slow_sampling(value, series.value, usual.rate_hz)
+    ]
     events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
     events += [
         Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")
         for i, s in zip(usual.gaps, usual.gap_s, strict=True)
     ]
-    return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(told))
+    return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(reported))
 
 
 def _slow_sampling(value: Floats, read: Floats, rate_hz: float) -> list[str]:

@@ -27,7 +27,7 @@ REST_STEPS = 1.5
 # One or two samples are a spike where they are this many times as far from the mean as the record's standard deviation,
 # and as the two samples on either side: a motion that is gone a sample later would be far above the Nyquist frequency,
 # and an impact rings.
-SPIKE, SPIKE_SAMPLES, BESIDE = 100.0, 2, 2
+SPIKE, SPIKE_SAMPLES, NEIGHBOURS = 100.0, 2, 2
 # The end of the range is held for a shorter time than this by clipping, and longer by a frozen sensor.
 CLIPPED_S = 1.0
 # A structure at rest before or after the motion may give exactly equal values too: then at the channel's mean, within
@@ -136,8 +136,8 @@ def _is_rest(value: Floats, start: int, end: int) -> bool:
     if not len(others):
         return False
     small = REST_SHARE * float(np.std(others))
-    beside = np.concatenate((value[max(start - 5, 0) : start + 1], value[end - 1 : end + 5]))
-    return bool(abs(value[start] - np.mean(others)) < small and np.nanmax(np.abs(np.diff(beside))) < small)
+    neighbours = np.concatenate((value[max(start - 5, 0) : start + 1], value[end - 1 : end + 5]))
+    return bool(abs(value[start] - np.mean(others)) < small and np.nanmax(np.abs(np.diff(neighbours))) < small)
 
 
 def clipped(value: Floats) -> Mask:
@@ -217,8 +217,8 @@ def spikes(value: Floats, mean: float, std: float) -> Mask:
     mask = np.zeros(len(value), dtype=bool)
     apart = np.abs(value - mean)
     for start, end in runs(apart > SPIKE * std):
-        beside = np.concatenate((apart[max(start - BESIDE, 0) : start], apart[end : end + BESIDE]))
-        mask[start:end] = end - start <= SPIKE_SAMPLES and not (SPIKE * beside > apart[start:end].min()).any()
+        neighbours = np.concatenate((apart[max(start - NEIGHBOURS, 0) : start], apart[end : end + NEIGHBOURS]))
+        mask[start:end] = end - start <= SPIKE_SAMPLES and not (SPIKE * neighbours > apart[start:end].min()).any()
     return mask
 
 

@@ -12,7 +12,7 @@ from midspan.writing import cannot_be_written, replacing
 
 # Name, suffixes, what it is written with, and the module that writes it.
 _WRITERS = (
-    ("CSV, with metadata in a .json beside it", (".csv",), "pyarrow", "csv"),
+    ("CSV, with metadata in a .json next to it", (".csv",), "pyarrow", "csv"),
     ("Parquet", (".parquet",), "pyarrow", "parquet"),
     ("HDF5", (".h5", ".hdf5"), "h5py", "hdf5"),
     ("MATLAB 5", (".mat",), "scipy", "matlab"),

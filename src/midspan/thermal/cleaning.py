@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
-from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, is_foreign
+from midspan.thermal.limits import LimitFollower, Limits, LimitState, is_foreign, reflected
 from midspan.thermal.pattern import FixedPattern, estimate_pattern
 from midspan.thermal.shutter import ShutterState, ShutterWatch
 
-PATTERN_FRAMES = 24  # that the fixed pattern is learnt from
-AROUND_PX = 16  # of the target, where the pattern is learnt as well
-PATTERN_EVERY_S = 0.05  # least time between two frames that are learnt from
+PATTERN_FRAMES = 24  # that the fixed pattern is learned from
+AROUND_PX = 16  # of the target, where the pattern is learned as well
+PATTERN_EVERY_S = 0.05  # least time between two frames that are learned from
 
 
 @dataclass(frozen=True, slots=True)
 class Cleaned:
-    """What comes of a frame: the one to track, None while the shutter is closed, what is worth telling, and the share
+    """What comes of a frame: the one to track, None while the shutter is closed, what is worth reporting, and the share
     of the target that something of another temperature covers.
     """
 
@@ -121,7 +121,7 @@ class ThermalCleaner:
         limits = self._follower.push(target, frame.time_ns)
         self._last = frame
         pixels = frame.pixels if self.pattern is None else self.pattern.removed(frame.pixels)
-        clean = Frame(frame.time_ns, folded(pixels, limits), frame.index)
+        clean = Frame(frame.time_ns, reflected(pixels, limits), frame.index)
         return Cleaned(clean, verdict.events, float(np.mean(is_foreign(target, limits))))
 
     def tracked(self, found: PixelTranslation) -> bool:
@@ -150,7 +150,7 @@ class ThermalCleaner:
         # What stands there in most frames; what only passes by is weighed down as noise.
         place = _around(self._region, middle, np.mean(is_foreign(whole, self.limits), axis=0) > 0.5)
         stack = whole[:, place[0], place[1]].astype(np.float64)
-        found = estimate_pattern(folded(stack, self.limits, 1.0).astype(np.float64), moved - middle)
+        found = estimate_pattern(reflected(stack, self.limits, 1.0).astype(np.float64), moved - middle)
         values = np.zeros(self._shape)
         values[place] = found.values_k
         return replace(found, values_k=values)

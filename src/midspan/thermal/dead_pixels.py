@@ -17,7 +17,7 @@ MIN_LOOKED_AT = 12  # frames; fewer may agree by chance
 MAX_STUCK = 0.02
 # Among this many frames the noise of a pixel, if it were one step of its numbers, would show in four steps.
 _MIN_STEPS = 4.0
-_LIVELY_SHARE = 0.75  # of a stuck pixel's neighbours, or the picture stands still there
+_LIVELY_SHARE = 0.75  # of a stuck pixel's neighbours, or the picture is static there
 # A pixel that stands out from its neighbours by more than this, by the median over time, is no part of a scene: lenses
 # spread every point over several pixels.
 _STANDS_OUT_K = 5.0

@@ -28,7 +28,7 @@ EDGE_PX = 3  # from the edge inwards gradient and spline know too little
 GRADIENT = 0.5  # of white noise: power of the difference between the two neighbours of a pixel, halved
 WIDTH_PX = 0.8  # standard deviation of the distance at which pixels, low-passed as trackers do, have noise in common
 TAPERED = 0.25  # of the sides: what is shifted in frequencies must not meet what lies beyond the other edge
-LEAST_DETERMINED = 1e-9  # of the frames' number squared: below it scene and pattern are the same
+MIN_DETERMINED = 1e-9  # of the frames' number squared: below it scene and pattern are the same
 FINEST = 0.25  # cycles/px from which the pattern's strength is read: a lens leaves little of the scene there
 SPREAD_STEPS = 20  # of the weights, which settle within ten
 MAIN_LOBE = 3.0  # frequencies that the taper makes one
@@ -71,7 +71,7 @@ def share_left(frames: Floats, known: Pictured) -> tuple[float, float]:
     spread2 = max(known.spread_k**2, 1e-12)
     ridge = known.noise_k**2 / spread2
     determined = count * (count + ridge) - np.abs(turns) ** 2
-    determined = np.where(determined < LEAST_DETERMINED * count**2, np.inf, determined)
+    determined = np.where(determined < MIN_DETERMINED * count**2, np.inf, determined)
     pattern = (count * of_pattern - turns * of_scene) / determined
     scene = (of_scene - np.conj(turns) * pattern) / count
     free = power - (_product(scene, of_scene) + _product(pattern, of_pattern)) / size
@@ -121,7 +121,7 @@ def pattern_spread(frames: Floats, moved_px: Floats, noise_k: float, largest_k: 
     along_y, along_x = (axis[fine] for axis in np.broadcast_arrays(down, right))
     turns = np.exp(-2j * np.pi * (moved_px[:, 1, None] * along_y + moved_px[:, 0, None] * along_x))
     mean = np.mean(turns, axis=0)
-    power = np.maximum(np.sum(np.abs(turns - mean) ** 2, axis=0), LEAST_DETERMINED)
+    power = np.maximum(np.sum(np.abs(turns - mean) ** 2, axis=0), MIN_DETERMINED)
     scene = np.sum(np.conj(turns - mean) * shown, axis=0) / power
     square = np.abs(np.mean(shown, axis=0) - scene * mean) ** 2 / np.sum(taper**2)
     variance = noise_k**2 * (1.0 / len(frames) + np.abs(mean) ** 2 / power)
@@ -154,7 +154,7 @@ def _product(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> floa
 
 MIN_TRAVEL_PX = 0.4  # standard deviation of the motion below which scene and pattern are one
 MIN_FRAMES = 8
-TURNS, SHARED_EVERY = 20, 5  # every so many turns the share, which single turns find slowly, is estimated as a whole
+TURNS, SHARED_EVERY = 20, 5  # every this many turns the share, which single turns find slowly, is estimated as a whole
 _ORDER = 5  # of the spline that moves the scene
 _KNOTS, _BINOMIALS = 3.0 - np.arange(7), np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])  # of its basis function
 _EDGE_PX = 2  # from the edge inwards the spline is disturbed by what it takes to lie beyond
@@ -166,8 +166,8 @@ class FixedPattern:
 
     share_std: standard deviation of the share by which translations are too small with the pattern taken out of
     reference and frames; kept_share_std: with the pattern left in, for a tracker of least squares. pictured: the scene,
-    its translations and both deviations that these rest on. known: False where it could not be told from the scene, and
-    is 0 here.
+    its translations and both deviations that these rest on. known: False where it could not be distinguished from the
+    scene, and is 0 here.
     """
 
     values_k: Floats

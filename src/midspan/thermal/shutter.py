@@ -23,7 +23,7 @@ MAX_CLOSED_S = 3.0  # what lasts longer is no shutter but another scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterState:
-    """What is remembered: the last picture (every so many pixels), its contrast and the usual step of the level in K,
+    """What is remembered: the last picture (every this many pixels), its contrast and the usual step of the level in K,
     and the running segment of closed frames: how many, since when, and whether they were frozen.
     """
 
@@ -38,7 +38,7 @@ class ShutterState:
 @dataclass(frozen=True, slots=True)
 class ShutterVerdict:
     """Whether a frame may be tracked; `reopened`: the first one after the shutter, with another fixed pattern; `step_k`
-    by how much the level has jumped (0: not at all); and what is worth telling.
+    by how much the level has jumped (0: not at all); and what is worth reporting.
     """
 
     usable: bool
@@ -88,17 +88,17 @@ class ShutterWatch:
         if not (stepped or reopened):
             usual += _LEARNING * (abs(change) - usual)
         self.state = ShutterState(now, _spread(now, _QUARTER), usual)
-        told = []
+        reported = []
         if reopened:
             text = (
                 f"the thermal camera's shutter was closed for {(frame.time_ns - state.since_ns) / NANOSECONDS:.2f} s "
                 f"({state.closed} frames); its level changed by {change:+.2f} K"
             )
-            told.append(Event(state.since_ns, "shutter", text))
+            reported.append(Event(state.since_ns, "shutter", text))
         elif stepped:
-            told.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
+            reported.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
         step = change if stepped or reopened else 0.0
-        return ShutterVerdict(True, reopened, step, tuple(told))
+        return ShutterVerdict(True, reopened, step, tuple(reported))
 
 
 def _spread(values: Floats, percent: float) -> float:

@@ -22,7 +22,7 @@ Follow = Callable[[Sequence[Frame]], PixelTrack]
 
 # M of the paper: its section 3.1.1 names nine parts, l = 0.857 K and h = 0.604 K.
 DIVISIONS = 9
-ROUGH, THINNED = 16, 3  # this many frames, every so many, show which ranges are worth all frames
+ROUGH, THINNED = 16, 3  # this many frames, every this many, show which ranges are worth all frames
 REFINED = 9  # ranges that are compared once more with all frames
 MAX_MISSING = 0.2  # share of lost frames above which a range is no candidate
 

@@ -50,7 +50,7 @@ class FeatureSettings:
     the region follows the last place, where a fixed one of the paper is as large as the motion asks; the features of
     a frame may lie `MARGIN_PX` outside it; they match mutually; and fewer than three matches count as lost, since they
     do not tell the variance of their mean.
-    max_features: the strongest so many in the region, 10 to 5000; more is slower and a little quieter.
+    max_features: the strongest this many in the region, 10 to 5000; more is slower and a little quieter.
     threshold, octaves, upright: of SURF, see `midspan.vision.keypoints.SurfSettings`.
     epsilon_px: discretisation error of a coordinate in rejection I and II, above 0 to 5 px; more rejects less.
     search_px: how far the target is looked for when it is not near its last place and there is no prediction.
@@ -286,7 +286,7 @@ def good_matches(
 def average(
     good: Floats, matches: int, settings: FeatureSettings, max_spread_px: float = MAX_SPREAD_PX
 ) -> Matched | None:
-    """Mean (equation 30) of the good translations (n, 2), px, out of so many matches, with the variance of the mean.
+    """Mean (equation 30) of the good translations (n, 2), px, out of this many matches, with the variance of the mean.
 
     None when fewer than three are good, or when they scatter by more than `max_spread_px`.
     """

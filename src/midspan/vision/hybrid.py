@@ -1,7 +1,7 @@
 """Trackers by local phase: `PhaseTracker`, and `HybridTracker`, which finds the place first where phase could wrap.
 
 After the paper on hybrid phase and feature matching, equations 4 and 14 to 19. The prediction rounded to whole pixels
-moves the region; the mean phase of the active pixels measures what is left. Before anything has been learnt, active
+moves the region; the mean phase of the active pixels measures what is left. Before anything has been learned, active
 pixels are those of large amplitude and the gain comes from the slope of the reference's own phase.
 
 With `literal` both are those of `midspan.papers.printed.phase`.
@@ -25,7 +25,7 @@ from midspan.vision.phase_model import (
     Learning,
     PhaseModel,
     first_model,
-    learnt_model,
+    learned_model,
     reference_field,
     region_patch,
     target_of,
@@ -48,7 +48,7 @@ class PhaseSettings:
     form: "gain" (mean phase times the phase scale factor) or "gradient" (the conventional mean of phase by slope).
     min_slope_rad_px: only with "gradient", slope below which a pixel does not count, 0 rad/px or more; left out: 0.1,
     with literal 0: equation 3 has no such limit. More drops pixels whose noise the division raises.
-    active_pixels: "correlation" (learnt, maximum R²), "amplitude" (the conventional threshold) or "all".
+    active_pixels: "correlation" (learned, maximum R²), "amplitude" (the conventional threshold) or "all".
     least_information: share of the information that active pixels must keep, 0 to 1. weighted: whether pixels count by
     the square of their amplitude in the mean, or equally as in the paper. matcher: the tracker that finds the target's
     whole-pixel place; left out: template, with literal features as printed. spacing: of the filters' taps in widths of
@@ -99,7 +99,7 @@ class PhaseSettings:
 @dataclass(frozen=True, slots=True)
 class PhaseState(Motion):
     """What a phase tracker remembers besides: how often the place was looked for by matching, the matcher's state and
-    what was learnt.
+    what was learned.
     """
 
     matched_frames: int = 0
@@ -147,7 +147,7 @@ class PhaseTracker(Tracker):
 
     @property
     def model(self) -> PhaseModel:
-        """Active pixels and slopes in use: learnt, or from the reference alone."""
+        """Active pixels and slopes in use: learned, or from the reference alone."""
         return self._state.model or self._first
 
     @property
@@ -187,7 +187,7 @@ class PhaseTracker(Tracker):
         step = max(1, math.ceil(len(frames) / self.frames_to_learn))
         learning = self._observe(frames[::step], None if motion is None else motion.part(slice(None, None, step)))
         if self.settings.active_pixels != "amplitude":
-            model = learnt_model(
+            model = learned_model(
                 self._fields,
                 self._first,
                 learning,

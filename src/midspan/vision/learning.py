@@ -1,6 +1,6 @@
 """A better template than one frame: two samples a pixel, fitted to frames whose sub-pixel places differ.
 
-One frame holds what lies above half a cycle a pixel folded onto lower frequencies; frames at different places fold it
+One frame holds what lies above half a cycle a pixel aliased onto lower frequencies; frames at different places alias it
 differently, so that together they tell it apart. The spline coefficients minimise the squared differences from all
 frames, each at its place, plus a penalty on the fourth power of the Laplacian that stands for how the spectrum of
 pictures through a lens falls; conjugate gradients, with the places renewed in between (after Elad and Feuer, 1997,
@@ -185,7 +185,7 @@ def _gain(shape: tuple[int, ...], weights: tuple[Floats, Floats, Floats], penalt
     """What samples at many places and the penalty make of each frequency of coefficients (rows, columns).
 
     `weights` of the samples down and across (n, 9), and their numbers of frames (n,). The places part a frequency from
-    those that single frames fold onto it.
+    those that single frames alias onto it.
     """
     from scipy.fft import next_fast_len
 

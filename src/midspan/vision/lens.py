@@ -149,7 +149,7 @@ def ideal_gain(gain: tuple[float, float], region: Region, lens: Lens | None) -> 
 
 
 def lens_warnings(region: Region, lens: Lens) -> list[Notice]:
-    """What is worth telling of a region under this lens: whether it lies where the board was never seen."""
+    """What is worth reporting of a region under this lens: whether it lies where the board was never seen."""
     middle = _middle(region, lens)[0]
     distance = float(np.hypot(*(middle - np.array(lens.matrix[2:]))))
     if lens.covered_px is None or distance <= lens.covered_px:

@@ -18,7 +18,7 @@ from midspan.vision.texture import noise_std
 def phase_slopes(field: Complex64) -> tuple[Floats, Floats]:
     """Slope of the local phase along x and y, rad/px, of responses (rows + 2, columns + 2): two arrays (rows, columns).
 
-    The mean of the steps to the neighbours on either side, each unwrapped by itself: good up to half a cycle a px.
+    The mean of the steps to the neighbours on either side, each unwrapped on its own: good up to half a cycle a px.
     """
     across = np.angle(field[1:-1, 1:] * np.conj(field[1:-1, :-1]))
     down = np.angle(field[1:, 1:-1] * np.conj(field[:-1, 1:-1]))
@@ -44,7 +44,7 @@ INSET_PX = MARGIN_PX + 1  # the reference needs a pixel more than the filter, fo
 FIRST_GAIN_ERROR = 0.003
 GAIN_ERROR_OF_NOISE = 0.35
 SPLIT_FRAMES = 20
-MIN_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
+MIN_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learned
 MIN_R_SQUARED = 0.5
 
 
@@ -77,10 +77,10 @@ class PhaseAxis:
 
 @dataclass(frozen=True, slots=True)
 class PhaseModel:
-    """Both axes of a target, whether learnt from its motion, and R² of that (NaN where it was not).
+    """Both axes of a target, whether learned from its motion, and R² of that (NaN where it was not).
 
     ratios: translation by mean phase along x and y, px/rad, by least squares (None: from the slopes). along: number of
-    the axis that the accelerometer showed, None where both were learnt alike.
+    the axis that the accelerometer showed, None where both were learned alike.
     """
 
     x: PhaseAxis
@@ -193,19 +193,19 @@ class Learning:
     residual_px: Floats
 
 
-def learnt_model(
+def learned_model(
     fields: Sequence[Field], first: PhaseModel, learning: Learning, *, weighted: bool, least_information: float
 ) -> PhaseModel:
     """Active pixels and gains by regression of phase on residual motion; an axis that hardly moved stays as it was."""
     axes, fits = [], []
     for k, (field, known) in enumerate(zip(fields, first.axes, strict=True)):
-        axis, fit = _learnt_axis(field, known, learning, k, (weighted, least_information))
+        axis, fit = _learned_axis(field, known, learning, k, (weighted, least_information))
         axes.append(axis)
         fits.append(fit)
     return replace(first, x=axes[0], y=axes[1], r_squared=(fits[0], fits[1]))
 
 
-def _learnt_axis(
+def _learned_axis(
     field: Field, known: PhaseAxis, learning: Learning, k: int, rule: tuple[bool, float]
 ) -> tuple[PhaseAxis, float]:
     """The axis `k` as its phases followed the residual motion, and the R² of that."""
@@ -215,7 +215,7 @@ def _learnt_axis(
         return known, math.nan
     phase = learning.phase[k] - (squares(learning.residual_px) @ field.curve.T).astype(np.float32)
     phase -= phase.mean(axis=0)
-    slopes = _learnt_slopes(field, phase, residual, [j for j in (k, 1 - k) if moved[j] >= MIN_MOTION_PX])
+    slopes = _learned_slopes(field, phase, residual, [j for j in (k, 1 - k) if moved[j] >= MIN_MOTION_PX])
     along = phase - np.outer(residual[:, 1 - k], slopes[:, 1 - k]).astype(np.float32)
     power = field.amplitude.ravel() ** 2
     weighted, share = rule
@@ -241,7 +241,7 @@ def _learnt_axis(
     return field.chosen(active, weight[active], slopes[active], gain_error), r_squared
 
 
-def _learnt_slopes(field: Field, phase: Floats32, residual: Floats, used: list[int]) -> Floats:
+def _learned_slopes(field: Field, phase: Floats32, residual: Floats, used: list[int]) -> Floats:
     """Slopes (pixels, 2) by regression on the axes `used`; along the other the reference's own."""
     slopes = field.slope.copy()
     rest = [j for j in (0, 1) if j not in used]

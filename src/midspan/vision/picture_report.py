@@ -8,16 +8,16 @@ from midspan._core import SATURATED_SHARE
 from midspan.notices import Notice
 
 TELLING_STD_PX = 0.003  # below this, compression does less than the noise of a usual frame
-SWALLOWED = 3.0  # motion below so many standard deviations of the codec loses half of its size, or all
-TOLD_SHARE, TOLD_FRAMES = 0.02, 3  # of the frames; and not less than so many
-MOST_FRAMES = 0.5
+SWALLOWED = 3.0  # motion below this many standard deviations of the codec loses half of its size, or all
+REPORTED_SHARE, REPORTED_FRAMES = 0.02, 3  # of the frames; and not less than this many
+MAX_FRAMES = 0.5
 SCALE_LOSS = 0.6  # of the scale, for a codec's standard deviation as large as the motion's
 
 
 @dataclass(frozen=True, slots=True)
 class Compression:
     """What a codec did to the frames: the share a picture inherits from the one before, the share of texture that
-    stood still, and the standard deviation (px) of what that does to a translation; zeros for raw frames.
+    was static, and the standard deviation (px) of what that does to a translation; zeros for raw frames.
     """
 
     inherited_share: float = 0.0
@@ -123,7 +123,7 @@ def _compression(report: PictureReport, along: list[AxisCounts]) -> str:
     )
     shares = [f"a frame inherits {100.0 * found.inherited_share:.0f} % of the one before"]
     if found.frozen_share > 0.005:
-        shares.append(f"{100.0 * found.frozen_share:.0f} % of the texture stands still")
+        shares.append(f"{100.0 * found.frozen_share:.0f} % of the texture is static")
     return (
         f"camera: the frames are compressed ({', '.join(shares)}). A standard deviation of {found.std_px:.2g} px is "
         f"added to each, and motion below about {limit:.2g} px can be lost. {small} Record raw or lossless, or at "
@@ -133,9 +133,9 @@ def _compression(report: PictureReport, along: list[AxisCounts]) -> str:
 
 def _blur(report: PictureReport) -> str:
     count, blurred, sharper = report.counts.frames, report.counts.blurred, report.counts.sharper
-    least = max(TOLD_SHARE * count, TOLD_FRAMES)
+    least = max(REPORTED_SHARE * count, REPORTED_FRAMES)
     # One frame out of focus at the start leaves all others sharper; a few sharper ones are brighter, or covered.
-    if sharper > MOST_FRAMES * count:
+    if sharper > MAX_FRAMES * count:
         return (
             f"camera: {sharper} of {count} frames show more than twice the detail of the first one, which is out of "
             "focus or was taken in motion. Start at a sharp frame."
@@ -150,7 +150,7 @@ def _blur(report: PictureReport) -> str:
 
 def _saturation(report: PictureReport) -> str:
     share, count, some = report.saturated_share, report.counts.frames, report.counts.saturated
-    if share <= SATURATED_SHARE and some > max(TOLD_SHARE * count, TOLD_FRAMES):
+    if share <= SATURATED_SHARE and some > max(REPORTED_SHARE * count, REPORTED_FRAMES):
         most = 100.0 * report.counts.most_saturated / (1.0 + report.counts.most_saturated)
         return (
             f"camera: in {some} of {count} frames pixels of the region are at the end of the scale, up to "
@@ -165,7 +165,7 @@ def _saturation(report: PictureReport) -> str:
 
 
 def _texture(along: list[AxisCounts]) -> str:
-    coarse = [one.variance_px2 for one in along if one.coarse > MOST_FRAMES * one.seen]
+    coarse = [one.variance_px2 for one in along if one.coarse > MAX_FRAMES * one.seen]
     if not coarse:
         return ""
     return (

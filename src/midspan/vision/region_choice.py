@@ -20,7 +20,8 @@ from midspan.vision.template import TemplateSettings, TemplateTracker
 # The picture's choice looks at this many frames, spread over this many seconds from the first frame used.
 CHOICE_FRAMES = 16
 CHOICE_S = 8.0
-# The accelerometer's choice: so many frames over at least so many seconds, and no more seconds and frames than these.
+# The accelerometer's choice: this many frames over at least this many seconds, and no more seconds and frames than
+# these.
 TRIAL_FRAMES = 200
 TRIAL_S = 20.0
 MAX_TRIAL_S = 40.0
@@ -127,15 +128,15 @@ def judged(choice: RegionChoice, found: dict[Region, Agreement], count: int) -> 
         c.region for c in choice.candidates if c.fixed and not (c.region in found and found[c.region].contradicts)
     ]
     regions = tuple((fitting or open_ones or list(choice.regions))[:count])
-    told = [_told(c, found.get(c.region), (regions, fitting)) for c in choice.candidates]
+    reported = [_reported(c, found.get(c.region), (regions, fitting)) for c in choice.candidates]
     order = {region: place for place, region in enumerate(regions)}
-    told.sort(key=lambda c: order.get(c.region, len(order)))
+    reported.sort(key=lambda c: order.get(c.region, len(order)))
     reason = _reason(found, len(fitting), regions)
     return replace(
         choice,
         regions=regions,
         reasons=(reason, *(f"By the picture alone: {line}" for line in choice.reasons)),
-        candidates=tuple(told),
+        candidates=tuple(reported),
     )
 
 
@@ -147,7 +148,7 @@ def _fitting(found: dict[Region, Agreement]) -> list[Region]:
 
 
 def _reason(found: dict[Region, Agreement], fitting: int, regions: tuple[Region, ...]) -> str:
-    start = f"{len(found)} places were followed beside the accelerometer"
+    start = f"{len(found)} places were followed together with the accelerometer"
     if not fitting:
         text = next(iter(found.values())).text
         return f"{start}, which could not decide between them ({text}); the picture alone did."
@@ -155,7 +156,7 @@ def _reason(found: dict[Region, Agreement], fitting: int, regions: tuple[Region,
     return f"{start}; {fitting} of them fit it, and the {were} taken ({1e3 * found[regions[0]].std_m:.2g} mm a frame)."
 
 
-def _told(
+def _reported(
     candidate: Candidate, agreement: Agreement | None, chosen: tuple[tuple[Region, ...], list[Region]]
 ) -> Candidate:
     """The candidate with its verdict; chosen: the regions taken, and those that fit."""
@@ -165,7 +166,7 @@ def _told(
     verdict = f"taken: {agreement.text}" if candidate.region in taken else agreement.text
     if candidate.region not in fitting:
         poor = np.isfinite(agreement.std_m)
-        return replace(candidate, verdict=f"moves by itself: {verdict}" if poor else verdict)
+        return replace(candidate, verdict=f"moves on its own: {verdict}" if poor else verdict)
     found = replace(candidate, verdict=verdict, displacement_std_m=agreement.std_m)
     return replace(found, scale_m_per_px=agreement.scale_m_per_px)
 
@@ -193,7 +194,7 @@ class _Trial:
 
 
 def _trial_frames(time_ns: Nanoseconds, request: ChoiceRequest) -> NDArray[np.int64]:
-    """Indices of the frames of a trial: up to 200, over 20 s or more where there are so many."""
+    """Indices of the frames of a trial: up to 200, over 20 s or more where there are this many."""
     start = 0 if request.trial_from_ns is None else int(np.searchsorted(time_ns, request.trial_from_ns))
     start = min(start, max(len(time_ns) - TRIAL_FRAMES, 0))
     inside = time_ns[start:]

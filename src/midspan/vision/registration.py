@@ -45,7 +45,7 @@ class RegistrationSettings:
     search_px: how far from its last place the target is looked for without a prediction, 3 px or more.
     min_share: share of the target's information below which it counts as lost, 0 to 1.
     learn_frames: the template is made anew from this many frames, less noisy than the first alone and, where they show
-    the target at many sub-pixel places, without its aliasing; 0: never by itself.
+    the target at many sub-pixel places, without its aliasing; 0: never on its own.
     bias_floor_px: standard deviation added for what interpolation and aliasing get wrong, 0 px or more.
     """
 
@@ -69,8 +69,8 @@ class RegistrationSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Learnt:
-    """What was learnt: the template; where the zero lies in it (4,): x, y (px), roll (rad), zoom, to be taken off; and
+class Learned:
+    """What was learned: the template; where the zero lies in it (4,): x, y (px), roll (rad), zoom, to be taken off; and
     the covariance (4, 4) of the zero, which rests on the reference frame alone.
     """
 
@@ -82,7 +82,7 @@ class Learnt:
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationState(Motion):
     """What the tracker remembers besides: roll (rad), zoom, the usual noise of an undisturbed frame and how many frames
-    it rests on, those kept to learn from, what was learnt.
+    it rests on, those kept to learn from, what was learned.
     """
 
     roll_rad: float = 0.0
@@ -90,10 +90,10 @@ class RegistrationState(Motion):
     usual_noise: float = 0.0
     judged_frames: int = 0
     samples: KeptSamples | None = None
-    learnt: Learnt | None = None
+    learned: Learned | None = None
 
 
-# What of a state the core remembers: all but the samples and what was learnt.
+# What of a state the core remembers: all but the samples and what was learned.
 _memory = attrgetter(*(one.name for one in fields(RegistrationState)[:-2]))
 
 
@@ -117,7 +117,7 @@ class RegistrationTracker(Tracker):
         self._first = first_plane(reference.pixels, template.window, template.offset)
         self._samples = self._begun()
         self._plane: Plane | None = None
-        self._learnt: Learnt | None = None
+        self._learned: Learned | None = None
         self._take(self._first, np.zeros(4), _CERTAIN)
 
     @property
@@ -133,18 +133,18 @@ class RegistrationTracker(Tracker):
     @property
     def state(self) -> RegistrationState:
         """Everything that changes from frame to frame."""
-        return RegistrationState(*self.core.state, self._samples, self._learnt)
+        return RegistrationState(*self.core.state, self._samples, self._learned)
 
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
-        learnt = state.learnt
-        plane = self._first if learnt is None else learnt.plane
+        learned = state.learned
+        plane = self._first if learned is None else learned.plane
         if plane is not self._plane:
-            if learnt is None:
+            if learned is None:
                 self._take(plane, np.zeros(4), _CERTAIN)
             else:
-                self._take(plane, learnt.zero, learnt.covariance)
-        self._samples, self._learnt = state.samples, learnt
+                self._take(plane, learned.zero, learned.covariance)
+        self._samples, self._learned = state.samples, learned
         self.core.restore(_memory(state))
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
@@ -180,9 +180,9 @@ class RegistrationTracker(Tracker):
         if samples.frames < enough or not (varied or samples.frames == PATIENCE * enough):
             return
         # A structure at rest shows one place alone: an average will do until it moves.
-        self._samples, self._learnt = None if varied else samples, self._made_anew(samples)
+        self._samples, self._learned = None if varied else samples, self._made_anew(samples)
 
-    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Learnt:
+    def _learn(self, frames: Sequence[Frame], motion: AxisMotion | None) -> Learned:
         """Make the template anew from frames that show the target, best at many sub-pixel places.
 
         The zero stays where it is for these frames, within their noise. `motion` is ignored: the tracker's own
@@ -199,12 +199,12 @@ class RegistrationTracker(Tracker):
             raise DataError(
                 f"Learning needs at least 5 frames that show the target undisturbed; received {samples.frames}."
             )
-        learnt = other._made_anew(samples)
-        self.restore(replace(self.state, samples=None, learnt=learnt))
-        return learnt
+        learned = other._made_anew(samples)
+        self.restore(replace(self.state, samples=None, learned=learned))
+        return learned
 
     def _begun(self) -> KeptSamples | None:
-        """The reference frame as the first to learn from; None where nothing is to be learnt."""
+        """The reference frame as the first to learn from; None where nothing is to be learned."""
         if self.settings.learn_frames < 2:
             return None
         first = sample(self.reference.pixels, self._window, (0.0, 0.0), self._offset, None)
@@ -242,7 +242,7 @@ class RegistrationTracker(Tracker):
         new = sample(frame.pixels, self._window, self.core.state[:2], self._offset, like)
         return samples if new is None else samples.plus(new)
 
-    def _made_anew(self, samples: KeptSamples) -> Learnt:
+    def _made_anew(self, samples: KeptSamples) -> Learned:
         """Take the template of the samples, its zero such that their mean place is where the first template put it."""
         plane = learn_plane(samples)
         if len(samples.items) < MIN_PLACES:
@@ -255,10 +255,10 @@ class RegistrationTracker(Tracker):
         own = np.array(self.core.covariance(zero is not None)) * plane.noise_std**2 * samples.frames
         if zero is None:
             zero = self._moved(samples, of_window=False)
-        learnt = Learnt(plane, np.zeros(4) if zero is None else zero, np.zeros((4, 4)))
-        learnt.covariance[:2, :2] = own
-        self.core.count_from(learnt.zero, learnt.covariance)
-        return learnt
+        learned = Learned(plane, np.zeros(4) if zero is None else zero, np.zeros((4, 4)))
+        learned.covariance[:2, :2] = own
+        self.core.count_from(learned.zero, learned.covariance)
+        return learned
 
     def _moved(self, samples: KeptSamples, *, of_window: bool) -> Floats | None:
         """How much farther (4,) the samples lie in the template than they were put, in the mean; None: in none.

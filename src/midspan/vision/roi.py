@@ -1,4 +1,4 @@
-"""Regions of interest: the choice of a target that can be tracked well and does not move by itself.
+"""Regions of interest: the choice of a target that can be tracked well and does not move on its own.
 
 The camera moves with the structure, so that all fixed targets move alike in its image (more or less of it with their
 distance); foliage, water, vehicles and people do not. Where to look is decided by the predicted standard deviation of
@@ -113,22 +113,22 @@ def choose_region(frames: Sequence[Frame], settings: RoiSettings | None = None) 
         score_px=grid.std_px,
         score_x=grid.centre_x,
         score_y=grid.centre_y,
-        candidates=tuple(_told(ranked, settings.regions)),
+        candidates=tuple(_reported(ranked, settings.regions)),
     )
 
 
-def _told(ranked: list[Candidate], count: int) -> list[Candidate]:
+def _reported(ranked: list[Candidate], count: int) -> list[Candidate]:
     """The candidates with a word on why each of them was taken or not; the first `count` fixed ones were."""
-    told = []
+    reported = []
     for place, candidate in enumerate(ranked):
         if candidate.fixed:
             verdict = "taken" if place < count else "fixed, but less sharp"
         elif np.isfinite(candidate.disagreement_px):
-            verdict = f"moves by itself: {candidate.disagreement_px:.2g} px rms beside the others"
+            verdict = f"moves on its own: {candidate.disagreement_px:.2g} px rms together with the others"
         else:
             verdict = "could not be followed"
-        told.append(replace(candidate, verdict=verdict))
-    return told
+        reported.append(replace(candidate, verdict=verdict))
+    return reported
 
 
 def _first_image(frames: Sequence[Frame]) -> NDArray[np.generic]:

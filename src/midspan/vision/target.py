@@ -19,7 +19,8 @@ UNPREDICTED_STD_PX = 1.0  # of the place that a target at its last speed reaches
 @dataclass(frozen=True, slots=True)
 class Motion:
     """Last translation (px), its time, the speed (px/s), how many frames the target has been lost since, and whether
-    that was because it could not be told from places that look like it: where it was then says nothing of where it is.
+    that was because it could not be distinguished from places that look like it: where it was then says nothing of
+    where it is.
     """
 
     x_px: float = 0.0
@@ -69,7 +70,8 @@ class Motion:
         )
 
     def missed(self, *, confused: bool = False) -> Self:
-        """After a frame that does not show the target, or in which it cannot be told from places that look like it."""
+        """After a frame that does not show the target, or in which it cannot be distinguished from places that look
+        like it."""
         return replace(
             self,
             speed_x_px_s=0.0,

@@ -32,20 +32,20 @@ PRINTED = (
 
 
 def fit_camera(
-    views: Sequence[View], targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]], second: str = ""
+    views: Sequence[View], targets: Sequence[SeenTarget], reported: Callable[[], Sequence[str]], second: str = ""
 ) -> tuple[CameraFit, ...]:
     """Calibrate a camera along its image axes, the main one first.
 
-    views: the axes with an acceleration of their own, one or two; targets: as tracked through the window; told: what of
-    the frames is worth telling, for a refusal; second: the second axis, fused or only tracked (empty: none). A second
-    axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError where no
-    target can be calibrated along the main axis.
+    views: the axes with an acceleration of their own, one or two; targets: as tracked through the window; reported:
+    what of the frames is worth reporting, for a refusal; second: the second axis, fused or only tracked (empty: none).
+    A second axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError
+    where no target can be calibrated along the main axis.
     """
     main, across, refused = views[0], (*views[1:], None)[0], ""
-    fits = [_fitted(main, targets, told)]
+    fits = [_fitted(main, targets, reported)]
     if across is not None:
         try:
-            fits.append(_fitted(across, targets, told))
+            fits.append(_fitted(across, targets, reported))
         except UntrustedError as error:
             refused = f"Along {second} the accelerometer is not used and the target only tracked. {error}"
     fits = one_offset(fits)
@@ -137,12 +137,12 @@ def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibrat
     if not any(one.used and other.used for one, other in pairs):
         return [main]
     return [
-        replace(main, targets=tuple(_beside(one, other, across.direction) for one, other in pairs)),
-        replace(across, targets=tuple(_beside(other, one, main.direction) for one, other in pairs)),
+        replace(main, targets=tuple(_alongside(one, other, across.direction) for one, other in pairs)),
+        replace(across, targets=tuple(_alongside(other, one, main.direction) for one, other in pairs)),
     ]
 
 
-def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> TargetCalibration:
+def _alongside(own: TargetCalibration, other: TargetCalibration, axis: str) -> TargetCalibration:
     """A target along one axis, out of use where it is so along the other, `axis`."""
     if other.used or not own.used:
         return own
@@ -151,17 +151,17 @@ def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> Targ
 
 def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, refused: str) -> tuple[CameraFit, ...]:
     """The main axis and the second one tracked only, which is left out with a warning where that cannot be trusted."""
-    told = (Notice("part-left-out", refused),) if refused else ()
+    reported = (Notice("part-left-out", refused),) if refused else ()
     try:
         only = _tracked_only(view, targets, main.calibration)
     except UntrustedError as error:
         axis = "x" if main.calibration.direction == "y" else "y"
         left_out = Notice("part-left-out", f"The second axis {axis} is left out of the result. {error}")
-        return (replace(main, warnings=(*main.warnings, *told, left_out)),)
-    return main, replace(only, warnings=told)
+        return (replace(main, warnings=(*main.warnings, *reported, left_out)),)
+    return main, replace(only, warnings=reported)
 
 
-def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]]) -> Fitted:
+def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Sequence[str]]) -> Fitted:
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     apart_s: list[float] = []
@@ -182,28 +182,28 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
         return Fitted(tuple(found), tuple(reasons))
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
-    text = " ".join((*lines, *told()))
+    text = " ".join((*lines, *reported()))
     raise NoAgreementError(text, float(np.median(apart_s))) if apart_s else UntrustedError(text)
 
 
-def _refuse_pattern(share_std: float, learnt: ScaleFactor) -> None:
+def _refuse_pattern(share_std: float, estimated: ScaleFactor) -> None:
     """UntrustedError where a thermal camera's fixed pattern may draw the translations to zero by too much."""
     if share_std <= REFUSED_ABOVE:
         return
     raise UntrustedError(
         f"The thermal camera's fixed pattern is too strong for this scene to calibrate the scale factor: it would be "
-        f"{1e3 * learnt.value_m_per_px:.4g} mm/px, and the pattern may draw translations to zero by "
+        f"{1e3 * estimated.value_m_per_px:.4g} mm/px, and the pattern may draw translations to zero by "
         f"{100 * share_std:.2g} % (one standard deviation); at most {100 * REFUSED_ABOVE:g} % is accepted. Choose an "
         "infrared.roi of more contrast, correct the camera's non-uniformity (its shutter) before recording, or begin "
         "where the target moves by half a pixel or more, which tells the pattern from the scene."
     )
 
 
-def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
+def _refuse_compression(scale: ScaleFactor, estimated: ScaleFactor) -> None:
     """UntrustedError where a scale factor with what compression may do to it is too vague to be given out."""
     if (relative := np.sqrt(scale.variance) / abs(scale.value_m_per_px)) <= REFUSED_ABOVE:
         return
-    codec = np.sqrt(scale.variance - learnt.variance) / abs(scale.value_m_per_px)
+    codec = np.sqrt(scale.variance - estimated.variance) / abs(scale.value_m_per_px)
     raise UntrustedError(
         f"Too much compression to calibrate the scale factor: it would be {1e3 * scale.value_m_per_px:.4g} mm/px "
         f"± {100 * relative:.2g} %, of which the video's compression makes ± {100 * codec:.2g} %, and at most "
@@ -232,7 +232,7 @@ def _judged(
 
 
 def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, notices: Sequence[Notice]) -> CameraFit:
-    """One axis whose targets have been judged: the values of the best one, and what is worth telling."""
+    """One axis whose targets have been judged: the values of the best one, and what is worth reporting."""
     found = fit.found[_best(camera.targets)]
     assert found is not None
     used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
@@ -318,7 +318,7 @@ def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration
         if target.used and not noise <= USELESS * best:
             reason = (
                 f"it differs from the acceleration by {1e3 * noise:.2g} mm a frame, {noise / best:.0f} times as much "
-                "as the best target: it moves by itself or is too poor to help."
+                "as the best target: it moves on its own or is too poor to help."
             )
             targets[k] = replace(target, used=False, reason=reason)
     return targets

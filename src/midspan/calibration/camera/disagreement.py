@@ -1,4 +1,4 @@
-"""Targets that differ by more than white noise: one of them moves by itself, or the camera tilts.
+"""Targets that differ by more than white noise: one of them moves on its own, or the camera tilts.
 
 What two targets differ by beyond noise (`difference`) is in one of them, or in both as a tilt makes it, in proportion
 to their distances. Each of these puts another share of it into the translation of the better target: none of it, all,
@@ -56,17 +56,17 @@ def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float,
     ratio = f"Their distances are as 1 to {far_m / near_m:.2g}: "
     if decided:
         return (
-            f"{ratio}the camera tilts, {makes}, and the accelerometer excludes that one of them moves by itself. Mount "
-            f"the camera more stiffly, measure its tilt, or {use}."
+            f"{ratio}the camera tilts, {makes}, and the accelerometer excludes that one of them moves on its own. "
+            f"Mount the camera more stiffly, measure its tilt, or {use}."
         )
     return (
-        f"{ratio}either the camera tilts, {makes}, or one of them moves by itself. Where it is tilt, {use}; where one "
-        "may not stand still, leave that one out of camera.target, or add a third."
+        f"{ratio}either the camera tilts, {makes}, or one of them moves on its own. Where it is tilt, {use}; where one "
+        "may not are static, leave that one out of camera.target, or add a third."
     )
 
 
 class Cause(Enum):
-    """Why two targets differ: the other one moves by itself, this one does, or the camera tilts."""
+    """Why two targets differ: the other one moves on its own, this one does, or the camera tilts."""
 
     OTHER = "other"
     THIS = "this"
@@ -137,7 +137,7 @@ def agreed(
             if Cause.THIS in verdict.open:
                 mover, fixed = fixed, mover
             reason = (
-                f"it moves by itself: it differs from {fixed.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
+                f"it moves on its own: it differs from {fixed.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
                 "its noise and scale factor explain."
             )
             left = list(camera.targets)
@@ -361,8 +361,8 @@ def _cause_text(verdict: Verdict) -> str:
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
         return (
-            "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells "
-            "which. Leave out of camera.target the one that may not stand still, or add a third."
+            "One of them moves on its own, as in a slow drift, and neither the accelerometer nor a majority tells "
+            "which. Leave out of camera.target the one that may not are static, or add a third."
         )
     share = abs(_shares(kept, other)[Cause.TILT])
     named = [(member.name, abs(member.scale_m_per_px)) for member in (kept, other)]

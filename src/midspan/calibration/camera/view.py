@@ -196,8 +196,8 @@ def judged_by(view: View, track: PixelTrack) -> Agreement:
     std_m = abs(found.scale.value_m_per_px) * found.noise.std
     text = f"fits the accelerometer, {1e3 * found.scale.value_m_per_px:.3g} mm/px, noise {1e3 * std_m:.2g} mm a frame"
     missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
-    told = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
-    return Agreement(std_m, False, told, missed, found.scale.value_m_per_px)
+    reported = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
+    return Agreement(std_m, False, reported, missed, found.scale.value_m_per_px)
 
 
 def camera_blocks(

@@ -39,7 +39,7 @@ from midspan.signals.stamps import inside, shown
 NOISE_WINDOW_S = 1800.0
 # Measurements within the longest offset of an end are left out: so much of the overlap at most at each end, where the
 # offset is only reported, where it is estimated, and where one farther off is looked for.
-TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
+REPORTED_SHARE, ESTIMATED_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 # Fewer samples of acceleration carry no motion between two measurements.
 MIN_SAMPLES = 10
 # A clock offset that was not wanted is refused when it moves the displacement by more than this many times its noise.
@@ -102,7 +102,9 @@ class _Overlap:
         self.last_ns = min(int(series.time_ns[used.stop - 1]), self.first_ns + longest_ns)
         self.overlap_s = (self.last_ns - self.first_ns) / NANOSECONDS
         self.one_clock = not given.learns_offset
-        self.max_offset_s = min(given.wanted_s, (TOLD_SHARE if self.one_clock else LEARNT_SHARE) * self.overlap_s)
+        self.max_offset_s = min(
+            given.wanted_s, (REPORTED_SHARE if self.one_clock else ESTIMATED_SHARE) * self.overlap_s
+        )
         reach_s = self.max_offset_s + edge_s(self.max_offset_s, self.overlap_s)
         self.reach_s = reach_s if self.max_offset_s > 0.0 else 0.0
 
@@ -143,7 +145,7 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     pair = axis.pair
     notes: list[Notice] = []
     if given.learns_scale:
-        learnt = calibrate_sensor_scale(
+        learned = calibrate_sensor_scale(
             pair,
             max_offset,
             one_clock=overlap.one_clock,
@@ -151,12 +153,12 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
             look=lambda fit: notes.extend(_refuse_farther(overlap, fit, axis)),
             noise_time_s=given.noise_time_s,
         )
-        found = learnt.findings
+        found = learned.findings
         assert found is not None
     else:
         rows = pair.rows.copy()
         rows[crowd_of_outliers(pair), 2] = np.inf
-        learnt = calibrate_noise(
+        learned = calibrate_noise(
             replace(pair, rows=rows),
             max_offset,
             one_clock=overlap.one_clock,
@@ -165,11 +167,11 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
             noise_time_s=given.noise_time_s,
             exposure_declared=given.exposure_s is not None,
         )
-        found = learnt.findings
+        found = learned.findings
         assert found is not None
         if found.search is not None and (not overlap.one_clock or unexplained(found.pair, found.fit)):
             notes += _refuse_farther(overlap, found.free, axis)
-        _refuse_wrong_scale(learnt, found)
+        _refuse_wrong_scale(learned, found)
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
@@ -185,21 +187,21 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
-    learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
+    learned = replace(_widened(learned, axis), warnings=(*learned.warnings, *notes))
     if overlap.one_clock:
-        return _on_one_clock(learnt, found)
-    learnt = _accepted_offset(overlap, learnt, found)
-    return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(overlap, learnt)))
+        return _on_one_clock(learned, found)
+    learned = _accepted_offset(overlap, learned, found)
+    return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
-    learnt = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
+    learned = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
     text = (
         f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
         "the motion, as of a sensor that is stuck; they were left out of the calibration. Check the sensor and what "
         "holds it."
     )
-    return replace(learnt, warnings=(*learnt.warnings, Notice("outliers", text)))
+    return replace(learned, warnings=(*learned.warnings, Notice("outliers", text)))
 
 
 def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCalibration | None:
@@ -261,18 +263,18 @@ def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:
     return Notice("outliers", text)
 
 
-def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
-    offset = replace(learnt.offset, variance=learnt.offset.variance + axis.offset_variance)
+def _widened(learned: NoiseCalibration, axis: Turned) -> NoiseCalibration:
+    offset = replace(learned.offset, variance=learned.offset.variance + axis.offset_variance)
 
     def wider(relative_std: float) -> float:
         return float(np.hypot(relative_std, axis.relative_std)) if relative_std > 0.0 else 0.0
 
     return replace(
-        learnt,
+        learned,
         offset=offset,
-        scale_std=wider(learnt.scale_std),
-        gain_std=wider(learnt.gain_std),
-        factor_std=abs(learnt.factor) * wider(learnt.factor_std / abs(learnt.factor)),
+        scale_std=wider(learned.scale_std),
+        gain_std=wider(learned.gain_std),
+        factor_std=abs(learned.factor) * wider(learned.factor_std / abs(learned.factor)),
         direction=axis.direction,
     )
 
@@ -304,10 +306,10 @@ def _beyond(overlap: _Overlap, offset_s: float) -> UntrustedError:
     )
 
 
-def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
+def _refuse_wrong_scale(learned: NoiseCalibration, found: Findings) -> None:
     size = 1.0 / abs(found.free.ratio)
     times = "" if abs(size - 1.0) < WRONG_SCALE else f" and multiplied by {size:.3g}"
-    if learnt.reversed_gain > CLEARLY_REVERSED:
+    if learned.reversed_gain > CLEARLY_REVERSED:
         cause = named_cause(found.pair, found.free.offset_s)
         if cause is not None and cause.cause is not Cause.UNIT:
             measured = f"displacement: turned round{times} it fits the accelerometer better"
@@ -315,7 +317,7 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
         raise UntrustedError(
             f"displacement: its sign is reversed: turned round{times} it fits the accelerometer far better. Its second "
             "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
-            "sign of the column, or of the accelerometer's, or have it learnt: displacement.estimate_scale = true."
+            "sign of the column, or of the accelerometer's, or have it estimated: displacement.estimate_scale = true."
         )
     if times and found.free.gain > MIN_GAIN and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
         measured = (
@@ -336,23 +338,23 @@ def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Finding
     refuse_unfelt(prepared, time_ns, moved_m, np.full(len(rows), noise_m**2))
 
 
-def _accepted_offset(overlap: _Overlap, learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
+def _accepted_offset(overlap: _Overlap, learned: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """UntrustedError where the clock offset that was asked for is not to be accepted; else with its variance as it is
     where what is left is no noise.
     """
     search, limit = found.search, overlap.max_offset_s
     if search is None:
-        return learnt
+        return learned
     if not search.offset.variance < CERTAIN_S**2:
         _refuse_anywhere_else(overlap, search)
-        return learnt
+        return learned
     fit, std = search.fit, float(np.sqrt(search.offset.variance))
     factor = 1.0
     if fit.gain < MIN_GAIN:
         _refuse_anywhere_else(overlap, search)
-        if learnt.offset.value_s != 0.0:
+        if learned.offset.value_s != 0.0:
             raise UntrustedError(unexplained_text(fit.offset_s, limit))
-        return learnt
+        return learned
     # What a sensor leaves that averages is explained.
     averages = found.pair.exposure_s > 0.0
     if unexplained(*((found.pair, found.fit) if averages else (search.pair, fit))):
@@ -367,7 +369,7 @@ def _accepted_offset(overlap: _Overlap, learnt: NoiseCalibration, found: Finding
         search.runner_up is not None
         and is_ambiguous(search)
         and fit.likelihood - search.runner_up.likelihood < decides
-        and (learnt.offset.value_s != 0.0 or fit.gain > TELLING_GAIN)
+        and (learned.offset.value_s != 0.0 or fit.gain > TELLING_GAIN)
     ):
         raise UntrustedError(
             f"displacement: the clock offset is ambiguous: {fit.offset_s:+.4f} s and {search.runner_up.offset_s:+.4f} "
@@ -377,7 +379,7 @@ def _accepted_offset(overlap: _Overlap, learnt: NoiseCalibration, found: Finding
         )
     if abs(fit.offset_s) > limit + BEYOND * std:
         raise _beyond(overlap, fit.offset_s)
-    return replace(learnt, offset=replace(learnt.offset, variance=factor * learnt.offset.variance))
+    return replace(learned, offset=replace(learned.offset, variance=factor * learned.offset.variance))
 
 
 def _refuse_anywhere_else(overlap: _Overlap, search: OffsetSearch) -> None:
@@ -388,38 +390,39 @@ def _refuse_anywhere_else(overlap: _Overlap, search: OffsetSearch) -> None:
         raise _beyond(overlap, rival.fit.offset_s)
 
 
-def _offset_warnings(overlap: _Overlap, learnt: NoiseCalibration) -> Iterator[Notice]:
+def _offset_warnings(overlap: _Overlap, learned: NoiseCalibration) -> Iterator[Notice]:
     if overlap.max_offset_s < overlap.given.wanted_s:
         yield Notice(
             "window-moved",
             f"displacement: clock offsets up to ±{overlap.max_offset_s:.3g} s only were searched, a quarter of the "
             f"overlap of {overlap.overlap_s:.3g} s; calibration.max_offset_s is {overlap.given.wanted_s:g} s.",
         )
-    search = None if learnt.findings is None else learnt.findings.search
+    search = None if learned.findings is None else learned.findings.search
     # No offset was applied though the one that fits best is not 0.
     left = search is not None and abs(search.fit.offset_s) > 5.0 * float(np.sqrt(search.offset.variance))
-    left = left and learnt.offset.value_s == 0.0
-    if overlap.max_offset_s > 0.0 and (np.isinf(learnt.offset.variance) or left):
+    left = left and learned.offset.value_s == 0.0
+    if overlap.max_offset_s > 0.0 and (np.isinf(learned.offset.variance) or left):
         yield Notice(
             "clock-uncertain",
             "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it would.",
         )
 
 
-def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
+def _on_one_clock(learned: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """One clock is taken for granted; an offset that shows all the same is reported and put into the error band."""
-    off, late = learnt.offset.value_s, late_m(learnt, found)
+    off, late = learned.offset.value_s, late_m(learned, found)
     if off != 0.0 and (cause := named_cause(found.pair)) is not None and cause.cause is Cause.STEP:
         # The offset is a mean of two.
         late = max(late, cause.difference_m)
-    if late <= MAX_LATE * np.sqrt(_noise(learnt, found)):
-        return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=late)
+    if late <= MAX_LATE * np.sqrt(_noise(learned, found)):
+        return replace(learned, offset=TimeOffset(0.0, off * off), late_m=late)
     differ = f"by {off:+.4f} s, which moves it by {1e3 * late:.3g} mm rms"
     # A logger's low-pass makes the acceleration late, so that the readings seem early.
-    if learnt.low_pass is not None and off > 0.0:
+    if learned.low_pass is not None and off > 0.0:
         raise LoggerDelayError(
-            f"displacement: {learnt.low_pass.text()}. They differ {differ}. Use a logger whose low-pass lies far above "
-            "the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a clock's, so "
+            f"displacement: {learned.low_pass.text()}. They differ {differ}. Use a logger whose low-pass lies far "
+            "above the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a "
+            "clock's, so "
             "that the result is late by it, and the error band holds what the low-pass took away."
         )
     delayed = "; with a low-pass in the accelerometer's logger the result is then late by as much" if off > 0.0 else ""
@@ -430,11 +433,11 @@ def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration
     )
 
 
-def _noise(learnt: NoiseCalibration, found: Findings) -> float:
-    return learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
+def _noise(learned: NoiseCalibration, found: Findings) -> float:
+    return learned.factor**2 * min(found.fit.noise, found.likeliest.noise)
 
 
-def late_m(learnt: NoiseCalibration, found: Findings) -> float:
+def late_m(learned: NoiseCalibration, found: Findings) -> float:
     """What the clock offset that was found makes of the displacement, rms."""
     value, samples = found.pair.samples[:, 1], found.pair.samples
     rate = (len(value) - 1) / float(samples[-1, 0] - samples[0, 0])
@@ -442,8 +445,8 @@ def late_m(learnt: NoiseCalibration, found: Findings) -> float:
     # The readings' speed beyond their noise.
     rows = found.pair.rows[np.isfinite(found.pair.rows[:, 2])]
     apart = np.diff(rows[:, 0])
-    square = (learnt.factor * np.diff(rows[:, 1]) / apart) ** 2 - 2.0 * _noise(learnt, found) / apart**2
-    return abs(learnt.offset.value_s) * max(shaken, float(np.sqrt(max(float(np.mean(square)), 0.0))))
+    square = (learned.factor * np.diff(rows[:, 1]) / apart) ** 2 - 2.0 * _noise(learned, found) / apart**2
+    return abs(learned.offset.value_s) * max(shaken, float(np.sqrt(max(float(np.mean(square)), 0.0))))
 
 
 def _refuse_poor_displacement(read: TimeSeries, series: TimeSeries, used: slice) -> None:

@@ -27,7 +27,7 @@ from midspan.signals.stamps import shown
 from midspan.signals.stuck import range_limits, resolution, stuck
 
 # A scale that was not estimated is reported when off by this share and this many deviations, refused beyond the third.
-TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
+REPORTED, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
 MAX_OPTIMISTIC = 1.5
 # Where this many values would count as frozen, the sensor's resolution is coarse compared with the motion.
@@ -46,14 +46,14 @@ def fit_displacement(given: Given) -> DisplacementFit:
     rate = None if given.learns_offset is False else _clock_rate(given)
     if rate is not None:
         given = replace(given, series=replace(given.series, time_ns=rate.even(given.series.time_ns)))
-    given, learnt = _on_its_clock(given, rate)
-    assert learnt.findings is not None
-    pair, fit = learnt.findings.noise
-    low, high = sorted(learnt.factor * end for end in ends)
-    part = replace(_part(given, learnt), low_m=low, high_m=high)
-    warnings = [*_range_warnings(part, held), *_warnings(given, learnt, part)]
+    given, estimated = _on_its_clock(given, rate)
+    assert estimated.findings is not None
+    pair, fit = estimated.findings.noise
+    low, high = sorted(estimated.factor * end for end in ends)
+    part = replace(_part(given, estimated), low_m=low, high_m=high)
+    warnings = [*_range_warnings(part, held), *_warnings(given, estimated, part)]
     # A scale that seems wrong is a misfit which the band holds already.
-    found = Misfit() if _scale_error(learnt) > 0.0 else misfit(pair, fit)
+    found = Misfit() if _scale_error(estimated) > 0.0 else misfit(pair, fit)
     warnings += found.text("displacement") or strange_noise(pair, fit, "displacement")
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
@@ -61,14 +61,14 @@ def fit_displacement(given: Given) -> DisplacementFit:
         part = replace(part, clock_rate=rate.late, clock_reference_s=rate.reference_ns / NANOSECONDS)
     return DisplacementFit(
         part,
-        learnt.input_noise,
+        estimated.input_noise,
         bias_of(pair, fit),
         tuple(warnings),
-        learnt,
-        learnt.gain,
-        spread * learnt.gain_std,
+        estimated,
+        estimated.gain,
+        spread * estimated.gain_std,
         found,
-        direction=learnt.direction,
+        direction=estimated.direction,
     )
 
 
@@ -91,7 +91,7 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     """
     if given.learns_offset is not None:
         try:
-            return given, with_rate(_learnt(given), rate)
+            return given, with_rate(_estimated(given), rate)
         except UntrustedError as error:
             if not given.learns_offset and (other := _clock_rate(given)) is not None:
                 raise two_rates(other) from error
@@ -100,7 +100,7 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     found, refused = None, None
     if rate is None:
         try:
-            found = _learnt(shared)
+            found = _estimated(shared)
         except LoggerDelayError:
             raise
         except UntrustedError as error:
@@ -108,7 +108,7 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
         if found is not None and (found.late_m == 0.0 or found.low_pass is not None):
             return shared, found
     try:
-        apart = _learnt(own)
+        apart = _estimated(own)
     except MidspanError:
         apart = None
     if apart is not None and rate is not None:
@@ -119,10 +119,10 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
         return own, with_offset(replace(apart, late_m=late_m(apart, apart.findings)) if delays else apart)
     if refused is not None:
         raise refused
-    return (shared, found) if found is not None else (shared, with_rate(_learnt(shared), rate))
+    return (shared, found) if found is not None else (shared, with_rate(_estimated(shared), rate))
 
 
-def _learnt(given: Given) -> NoiseCalibration:
+def _estimated(given: Given) -> NoiseCalibration:
     """Noise, clock offset, and with displacement.estimate_scale the scale of the sensor, or a refusal."""
     series, prepared = given.series, given.prepared
     if not given.learns_scale:
@@ -131,46 +131,46 @@ def _learnt(given: Given) -> NoiseCalibration:
     crude = _frozen_values(prepared, series, resolution_m=0.0)
     known = np.isfinite(series.value)
     first = _without(series, crude if np.mean(crude[known]) < MAX_FROZEN else np.zeros_like(crude))
-    learnt = learn(given, first)
-    offset_ns = round(NANOSECONDS * learnt.offset.value_s)
-    scaled = replace(series, time_ns=series.time_ns + offset_ns, value=learnt.factor * series.value)
+    estimated = learn(given, first)
+    offset_ns = round(NANOSECONDS * estimated.offset.value_s)
+    scaled = replace(series, time_ns=series.time_ns + offset_ns, value=estimated.factor * series.value)
     held = _frozen_values(prepared, scaled)
-    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(given, _without(series, held))
+    return estimated if np.array_equal(held, np.isnan(first.value) & known) else learn(given, _without(series, held))
 
 
-def with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
+def with_rate(estimated: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
     """The calibration with the rate of the clock that was corrected."""
     if rate is None:
-        return learnt
-    offset = replace(learnt.offset, variance=learnt.offset.variance + rate.offset_variance)
+        return estimated
+    offset = replace(estimated.offset, variance=estimated.offset.variance + rate.offset_variance)
     text = (
         f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
         f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s; this was corrected."
     )
-    return replace(learnt, offset=offset, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+    return replace(estimated, offset=offset, warnings=(*estimated.warnings, Notice("clock-corrected", text)))
 
 
-def with_offset(learnt: NoiseCalibration) -> NoiseCalibration:
+def with_offset(estimated: NoiseCalibration) -> NoiseCalibration:
     """The calibration with a sentence on an offset that was not asked for.
 
     late_m: what it makes of the displacement where it may be a logger's delay.
     """
-    assert learnt.findings is not None
+    assert estimated.findings is not None
     text = (
         f"displacement: its readings come as if its clock differs from the accelerometer's by "
-        f"{1e3 * learnt.offset.value_s:+.4g} ± {1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. "
-        f"{cause_of_lateness(learnt.findings.pair, learnt.offset.value_s)}"
+        f"{1e3 * estimated.offset.value_s:+.4g} ± {1e3 * np.sqrt(estimated.offset.variance):.2g} ms; corrected. "
+        f"{cause_of_lateness(estimated.findings.pair, estimated.offset.value_s)}"
     )
-    if learnt.late_m > 0.0:
+    if estimated.late_m > 0.0:
         text += (
             "With a low-pass in the accelerometer's logger the result is late by as much: the error band holds what "
-            f"that makes, {1e3 * learnt.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the "
+            f"that makes, {1e3 * estimated.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the "
             "clock; "
         )
     else:
         text += "displacement.estimate_offset = true asks for that; "
     text += "false says that both have one clock."
-    return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+    return replace(estimated, warnings=(*estimated.warnings, Notice("clock-corrected", text)))
 
 
 def two_rates(rate: ClockRate) -> UntrustedError:
@@ -183,34 +183,34 @@ def two_rates(rate: ClockRate) -> UntrustedError:
     )
 
 
-def _part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
-    std = float(np.sqrt(learnt.variance_factor))
+def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
+    std = float(np.sqrt(estimated.variance_factor))
     if given.noise_std_m is not None:
-        own = given.noise_std_m * abs(learnt.factor)
+        own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
     return DisplacementCalibration(
         std,
-        learnt.offset,
-        learnt.factor,
+        estimated.offset,
+        estimated.factor,
         # A scale that seems wrong is left as it is, and the error band holds both.
-        float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt))),
-        resolution_m=resolution(learnt.factor * given.series.value),
-        slow_std_m=learnt.slow_std_m,
-        slow_time_s=learnt.slow_time_s,
-        exposure_s=learnt.exposure_s,
-        apart_std_m=_lost_m(given, learnt),
+        float(np.hypot(estimated.factor_std, abs(estimated.factor) * _scale_error(estimated))),
+        resolution_m=resolution(estimated.factor * given.series.value),
+        slow_std_m=estimated.slow_std_m,
+        slow_time_s=estimated.slow_time_s,
+        exposure_s=estimated.exposure_s,
+        apart_std_m=_lost_m(given, estimated),
     )
 
 
-def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
+def _lost_m(given: Given, estimated: NoiseCalibration) -> float:
     """Motion (m, rms) that one of both may not have seen: late clocks, a logger's low-pass, an undeclared exposure."""
-    lost = [learnt.late_m]
-    if learnt.low_pass is not None:
+    lost = [estimated.late_m]
+    if estimated.low_pass is not None:
         # What it takes away altogether looks like noise of the sensor, of which no more is known than what is given.
-        known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(learnt.factor)
-        lost += [float(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0))), learnt.low_pass.taken_m]
-    exposure_s = learnt.exposure_s or learnt.open_exposure_s
+        known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(estimated.factor)
+        lost += [float(np.sqrt(max(estimated.variance_factor - known_m**2, 0.0))), estimated.low_pass.taken_m]
+    exposure_s = estimated.exposure_s or estimated.open_exposure_s
     if given.exposure_s is None and exposure_s > 0.0:
         # Taken out or not: an accelerometer that resonates on its mount, or errs with its motion, looks the same.
         shaken = given.prepared.with_noise(1.0)
@@ -219,15 +219,15 @@ def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
     return float(np.linalg.norm(lost))
 
 
-def _scale_error(learnt: NoiseCalibration) -> float:
+def _scale_error(estimated: NoiseCalibration) -> float:
     """By how much a scale that was not estimated seems wrong, as a share; 0 where it may be right."""
-    if learnt.gain_std > 0.0 or learnt.drifts:
+    if estimated.gain_std > 0.0 or estimated.drifts:
         # It is the accelerometer's gain, or its drift, which is in its noise.
         return 0.0
-    uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
-    if learnt.noise_share > MAX_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
+    uncertain = CERTAIN * estimated.scale_std + 0.5 * estimated.noise_share
+    if estimated.noise_share > MAX_NOISE or not abs(estimated.scale - 1.0) > max(REPORTED, uncertain):
         return 0.0
-    return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
+    return float(np.hypot(1.0 / estimated.scale - 1.0, estimated.scale_std))
 
 
 def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
@@ -251,46 +251,48 @@ def _range_warnings(part: DisplacementCalibration, held: Mask) -> Iterator[Notic
         )
 
 
-def _warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
+def _warnings(given: Given, estimated: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
     series = read_with(given.series, part)
     yield from _frozen_warnings(series, _frozen_values(given.prepared, series))
     yield from _zero_warnings(given, part)
-    yield from learnt.warnings
-    yield from _lateness_warnings(given, learnt, part)
-    if learnt.gain_std > 0.0 and abs(learnt.gain - 1.0) > max(TOLD, CERTAIN * learnt.gain_std):
+    yield from estimated.warnings
+    yield from _lateness_warnings(given, estimated, part)
+    if estimated.gain_std > 0.0 and abs(estimated.gain - 1.0) > max(REPORTED, CERTAIN * estimated.gain_std):
         yield Notice(
             "gain-corrected",
-            f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± "
-            f"{learnt.gain_std:.2g}, which is taken out: the displacement sensor's unit counts as right. Check "
+            f"displacement: relative to it the accelerometer has a gain of {estimated.gain:.4g} ± "
+            f"{estimated.gain_std:.2g}, which is taken out: the displacement sensor's unit counts as right. Check "
             "accelerometer.unit and accelerometer.sensitivity, displacement.unit, and that both sensors measure "
             "the same axis; accelerometer.estimate_scale = false leaves it as it is.",
         )
-    yield from _exposure_warnings(given, learnt)
-    if learnt.drifts:
+    yield from _exposure_warnings(given, estimated)
+    if estimated.drifts:
         yield Notice(
             "accelerometer-noisy",
             f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the displacement "
             "rests mostly on the displacement sensor. Check its temperature, its mounting and its cable.",
         )
-    yield from _slow_warnings(given, learnt)
-    yield from _factor_warnings(learnt)
+    yield from _slow_warnings(given, estimated)
+    yield from _factor_warnings(estimated)
 
 
-def _factor_warnings(learnt: NoiseCalibration) -> Iterator[Notice]:
+def _factor_warnings(estimated: NoiseCalibration) -> Iterator[Notice]:
     """A sentence on a factor that seems wrong; UntrustedError where it is a wrong unit, or a clock explains it."""
-    if _scale_error(learnt) == 0.0:
+    if _scale_error(estimated) == 0.0:
         return
-    measured = f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g}"
+    measured = (
+        f"displacement: follows the accelerometer with a factor of {estimated.scale:.3g} ± {estimated.scale_std:.2g}"
+    )
     text = (
         f"{measured} where 1 is expected. Check displacement.unit, its sign, accelerometer.unit, that both sensors "
         "measure the same axis, and whether the accelerometer's bias drifts by more than the structure accelerates "
         "(1/f noise)."
     )
-    if abs(learnt.scale - 1.0) > REFUSED:
+    if abs(estimated.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
-    assert learnt.findings is not None
-    cause = named_cause(learnt.findings.pair, learnt.findings.fit.offset_s)
+    assert estimated.findings is not None
+    cause = named_cause(estimated.findings.pair, estimated.findings.fit.offset_s)
     # The band of a factor does not hold what a clock makes.
     if cause is not None and cause.cause in (Cause.CLOCK, Cause.STEP):
         raise UntrustedError(disagreement(cause, measured))
@@ -298,14 +300,14 @@ def _factor_warnings(learnt: NoiseCalibration) -> Iterator[Notice]:
     yield Notice("scale-uncertain", text)
 
 
-def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
-    found_s = learnt.exposure_s or learnt.open_exposure_s
+def _exposure_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice]:
+    found_s = estimated.exposure_s or estimated.open_exposure_s
     if given.exposure_s is not None or not found_s > 0.0:
         return
     seems = (
         f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over {found_s:.3g}"
     )
-    if learnt.exposure_s > 0.0:
+    if estimated.exposure_s > 0.0:
         yield Notice(
             "exposure",
             f"{seems} s, of play in its joint, or of an accelerometer that resonates on its mount. The first is "
@@ -320,33 +322,33 @@ def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notic
         )
 
 
-def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
-    if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
+def _lateness_warnings(given: Given, estimated: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
+    if not given.learns_offset and 0.0 < estimated.offset.variance < np.inf:
         yield Notice(
             "clock-differs",
             "displacement: its clock seems to differ from the accelerometer's by "
-            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms; the error band holds what that makes, "
-            f"{1e3 * learnt.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset learnt "
-            "and applied.",
+            f"{1e3 * np.sqrt(estimated.offset.variance):.3g} ms; the error band holds what that makes, "
+            f"{1e3 * estimated.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset "
+            "estimated and applied.",
         )
-    if learnt.low_pass is not None:
+    if estimated.low_pass is not None:
         yield Notice(
             "logger-low-pass",
-            f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
+            f"accelerometer: {estimated.low_pass.text()}. The error band holds that and what it may have taken away, "
             f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
-            f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger "
+            f"far as the {estimated.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger "
             "whose low-pass lies far above the motion.",
         )
 
 
-def _slow_warnings(given: Given, learnt: NoiseCalibration) -> Iterator[Notice]:
+def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice]:
     """A sentence on a slow error that was estimated, or on what the record cannot tell from motion."""
-    drifts_m, steps_m, missing_m = learnt.unseen_m
-    if learnt.slow_std_m > 0.0 and given.noise_time_s is None:
+    drifts_m, steps_m, missing_m = estimated.unseen_m
+    if estimated.slow_std_m > 0.0 and given.noise_time_s is None:
         yield Notice(
             "slow-error",
             f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
-            f"{1e3 * learnt.slow_std_m:.2g} mm over {learnt.slow_time_s:.2g} s besides its noise is in the error "
+            f"{1e3 * estimated.slow_std_m:.2g} mm over {estimated.slow_time_s:.2g} s besides its noise is in the error "
             "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
             "sensor has no slow error.",
         )
@@ -376,10 +378,10 @@ def _zero_warnings(given: Given, part: DisplacementCalibration) -> Iterator[Noti
         )
 
 
-def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:
+def read_with(series: TimeSeries, estimated: DisplacementCalibration) -> TimeSeries:
     """The channel in metres on the accelerometer's clock."""
-    offset_ns = round(NANOSECONDS * learnt.offset.value_s)
-    return replace(series, time_ns=learnt.even(series.time_ns) + offset_ns, value=learnt.scale * series.value)
+    offset_ns = round(NANOSECONDS * estimated.offset.value_s)
+    return replace(series, time_ns=estimated.even(series.time_ns) + offset_ns, value=estimated.scale * series.value)
 
 
 def _without(series: TimeSeries, mask: Mask) -> TimeSeries:

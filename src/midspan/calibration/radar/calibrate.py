@@ -103,7 +103,7 @@ def fit_radar(
     )
     coloured = misfit(search.pair, search.fit)
     about = (*response.texts(search.fit.motion_hz), *_warnings(calibration), *coloured.text("radar"))
-    warnings = (*info.warnings, *window.told, *hidden, *moving, *contradicted, *about)
+    warnings = (*info.warnings, *window.reported, *hidden, *moving, *contradicted, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
@@ -152,8 +152,8 @@ def _at_one_pace(
     best = min(usable, key=lambda target: target.noise_m)
     z = together(at_place(frames.phasors, best.place_bin)[..., None], best, frames.valid)[:, 0] - best.leak
     unit = given[0].axis.phase_per_m(best.range_m)
-    told = best.amplitude, best.noise_variance, best.time_offset_s
-    seen = Seen(frames.time_ns, z, *told, 1.0 / best.conversion_factor, unit)
+    reported = best.amplitude, best.noise_variance, best.time_offset_s
+    seen = Seen(frames.time_ns, z, *reported, 1.0 / best.conversion_factor, unit)
     skew = clock_skew(seen, samples)
     if skew == 0.0:
         return found, frames
@@ -282,7 +282,7 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
         raise UntrustedError(
             f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by "
             f"its acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
-            f"{100 * MAX_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
+            f"{100 * MAX_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves on its own. "
             "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
         )
     wider = list(targets)
@@ -305,7 +305,7 @@ def _with_slow_motion(
         return targets, []
     text = (
         f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel: "
-        "the target, the radar's mount or the accelerometer moves by itself; the error band holds it. A second target "
+        "the target, the radar's mount or the accelerometer moves on its own; the error band holds it. A second target "
         "tells which."
     )
     moving = replace(used[0], target=replace(used[0].target, own_m=own_m, own_hz=SLOW_HZ))

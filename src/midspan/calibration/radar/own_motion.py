@@ -42,7 +42,7 @@ def judged(
     found: list[RadarTarget] = []
     for k, target in enumerate(used):
         moving = replace(target, own_m=own.std_m(k), own_hz=own.main_hz(k))
-        reason = f"it moves by about {1e3 * own.std_m(k):.2g} mm by itself" if own.left_out[k] else ""
+        reason = f"it moves by about {1e3 * own.std_m(k):.2g} mm on its own" if own.left_out[k] else ""
         found.append(RadarTarget(moving, not reason, reason))
     rest = [item for item in targets if not item.used]
     return (*sorted(found, key=lambda item: not item.used), *rest), list(_reported(own, used))
@@ -56,7 +56,7 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
             yield Notice(
                 "radar-target",
                 f"radar: the targets at {targets[0].range_m:.2f} and {targets[1].range_m:.2f} m differ by about "
-                f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves by itself, and "
+                f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves on its own, and "
                 "the accelerometer cannot tell which. The error band holds it.",
             )
             return
@@ -66,7 +66,7 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
             end = "it was left out" if own.left_out[k] else held if len(targets) == 1 else "the error band holds it"
             yield Notice(
                 "radar-target",
-                f"radar: the target at {target.range_m:.2f} m moves by about {1e3 * own.std_m(k):.2g} mm by itself "
+                f"radar: the target at {target.range_m:.2f} m moves by about {1e3 * own.std_m(k):.2g} mm on its own "
                 f"(rms, at {own.main_hz(k):.2g} Hz): {end}.",
             )
 

@@ -32,21 +32,25 @@ FAR_SHARE = 0.5
 class OpenedWindow:
     """The frames of the calibration window, their stamps from its first one on, and their `samples_of`.
 
-    told: sentences; clock: stamp of the first frame, ns, and the largest clock offset, s.
+    reported: sentences; clock: stamp of the first frame, ns, and the largest clock offset, s.
     """
 
     frames: RadarFrames
     samples: Floats
-    told: list[Notice]
+    reported: list[Notice]
     clock: tuple[int, float]
 
 
 def opened(
-    frames: RadarFrames, prepared: PreparedAcceleration, ends: tuple[int, int], max_offset_s: float, told: list[Notice]
+    frames: RadarFrames,
+    prepared: PreparedAcceleration,
+    ends: tuple[int, int],
+    max_offset_s: float,
+    reported: list[Notice],
 ) -> OpenedWindow:
     """The frames of a window, and the acceleration with a margin for the clock offset, without long gaps.
 
-    ends: first and last stamp (ns) of the window's acceleration; told: what there is to report of the frames.
+    ends: first and last stamp (ns) of the window's acceleration; reported: what there is to report of the frames.
     """
     origin = int(frames.time_ns[0])
     frames = replace(frames, time_ns=frames.time_ns - origin)
@@ -60,10 +64,10 @@ def opened(
             "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
             f"gap, {last / NANOSECONDS:.3g} s, was used."
         )
-        told = [*told, Notice("window-moved", text)]
+        reported = [*reported, Notice("window-moved", text)]
         ends, margin = (origin, origin + last), round(max_offset * NANOSECONDS)
     samples = samples_of(prepared, origin, (ends[0] - margin, ends[1] + margin))
-    return OpenedWindow(frames, samples, told, (origin, max_offset))
+    return OpenedWindow(frames, samples, reported, (origin, max_offset))
 
 
 def _part(frames: RadarFrames, part: slice) -> RadarFrames:

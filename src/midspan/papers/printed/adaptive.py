@@ -1,4 +1,4 @@
-"""`adaptive-kalman` exactly as printed: the noise of the displacement is learnt from frame to frame.
+"""`adaptive-kalman` exactly as printed: the noise of the displacement is estimated from frame to frame.
 
 The adaptive multirate filter of Ma, Choi and Sohn, Computer-Aided Civil and Infrastructure Engineering 37 (2022)
 688-703, doi 10.1111/mice.12767, equations 7 to 26: displacement and velocity, the acceleration held over each sample,

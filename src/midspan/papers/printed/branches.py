@@ -71,7 +71,7 @@ class Branches:
 
 
 def check_spline_frames(count: int) -> None:
-    """UsageError unless the spline to the grid can look at so many displacements after an interval."""
+    """UsageError unless the spline to the grid can look at this many displacements after an interval."""
     if not 0 <= count <= SPLINE_FRAMES:
         raise refuse("spline_frames", f"from 0 to {SPLINE_FRAMES} displacements", count)
 
@@ -106,7 +106,7 @@ class NoiseGain:
             return result
         for run in np.split(odd, np.flatnonzero(np.diff(odd) > 2 * half) + 1):
             first, last = max(int(run[0]) - 2 * half, 0), min(int(run[-1]) + 2 * half + 1, len(density))
-            # Rounding of the transforms must not make a variance negative beside a far larger one.
+            # Rounding of the transforms must not make a variance negative compared with a far larger one.
             near = (variance_m2[first:last], density[first:last])
             result[first : last - 2 * half] = np.maximum(self._sum(*near), self._floor(*near))
         return result

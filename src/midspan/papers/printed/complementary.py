@@ -1,4 +1,4 @@
-"""A record through the two branches of a complementary FIR method, stretch by stretch of even samples.
+"""A record through the two branches of a complementary FIR method, segment by segment of even samples.
 
 Rows whose filters would reach over an end or a gap are those of the smoothed path, which the estimator makes. What the
 sampling of the displacement and its interpolation make of such a motion (folding, imaging) is in the rows' band.
@@ -28,7 +28,7 @@ from midspan.papers.printed.resample import REACH_STEPS, filtered_at, local_spli
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, part, seconds
 from midspan.signals.health import Mask, runs
 
-# A step of the acceleration outside these shares of the usual one ends a stretch.
+# A step of the acceleration outside these shares of the usual one ends a segment.
 SHORTEST_STEP, LONGEST_STEP = 0.5, 1.5
 # A displacement interval longer than this many usual ones is a gap and not interpolated.
 LONGEST_STEPS = 2.5
@@ -44,7 +44,7 @@ CLOSE_SHARE = 0.4
 OUTLIER_STD = 6.0
 # Stamps that scatter by less than this share of a step about an even clock are taken for even.
 EVEN_SHARE = 1e-4
-# Over this many samples jitter averages out, and a clock's wander does not.
+# Over this many samples jitter averages out, and a clock's drift does not.
 CLOCK_SAMPLES = 2001
 # Where no noise density or variance is given: 1 mg in 100 Hz, 0.1 mm.
 USUAL_DENSITY, USUAL_VARIANCE = 1e-6, 1e-8
@@ -113,10 +113,10 @@ def fused(
     knots = _filled(knots, rates, path, origin_ns) if fill else knots
     branches = design(rates, settings)
     method = Method.make(branches, rates, knots, path)
-    for stretch in stretches(acceleration, rates.step_s):
-        _overwrite(rows, _stretch(method, stretch, origin_ns))
-    told = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
-    events = (*smoothed.events, *told, *slow)
+    for segment in segments(acceleration, rates.step_s):
+        _overwrite(rows, _segment(method, segment, origin_ns))
+    reported = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
+    events = (*smoothed.events, *reported, *slow)
     return replace(smoothed, estimate=rows, events=events, delay_s=_delay_s(method))
 
 
@@ -140,7 +140,7 @@ def _delay_s(method: Method) -> float:
 
 
 def slower_events(knots: Floats, rates: Rates, origin_ns: int) -> list[Event]:
-    """An event for each stretch in which a slower sensor stands in: the filters are not made for it."""
+    """An event for each segment in which a slower sensor stands in: the filters are not made for it."""
     found = []
     for first, last in runs(np.diff(knots[:, 0]) > LONGEST_STEPS * rates.frame_s):
         start_s, length_s = knots[first, 0], knots[last, 0] - knots[first, 0]
@@ -174,7 +174,7 @@ def rates_of(acceleration: Acceleration, measured: Displacement) -> Rates | None
     )
 
 
-def stretches(acceleration: Acceleration, step_s: float) -> list[Acceleration]:
+def segments(acceleration: Acceleration, step_s: float) -> list[Acceleration]:
     """The samples between the gaps."""
     steps = np.diff(acceleration.time_ns) / (step_s * NANOSECONDS)
     gaps = np.flatnonzero((steps < SHORTEST_STEP) | (steps > LONGEST_STEP)) + 1
@@ -182,8 +182,8 @@ def stretches(acceleration: Acceleration, step_s: float) -> list[Acceleration]:
     return [part(acceleration, slice(first, last)) for first, last in pairwise(edges)]
 
 
-def _stretch(method: Method, block: Acceleration, origin_ns: int) -> Estimate:
-    """The rows of a stretch that have full windows, at its stamps."""
+def _segment(method: Method, block: Acceleration, origin_ns: int) -> Estimate:
+    """The rows of a segment that have full windows, at its stamps."""
     time_s = seconds(block.time_ns, origin_ns)
     even_s = even_clock(time_s)
     value = block.value_m_s2 if even_s is time_s else _resampled(even_s, time_s, block.value_m_s2)
@@ -219,7 +219,7 @@ def _rows_of(time_ns: Nanoseconds, rows: Floats) -> Estimate:
 
 
 def _overwrite(rows: Estimate, own: Estimate) -> None:
-    """Write a stretch's displacement, variance and velocity to their rows; source and status stay the path's."""
+    """Write a segment's displacement, variance and velocity to their rows; source and status stay the path's."""
     place = np.searchsorted(rows.time_ns, own.time_ns)
     known = place < len(rows.time_ns)
     known[known] &= rows.time_ns[place[known]] == own.time_ns[known]
@@ -303,7 +303,7 @@ def _variance(knots: Floats, even_s: Floats) -> Floats:
 
 
 def _full(sound: Mask, margin: int) -> Mask:
-    """Whether rows (n,) have nothing but sound ones within so many samples on each side."""
+    """Whether rows (n,) have nothing but sound ones within this many samples on each side."""
     count = np.concatenate(([0], np.cumsum(sound)))
     full = np.zeros(len(sound), dtype=bool)
     if len(sound) > 2 * margin:

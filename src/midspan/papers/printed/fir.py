@@ -158,7 +158,7 @@ def _fused(
 
 
 def _corner(rates: Rates) -> float:
-    """The noises' corner in rad/s, kept where the displacement does not fold."""
+    """The noises' corner in rad/s, kept where the displacement does not alias."""
     return min(rates.corner_rad_s, NYQUIST_SHARE * np.pi / rates.frame_s, 0.5 / rates.step_s)
 
 

@@ -172,7 +172,7 @@ def literal_warnings(measured: Displacement, done: Smoothed) -> list[Notice]:
         found.append(
             Notice(
                 "literal",
-                f"fusion.literal: the learnt noise grew to {grown:.3g} times that of the start: it runs away, most "
+                f"fusion.literal: the estimated noise grew to {grown:.3g} times that of the start: it runs away, most "
                 "often under a bias of the accelerometer. Leave fusion.literal out.",
             )
         )
@@ -211,7 +211,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
-        clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())
+        clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.tracked_cameras).values())
         own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
         level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
         own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)

@@ -7,7 +7,7 @@ band-pass; the threshold of correlation with the largest R² chooses the pixels,
 translation to their mean phase, which is beta / alpha of the paper.
 
 The phase tracker is the paper's section 2 (the region stays where it is, equations 3 and 4), the hybrid its section 3:
-one axis alone, all active pixels alike, nothing taken back. Until they have learnt from the accelerometer both give
+one axis alone, all active pixels alike, nothing taken back. Until they have estimated from the accelerometer both give
 what the matcher finds, which is step 1 of the paper's calibration.
 """
 
@@ -84,11 +84,11 @@ class _PrintedPhase(_Conventional):
 
     @property
     def learns_by_acceleration(self) -> bool:
-        """Whether it must have learnt before it measures; the conventional forms need not."""
+        """Whether it must have estimated before it measures; the conventional forms need not."""
         return self.settings.form == "gain" or self.settings.active_pixels == "correlation"
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
-        """Measure the translation (px) of the target in `frame`: the matcher's until the tracker has learnt."""
+        """Measure the translation (px) of the target in `frame`: the matcher's until the tracker has estimated."""
         if not self.learns_by_acceleration or self._state.model is not None:
             return super().push(frame, prediction)
         self._check_size(frame)
@@ -150,7 +150,7 @@ def printed_hybrid(reference: Frame, region: Region, settings: PhaseSettings) ->
 
 @dataclass(frozen=True, slots=True)
 class PrintedRule:
-    """How a model is learnt as printed.
+    """How a model is estimated as printed.
 
     active_pixels: "correlation" (the paper's), "amplitude" or "all". along: number of the image axis that the
     accelerometer showed, None for both. band_hz: of the comparison, None for no filter; rate_hz: of the frames.
@@ -163,7 +163,7 @@ class PrintedRule:
 
 
 def printed_model(fields: Sequence[Field], first: PhaseModel, learning: Learning, rule: PrintedRule) -> PhaseModel:
-    """The model with active pixels and ratio of each axis that is learnt; the other one stays as it was at `first`.
+    """The model with active pixels and ratio of each axis that is estimated; the other one stays as it was at `first`.
 
     Raises DataError with too few frames for the band-pass.
     """
@@ -225,7 +225,7 @@ def by_ratio(phase: Floats | Floats32, translation: Floats, active: Mask) -> Sel
 def phase_change(now: tuple[Floats32, Floats32], reference: Complex64, index: NDArray[np.int64]) -> Floats32:
     """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index`: (k,) rad.
 
-    `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π by itself;
+    `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π on its own;
     a difference of two angles would not.
     """
     here = (now[0] + 1j * now[1]).ravel()[index]

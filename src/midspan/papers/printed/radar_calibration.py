@@ -67,7 +67,7 @@ def fit_radar_literal(
         peaks = (nearest_peak(peaks, target_range_m),)
     telling = [peak for peak in peaks if not peak.objection]
     telling = telling or [peak for peak in peaks if np.isfinite(peak.time_offset_std_s)]
-    offset, told = (one_clock(telling)[1], []) if telling else (TimeOffset(0.0, 0.0), [ONE_CLOCK])
+    offset, reported = (one_clock(telling)[1], []) if telling else (TimeOffset(0.0, 0.0), [ONE_CLOCK])
     targets, series = _judged(peaks, window, info, offset)
     best = targets[0].target
     calibration = RadarCalibration(
@@ -80,7 +80,7 @@ def fit_radar_literal(
         literal=True,
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
-    warnings = (*info.warnings, *window.told, *told, *_warnings(best, series))
+    warnings = (*info.warnings, *window.reported, *reported, *_warnings(best, series))
     # Noise and bias of the accelerometer, which the printed chain does not give, as elsewhere: with the cleanest target
     # where there is a usable one. What bends the printed phase would be taken for noise.
     usable = tuple(peak for peak in peaks if not peak.objection)

@@ -39,7 +39,8 @@ def filtered_at(series: Floats, index: NDArray[np.int64], fraction: Floats, taps
 
 
 def spline_reach(knots_ahead: int) -> float:
-    """How far, in usual steps behind an interval's start, a spline looks that uses so many knots after the interval."""
+    """How far, in usual steps behind an interval's start, a spline looks that uses this many knots after the
+    interval."""
     return knots_ahead + 1.5
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from midspan.engine.sensors import Seen
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracked import Eye
+from midspan.recording.tracked import TrackedCamera
 from midspan.records import NANOSECONDS, Event, PixelTranslation
 from midspan.signals.stamps import EPOCH_FROM_NS
 
@@ -58,9 +58,9 @@ class Switch:
         if seen.sensor not in self.sensors:
             return seen
         found = [one for one in seen.found if isinstance(one, PixelTranslation)]
-        told = self.push(seen.sensor, found[0].time_ns, max(one.strength for one in found))
+        reported = self.push(seen.sensor, found[0].time_ns, max(one.strength for one in found))
         measured = seen.measured if seen.sensor == self.chosen else None
-        return replace(seen, measured=measured, events=seen.events if told is None else (*seen.events, told))
+        return replace(seen, measured=measured, events=seen.events if reported is None else (*seen.events, reported))
 
     def push(self, sensor: str, time_ns: int, matches: float) -> Event | None:
         """Take a frame's matches (of trackers without matches the quality in percent; 0: lost); a switch is an event.
@@ -78,7 +78,7 @@ class Switch:
         self.state = chosen, begun or max(mine, theirs) > 0.0, tuple(frames)
         if chosen == before or not begun:
             return None
-        why = f"{theirs:.3g} matches beside {mine:.3g}" if light == "transition" else light
+        why = f"{theirs:.3g} matches together with {mine:.3g}" if light == "transition" else light
         return Event(time_ns, "switch", f"{self.sensors[before]} → {self.sensors[chosen]}: {why}")
 
 
@@ -117,12 +117,12 @@ def light_of_day(time_ns: int, place: Place) -> str:
     return "day" if all(around) else "transition" if any(around) else "night"
 
 
-def switch_of(recording: Recording, eyes: Sequence[Eye]) -> Switch:
+def switch_of(recording: Recording, tracked_cameras: Sequence[TrackedCamera]) -> Switch:
     """The rule for the first two cameras of a recording; as printed, day and night decide between vision and infrared
     where the site is known.
     """
-    site, kinds = recording.settings.site, [eye.view.kind for eye in eyes[:2]]
-    sensors = (eyes[0].sensor, eyes[1].sensor)
+    site, kinds = recording.settings.site, [tracked_camera.view.kind for tracked_camera in tracked_cameras[:2]]
+    sensors = (tracked_cameras[0].sensor, tracked_cameras[1].sensor)
     if site is None or not recording.settings.fusion.literal or kinds != ["camera", "infrared"]:
         return Switch(sensors)
     return Switch(sensors, Place(site.latitude_deg, site.longitude_deg))

@@ -1,4 +1,4 @@
-"""`two-stage-fir`: what a slow displacement folds is first taken off with the accelerometer, then two branches add.
+"""`two-stage-fir`: what a slow displacement aliases is first taken off with the accelerometer, then two branches add.
 
 Stage one takes off each displacement, at its own instant, the acceleration-based displacement above the anti-aliasing
 filter's transition band (from the cut-off f_c to half the displacement's rate). Stage two adds its low-pass and the
@@ -22,8 +22,8 @@ from midspan.papers.printed.integrate import integrating
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 
 # Least width of the anti-aliasing filter's transition band, Hz: half the displacement's rate is at least f_c + this.
-LEAST_WIDTH_HZ = 0.5
-# Above this share of the accelerometer's rate nothing can fold.
+MIN_WIDTH_HZ = 0.5
+# Above this share of the accelerometer's rate nothing can alias.
 HIGHEST_NYQUIST = 0.4
 
 
@@ -63,7 +63,7 @@ class TwoStageSettings:
 
 def least_rate_hz(cut_off_hz: float) -> float:
     """Smallest rate (Hz) of the displacement for a cut-off f_c (Hz): 2 (f_c + 0.5), two-stage paper, equation 1."""
-    return 2.0 * (cut_off_hz + LEAST_WIDTH_HZ)
+    return 2.0 * (cut_off_hz + MIN_WIDTH_HZ)
 
 
 def design(rates: Rates, settings: TwoStageSettings) -> Branches:
@@ -76,7 +76,7 @@ def design(rates: Rates, settings: TwoStageSettings) -> Branches:
     knots = settings.spline_frames
     high = integrating(complement(low), rates.step_s, rule=settings.rule)
     cut_off_hz = settings.band.stop_hz
-    # A few parts in a million: rates learnt from stamps are not exact.
+    # A few parts in a million: rates estimated from stamps are not exact.
     if 2.0 * nyquist_hz < least_rate_hz(cut_off_hz) * (1.0 - 1e-3):
         # Below the least rate the complementary high-pass is the anti-aliasing filter too.
         removed = at_frames(low, rates, settings.rule)
@@ -89,7 +89,7 @@ def design(rates: Rates, settings: TwoStageSettings) -> Branches:
 
 
 def _low_pass(band: Transition, rate_hz: float, taps: int | None) -> Floats:
-    """The equiripple low-pass of `band` at `rate_hz` (Hz): of so many taps, or the shortest that keeps its ripple."""
+    """The equiripple low-pass of `band` at `rate_hz` (Hz): of this many taps, or the shortest that keeps its ripple."""
     return equiripple_low_pass(band, rate_hz) if taps is None else equiripple_of_length(band, rate_hz, taps)
 
 
@@ -121,6 +121,6 @@ def _too_slow(rates: Rates, settings: TwoStageSettings) -> str:
     return (
         f"The displacement comes at {1.0 / rates.frame_s:.3g} Hz; the cut-off of {band.stop_hz:g} Hz needs at least "
         f"{least_rate_hz(band.stop_hz):g} Hz. Motion between {min(band.pass_hz, 0.5 / rates.frame_s):.3g} and "
-        f"{band.stop_hz:g} Hz is weakened or folded, and the band is wider for it; a faster displacement or a lower "
+        f"{band.stop_hz:g} Hz is weakened or aliased, and the band is wider for it; a faster displacement or a lower "
         "transition band mends that."
     )

@@ -30,8 +30,8 @@ class UpdatingSettings:
     """When a reference frame is replaced.
 
     tracker, tracker_settings: what tracks, its own settings. literal: exactly the published rule. threshold_frames: D,
-    frames after a reference that its threshold is learnt from, 2 or more. average_frames: Q + 1, frames that the number
-    of matches is averaged over, 1 or more. sigmas: standard deviations below the usual number; literal: 3.
+    frames after a reference that its threshold is estimated from, 2 or more. average_frames: Q + 1, frames that the
+    number of matches is averaged over, 1 or more. sigmas: standard deviations below the usual number; literal: 3.
     least_matches: floor of the threshold (of trackers without matches: quality in percent); ignored when literal.
     """
 

@@ -54,7 +54,7 @@ class Recording:
         self.file, self.settings = file, settings
         self._whole: Recording | None = None
         # Of a view: what it is a view of, and its sensor.
-        self._beside: Recording | None = None
+        self._alongside: Recording | None = None
         self._own: Sensor | None = None
         # Of the accelerometer with several axes: the one that the acceleration is along, once it is calibrated.
         self._axis: Direction | None = None
@@ -118,7 +118,7 @@ class Recording:
 
     @property
     def exposure_s(self) -> float | None:
-        """The camera's exposure time, s; None where it is not told."""
+        """The camera's exposure time, s; None where it is not reported."""
         camera = self.settings.first_camera
         return None if camera is None else camera.exposure_s
 
@@ -138,7 +138,7 @@ class Recording:
         return self.own.kind
 
     @property
-    def beside(self) -> tuple[Sensor, ...]:
+    def companions(self) -> tuple[Sensor, ...]:
         """The other sensors of the recording that this is a view of."""
         return tuple(sensor for sensor in self._root.sensors if sensor.name != self.sensor)
 
@@ -150,7 +150,7 @@ class Recording:
     @property
     def _root(self) -> "Recording":
         """The recording that this is a view of."""
-        above = self._beside or self._whole
+        above = self._alongside or self._whole
         return self if above is None else above._root
 
     @cached_property
@@ -165,7 +165,7 @@ class Recording:
         found = []
         for sensor in self.sensors:
             place = "cameras" if sensor.kind in CAMERAS else f"{sensor.kind}s"
-            found.append(self._with(nothing | {place: (sensor.settings,)}, _beside=self, _own=sensor))
+            found.append(self._with(nothing | {place: (sensor.settings,)}, _alongside=self, _own=sensor))
         return tuple(found)
 
     def _with(self, changed: dict[str, Any], **marks: Any) -> "Recording":
@@ -179,14 +179,14 @@ class Recording:
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
         marks: dict[str, Any] = {"sees_from_ns": from_ns, "late_s": self.late_s}
-        return self._with({"calibration": window}, _beside=self, _own=self.own, **marks)
+        return self._with({"calibration": window}, _alongside=self, _own=self.own, **marks)
 
     def later(self, offset_s: float) -> "Recording":
         """The same view where its frames' clock offset is about `offset_s`, beyond what is searched; else itself."""
         if abs(offset_s - self.late_s) <= self.max_offset_s:
             return self
         marks: dict[str, Any] = {"sees_from_ns": self.sees_from_ns, "late_s": offset_s, "frames": self.frames}
-        return self._with({}, _beside=self, _own=self.own, **marks)
+        return self._with({}, _alongside=self, _own=self.own, **marks)
 
     @property
     def late_ns(self) -> int:
@@ -249,8 +249,8 @@ class Recording:
     @cached_property
     def acceleration(self) -> TimeSeries:
         """The accelerometer's channel, m/s², on its own clock."""
-        if self._beside is not None:
-            return self._beside.acceleration
+        if self._alongside is not None:
+            return self._alongside.acceleration
         main = self._series("accelerometer", self.accelerometer, "acceleration")
         if self._axis is None:
             return main
@@ -262,8 +262,8 @@ class Recording:
         """The acceleration with missing samples bridged and marked; none (zero) along an axis that is tracked only."""
         if self._whole is not None and not self.fused:
             return still(self._whole.prepared)
-        if self._beside is not None:
-            return self._beside.prepared
+        if self._alongside is not None:
+            return self._alongside.prepared
         if self._axis is None and self.accelerometer.cross_values:
             return self._with_cross(self.acceleration)
         return prepare_acceleration(self.acceleration, f"accelerometer ({self.accelerometer.file})")
@@ -307,13 +307,13 @@ class Recording:
     @property
     def channel_warnings(self) -> tuple[Notice, ...]:
         """What is wrong with the acceleration and with the file of each [displacement], as they were read."""
-        told = list(self.prepared.warnings)
+        reported = list(self.prepared.warnings)
         for view in self.views:
             if view.kind == "displacement":
                 where = f"{view.sensor} ({view.own.settings.file})"
-                told += [Notice("file-damaged", f"{where}: {line}.") for line in view.displacement.damage]
-                told += [one.worded(f"{where}: {one}.") for one in view.displacement.notices]
-        return tuple(told)
+                reported += [Notice("file-damaged", f"{where}: {line}.") for line in view.displacement.damage]
+                reported += [one.worded(f"{where}: {one}.") for one in view.displacement.notices]
+        return tuple(reported)
 
     @cached_property
     def reference(self) -> TimeSeries:

@@ -10,7 +10,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
 from midspan.signals.stamps import inside, shown
 
-# Stretches that begin so far (s) apart are compared.
+# Segments that begin so far (s) apart are compared.
 LOOK_S = 10.0
 # Two streams share enough when it lasts this long, or holds this many steps of the slower one: a high-speed camera
 # records a quarter of a second.

@@ -30,7 +30,7 @@ IN_GREY = ("features",)
 # This many frames are looked at in the window, and in the whole recording where that is dark.
 LOOKED_AT, SEARCHED = 16, 240
 MAX_DARK_SHARE = 0.2
-# A camera sees well where it is at least so bright beside its bright frames.
+# A camera sees well where it is at least so bright compared with its bright frames.
 FULL_SHARE = 0.7
 # Of fewer of the frames looked at in a row the first ones may be headlights, which make a poor reference.
 MIN_LIT = 3
@@ -66,10 +66,10 @@ def is_grey(view: Recording) -> bool:
 def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     """The view with a window in which its camera sees, and a sentence where that is another than the recording's.
 
-    The window is the longest stretch of light; the frames are used from the first one on. Only a camera of light beside
-    another camera is looked at. Raises UntrustedError where it is dark all the time.
+    The window is the longest segment of light; the frames are used from the first one on. Only a camera of light
+    together with another camera is looked at. Raises UntrustedError where it is dark all the time.
     """
-    alone = not any(sensor.kind in CAMERAS for sensor in recording.beside)
+    alone = not any(sensor.kind in CAMERAS for sensor in recording.companions)
     if recording.kind != "camera" or alone or recording.frames.tracks:
         return recording, []
     times = recording.frames.times_ns()
@@ -196,7 +196,7 @@ def given_targets(camera: CameraSettings) -> tuple[Target, ...]:
 
 
 def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | None) -> tuple[Target, ...]:
-    """The targets to track beside a calibration: its own in use, or those of them that the recording names."""
+    """The targets to track with a calibration: its own in use, or those of them that the recording names."""
     if known is None:
         return given
     if not given:

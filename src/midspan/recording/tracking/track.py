@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """The first target's track (one row a frame), its region, and what is worth telling; `tracking` has the others."""
+    """The first target's track (one row a frame), its region, and what is worth reporting; `tracking` has the
+    others."""
 
     track: PixelTrack
     region: Region

@@ -130,15 +130,15 @@ class Calibration:
         """The values of the sensor of this name (its kind where it has none); None where there is no such sensor."""
         return next((one for known, _, one in self.sensors if known == name), None)
 
-    def of_sensor(self, sensor: Sensor, beside: Sequence[Sensor] = ()) -> Any:
-        """The values of a recording's sensor, None where there are none; beside: the others of the recording.
+    def of_sensor(self, sensor: Sensor, companions: Sequence[Sensor] = ()) -> Any:
+        """The values of a recording's sensor, None where there are none; together with: the others of the recording.
 
         They are those of its name, or where one of both has no name those of the only one of its kind.
         """
         named, own = self.of(sensor.name), self.of_kind(sensor.kind)
         if named is not None and named.kind == sensor.kind:
             return named
-        alone = len(own) == 1 and sensor.kind not in (other.kind for other in beside)
+        alone = len(own) == 1 and sensor.kind not in (other.kind for other in companions)
         return own[0] if alone and (own[0].name is None or sensor.name == sensor.kind) else None
 
     @property

@@ -538,7 +538,7 @@ class StoredCalibration(Stored):
     displacement: Annotated[tuple[StoredDisplacement, ...], Listed] = ()
 
     @model_validator(mode="after")
-    def _sensors_are_told_apart(self) -> "StoredCalibration":
+    def _sensors_are_reported_apart(self) -> "StoredCalibration":
         cameras = (*self.camera, *self.infrared)
         sensor_names({kind: [sensor.name for sensor in getattr(self, kind)] for kind in KINDS})
         if len(cameras) > 1 and any(camera.direction == "xy" for camera in cameras):

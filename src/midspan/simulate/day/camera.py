@@ -56,9 +56,9 @@ class Wall:
         out = max(light.out, 0.05)  # a sun that grazes the wall throws shadows without end
         # A shadow falls away from the sun, as far as its object stands out.
         post = self.post_at_px - self.post_px * light.right / out
-        beside = np.abs(x - post) - 0.5 * self.post_wide_px
+        neighbours = np.abs(x - post) - 0.5 * self.post_wide_px
         below = y - self.eaves_px * max(-light.down, 0.0) / out
-        sunlit: Image = _soft(below)[:, None] * _soft(beside)[None, :]
+        sunlit: Image = _soft(below)[:, None] * _soft(neighbours)[None, :]
         return sunlit
 
 

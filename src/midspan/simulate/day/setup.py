@@ -21,7 +21,7 @@ VIDEO, INFRARED, TIMES = "camera.mkv", "infrared.npz", "camera_times.csv"
 
 
 @dataclass(frozen=True, slots=True)
-class Eye:
+class CameraPlan:
     """One of both cameras: displacement = scale_mm_per_px × translation down the picture of `size_px` (rows, columns).
 
     True time = its clock + `time_offset_s`; its first frame is at `start_s` of its clock.
@@ -53,8 +53,8 @@ class DaySetup:
     """
 
     sky: Sky
-    camera: Eye | None
-    infrared: Eye
+    camera: CameraPlan | None
+    infrared: CameraPlan
     contrast_k: float = 1.5
     course: DayCourse = field(default_factory=DayCourse)
     thermal: ThermalCamera = field(default_factory=ThermalCamera)
@@ -67,14 +67,14 @@ class DaySetup:
     @property
     def first_s(self) -> float:
         """True time of the camera's first frame, the zero of the displacement."""
-        eye = self.camera or self.infrared
-        return eye.start_s + eye.time_offset_s
+        plan = self.camera or self.infrared
+        return plan.start_s + plan.time_offset_s
 
-    def day_camera(self, eye: Eye, rng: np.random.Generator) -> DayCamera:
+    def day_camera(self, plan: CameraPlan, rng: np.random.Generator) -> DayCamera:
         """The camera before its wall."""
         rng_wall, rng_drops, rng_seed = rng.spawn(3)
-        wall = wall_in_relief(eye.size_px, rng=rng_wall, reach_px=self.reach_px)
-        drops = Drops(eye.size_px, self.sky.rain, rng=rng_drops) if self.sky.rain else None
+        wall = wall_in_relief(plan.size_px, rng=rng_wall, reach_px=self.reach_px)
+        drops = Drops(plan.size_px, self.sky.rain, rng=rng_drops) if self.sky.rain else None
         return DayCamera(wall, self.sky, drops=drops, cars=self.cars, seed=int(rng_seed.integers(2**31)))
 
     def day_infrared(self, rng: np.random.Generator) -> DayInfrared:
@@ -114,29 +114,29 @@ class DaySetup:
 
         if self.camera is not None:
             self._write_video(folder, self.camera, self.day_camera(self.camera, rng_camera), (motion, duration_s, done))
-        infrared, eye = self.day_infrared(rng_infrared), self.infrared
-        moved, times = eye.moved_px(motion, stamps), stamps + eye.time_offset_s
+        infrared, plan = self.day_infrared(rng_infrared), self.infrared
+        moved, times = plan.moved_px(motion, stamps), stamps + plan.time_offset_s
         pictures = (infrared.film_number(number, moved, times) for number in range(len(stamps)))
         counted_pictures = counted(pictures, lambda picture: 1, lambda count: done(before + count))
-        write_celsius(folder / INFRARED, counted_pictures, stamps, eye.size_px)
+        write_celsius(folder / INFRARED, counted_pictures, stamps, plan.size_px)
         return self._known(duration_s)
 
     def _write_video(
-        self, folder: Path, eye: Eye, camera: DayCamera, run: tuple[Motion, float, Callable[[int], None]]
+        self, folder: Path, plan: CameraPlan, camera: DayCamera, run: tuple[Motion, float, Callable[[int], None]]
     ) -> None:
         motion, duration_s, done = run
-        stamps = eye.stamps_s(duration_s)
-        moved, times = eye.moved_px(motion, stamps), stamps + eye.time_offset_s
+        stamps = plan.stamps_s(duration_s)
+        moved, times = plan.moved_px(motion, stamps), stamps + plan.time_offset_s
         pictures = (camera.picture(number, moved[number], float(times[number])) for number in range(len(stamps)))
-        write_video(folder / VIDEO, pictures, stamps_s=stamps, rate_hz=eye.rate_hz, done=done)
+        write_video(folder / VIDEO, pictures, stamps_s=stamps, rate_hz=plan.rate_hz, done=done)
         if not exact_in_video(stamps):
             write_table(folder / TIMES, {"time_s": stamps}, decimals={"time_s": 9})
 
     def _known(self, duration_s: float) -> dict[str, Any]:
-        eyes = {
-            name: {"scale_mm_per_px": eye.scale_mm_per_px, "time_offset_s": eye.time_offset_s}
-            for name, eye in (("camera", self.camera), ("infrared", self.infrared))
-            if eye is not None
+        plans = {
+            name: {"scale_mm_per_px": plan.scale_mm_per_px, "time_offset_s": plan.time_offset_s}
+            for name, plan in (("camera", self.camera), ("infrared", self.infrared))
+            if plan is not None
         }
         day: dict[str, list[Any]] = {
             "night_s": [list(self.sky.night(k)) for k in range(int(duration_s / self.sky.length_s) + 1)],
@@ -146,7 +146,7 @@ class DaySetup:
             "shutter_s": list(self.thermal.shutters_s),
             "warm_body_s": [body.start_s for body in self.bodies],
         }
-        return {**eyes, "day": day}
+        return {**plans, "day": day}
 
 
 def hours(day_s: float, *at: float) -> tuple[float, ...]:

@@ -151,7 +151,7 @@ def _burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
         length = rng.uniform(2.0, 15.0)
         start = rng.uniform(0.0, time[-1] - length)
         loud |= (time >= start) & (time < start + length)
-    # Beside the sensor's own white noise: together ten times as much.
+    # Together with the sensor's own white noise: together ten times as much.
     added = np.where(loud, np.sqrt(99.0) * noise * rng.standard_normal(len(time)), 0.0)
 
     def error(time_s: Floats) -> Floats:

@@ -7,7 +7,7 @@ import numpy as np
 from midspan.checks import option
 from midspan.records import Region
 from midspan.simulate.day.infrared import DayCourse
-from midspan.simulate.day.setup import DaySetup, Eye, hours, span_hours
+from midspan.simulate.day.setup import CameraPlan, DaySetup, hours, span_hours
 from midspan.simulate.day.sky import Headlights, Sky
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Rest, modes, random_motion
@@ -56,12 +56,12 @@ DAY_SCENARIOS: dict[str, Scenario] = {
         window_s=(0.0, 38.0),
         day=DaySetup(
             sky=_SKY,
-            camera=Eye((168, 224), scale_mm_per_px=-1.0, time_offset_s=0.137),
-            infrared=Eye((120, 160), scale_mm_per_px=-1.1, start_s=0.06, time_offset_s=-0.083),
+            camera=CameraPlan((168, 224), scale_mm_per_px=-1.0, time_offset_s=0.137),
+            infrared=CameraPlan((120, 160), scale_mm_per_px=-1.1, start_s=0.06, time_offset_s=-0.083),
             course=DayCourse(mean_c=14.0, swing_k=6.0, period_s=DAY_S),
             thermal=_THERMAL,
             bodies=_BODIES,
-            # Beside the post's shadow at noon, whose edges would be the best texture of the picture.
+            # Together with the post's shadow at noon, whose edges would be the best texture of the picture.
             camera_roi=(22, 64, 64, 64),
             cars=Headlights(hours(DAY_S, 7.6, 9.8, 12.6, 15.0), row_px=140.0),
         ),
@@ -179,7 +179,7 @@ SCENARIOS: dict[str, Scenario] = {
     ),
     "several-targets": replace(
         _FOOTBRIDGE,
-        line="two signs nearer than the wall, one of them at half the distance, and one that swings by itself",
+        line="two signs nearer than the wall, one of them at half the distance, and one that swings on its own",
         title="simulated footbridge, several targets",
         camera=CameraSetup(
             time_offset_s=0.114,
@@ -201,7 +201,7 @@ SCENARIOS: dict[str, Scenario] = {
     ),
     "gaps": replace(
         _FOOTBRIDGE,
-        line="footbridge with an unreadable and a missing stretch of acceleration, lost frames and 3 s of darkness",
+        line="footbridge with an unreadable and a missing segment of acceleration, lost frames and 3 s of darkness",
         title="simulated footbridge with gaps",
         camera=CameraSetup(dropped=((16.0, 17.5), (50.0, 50.3)), black=((30.0, 33.0),)),
         absent=((41.0, 42.2),),

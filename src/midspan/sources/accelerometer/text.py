@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def read(path: Path) -> ChannelSet:
     """All numeric and time columns of a text file.
 
-    Encoding, delimiter, decimal sign, preamble, header and units are found and told in the notes. What is no number
+    Encoding, delimiter, decimal sign, preamble, header and units are found and reported in the notes. What is no number
     becomes NaN. Columns of words are left out. Raises DataError where no columns of numbers are found.
     """
     require_memory(path, path.stat().st_size, "its table")

@@ -20,7 +20,7 @@ MAX_ABSENT = 0.9
 # Headers are looked for in this many packets; this many of these may be damaged, and this many missing before them.
 HEADS_LOOKED_AT, HEADS_DAMAGED, MAX_FIRST_NUMBER = 16, 3, 1000
 # A capture is split into fewer files than this; a larger number is a date or the like.
-MOST_FILES = 1000
+MAX_FILES = 1000
 # Headers that some captures keep: number and count of bytes before, with the packet's length between them or without.
 _HEADS = {14: (4, 8), 10: (None, 4)}
 _SPLIT = re.compile(r"^(.*_)0(\.bin)$", re.IGNORECASE)
@@ -62,7 +62,7 @@ def missing_files(path: Path) -> list[str]:
         return []
     part = re.compile(re.escape(found[1]) + r"(\d+)" + re.escape(found[2]))
     numbers = [int(match[1]) for file in path.parent.glob("*") if (match := part.fullmatch(file.name))]
-    last = max([len(files) - 1, *(n for n in numbers if n < MOST_FILES)])
+    last = max([len(files) - 1, *(n for n in numbers if n < MAX_FILES)])
     names = (f"{found[1]}{n}{found[2]}" for n in range(len(files), last))
     return [name for name in names if not path.with_name(name).is_file()]
 

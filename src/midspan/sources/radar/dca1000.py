@@ -21,12 +21,12 @@ from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 PROBED_FRAMES = 64
 # Zeros after the last frame are looked at up to this many bytes.
-MOST_PADDING = 1 << 24
+MAX_PADDING = 1 << 24
 # Missing at the end up to this many frames, or this share, are not worth a warning: a capture is stopped by hand.
 FEW_FRAMES, FEW_SHARE = 2, 0.01
 # Frames of another number of samples, receivers or chirps differ in size by a ratio of whole numbers up to this.
 SIMPLE_RATIO = 64
-# The share of samples at the limits of the ADC from which a capture is useless, and from which it is told.
+# The share of samples at the limits of the ADC from which a capture is useless, and from which it is reported.
 SATURATED, NEARLY_SATURATED = 0.01, 1e-5
 # Every this many groups of four words are looked at for a hole; a lost packet holds 182 of them.
 _STRIDE, _FEW = 8, 2
@@ -34,7 +34,7 @@ _GROUP = 4
 
 
 class RawCapture(RadarSource):
-    """Frames of a `.bin`; what was lost is told by `valid`, never taken for data."""
+    """Frames of a `.bin`; what was lost is shown by `valid`, never taken for data."""
 
     file_kind, at_a_time = "raw ADC data", 256
 
@@ -156,7 +156,7 @@ def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: L
     if size < each:
         raise DataError(f"{path} holds {size} bytes, less than one frame. {sums}. Check radar.config and the capture.")
     whole, rest = divmod(size, each)
-    if said and size > said * each and not data.read(said * each, min(size - said * each, MOST_PADDING))[0].any():
+    if said and size > said * each and not data.read(said * each, min(size - said * each, MAX_PADDING))[0].any():
         return said, (f"{size - said * each} bytes of zeros after the last frame are left out",)
     # A file that is too short may hold as many frames as it should, of another size in a simple ratio.
     is_short = said and size < said * each and size % said == 0
@@ -179,7 +179,7 @@ def _missing(path: Path, count: int, settings: TiSettings) -> tuple[Notice, ...]
     absent, texts = missing_files(path), []
     if absent:
         texts.append(
-            f"radar: {', '.join(absent)} is missing beside {path.name}, and later files are there: the capture is "
+            f"radar: {', '.join(absent)} is missing next to {path.name}, and later files are there: the capture is "
             "read only up to the gap. Put the file back."
         )
     if settings.frames - count > max(FEW_FRAMES, FEW_SHARE * settings.frames):
@@ -224,9 +224,9 @@ def _ordered(
     evidence = weigh_orders(probe, layout)
     if wanted == "auto":
         decision = decide_order(evidence, settings.order, said=settings.order_said)
-        told = (decision.text,)
+        reported = (decision.text,)
         notices = () if decision.certain else (Notice("radar-data", decision.text),)
-        return replace(layout, order=decision.order), told if decision.certain else (), notices
+        return replace(layout, order=decision.order), reported if decision.certain else (), notices
     chosen = replace(layout, order=wanted)
     if layout.lanes == 4 and wanted not in evidence.halves_db:
         chosen = replace(layout, order="IIQQ" if wanted[0] == "I" else "QQII")
@@ -237,11 +237,11 @@ def _ordered(
     if better:
         raise DataError(
             f"{path}: radar.iq_order = {wanted!r} does not fit the samples. Energy of the nearer over the farther half "
-            f"of the range: {evidence.told()}. Set radar.iq_order to {better!r}, or leave it out."
+            f"of the range: {evidence.reported()}. Set radar.iq_order to {better!r}, or leave it out."
         )
     if evidence.halves_db[chosen.order] < MIN_DB:
         return chosen, (), (Notice("radar-data", decide_order(evidence, chosen.order, said=True).text),)
-    return chosen, (f"I/Q order {wanted} as given ({evidence.told()})",), ()
+    return chosen, (f"I/Q order {wanted} as given ({evidence.reported()})",), ()
 
 
 def _holes(words: Words, missing: Bytes | None, layout: Layout, *, runs: bool) -> NDArray[np.bool_]:

@@ -21,10 +21,10 @@ _NAMES = ("iq", "slow_time", "frame", "z")
 class SlowTimeFile(RadarSource):
     """Phasors (frames), (frames, channels) or (frames, channels, bins): complex, or a last axis of I and Q.
 
-    An HDF5 file holds them as `iq` (complex, or the fields real and imag) or as `i` and `q`; beside them, as datasets
-    or attributes, `carrier_hz` or `wavelength_m`, `rate_hz`, `time_s` or `time_ns`, and where known `range_m` of each
-    bin, or `chirp`: the fields of `ChirpProfile` as JSON, where all bins of its range profiles are stored. What is not
-    in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
+    An HDF5 file holds them as `iq` (complex, or the fields real and imag) or as `i` and `q`; together with them, as
+    datasets or attributes, `carrier_hz` or `wavelength_m`, `rate_hz`, `time_s` or `time_ns`, and where known `range_m`
+    of each bin, or `chirp`: the fields of `ChirpProfile` as JSON, where all bins of its range profiles are stored. What
+    is not in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
     """
 
     file_kind, at_a_time = "slow-time I/Q", 4096
@@ -32,7 +32,7 @@ class SlowTimeFile(RadarSource):
     def __init__(self, path: Path, request: RadarRequest) -> None:
         super().__init__(path, request)
         settings = read_settings(request.config) if request.config else None
-        self._read, shape, beside = _opened(path)
+        self._read, shape, companions = _opened(path)
         if not 1 <= len(shape) <= 3 or 0 in shape:
             raise DataError(
                 f"{path} must hold I/Q of shape (frames), (frames, channels) or (frames, channels, bins); received "
@@ -45,24 +45,25 @@ class SlowTimeFile(RadarSource):
         if settings is None:
             # The request gives of rate and carrier what does not stand with the samples.
             given = {"rate_hz": request.rate_hz, "carrier_hz": request.carrier_hz}
-            if "wavelength_m" in beside:
+            if "wavelength_m" in companions:
                 given["carrier_hz"] = None
-            beside = {key: value for key, value in given.items() if value is not None} | beside
-        self._carrier_hz = _carrier(path, beside, settings)
+            companions = {key: value for key, value in given.items() if value is not None} | companions
+        self._carrier_hz = _carrier(path, companions, settings)
         self._times_ns: Nanoseconds | None = None
-        if "time_ns" in beside:
-            own_ns = np.asarray(beside["time_ns"])
+        if "time_ns" in companions:
+            own_ns = np.asarray(companions["time_ns"])
             if own_ns.shape != (count,) or own_ns.dtype.kind not in "iu" or not np.all(np.diff(own_ns) > 0):
                 raise DataError(
                     f"{path}: time_ns must hold {count} increasing whole numbers (ns), one a frame. Correct it."
                 )
             self._times_ns = own_ns.astype(np.int64)
         self._times_s = np.asarray(
-            self._stamps(beside, settings) if self._times_ns is None else self._times_ns / NANOSECONDS, dtype=np.float64
+            self._stamps(companions, settings) if self._times_ns is None else self._times_ns / NANOSECONDS,
+            dtype=np.float64,
         )
         self._refuse_nothing()
-        self._range_m = np.atleast_1d(np.asarray(beside.get("range_m", np.nan), dtype=np.float64))
-        self._chirp = _chirp(path, beside["chirp"], bins) if "chirp" in beside else None
+        self._range_m = np.atleast_1d(np.asarray(companions.get("range_m", np.nan), dtype=np.float64))
+        self._chirp = _chirp(path, companions["chirp"], bins) if "chirp" in companions else None
         if self._chirp is not None:
             self._range_m = self._chirp.axis.range_m
 
@@ -106,17 +107,17 @@ class SlowTimeFile(RadarSource):
             what = "nothing but missing frames (NaN)" if first is None else f"the same I/Q in all {count} frames"
             raise DataError(f"{self._path} holds {what}, without any noise: no radar measured that. Check radar.file.")
 
-    def _stamps(self, beside: dict[str, Any], settings: TiSettings | None) -> Floats:
+    def _stamps(self, companions: dict[str, Any], settings: TiSettings | None) -> Floats:
         count = self._shape[0]
-        if "time_s" in beside:
-            times = np.asarray(beside["time_s"], dtype=np.float64)
+        if "time_s" in companions:
+            times = np.asarray(companions["time_s"], dtype=np.float64)
             if times.shape != (count,) or not np.all(np.diff(times) > 0):
                 raise DataError(
                     f"{self._path}: time_s must hold {count} increasing times (s), one a frame; received shape "
                     f"{times.shape}. Correct it."
                 )
             return times
-        rate = float(beside["rate_hz"]) if "rate_hz" in beside else 0.0
+        rate = float(companions["rate_hz"]) if "rate_hz" in companions else 0.0
         if not rate and settings is not None:
             rate = settings.profile.frame_rate_hz
         if rate not in RATE_HZ:
@@ -138,12 +139,12 @@ def _chirp(path: Path, given: Any, bins: int) -> ChirpProfile:
     return found
 
 
-def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) -> float:
+def _carrier(path: Path, companions: dict[str, Any], settings: TiSettings | None) -> float:
     """Frequency that the phase moves with, Hz."""
-    if "carrier_hz" in beside:
-        value = float(beside["carrier_hz"])
-    elif "wavelength_m" in beside:
-        value = SPEED_OF_LIGHT_M_S / (float(beside["wavelength_m"]) or np.inf)
+    if "carrier_hz" in companions:
+        value = float(companions["carrier_hz"])
+    elif "wavelength_m" in companions:
+        value = SPEED_OF_LIGHT_M_S / (float(companions["wavelength_m"]) or np.inf)
     else:
         value = settings.profile.carrier_hz if settings is not None else 0.0
     if value not in CARRIER_HZ:
@@ -185,15 +186,15 @@ def _opened(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
     with reading(path, "HDF5"):
         file = open_hdf5(path)
     keys = ("time_s", "time_ns", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
-    beside = dict(file.attrs) | {key: values(path, file, key) for key in keys if key in file}
+    companions = dict(file.attrs) | {key: values(path, file, key) for key in keys if key in file}
     name = next((name for name in _NAMES if name in file), None)
     if name is not None:
         data = dataset(path, file, name)
-        beside = dict(data.attrs) | beside
-        return lambda first, last: _paired(data[first:last]), _pair_shape(path, data.dtype, data.shape), beside
+        companions = dict(data.attrs) | companions
+        return lambda first, last: _paired(data[first:last]), _pair_shape(path, data.dtype, data.shape), companions
     if "i" in file and "q" in file:
         i, q = dataset(path, file, "i"), dataset(path, file, "q")
         if i.shape != q.shape:
             raise DataError(f"{path}: i and q must have the same shape; received {i.shape} and {q.shape}.")
-        return lambda first, last: i[first:last] + 1j * q[first:last], i.shape, beside
+        return lambda first, last: i[first:last] + 1j * q[first:last], i.shape, companions
     raise DataError(f"{path} must hold a dataset iq, or i and q; it holds {', '.join(file) or 'nothing'}.")

@@ -86,7 +86,7 @@ class FlirFrames(StoredFrames):
         return self._times[:: self._request.every]
 
     def _image(self, number: int) -> Floats32 | None:
-        """Temperatures in °C, float32; a damaged frame is passed over and told in `info`."""
+        """Temperatures in °C, float32; a damaged frame is passed over and reported in `info`."""
         place = self._places[number]
         with _bytes(place.file) as data:
             try:
@@ -154,9 +154,11 @@ class FlirFrames(StoredFrames):
         rate = request.rate_hz or self._first.rate_hz
         if not rate > 0:
             raise UsageError(f"{self._files[0]}: its time stamps do not increase. Give rate_hz, or times.")
-        told = f"its stamps do not increase: taken as {rate:g} frames a second from start_s = {request.start_s:g} s on"
-        self._damage.append(f"{self._files[0].name}: {told}")
-        return grid(len(stamps), Fraction(rate), start_ns), told
+        reported = (
+            f"its stamps do not increase: taken as {rate:g} frames a second from start_s = {request.start_s:g} s on"
+        )
+        self._damage.append(f"{self._files[0].name}: {reported}")
+        return grid(len(stamps), Fraction(rate), start_ns), reported
 
 
 @contextmanager

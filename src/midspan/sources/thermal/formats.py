@@ -24,7 +24,7 @@ FORMATS = (
 
 def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSource:
     """The frames at `path` as temperatures in °C (float32, all of them numbers: dead pixels are filled); pictures of
-    8 bits as grey levels, told in its notes.
+    8 bits as grey levels, reported in its notes.
 
     `path`: a FLIR fff, seq or csq file, a radiometric JPEG, a folder or glob of fff files, such JPEG or pictures, a
     multi-page TIFF, an npy or npz stack. Raises UsageError for settings out of range or a missing decoder, DataError

@@ -153,14 +153,14 @@ class ThermalPictures(FrameSource):
         """The quartiles of a frame; DataError where it is the one before in °F, or the other way round."""
         if before is None or now is None:
             return now or before
-        for first, then, told in ((before, now, "from °C to °F"), (now, before, "from °F to °C")):
+        for first, then, reported in ((before, now, "from °C to °F"), (now, before, "from °F to °C")):
             fits = abs(then[1] - (1.8 * first[1] + 32.0)) < _SAME_K and abs(then[1] - first[1]) > _MIN_CHANGE_K
             wide, wider = first[2] - first[0], then[2] - then[0]
             if fits and wide > 0.0 and abs(wider / wide - 1.8) < _SAME_SHARE:
                 raise DataError(
                     f"{self._name}: frame {number} must be in the unit of the frames before; its middle goes from "
-                    f"{before[1]:.4g} to {now[1]:.4g}, and its contrast with it, as {told}. Convert it to °C, or split "
-                    "the sequence."
+                    f"{before[1]:.4g} to {now[1]:.4g}, and its contrast with it, as {reported}. Convert it to °C, "
+                    "or split the sequence."
                 )
         return now
 
@@ -195,7 +195,7 @@ def celsius_of(counts: NDArray[np.generic], kelvin_per_count: float, zero_k: flo
 
 
 def _quartiles(values: NDArray[Any]) -> Quartiles | None:
-    """The quartiles of every so many pixels; None where all are missing."""
+    """The quartiles of every this many pixels; None where all are missing."""
     step = max(min(values.shape) // 60, 1)
     known = values[::step, ::step]
     known = known[np.isfinite(known)]
@@ -264,7 +264,7 @@ class RepairedFrames(FrameSource):
             try:
                 seen = next(iter(self._source.frames(int(k), int(k) + 1)), None)
             except DataError as error:
-                # Told where the frames are read in their order: the first that is wrong counts.
+                # Reported where the frames are read in their order: the first that is wrong counts.
                 refused = refused or error
                 continue
             if seen is not None and _missing_share(seen.pixels) <= MAX_MISSING:
@@ -280,19 +280,19 @@ class RepairedFrames(FrameSource):
         return stuck_pixels(np.stack(usable).astype(np.float32, copy=False))
 
     def _damage(self) -> list[str]:
-        told = []
+        reported = []
         # Not before they were looked for: opening a file reads its first frame only.
         stuck = self.__dict__.get("_stuck")
         if stuck is not None and stuck.any():
             places = np.argwhere(stuck)
             where = named([f"({x}, {y})" for y, x in places])
-            told.append(f"{len(places)} stuck pixels, at (x, y) = {where}, are filled from their neighbours")
+            reported.append(f"{len(places)} stuck pixels, at (x, y) = {where}, are filled from their neighbours")
         if self._holes:
-            told.append(
+            reported.append(
                 f"{len(self._holes)} frames have missing values (NaN), at most {max(self._holes.values())} a frame, "
                 "filled from their neighbours"
             )
-        return told + passed_over(self._passed)
+        return reported + passed_over(self._passed)
 
 
 def _missing_share(pixels: NDArray[np.generic]) -> float:

@@ -1,4 +1,5 @@
-"""Something in front of a target: the cells in which it is not seen, told from light, which spares no cell or few.
+"""Something in front of a target: the cells in which it is not seen, distinguished from light, which spares no cell or
+few.
 
 Light takes contrast from all of a target little by little, and a mix of earlier pictures explains most of what it does.
 A body makes cells of it unlike anything expected, from one frame to the next, and leaves the others as they were.
@@ -20,7 +21,7 @@ BACK = 0.7  # above which a hidden cell is seen again
 PALING = 0.1  # agreement that light may take from a cell in a second; bodies take it at once
 FRONT = 0.08  # share of cells hidden from which something stands in front: three of 36
 LEAST = 0.25  # share of cells in which the target must be seen
-EDGE = 0.9  # share of the usual agreement below which a cell beside a hidden one is not trusted
+EDGE = 0.9  # share of the usual agreement below which a cell with a hidden one is not trusted
 ROUNDS = 3
 ALL_SEEN: Cells = np.zeros(CELLS**2, dtype=np.bool_)
 LATELY: Floats = np.ones(CELLS**2)
@@ -28,8 +29,9 @@ LATELY: Floats = np.ones(CELLS**2)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncovered:
-    """Where the target lies by what is seen of it, None where that cannot be told; the cells (cells,) that are hidden,
-    and these with those at their edge that are not seen well; `absent`: so little of it is seen that it is not there.
+    """Where the target lies by what is seen of it, None where that cannot be reported; the cells (cells,) that are
+    hidden, and these with those at their edge that are not seen well; `absent`: so little of it is seen that it is not
+    there.
     """
 
     found: Placed | None
@@ -77,7 +79,7 @@ def uncovered(mix: Mix, view: Sight, start: Floats, before: tuple[Floats32, Cell
 
 
 def doubtful(agreed: Floats, hidden: Cells) -> Cells:
-    """Cells that are hidden, or lie beside one that is and agree less than the rest: a body's edge is there."""
+    """Cells that are hidden, or lie together with one that is and agree less than the rest: a body's edge is there."""
     wide = np.pad(hidden.reshape(CELLS, CELLS), 1)
     around = [wide[1 + j : CELLS + 1 + j, 1 + i : CELLS + 1 + i] for j in (-1, 0, 1) for i in (-1, 0, 1)]
     usual = float(np.median(agreed[~hidden])) if not hidden.all() else 1.0

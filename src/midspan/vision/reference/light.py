@@ -21,7 +21,7 @@ SMOOTHING_PX = 0.7
 TAPS = lowpass_taps(SMOOTHING_PX).astype(np.float32)
 EDGE_PX = 2 * REACH  # of picture around the window: the spline's reach, and what its mirror at the border spoils
 CONTEXT_PX = 2  # of frame beyond that, for the same reason
-CELLS = 6  # a side: where something stands in front is told by smaller blocks
+CELLS = 6  # a side: where something stands in front is shown by smaller blocks
 BLOCKS = 4  # a side: light and relief differ from block to block, and so do their errors
 TRUST = 0.05  # standard deviation of a mix that pictures leave open, as a share of their contrast
 ROUNDS = 6
@@ -214,31 +214,31 @@ def placed(mix: Mix, frame: Sight, start: Floats, shown: Floats32 | None = None)
         if window is None:
             return None
         seen = inside(window)
-        told = explained(mix.columns, mix.slopes, weight, seen, mix.ridge)
-        squares, spread = np.prod(np.diag(told.information)), np.linalg.det(told.information)
+        reported = explained(mix.columns, mix.slopes, weight, seen, mix.ridge)
+        squares, spread = np.prod(np.diag(reported.information)), np.linalg.det(reported.information)
         if not (squares > 0.0 and spread > SINGULAR * squares):
             return None
-        step = np.linalg.solve(told.information, told.force)
+        step = np.linalg.solve(reported.information, reported.force)
         place = place - step
         if np.abs(step).max() < ENOUGH_PX:
-            return _judged(mix, place, seen, told)
-        limit = np.float32(max(ROBUST * SIGMA_OF_MEDIAN * float(np.median(np.abs(told.left[base > 0.0]))), 1e-12))
-        weight = base / (np.float32(1.0) + (told.left / limit) ** 2)
+            return _judged(mix, place, seen, reported)
+        limit = np.float32(max(ROBUST * SIGMA_OF_MEDIAN * float(np.median(np.abs(reported.left[base > 0.0]))), 1e-12))
+        weight = base / (np.float32(1.0) + (reported.left / limit) ** 2)
     return None
 
 
-def _judged(mix: Mix, place: Floats, seen: Floats32, told: Explained) -> Placed:
+def _judged(mix: Mix, place: Floats, seen: Floats32, reported: Explained) -> Placed:
     """The place (2,) px with its variance from what blocks contradict each other by."""
-    inverse = np.linalg.inv(told.information)
+    inverse = np.linalg.inv(reported.information)
     scores: Floats = np.array(
-        [np.bincount(mix.block, own * told.left, BLOCKS**2) for own in told.own], dtype=np.float64
+        [np.bincount(mix.block, own * reported.left, BLOCKS**2) for own in reported.own], dtype=np.float64
     )
     # Two numbers for the place and one for the level are taken from the blocks.
     spread = inverse @ (scores @ scores.T) @ inverse.T * _few(scores)
-    pull = (inverse @ told.own).astype(np.float32)
-    shares = np.einsum("ap,aip->ai", pull, mix.slopes) * told.amount[:-1]
-    agreed = _core.cell_agreement(seen, told.left, mix.cell, CELLS**2)
-    return Placed(place, np.diag(spread).copy(), shares.astype(np.float64), seen - told.left, agreed)
+    pull = (inverse @ reported.own).astype(np.float32)
+    shares = np.einsum("ap,aip->ai", pull, mix.slopes) * reported.amount[:-1]
+    agreed = _core.cell_agreement(seen, reported.left, mix.cell, CELLS**2)
+    return Placed(place, np.diag(spread).copy(), shares.astype(np.float64), seen - reported.left, agreed)
 
 
 def _few(scores: Floats) -> float:

@@ -48,7 +48,7 @@ def aligned(mix: Mix) -> Alignment:
     without = np.stack([_least(total - part, moves, ROUNDS_OF_PART) for part in products])
     without -= without.mean(axis=0)
     scale = (BLOCKS**2 - 1.0) / BLOCKS**2
-    # Here all pixels count: what the weights leave out is what is to be told.
+    # Here all pixels count: what the weights leave out is what is to be reported.
     alone = steadiness(value + across * moves[:, 0] + down * moves[:, 1], (weight > 0.0).astype(np.float64))[1]
     return Alignment(moves, scale * np.einsum("bia,bja->aij", without, without), alone)
 

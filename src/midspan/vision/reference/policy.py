@@ -18,7 +18,7 @@ from midspan.vision.tracker import TRACKERS
 
 NEAR_PX = 1.5  # of where the target must be: what a key frame finds beyond is another thing
 FAR_SHARE = 0.25  # of the region's side: how far from its last place a target without prediction is believed
-ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywhere
+ANYWHERE_TURNS = 20  # every this many tries the first frame is looked for everywhere
 CLEARER = 1.5  # times the contrast of a key frame that is mostly noise: time for another
 MIN_SEEN_SHARE = 0.35  # share of the target that must be seen to learn from it
 
@@ -30,9 +30,9 @@ class KeyFrameSettings:
     tracker, tracker_settings: what tracks, its own settings. renew_share: a new key frame begins when the strength
     (matches, or quality) falls below this share of the usual one, 0 to 1; more gives more key frames. return_share: an
     earlier one is taken again above this share. overlap_frames: frames that make a key frame's picture and the
-    hand-over to it, 3 or more. try_every: every so many frames an earlier key frame is tried. related: so many earlier
-    ones are tried when the one in use is lost, 1 or more. most: key frames kept, 3 or more; memory and time are limited
-    by it. link_floor_px: standard deviation of a key frame's place that nothing takes away. light_px: standard
+    hand-over to it, 3 or more. try_every: every this many frames an earlier key frame is tried. related: this many
+    earlier ones are tried when the one in use is lost, 1 or more. most: key frames kept, 3 or more; memory and time are
+    limited by it. link_floor_px: standard deviation of a key frame's place that nothing takes away. light_px: standard
     deviation that the loss of all strength stands for, px. unmixed_px: standard deviation of a picture's place if
     nothing in it were a mix of others: what the shadows do that bumps throw in grazing light is a quarter of 3 px.
     heat: frames are temperatures: bright and dark may change places, and things in front, which were taken out

@@ -65,7 +65,7 @@ class Chain:
         return Chain(np.delete(self.place, frame, axis=0), covariance)
 
     def changed(self, frame: int, place: Floats, variance: Floats) -> "Chain":
-        """With one frame at another place (2,) px, known to a variance (2,) in px² by itself."""
+        """With one frame at another place (2,) px, known to a variance (2,) in px² on its own."""
         moved, covariance = self.place.copy(), self.covariance.copy()
         moved[frame] = place
         covariance[:, frame, :] = covariance[:, :, frame] = 0.0

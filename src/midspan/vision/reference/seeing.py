@@ -16,7 +16,7 @@ from midspan.vision.reference.state import STRENGTH_FRAMES, Appearance, KeyFrame
 SCATTERED = 2.0  # standard deviations of the strength that say nothing
 WEAK = 0.95  # share of the usual strength below which a single picture is looked at for a thing in front
 
-Told = tuple[PixelTranslation, Sight | None]  # a result, and the frame as seen
+Reported = tuple[PixelTranslation, Sight | None]  # a result, and the frame as seen
 
 
 def measured(
@@ -26,7 +26,7 @@ def measured(
     seen: tuple[int, PixelTranslation],
     *,
     remembered: bool = False,
-) -> tuple[Appearance, Told | None]:
+) -> tuple[Appearance, Reported | None]:
     """How the target looks in `frame`, and its translation since the first frame by the mix of all pictures where there
     is one; None where it is not there.
 
@@ -89,10 +89,10 @@ def _looked_at(
         return view, Uncovered(placed(known.mix, view, place), ALL_SEEN, ALL_SEEN), looks
     best, then_ns = looks.lately
     paled = best - PALING * (now_ns - then_ns) / 1e9
-    told = uncovered(known.mix, view, place, (looks.expected, looks.hidden, paled))
-    if told.found is not None and not told.absent:
-        best = np.maximum(paled, np.where(told.hidden, 1.0, told.found.agreement))
-    return view, told, replace(looks, lately=(best, now_ns))
+    reported = uncovered(known.mix, view, place, (looks.expected, looks.hidden, paled))
+    if reported.found is not None and not reported.absent:
+        best = np.maximum(paled, np.where(reported.hidden, 1.0, reported.found.agreement))
+    return view, reported, replace(looks, lately=(best, now_ns))
 
 
 def _share_lost(strength: float, usual: float) -> float:

@@ -19,8 +19,8 @@ MIN_CLEAR = 0.67  # of frames' contrast, squared, that they must have in common 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlap:
-    """Frames that make the picture of the key frame `to`: how many so far, their windows; `new`: it is tracked beside
-    the one in use, to take over from it, and `places` (2,) px are where each frame says that it lies;
+    """Frames that make the picture of the key frame `to`: how many so far, their windows; `new`: it is tracked together
+    with the one in use, to take over from it, and `places` (2,) px are where each frame says that it lies;
     `hidden` (cells,): where something stands in front in one of them.
     """
 

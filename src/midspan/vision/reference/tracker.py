@@ -38,7 +38,7 @@ from midspan.vision.reference.records import (
     unmoved,
     variance_of,
 )
-from midspan.vision.reference.seeing import Told, measured
+from midspan.vision.reference.seeing import Reported, measured
 from midspan.vision.reference.state import STRENGTH_FRAMES, Appearance, KeyFrameState, Overlap
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
@@ -46,8 +46,8 @@ from midspan.vision.tracker import Tracker
 
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
 TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
-EXCHANGED_TURNS = 4  # every so many tries it is the first frame with bright and dark exchanged
-COVERED = 0.03  # share of the target covered from which nothing is learnt
+EXCHANGED_TURNS = 4  # every this many tries it is the first frame with bright and dark exchanged
+COVERED = 0.03  # share of the target covered from which nothing is learned
 LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
 LINK_FRAMES = 5  # frames that may have been lost since
 
@@ -89,12 +89,12 @@ class KeyFrameTracker(Tracker):
         check_size(frame, self.reference)
         self._events = []
         self._state = replace(self._state, frames=self._state.frames + 1)
-        told = self._found(frame, prediction)
-        if told is None:
+        reported = self._found(frame, prediction)
+        if reported is None:
             looks = replace(self._state.appearance, lately=(self._state.appearance.lately[0], frame.time_ns))
             self._state = replace(self._state, recent=(), appearance=looks)
             return lost(frame.time_ns, tuple(self._events))
-        found, view = told
+        found, view = reported
         self._front(frame)
         place = place_of(found)
         if frame.covered <= COVERED:
@@ -104,17 +104,17 @@ class KeyFrameTracker(Tracker):
         strength = state.health[-1] if state.health else state.key.usual
         return replace(found, strength=strength, events=tuple(self._events))
 
-    def _found(self, frame: Frame, prediction: Prediction | None) -> Told | None:
+    def _found(self, frame: Frame, prediction: Prediction | None) -> Reported | None:
         """The result by the key frame in use, by where the target must be, or by another key frame."""
         number = self._state.current
-        told = self._remembered(frame, prediction, front=False) if self._state.appearance.hidden.any() else None
-        told = told or self._measured(number, frame, self._look(number, frame, prediction))
-        told = told or self._remembered(frame, prediction, front=True)
-        told = self._turned(frame, prediction, 0.0 if told is None else told[0].strength) or told
-        if told is None:
+        reported = self._remembered(frame, prediction, front=False) if self._state.appearance.hidden.any() else None
+        reported = reported or self._measured(number, frame, self._look(number, frame, prediction))
+        reported = reported or self._remembered(frame, prediction, front=True)
+        reported = self._turned(frame, prediction, 0.0 if reported is None else reported[0].strength) or reported
+        if reported is None:
             self._hand_over()
-            told = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
-        return told
+            reported = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
+        return reported
 
     def _look(
         self, number: int, frame: Frame, prediction: Prediction | None, *, afresh: bool = False
@@ -135,13 +135,15 @@ class KeyFrameTracker(Tracker):
         self._state = before
         return found
 
-    def _measured(self, number: int, frame: Frame, found: PixelTranslation, *, remembered: bool = False) -> Told | None:
+    def _measured(
+        self, number: int, frame: Frame, found: PixelTranslation, *, remembered: bool = False
+    ) -> Reported | None:
         """The result of what the key frame `number` says, see `measured`."""
-        looks, told = measured(self._state, self.settings, frame, (number, found), remembered=remembered)
+        looks, reported = measured(self._state, self.settings, frame, (number, found), remembered=remembered)
         self._state = replace(self._state, appearance=looks)
-        return told
+        return reported
 
-    def _remembered(self, frame: Frame, prediction: Prediction | None, *, front: bool) -> Told | None:
+    def _remembered(self, frame: Frame, prediction: Prediction | None, *, front: bool) -> Reported | None:
         """The result from where the target must be by now, where its key frame does not find it; `front`: only if
         something stands in front.
         """
@@ -151,10 +153,10 @@ class KeyFrameTracker(Tracker):
         if prediction is not None:
             return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
         onward = 2.0 * recent[-1] - recent[0]  # as far as before; the last place itself where there is no other
-        told = self._remembered_at(frame, onward, front=front)
-        return told or (self._remembered_at(frame, recent[-1], front=front) if len(recent) > 1 else None)
+        reported = self._remembered_at(frame, onward, front=front)
+        return reported or (self._remembered_at(frame, recent[-1], front=front) if len(recent) > 1 else None)
 
-    def _remembered_at(self, frame: Frame, place: Floats, *, front: bool) -> Told | None:
+    def _remembered_at(self, frame: Frame, place: Floats, *, front: bool) -> Reported | None:
         """The result with the target looked for at `place` (2,) px from the first frame."""
         number, looks = self._state.current, self._state.appearance
         x, y = (float(v) for v in place)
@@ -165,11 +167,11 @@ class KeyFrameTracker(Tracker):
         unsure, strength = self.settings.light_px**2, 0.0 if lost_it else seen.strength
         x, y = (float(v) for v in since)
         found = PixelTranslation(frame.time_ns, x, y, unsure, unsure, seen.quality, Status.TRACKING, strength=strength)
-        told = self._measured(number, frame, found, remembered=True)
-        if told is None or (front and not self._state.appearance.hidden.any()):
+        reported = self._measured(number, frame, found, remembered=True)
+        if reported is None or (front and not self._state.appearance.hidden.any()):
             self._state = replace(self._state, appearance=looks)
             return None
-        return told
+        return reported
 
     def _counted(self, frame: Frame, found: PixelTranslation) -> None:
         """Remember a frame that shows all of the target, and its strength; the key frame itself has none."""
@@ -181,7 +183,7 @@ class KeyFrameTracker(Tracker):
             self._state = replace(self._state, health=(*self._state.health, found.strength)[-STRENGTH_FRAMES:])
 
     def _front(self, frame: Frame) -> None:
-        """Tell when something comes in front of the target and when it has gone; nothing is learnt meanwhile."""
+        """Tell when something comes in front of the target and when it has gone; nothing is learned meanwhile."""
         share, since_ns = float(self._state.appearance.hidden.mean()), self._state.since_ns
         if share > 0.0 and since_ns is None:
             self._state = replace(self._state, since_ns=frame.time_ns)
@@ -191,7 +193,7 @@ class KeyFrameTracker(Tracker):
             self._tell(frame, f"all of the target is seen again after {(frame.time_ns - since_ns) / 1e9:.1f} s", "seen")
             self._state = replace(self._state, since_ns=None)
 
-    def _recovered(self, frame: Frame, prediction: Prediction | None) -> Told | None:
+    def _recovered(self, frame: Frame, prediction: Prediction | None) -> Reported | None:
         """The frame by another key frame, else by the last one that was tracked, which then becomes one."""
         last = self._state.last
         if prediction is None and last is not None:
@@ -199,10 +201,10 @@ class KeyFrameTracker(Tracker):
             reach = REACH_SHARE * min(self.region.width, self.region.height)
             prediction = Prediction(x, y, reach, reach)
         for number in nearest(self._state.current, self._state.keys, self.settings.related):
-            told = self._measured(number, frame, self._look(number, frame, prediction, afresh=True))
-            if told is not None:
+            reported = self._measured(number, frame, self._look(number, frame, prediction, afresh=True))
+            if reported is not None:
                 self._switch(number, frame, "the key frame in use was lost")
-                return told
+                return reported
         hidden = self._state.appearance.hidden.any()
         if last is None or hidden or last[0].time_ns == self._state.key.frame.time_ns:
             return None
@@ -213,18 +215,18 @@ class KeyFrameTracker(Tracker):
         why = "new key frame without overlap: the one in use was lost"
         return None if new is None else self._linked(new, frame, self._look(new, frame, prediction), why)
 
-    def _linked(self, number: int, frame: Frame, found: PixelTranslation, why: str) -> Told | None:
+    def _linked(self, number: int, frame: Frame, found: PixelTranslation, why: str) -> Reported | None:
         """The result by a new key frame that takes over at once; without one it goes again."""
-        told = self._measured(number, frame, found)
-        if told is None:
+        reported = self._measured(number, frame, found)
+        if reported is None:
             self._state = self._state.without(number)
             return None
         self._state = replace(self._state, made=self._state.made + 1)
         self._switch(number, frame, why)
         self._state = replace(self._state, overlap=Overlap(number, new=False))
-        return told
+        return reported
 
-    def _turned(self, frame: Frame, prediction: Prediction | None, strength_now: float) -> Told | None:
+    def _turned(self, frame: Frame, prediction: Prediction | None, strength_now: float) -> Reported | None:
         """The result by temperatures with bright and dark exchanged, where these fit better, as a new key frame.
 
         What was warmer than the rest by day may be colder by night.
@@ -242,7 +244,7 @@ class KeyFrameTracker(Tracker):
                 best, found = seen.strength, (number, seen)
         return None if found is None else self._adopted(*found, frame)
 
-    def _adopted(self, number: int, seen: PixelTranslation, frame: Frame) -> Told | None:
+    def _adopted(self, number: int, seen: PixelTranslation, frame: Frame) -> Reported | None:
         """A new key frame where an earlier one was `seen` with bright and dark exchanged."""
         chain = self._state.chain
         place, variance = chain.place[number] + place_of(seen), chain.variance(number) + variance_of(seen)
