@@ -120,7 +120,7 @@ def of_chain(one: Drawn, **options: bool) -> tuple[Floats, Floats, str, int]:
     value, std = np.full((2, len(one.samples)), np.nan)
     rows = np.searchsorted(one.samples[:, 0], found.time_s - 1e-6)
     value[rows], std[rows] = found.value_m, found.std_m
-    return value, std, f"{counts} ({found.hypotheses})", begin
+    return value, std, counts, begin
 
 
 def judged(one: Drawn, value: Floats, std: Floats, first: int = 0) -> tuple[float, float, float]:

@@ -28,7 +28,7 @@ from midspan.records import (
 class Run:
     """Rows (s,) in s, m and m (displacement since the first frame used and its standard deviation).
 
-    phase_rad, reference_rad2, status (frames, targets): of the chain; events: of both; hypotheses: most at a time.
+    phase_rad, reference_rad2, status (frames, targets): of the chain; events: of both.
     """
 
     time_s: Floats
@@ -38,7 +38,6 @@ class Run:
     reference_rad2: Floats
     status: NDArray[np.uint8]
     events: tuple[Event, ...]
-    hypotheses: int
 
 
 def estimator_for(targets: list[FollowedTarget], bias_m_s2: float, clock_std_s: float, zero_ns: int) -> Estimator:
@@ -89,7 +88,7 @@ def run(
         RadarChain(targets), [RangeFrame(int(t), *one) for t, *one in zip(stamps, seen, valid, strict=True)]
     )
     estimator = estimator_for(targets, float(np.mean(samples[:200, 1])), clock_std_s, zero_ns)
-    rows, met, events, most, f = [], [], [], 0, 0
+    rows, met, events, f = [], [], [], 0
     for k, time_ns in enumerate(times):
         while f < len(stamps) and stamps[f] <= time_ns:
             given = [estimator.predict(c, int(stamps[f])) if give else None for c in range(len(targets))]
@@ -113,7 +112,6 @@ def run(
         for out in estimator.push(sample):
             rows += out.estimates
             events += out.events
-        most = max(most, estimator.count)
     time_s = np.concatenate([row.time_ns for row in rows]) / 1e9
     value, variance = (np.concatenate([getattr(row, n) for row in rows]) for n in ("displacement_m", "variance_m2"))
     phase, reference = (
@@ -122,4 +120,4 @@ def run(
     )
     status = np.array([[one.status for one in found] for found in met], dtype=np.uint8)
     assert Status.TRACKING in status
-    return Run(time_s, value, np.sqrt(variance), phase, reference, status, tuple(events), most)
+    return Run(time_s, value, np.sqrt(variance), phase, reference, status, tuple(events))
