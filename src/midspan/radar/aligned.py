@@ -10,6 +10,7 @@ directions disagree about the cycle it is a guess: a slip, or an outage that was
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.checks import same_length
@@ -165,7 +166,7 @@ def _agreed(forward: Unwrapped, backward: Unwrapped, time: Floats, unit: float) 
     end = int(np.searchsorted(time[used], time[used[-1]] - SETTLED_S))
     restarts = set(forward.restarts)
     if begin < end:
-        restarts |= {int(used[k + 1]) for k in np.flatnonzero(np.diff(cycles[begin : end + 1])) + begin}
+        restarts |= {_after_gap(used, int(k) + 1) for k in np.flatnonzero(np.diff(cycles[begin : end + 1])) + begin}
         if np.any(early := cycles[:begin] - cycles[begin]):
             # The start less its cycles, its first frame being zero again.
             first, last = used[0], used[begin - 1] + 1
@@ -173,6 +174,13 @@ def _agreed(forward: Unwrapped, backward: Unwrapped, time: Floats, unit: float) 
             shift[:last] = early[np.searchsorted(used[:begin], np.arange(last), side="right").clip(1) - 1]
             forward = _shifted(forward, shift - shift[first], unit)
     return replace(forward, restarts=tuple(sorted(restarts)))
+
+
+def _after_gap(used: NDArray[np.int64], k: int) -> int:
+    """The frame of the k-th used one, or the first after a gap that is near: the median may be some frames off."""
+    low = max(k - COMPARED_FRAMES, 1)
+    gaps = np.flatnonzero(np.diff(used[low - 1 : k + COMPARED_FRAMES]) > 1) + low
+    return int(used[k] if len(gaps) == 0 else used[gaps[np.argmin(np.abs(gaps - k))]])
 
 
 def _shifted(run: Unwrapped, cycles: Floats, unit: float) -> Unwrapped:

@@ -204,7 +204,7 @@ def _search_strong(
     second, frame = _differences(phase, 1)
     if len(second) < MIN_FRAMES:
         return None
-    lively = _liveliest(np.abs(integrals.second_difference(time[frame], known[1])))
+    lively = _liveliest(np.abs(integrals.second_difference(time[frame], known[1])), known[2] / known[1])
     second, frame = second[lively], frame[lively]
     turns = np.exp(1j * second)
     found, best = None, float(np.abs(turns.mean())) + MIN_SIGNIFICANCE / np.sqrt(2.0 * len(second))
@@ -218,11 +218,15 @@ def _search_strong(
     return found
 
 
-def _liveliest(size: Floats) -> slice:
-    """The `MAX_SEARCHED` values in a row of the largest sum, all where there are fewer."""
-    total = np.concatenate(([0.0], np.cumsum(size)))
-    start = int(np.argmax(total[MAX_SEARCHED:] - total[:-MAX_SEARCHED])) if len(size) > MAX_SEARCHED else 0
-    return slice(start, start + MAX_SEARCHED)
+def _liveliest(size: Floats, reach: float) -> slice | NDArray[np.int64]:
+    """The `MAX_SEARCHED` values or so of which segments (longer than the search reaches) have the largest mean."""
+    if len(size) <= MAX_SEARCHED:
+        return slice(None)
+    length = max(int(4.0 * reach), MAX_SEARCHED // 32)
+    starts = np.arange(0, len(size), length)
+    mean = np.add.reduceat(size, starts) / np.diff(np.append(starts, len(size)))
+    best = np.sort(starts[np.argsort(-mean)[: max(1, MAX_SEARCHED // length)]])
+    return np.concatenate([np.arange(k, min(k + length, len(size))) for k in best])
 
 
 def _offsets(period_s: float, most_s: float) -> Floats:

@@ -28,20 +28,24 @@ _PAIRINGS = (("IIQQ", "QQII"), ("IQIQ", "QIQI"))
 @dataclass(frozen=True, slots=True)
 class OrderEvidence:
     """Of each order: energy of the nearer over the farther half of the range, and of the nearest over the farthest
-    eighth, dB; how densely the energy lies, 0 … 1. Of each pairing, by its first
+    eighth, dB; how densely the energy lies, 0 … 1, of all and of what is not near zero. Of each pairing, by its first
     letter's order: the ghosts that are there as a share of those that it would make if it were wrong, with deviation.
     """
 
     halves_db: dict[str, float]
     eighths_db: dict[str, float]
     density: dict[str, float]
+    density_beside: dict[str, float]
     ghosts: tuple[tuple[float, float], ...] = ()
 
     def paired(self) -> tuple[str, str] | None:
-        """The two orders of the pairing that shows, by the density of the energy or by the ghosts, or None."""
-        first, second = (max(self.density[order] for order in pair) for pair in _PAIRINGS)
-        if max(first, second) > MIN_DENSITY * min(first, second):
-            return _PAIRINGS[first < second]
+        """The two orders of the pairing that shows, in all that is seen or in the targets alone, or None."""
+        for density in (self.density, self.density_beside):
+            first, second = (max(density[order] for order in pair) for pair in _PAIRINGS)
+            if first > MIN_DENSITY * second:
+                return _PAIRINGS[0]
+            if second > MIN_DENSITY * first:
+                return _PAIRINGS[1]
         return self._without_ghosts()
 
     def _without_ghosts(self) -> tuple[str, str] | None:
@@ -88,6 +92,7 @@ def weigh_orders(words: Words, layout: Layout) -> OrderEvidence:
         eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, (_, p) in power.items()},
         # What is attached lies near zero. Without its mean its ghost would outweigh it and speak for the wrong pairing.
         density=none | {order: float(whole @ whole) for order, (whole, _) in power.items()},
+        density_beside=none | {order: _density_beside(p) for order, (_, p) in power.items()},
         ghosts=tuple(_ghosts(words, layouts[order]) for order in nearer),
     )
 
@@ -155,6 +160,17 @@ def _ghosts(words: Words, layout: Layout) -> tuple[float, float]:
     rest = np.abs(found - share * expected) ** 2
     # Neighbouring bins of a Hann window share their noise.
     return share, float(np.sqrt(2.0 * np.sum(np.abs(expected) ** 2 * rest))) / power
+
+
+def _density_beside(power: Floats) -> float:
+    """How densely shares of power (samples,) lie, 0 … 1, apart from what is attached and its ghost."""
+    count = len(power)
+    away = NEAR_ZERO if count > 8 * NEAR_ZERO else 0
+    near = np.arange(-away, away + 1)
+    kept = power.copy()
+    kept[np.concatenate((near, near + count // 2))] = 0.0
+    kept /= max(float(kept.sum()), 1e-300)
+    return float(kept @ kept)
 
 
 def _ratio_db(near: Floats, far: Floats) -> float:

@@ -244,7 +244,7 @@ def _roughness(pattern: Floats) -> float:
 
 def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, Pictured]:
     """One turn: the scene that the pattern leaves, the pattern that the scene leaves (0 where it does not reach), and
-    the translations.
+    the translations. A scene that warms or cools has another contrast in each frame, which would pass for pattern.
     """
     moved, shape = known.moved_px, pattern.shape
     free = stack - pattern
@@ -252,9 +252,11 @@ def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, 
     reached = np.any(inside, axis=0).astype(np.float64)
     reach = _spline(reached)
     seen = np.array([_covered(shape, x, y) & (_shifted(reach, x, y) > 0.999) for x, y in moved])
-    scene = _scene(free, inside, moved)
+    scene = _scene(free, inside, moved, known.scene)
     smooth = _spline(scene)
     there = np.array([np.where(mask, _shifted(smooth, x, y), 0.0) for mask, (x, y) in zip(seen, moved, strict=True)])
+    shares = _straight([_amount(f, expected, mask) for f, expected, mask in zip(free, there, seen, strict=True)])
+    there *= shares[:, None, None]
     rest = np.where(seen, stack - there, 0.0)
     number = np.maximum(np.sum(seen, axis=0), 1)
     full = number >= MIN_FRAMES
@@ -273,10 +275,18 @@ def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, 
     return pattern, Pictured(scene, moved - np.array(steps), math.sqrt(noise2), math.sqrt(spread2))
 
 
-def _scene(free: Floats, inside: list[NDArray[np.bool_]], moved: Floats) -> Floats:
+def _scene(free: Floats, inside: list[NDArray[np.bool_]], moved: Floats, before: Floats) -> Floats:
     """The mean (rows, columns) of frames (n, rows, columns) moved back; 0 where none reaches."""
-    back = np.array([_shifted(_spline(f), -x, -y) for f, (x, y) in zip(free, moved, strict=True)])
-    return np.asarray(np.sum(np.where(inside, back, 0.0), axis=0) / np.maximum(np.sum(inside, axis=0), 1))
+    # before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
+    total, weight = np.zeros_like(before), np.zeros_like(before)
+    back = [_shifted(_spline(f), -x, -y) for f, (x, y) in zip(free, moved, strict=True)]
+    shares = (
+        [_amount(f, before, mask) for f, mask in zip(back, inside, strict=True)] if before.any() else [1.0] * len(back)
+    )
+    for image, mask, share in zip(back, inside, _straight(shares), strict=True):
+        total += np.where(mask, share * image, 0.0)
+        weight += share**2 * mask
+    return total / np.maximum(weight, 1e-3)
 
 
 def _step(rest: Floats, scene: Floats, mask: NDArray[np.bool_]) -> Floats:
@@ -285,6 +295,23 @@ def _step(rest: Floats, scene: Floats, mask: NDArray[np.bool_]) -> Floats:
     down, right = np.gradient(scene, axis=0), np.gradient(scene, axis=1)
     slopes = np.array([right[1:-1, 1:-1][rim], down[1:-1, 1:-1][rim]])
     return np.asarray(np.linalg.pinv(slopes @ slopes.T) @ (slopes @ rest[1:-1, 1:-1][rim]))
+
+
+def _amount(seen: Floats, expected: Floats, mask: NDArray[np.bool_]) -> float:
+    """How much of what is expected (rows, columns; 0 beyond the mask) is seen over the mask, apart from levels."""
+    count = max(np.count_nonzero(mask), 1)
+    free = np.where(mask, expected - expected.sum() / count, 0.0)
+    return float(np.sum(free * seen) / max(float(np.sum(free**2)), 1e-12))
+
+
+def _straight(shares: list[float]) -> Floats:
+    """The straight line (n,) of mean 1 through shares: contrast fades slowly; what differs from frame to frame is what
+    the spline makes of another fraction of a pixel, and would come to stand in the pattern.
+    """
+    place = np.arange(len(shares)) - 0.5 * (len(shares) - 1)
+    mean = max(float(np.mean(shares)), 1e-3)
+    slope = float(place @ np.array(shares)) / float(place @ place) / mean
+    return np.maximum(np.asarray(1.0 + slope * place, dtype=np.float64), 0.05)
 
 
 def _spline(image: Floats) -> Floats:

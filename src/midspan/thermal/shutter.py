@@ -12,6 +12,7 @@ from midspan.records import NANOSECONDS, Event, Floats, Frame
 
 _STEP_FACTOR = 8.0  # times the usual change of the level from frame to frame
 _LEARNING = 0.05  # weight of a frame in what is usual
+_RISING_S = 30.0  # time constant by which the usual contrast rises: a body that passes does not become usual
 _TAILS = 2.44  # from 5 to 95 % it is this many times as far as from quartile to quartile of a normal variable
 _QUARTER = 25.0  # percent: from quartile to quartile, what covers less than a quarter of the picture changes it little
 _MIN_FRAMES = 2  # frozen frames that make an event: a recorder may write one picture twice
@@ -23,11 +24,12 @@ MAX_CLOSED_S = 3.0  # what lasts longer is no shutter but another scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterState:
-    """What is remembered: the last picture (every this many pixels), its contrast and the usual step of the level in K,
-    and the running segment of closed frames: how many, since when, and whether they were frozen.
+    """What is remembered: the last picture (every so many pixels) and its time, the usual contrast and step of the
+    level in K, and the running segment of closed frames: how many, since when, and whether they were frozen.
     """
 
     last: Floats | None = None
+    last_ns: int = 0
     contrast_k: float = 0.0
     usual_step_k: float = 0.0
     closed: int = 0
@@ -38,7 +40,7 @@ class ShutterState:
 @dataclass(frozen=True, slots=True)
 class ShutterVerdict:
     """Whether a frame may be tracked; `reopened`: the first one after the shutter, with another fixed pattern; `step_k`
-    by how much the level has jumped (0: not at all); and what is worth reporting.
+    by how much the level has jumped (0: not at all); and what is worth telling.
     """
 
     usable: bool
@@ -65,7 +67,7 @@ class ShutterWatch:
         thinned = np.asarray(frame.pixels[::step, ::step], dtype=np.float64)
         state, now = self.state, np.where(np.isfinite(thinned), thinned, 0.0)
         if state.last is None:
-            self.state = replace(state, last=now, contrast_k=_spread(now, _QUARTER))
+            self.state = replace(state, last=now, last_ns=frame.time_ns, contrast_k=_spread(now, _QUARTER))
             return ShutterVerdict(True)
         frozen = bool(np.array_equal(now, state.last))
         since = state.since_ns if state.closed else frame.time_ns
@@ -87,18 +89,30 @@ class ShutterWatch:
         usual = state.usual_step_k
         if not (stepped or reopened):
             usual += _LEARNING * (abs(change) - usual)
-        self.state = ShutterState(now, _spread(now, _QUARTER), usual)
-        reported = []
+        contrast = self._usual_contrast(frame, _spread(now, _QUARTER))
+        self.state = ShutterState(now, frame.time_ns, contrast, usual)
+        told = []
         if reopened:
             text = (
                 f"the thermal camera's shutter was closed for {(frame.time_ns - state.since_ns) / NANOSECONDS:.2f} s "
                 f"({state.closed} frames); its level changed by {change:+.2f} K"
             )
-            reported.append(Event(state.since_ns, "shutter", text))
+            told.append(Event(state.since_ns, "shutter", text))
         elif stepped:
-            reported.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
+            told.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
         step = change if stepped or reopened else 0.0
-        return ShutterVerdict(True, reopened, step, tuple(reported))
+        return ShutterVerdict(True, reopened, step, tuple(told))
+
+    def _usual_contrast(self, frame: Frame, now_k: float) -> float:
+        """The usual contrast (K) after a frame of `now_k`: falls quickly, rises slowly, is new in a new scene."""
+        state = self.state
+        if state.closed and frame.time_ns - state.since_ns > MAX_CLOSED_S * NANOSECONDS:
+            return now_k
+        usual = state.contrast_k
+        if now_k < usual:
+            return usual + _LEARNING * (now_k - usual)
+        elapsed_s = max(frame.time_ns - state.last_ns, 0) / NANOSECONDS
+        return usual + (1.0 - float(np.exp(-elapsed_s / _RISING_S))) * (min(now_k, 2.0 * usual) - usual)
 
 
 def _spread(values: Floats, percent: float) -> float:
