@@ -20,6 +20,8 @@ from midspan.records import Floats
 
 # Errors of the alignment that are allowed for where it has been found, at least.
 MIN_SCALE_ERROR, MIN_TIME_ERROR_S = 0.002, 1e-4
+# Frames that tell the speed at the start, and how well they do, m/s.
+START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
 # A motion that turns the phase by less needs no unwrapping.
 QUIET_RAD = 1.6
 # The shortest record whose trend tells a drift from a swing, s.
@@ -36,15 +38,15 @@ class _Trust:
 
     noise_density: of the acceleration in the line of sight, (m/s²)²/Hz; scale_error, time_error_s: relative error of
     the conversion factor and error of the time offset that are allowed for; start_inflation: natural logarithm of the
-    factor on all of these at the first frame, estimated from then on; speed_std_m_s: of the range's speed there, which
-    is taken for 0; bias_walk, bias_std_m_s2: growth of the bias' variance, (m/s²)² a second, and its deviation at the
-    first frame.
+    factor on all of these at the first frame, estimated from then on; speed_m_s, speed_std_m_s: of the range there;
+    bias_walk, bias_std_m_s2: growth of the bias' variance, (m/s²)² a second, and its deviation at the first frame.
     """
 
     noise_density: float = 1e-6
     scale_error: float = 0.02
     time_error_s: float = 1e-3
     start_inflation: float = 4.6
+    speed_m_s: float = 0.0
     speed_std_m_s: float = 0.05
     bias_walk: float = 1e-8
     bias_std_m_s2: float = 0.05
@@ -134,11 +136,13 @@ def _passed(record: _Record, found: Alignment | None, kind: int) -> Unwrapped:
             scale_error=max(3.0 * found.ratio_std / abs(found.ratio), MIN_SCALE_ERROR),
             time_error_s=max(3.0 * found.offset_std_s, MIN_TIME_ERROR_S),
             start_inflation=0.0,
+            speed_m_s=_first_speed(time, phase, steps, unit),
+            speed_std_m_s=START_SPEED_STD_M_S,
         )
     follower = _core.PhaseFollower(
         unit,
         (trust.noise_density, trust.scale_error, trust.time_error_s, trust.bias_walk),
-        (0.0, trust.speed_std_m_s, trust.bias_std_m_s2, trust.start_inflation),
+        (trust.speed_m_s, trust.speed_std_m_s, trust.bias_std_m_s2, trust.start_inflation),
     )
     rows = follower.push(np.column_stack((np.diff(time, prepend=time[:1]), phase, record.variance, steps)))
     surprise = rows[:, 4]
@@ -196,3 +200,19 @@ def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
     turns = run.phase_rad[known] / TURN
     cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
     return _shifted(run, cycles * (np.arange(len(run.phase_rad)) - known[0]), unit)
+
+
+def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:
+    """The range's smallest speed at the first usable frame, m/s, that turns the first frames' phasors alike."""
+    known = np.flatnonzero(np.isfinite(phase))[:START_FRAMES]
+    if len(known) < START_FRAMES:
+        return 0.0
+    first, last = known[0], known[-1] + 1
+    gained = np.concatenate(([0.0], np.cumsum(steps[first + 1 : last, 0])))
+    dt = np.diff(frame_s[first:last])
+    moved = np.concatenate(([0.0], np.cumsum(gained[:-1] * dt + steps[first + 1 : last, 1])))
+    phasors = np.exp(1j * (phase[known] - unit * moved[known - first]))
+    limit = np.pi / (unit * float(np.median(dt)))
+    speeds = np.linspace(-limit, limit, 8 * START_FRAMES, endpoint=False)
+    turns = np.exp(-1j * unit * np.multiply.outer(speeds, frame_s[known] - frame_s[first]))
+    return float(speeds[np.argmax(np.abs(turns @ phasors))])

@@ -10,12 +10,14 @@ from midspan.errors import UntrustedError
 from midspan.radar.aligned import Unwrapped, unwrap_aligned
 from midspan.radar.blockage import blocked
 from midspan.radar.channels import Phasors, combined, combined_bins, phase_variance
-from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, static_in_bins
+from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, static_in_bins, tracked_places
 from midspan.radar.target import FOLLOWING_PASSES, Target
 from midspan.records import Floats
 
 # The frames are gone through again until the places change by less than this.
 SETTLED_BINS = 0.1
+# A target seen in fewer frames than this share is looked for in the other bins.
+MOSTLY_SEEN = 0.95
 # The prediction of an unseen target is a place to look for it up to this standard deviation, m.
 FIRM_M = 5e-3
 
@@ -69,8 +71,14 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
     seen = combined_bins(frames.phasors, target.weights, frames.valid)
     places = np.full(len(seen), target.place_bin)
     still = target.background.at(bins) if target.background is not None else np.full(len(bins), target.leak)
-    for _ in range(FOLLOWING_PASSES):
+    for turn in range(FOLLOWING_PASSES):
         found = _unwrapped(at_places(seen - still, bins, places), target, given)
+        if turn == 0 and np.mean(np.isfinite(found.phase_rad)) < MOSTLY_SEEN:
+            # It may have left its bin, not be blocked: the strongest bin of each frame tells.
+            places = tracked_places(np.abs(seen - still) ** 2, bins, target.place_bin)
+            again = _unwrapped(at_places(seen - still, bins, places), target, given)
+            more = np.count_nonzero(np.isfinite(again.phase_rad)) > np.count_nonzero(np.isfinite(found.phase_rad))
+            found = again if more else found
         moved = _moved_m(found, phase_per_m) / frames.bin_m
         before, places = places, places_of(seen - still, bins, place_bin=target.place_bin, moved_bins=moved)
         if float(np.max(np.abs(places - before), initial=0.0)) < SETTLED_BINS:
