@@ -1,7 +1,7 @@
 """Which temperatures belong to the target, and how those that do not are kept from pulling a tracker.
 
 A person or a vehicle in front of the target differs from it by ten times its contrast. Clipped at the edge of a range
-it would still be the strongest object in the picture. So temperatures far outside the target's own are aliased back to
+it would still be the strongest object in the picture. So temperatures far outside the target's own are reflected back to
 its middle, the way a redescending influence function treats an outlier (Hampel's three parts): what covers a quarter of
 the target then weighs no more than a patch without texture.
 """
@@ -43,7 +43,7 @@ class Limits:
 
 
 def reflected(celsius: NDArray[np.generic], limits: Limits, margin: float = MARGIN) -> Floats32:
-    """The picture (any shape) in °C with what lies far outside `limits` aliased back to their middle.
+    """The picture (any shape) in °C with what lies far outside `limits` reflected back to their middle.
 
     margin: share of the width, 0 or more, by which temperatures may lie outside and still count in full; over another
     quarter of the width they go down to the middle.
@@ -77,7 +77,7 @@ class LimitFollower:
     first frame.
 
     A pace and not a time constant: what passes in front is far from the target and soon gone, while a wall that cools
-    all evening must not be lagged behind, or its own temperatures would be aliased.
+    all evening must not be lagged behind, or its own temperatures would be reflected.
     """
 
     def __init__(self, region: NDArray[np.generic], time_ns: int) -> None:
