@@ -42,7 +42,7 @@ SLIGHT = 0.1
 # prediction's variance is its (a double integrator's filter in its steady state), so that what is left is 1/400 of it.
 CLEAR_MOTION = 400.0
 # Where the structure is when a target is first used, relative to the best target's first frame, m: more than structures
-# move by, and little enough for the estimator's arithmetic together with variances of (1 µm)².
+# move by, and little enough for the estimator's arithmetic compared with variances of (1 µm)².
 OTHER_ZERO_STD_M = 0.1
 # Density of the random walk of a radar's clock relative to the accelerometer's, s²/s: it follows a drift of 60 ppm at
 # once.

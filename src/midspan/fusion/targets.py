@@ -1,4 +1,4 @@
-"""Several targets of one camera: each one's displacement together with the expected path, and one value a frame out of
+"""Several targets of one camera: each one's displacement relative to the expected path, and one value a frame out of
 them.
 
 All targets are fixed, so their displacements differ by noise and by a constant: each counts from its own reference
@@ -60,7 +60,7 @@ def agreeing(residual: Floats, variance: Floats, path_variance: Floats) -> Used:
 
 
 def relative_zeros(residual: Floats, variance: Floats) -> Floats:
-    """The constant (k,) by which each target lies together with the others, from residuals (k, n) from one path.
+    """The constant (k,) by which each target lies relative to the others, from residuals (k, n) from one path.
 
     The mean of what lies within four standard deviations of the median; 0 for a target that was never seen. The zeros
     together are moved so that their mean by inverse variance is 0: no target's reference picture counts alone.

@@ -57,7 +57,7 @@ class Shown:
 class OwnMotions:
     """power_m2 (targets, bands): variance of each target's own motion; frequency_hz (bands,): where it lies.
 
-    left_out (targets,): those together with which another is so much better that they are not to be used; undecided
+    left_out (targets,): those compared with which another is so much better that they are not to be used; undecided
     (bands,): that one of two moves is sure, but not which: both hold the whole.
     """
 

@@ -1,9 +1,9 @@
 """Which temperatures belong to the target, and how those that do not are kept from pulling a tracker.
 
 A person or a vehicle in front of the target differs from it by ten times its contrast. Clipped at the edge of a range
-it would still be the strongest object in the picture. So temperatures far outside the target's own are reflected back to
-its middle, the way a redescending influence function treats an outlier (Hampel's three parts): what covers a quarter of
-the target then weighs no more than a patch without texture.
+it would still be the strongest object in the picture. So temperatures far outside the target's own are reflected back
+to its middle, the way a redescending influence function treats an outlier (Hampel's three parts): what covers a quarter
+of the target then weighs no more than a patch without texture.
 """
 
 from dataclasses import dataclass

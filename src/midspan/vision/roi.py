@@ -124,7 +124,7 @@ def _reported(ranked: list[Candidate], count: int) -> list[Candidate]:
         if candidate.fixed:
             verdict = "taken" if place < count else "fixed, but less sharp"
         elif np.isfinite(candidate.disagreement_px):
-            verdict = f"moves on its own: {candidate.disagreement_px:.2g} px rms together with the others"
+            verdict = f"moves on its own: {candidate.disagreement_px:.2g} px rms relative to the others"
         else:
             verdict = "could not be followed"
         reported.append(replace(candidate, verdict=verdict))

@@ -131,7 +131,7 @@ class Calibration:
         return next((one for known, _, one in self.sensors if known == name), None)
 
     def of_sensor(self, sensor: Sensor, companions: Sequence[Sensor] = ()) -> Any:
-        """The values of a recording's sensor, None where there are none; together with: the others of the recording.
+        """The values of a recording's sensor, None where there are none; companions: the others of the recording.
 
         They are those of its name, or where one of both has no name those of the only one of its kind.
         """

@@ -69,7 +69,7 @@ def _content(path: Path) -> tuple[dict[Any, Any], tuple[str, ...]]:
     decimal = head.get("Decimal_Separator", ".").strip() or "."
     cut = cut_last_line(path, encoding="utf-8", delimiter="," if comma else "\t", decimal=decimal)
     if cut is None and not shown:
-        # The reader would otherwise leave a pickle together with the user's file, and trust one that it finds.
+        # The reader would otherwise leave a pickle next to the user's file, and trust one that it finds.
         content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
     else:
         sound = path.read_bytes()[: None if cut is None else cut[0]].decode("utf-8", errors="ignore")

@@ -79,7 +79,7 @@ def uncovered(mix: Mix, view: Sight, start: Floats, before: tuple[Floats32, Cell
 
 
 def doubtful(agreed: Floats, hidden: Cells) -> Cells:
-    """Cells that are hidden, or lie together with one that is and agree less than the rest: a body's edge is there."""
+    """Cells that are hidden, or lie next to one that is and agree less than the rest: a body's edge is there."""
     wide = np.pad(hidden.reshape(CELLS, CELLS), 1)
     around = [wide[1 + j : CELLS + 1 + j, 1 + i : CELLS + 1 + i] for j in (-1, 0, 1) for i in (-1, 0, 1)]
     usual = float(np.median(agreed[~hidden])) if not hidden.all() else 1.0
