@@ -7,7 +7,7 @@ import pytest
 
 from midspan.engine.row_messages import unmeasured_ends
 from midspan.recording.point import zero_instant
-from midspan.recording.tracked import CameraPlan
+from midspan.recording.tracked import TrackedCamera
 from midspan.recording.tracking.opening import where_it_sees
 from midspan.records import NANOSECONDS, Measured, nanoseconds
 
@@ -56,7 +56,7 @@ def tracked_camera(sensor, first_s, sees_from_s=None):
     view.sees_from_ns = None if sees_from_s is None else sees_from_s * NANOSECONDS
     target = SimpleNamespace(chain=SimpleNamespace(first_late_ns=0))
     tracking = SimpleNamespace(skipped=0, time_ns=stamps[stamps >= first_s * NANOSECONDS], targets=(target,))
-    return CameraPlan(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0), best_used=0),))
+    return TrackedCamera(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0), best_used=0),))
 
 
 def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():

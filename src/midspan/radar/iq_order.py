@@ -35,12 +35,12 @@ class OrderEvidence:
     halves_db: dict[str, float]
     eighths_db: dict[str, float]
     density: dict[str, float]
-    density_beside: dict[str, float]
+    density_alongside: dict[str, float]
     ghosts: tuple[tuple[float, float], ...] = ()
 
     def paired(self) -> tuple[str, str] | None:
         """The two orders of the pairing that shows, in all that is seen or in the targets alone, or None."""
-        for density in (self.density, self.density_beside):
+        for density in (self.density, self.density_alongside):
             first, second = (max(density[order] for order in pair) for pair in _PAIRINGS)
             if first > MIN_DENSITY * second:
                 return _PAIRINGS[0]
@@ -92,7 +92,7 @@ def weigh_orders(words: Words, layout: Layout) -> OrderEvidence:
         eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, (_, p) in power.items()},
         # What is attached lies near zero. Without its mean its ghost would outweigh it and speak for the wrong pairing.
         density=none | {order: float(whole @ whole) for order, (whole, _) in power.items()},
-        density_beside=none | {order: _density_beside(p) for order, (_, p) in power.items()},
+        density_alongside=none | {order: _density_alongside(p) for order, (_, p) in power.items()},
         ghosts=tuple(_ghosts(words, layouts[order]) for order in nearer),
     )
 
@@ -162,7 +162,7 @@ def _ghosts(words: Words, layout: Layout) -> tuple[float, float]:
     return share, float(np.sqrt(2.0 * np.sum(np.abs(expected) ** 2 * rest))) / power
 
 
-def _density_beside(power: Floats) -> float:
+def _density_alongside(power: Floats) -> float:
     """How densely shares of power (samples,) lie, 0 … 1, apart from what is attached and its ghost."""
     count = len(power)
     away = NEAR_ZERO if count > 8 * NEAR_ZERO else 0

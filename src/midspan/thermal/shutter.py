@@ -24,7 +24,7 @@ MAX_CLOSED_S = 3.0  # what lasts longer is no shutter but another scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterState:
-    """What is remembered: the last picture (every so many pixels) and its time, the usual contrast and step of the
+    """What is remembered: the last picture (every this many pixels) and its time, the usual contrast and step of the
     level in K, and the running segment of closed frames: how many, since when, and whether they were frozen.
     """
 
@@ -40,7 +40,7 @@ class ShutterState:
 @dataclass(frozen=True, slots=True)
 class ShutterVerdict:
     """Whether a frame may be tracked; `reopened`: the first one after the shutter, with another fixed pattern; `step_k`
-    by how much the level has jumped (0: not at all); and what is worth telling.
+    by how much the level has jumped (0: not at all); and what is worth reporting.
     """
 
     usable: bool
@@ -91,17 +91,17 @@ class ShutterWatch:
             usual += _LEARNING * (abs(change) - usual)
         contrast = self._usual_contrast(frame, _spread(now, _QUARTER))
         self.state = ShutterState(now, frame.time_ns, contrast, usual)
-        told = []
+        reported = []
         if reopened:
             text = (
                 f"the thermal camera's shutter was closed for {(frame.time_ns - state.since_ns) / NANOSECONDS:.2f} s "
                 f"({state.closed} frames); its level changed by {change:+.2f} K"
             )
-            told.append(Event(state.since_ns, "shutter", text))
+            reported.append(Event(state.since_ns, "shutter", text))
         elif stepped:
-            told.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
+            reported.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
         step = change if stepped or reopened else 0.0
-        return ShutterVerdict(True, reopened, step, tuple(told))
+        return ShutterVerdict(True, reopened, step, tuple(reported))
 
     def _usual_contrast(self, frame: Frame, now_k: float) -> float:
         """The usual contrast (K) after a frame of `now_k`: falls quickly, rises slowly, is new in a new scene."""

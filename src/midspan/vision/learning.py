@@ -23,7 +23,6 @@ PAD_PX = 8  # around the window: what low-pass and spline reach for
 SAME_PLACE_PX = 0.03  # frames nearer than this are one sample: the blur of it is 1e-4 of any frequency's amplitude
 MAX_SAMPLES = 48
 FIRST_LOOK = 8  # samples that show how large the noise is
-MIN_HALVED = 16  # samples: half of them still lie at eight places
 ROUNDS, ITERATIONS = 3, 6  # six preconditioned steps come nearer than twelve plain ones
 # Steps that lower the sum of squared differences by less than this share of a frame's noise variance a pixel change the
 # template by less than a seventh (the root) of its own noise: no more of them are made.
@@ -103,14 +102,11 @@ def learn_plane(samples: KeptSamples) -> Plane:
     items = _compiled(samples.items)
     grid = _core.refined(samples.items[0].pixels.astype(np.float64))
     penalty, least = FIRST_PENALTY, 0.0
-    # The first template only places the samples: half of them do for that.
-    some = samples.items[:: 2 if len(samples.items) >= MIN_HALVED else 1]
-    fitted, weights = _compiled(some), _weights(some)
-    count = np.array([float(item.count) for item in samples.items])
+    weights = _weights(samples.items)
     for turn in range(ROUNDS):
-        grid, steps = _fitted(fitted, weights, grid, penalty, least)
+        grid, steps = _fitted(items, weights, grid, penalty, least)
         items.place(grid)
-        fitted, weights = items, (*(_down_across(items.shifts)), count)
+        weights = (*(_down_across(items.shifts)), weights[2])
         if turn == 0:
             noise = _noise_variance(items.residual_square(grid, FIRST_LOOK))
             penalty = PENALTY_SHARE * noise / max(_core.roughness(grid), 1e-30)

@@ -78,7 +78,7 @@ class Switch:
         self.state = chosen, begun or max(mine, theirs) > 0.0, tuple(frames)
         if chosen == before or not begun:
             return None
-        why = f"{theirs:.3g} matches against {mine:.3g}" if light == "transition" else light
+        why = f"{theirs:.3g} matches next to {mine:.3g}" if light == "transition" else light
         return Event(time_ns, "switch", f"{self.sensors[before]} → {self.sensors[chosen]}: {why}")
 
 
