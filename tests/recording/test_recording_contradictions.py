@@ -3,13 +3,19 @@
 Recordings are written from physics: a sum of tones, its acceleration exact.
 """
 
+import contextlib
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
 import midspan
 from midspan.cli.main import run
+from midspan.errors import UntrustedError
 from midspan.notices import Severity
+from midspan.recording.estimate import refuse_unsettled
+from midspan.records import Event
 
 TONES_HZ, SHARE = np.array([0.7, 1.9, 4.1]), np.array([0.6, 0.3, 0.1])
 SLOW_HZ = np.array([0.25])
@@ -225,3 +231,17 @@ def test_a_radar_that_the_acceleration_contradicts_is_refused_with_the_time(tmp_
     said = capsys.readouterr().err
     assert "contradict" in said
     assert "25." in said or "24." in said
+
+
+@pytest.mark.parametrize(
+    ("kind", "share", "is_refused"),
+    [("acceleration", 0.25, True), ("acceleration", 0.1, False), ("spike", 0.25, False)],
+)
+def test_an_acceleration_called_wrong_among_very_many_wrong_values_is_refused(kind, share, is_refused):
+    # Two outliers that agree look like it: rows were 33 to 49 mm off at a stated 0.5, with exit code 0.
+    stamps = np.arange(1200, dtype=np.int64) * 100_000_000
+    wrong = {"displacement": stamps[: round(share * len(stamps))]}
+    first = SimpleNamespace(wrong=wrong, series=[{"displacement": SimpleNamespace(time_ns=stamps)}])
+    found = SimpleNamespace(events=[Event(int(stamps[600]), kind, "")])
+    with pytest.raises(UntrustedError, match="25 % of its values") if is_refused else contextlib.nullcontext():
+        refuse_unsettled(first, found)

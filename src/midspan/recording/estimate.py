@@ -271,9 +271,13 @@ def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanosecon
     return found
 
 
+# What the estimator cannot decide among many wrong values: a clock, a zero, or the acceleration that is wrong.
+UNSETTLED = ("clock", "level_shift", "acceleration", "reacquired")
+
+
 def refuse_unsettled(first: FirstPass, found: Found) -> None:
     """UntrustedError where values contradict the acceleration for long though many that are wrong were left out."""
-    events = [event for event in found.events if event.kind in ("clock", "level_shift")]
+    events = [event for event in found.events if event.kind in UNSETTLED]
     for name, stamps in first.wrong.items():
         share = len(stamps) / max(len(first.series[0][name].time_ns), 1)
         if share > MANY_LEFT_OUT and events:
