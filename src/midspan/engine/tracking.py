@@ -277,7 +277,7 @@ class CameraTracking:
         self.targets = kept
 
     def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
-        """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not reported."""
+        """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not stated."""
         settings, chain = self.settings, target.chain
         return SeenTarget(
             name=target.name,

@@ -118,7 +118,7 @@ class Recording:
 
     @property
     def exposure_s(self) -> float | None:
-        """The camera's exposure time, s; None where it is not reported."""
+        """The camera's exposure time, s; None where it is not stated."""
         camera = self.settings.first_camera
         return None if camera is None else camera.exposure_s
 

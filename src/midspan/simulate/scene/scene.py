@@ -15,7 +15,7 @@ from midspan.records import Floats
 
 SAMPLES = 8  # a pixel, along each axis
 LENS_PX = 0.6  # standard deviation of the lens blur of a good camera, px
-REACH_PX = 16.0  # largest translation that can be rendered, px, unless reported
+REACH_PX = 16.0  # largest translation that can be rendered, px, unless stated
 
 Image = NDArray[np.float32]
 
