@@ -11,6 +11,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import midspan
+from midspan.calibration.displacement.wrong_values import WrongValues
 from midspan.cli.main import run
 from midspan.errors import UntrustedError
 from midspan.notices import Severity
@@ -104,6 +105,27 @@ def test_a_crowd_of_outliers_to_one_side_is_named_and_left_out(share, tmp_path):
     result = midspan.estimate(site.displacement(tmp_path, STAMPS, value))
     assert any(line.code == "outliers" and "contradict" in line for line in result.warnings)
     held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
+@pytest.mark.parametrize("share", [0.15, 0.25, 0.35])
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_outliers_anywhere_cost_no_more_than_the_values_that_they_replace(seed, share, tmp_path):
+    # Some of them agree by chance with each other, or nearly with the motion.
+    site = Structure(seed)
+    value, wrong = site.noisy_mm(STAMPS), site.rng.random(len(STAMPS)) < share
+    value[wrong] = site.rng.uniform(-20.0, 20.0, np.count_nonzero(wrong))
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, value), method="smoother")
+    error = result.displacement_mm - site.moved_mm(result.time_s)
+    held(result, error)
+    assert not {event.kind for event in result.events} & {"clock", "level_shift", "acceleration", "reacquired"}
+    good = tmp_path / "good"
+    good.mkdir()
+    site = Structure(seed)
+    least = midspan.estimate(site.displacement(good, STAMPS[~wrong], site.noisy_mm(STAMPS)[~wrong]), method="smoother")
+    without = least.displacement_mm - site.moved_mm(least.time_s)
+    # Two draws of one error about a zero of one instant; outliers that remain may look like a slow error of the sensor,
+    # which takes half of what its values say of slow motion. A value taken wrongly leads rows away by ten deviations.
+    assert np.std(error) < 1.6 * np.std(without)
 
 
 def noisy_for_a_while(site, seed):
@@ -235,12 +257,13 @@ def test_a_radar_that_the_acceleration_contradicts_is_refused_with_the_time(tmp_
 
 @pytest.mark.parametrize(
     ("kind", "share", "is_refused"),
-    [("acceleration", 0.25, True), ("acceleration", 0.1, False), ("spike", 0.25, False)],
+    [("acceleration", 0.25, True), ("acceleration", 0.0, False), ("spike", 0.25, False)],
 )
-def test_an_acceleration_called_wrong_among_very_many_wrong_values_is_refused(kind, share, is_refused):
+def test_an_acceleration_called_wrong_among_many_outliers_is_refused(kind, share, is_refused):
     # Two outliers that agree look like it: rows were 33 to 49 mm off at a stated 0.5, with exit code 0.
     stamps = np.arange(1200, dtype=np.int64) * 100_000_000
-    wrong = {"displacement": stamps[: round(share * len(stamps))]}
+    crowd, held = np.split(stamps, [round(share * len(stamps))])
+    wrong = {"displacement": WrongValues(held[:5], crowd, share)}
     first = SimpleNamespace(wrong=wrong, series=[{"displacement": SimpleNamespace(time_ns=stamps)}])
     found = SimpleNamespace(events=[Event(int(stamps[600]), kind, "")])
     with pytest.raises(UntrustedError, match="25 % of its values") if is_refused else contextlib.nullcontext():

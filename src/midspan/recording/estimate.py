@@ -8,7 +8,7 @@ import numpy as np
 
 from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.displacement.learn import MANY_LEFT_OUT
-from midspan.calibration.displacement.wrong_values import wrong_values
+from midspan.calibration.displacement.wrong_values import WrongValues, wrong_values
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.scale_check import Sensed, fitting
 from midspan.calibration.sensors.displacement import DisplacementCalibration
@@ -23,7 +23,16 @@ from midspan.calibration.unfelt import (
 from midspan.checks import option, path_of
 from midspan.engine.channels import without_gain
 from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
-from midspan.engine.second_look import clocks, left_out_event, on_clock, on_its_clock, once_more, ran_apart, with_scales
+from midspan.engine.second_look import (
+    clocks,
+    left_out_event,
+    on_clock,
+    on_its_clock,
+    once_more,
+    ran_apart,
+    with_outliers,
+    with_scales,
+)
 from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_result, camera_series, series_at_instants
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
@@ -145,8 +154,8 @@ class Asked:
 class FirstPass:
     """What the engine gave, record by record: the axes, the cameras, the estimator and what came out of it.
 
-    cameras: the same as plain data; series: what each sensor measured along each axis, by its name; wrong: stamps (k,)
-    of the values of a displacement sensor that the whole record shows to be wrong, by its name.
+    cameras: the same as plain data; series: what each sensor measured along each axis, by its name; wrong: the values
+    of a displacement sensor that the whole record shows to be wrong, by its name.
     """
 
     sides: tuple[Side, ...]
@@ -156,16 +165,16 @@ class FirstPass:
     outcome: Outcome
     cameras: tuple[CameraResult, ...]
     series: tuple[dict[str, SensorSeries], ...]
-    wrong: Mapping[str, Nanoseconds] = field(default_factory=dict)
+    wrong: Mapping[str, WrongValues] = field(default_factory=dict)
 
     def at_instants(self, axis: int) -> dict[str, SensorSeries]:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
         are wrong.
         """
         series = dict(self.series[axis])
-        for name, stamps in self.wrong.items() if axis == 0 else ():
+        for name, wrong in self.wrong.items() if axis == 0 else ():
             one = series[name]
-            series[name] = replace(one, value_m=np.where(np.isin(one.time_ns, stamps), np.nan, one.value_m))
+            series[name] = replace(one, value_m=np.where(np.isin(one.time_ns, wrong.stamps), np.nan, one.value_m))
         return series_at_instants(series, self.estimator.settings.channels, axis, self.sides[axis].acceleration)
 
 
@@ -198,10 +207,14 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
     looks, ran = asked.on_series or asked.row.rows is Pass.SMOOTHED, dict[str, OneClock]()
+    wrong = _wrong(first)
     if looks or asked.given:
-        main, shared = first.sides[0], clocks_shared(first.sides[0])
-        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, shared)
-    wrong = _wrong(first, ran)
+        ran = _clocks(replace(first, wrong=wrong))
+        apart = {name for name in wrong if ran_apart(ran[name])}
+        if apart:
+            # A clock that runs apart explains the values.
+            wrong = {name: one for name, one in wrong.items() if name not in apart}
+            ran = _clocks(replace(first, wrong=wrong))
     if looks:
         first = replace(first, wrong=wrong)
     else:
@@ -257,41 +270,47 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
 MOST = 0.5
 
 
-def _wrong(first: FirstPass, ran: Mapping[str, OneClock]) -> dict[str, Nanoseconds]:
-    """As of `FirstPass`, where the first pass met values that contradict the acceleration and no clock does."""
+def _clocks(first: FirstPass) -> dict[str, OneClock]:
+    """How the sensors' clocks ran, by the values that are not wrong."""
+    main = first.sides[0]
+    return clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
+
+
+def _wrong(first: FirstPass) -> dict[str, WrongValues]:
+    """As of `FirstPass`, where the first pass met values that contradict the acceleration."""
     events = [*first.outcome.fusion_events, *first.outcome.sensor_events]
     if not any(event.kind in CONTRADICTS for event in events):
         return {}
     main, found = first.sides[0], {}
     for view, known in known_sensors(main):
-        if isinstance(known, DisplacementCalibration) and not (view.sensor in ran and ran_apart(ran[view.sensor])):
+        if isinstance(known, DisplacementCalibration):
             measured = first.series[0][view.sensor].displacement
-            if len(stamps := wrong_values(measured, main.acceleration)):
-                found[view.sensor] = stamps
+            wrong = wrong_values(measured, main.acceleration)
+            if len(wrong.stamps):
+                found[view.sensor] = wrong
     return found
 
 
-# What the estimator cannot decide among many wrong values: a clock, a zero, or the acceleration that is wrong.
-UNSETTLED = ("clock", "level_shift", "acceleration", "reacquired")
+# What the estimator cannot decide among many wrong values: whether a zero or the acceleration is wrong.
+UNSETTLED = ("level_shift", "acceleration", "reacquired")
 
 
 def refuse_unsettled(first: FirstPass, found: Found) -> None:
-    """UntrustedError where values contradict the acceleration for long though many that are wrong were left out."""
+    """UntrustedError where values contradict the acceleration for long besides a crowd of outliers."""
     events = [event for event in found.events if event.kind in UNSETTLED]
-    for name, stamps in first.wrong.items():
-        share = len(stamps) / max(len(first.series[0][name].time_ns), 1)
-        if share > MANY_LEFT_OUT and events:
+    for name, wrong in first.wrong.items():
+        if wrong.share and events:
             raise UntrustedError(
-                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and without "
-                f"them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may follow "
-                "something else at times, or its clock may step: cut the recording to a part in which it follows the "
-                "structure."
+                f"{name}: {100 * wrong.share:.0f} % of its values contradict the acceleration and the others, and "
+                f"without them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may "
+                "follow something else at times, or its zero may step: cut the recording to a part in which it follows "
+                "the structure."
             )
 
 
-def refuse_followed(first: FirstPass, wrong: Mapping[str, Nanoseconds]) -> None:
-    """UntrustedError where a causal method has accepted most of very many values that are wrong (k,), by sensor."""
-    for name, stamps in wrong.items():
+def refuse_followed(first: FirstPass, wrong: Mapping[str, WrongValues]) -> None:
+    """UntrustedError where a causal method has accepted most of very many values that are wrong, by sensor."""
+    for name, stamps in ((name, one.stamps) for name, one in wrong.items()):
         measured = first.outcome.measured_by(name)
         share = len(stamps) / max(len(measured.time_ns), 1)
         channels = np.unique(measured.channel)
@@ -357,13 +376,15 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     settings = with_scales(estimator.settings, off)
     if alone:
         settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
+    if share := max((wrong.share for wrong in first.wrong.values()), default=0.0):
+        settings = with_outliers(settings, share)
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart:
         settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.tracked_cameras, first.sensors, ran))
     if apart or first.wrong or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
-        for name, stamps in first.wrong.items():
-            blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, stamps))
+        for name, wrong in first.wrong.items():
+            blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, wrong.held))
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
         estimator, again = once_more(settings, estimator, tuple(blocks.values()))
         outcome = Outcome(again)
@@ -377,7 +398,7 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
             variance = variance + np.interp(one.time_ns, level.time_ns, level.std_m) ** 2
         rows.append(replace(one, variance_m2=variance))
     events = [event for clock in ran.values() for event in clock.events]
-    events += [left_out_event(name, stamps) for name, stamps in first.wrong.items()]
+    events += [left_out_event(name, wrong.held) for name, wrong in first.wrong.items() if len(wrong.held)]
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
     return replace(found, rows=tuple(rows), events=(*found.events, *events), warnings=warnings)
 

@@ -12,7 +12,7 @@ changes from moment to moment: a sensor or an accelerometer that is noisy for a 
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,28 +193,43 @@ def _noise_alone(left: Floats) -> float:
     return float(-0.5 * len(left) * np.log(2.0 * np.pi * np.e * max(float(np.mean(left**2)), 1e-300)))
 
 
-def wrong_values(measured: Displacement, acceleration: Acceleration) -> Nanoseconds:
+@dataclass(frozen=True, slots=True)
+class WrongValues:
     """Stamps (k,) of the values that contradict both the acceleration and the rest of the values.
 
-    measured: in metres on the accelerometer's clock. They are frozen, or stuck while their noise goes on, or a crowd of
-    outliers; a filter takes the first ones of them for motion.
+    held: they are frozen, or stuck while their noise goes on; a filter takes the first ones of them for motion. crowd:
+    outliers, more than a filter expects, which takes them for something else. share: of all values, the crowd's.
     """
+
+    held: Nanoseconds
+    crowd: Nanoseconds
+    share: float
+
+    @property
+    def stamps(self) -> Nanoseconds:
+        """All of them."""
+        return np.union1d(self.held, self.crowd)
+
+
+def wrong_values(measured: Displacement, acceleration: Acceleration) -> WrongValues:
+    """Which values of a displacement sensor are wrong; measured: in metres on the accelerometer's clock."""
     covered = inside(measured.time_ns, int(acceleration.time_ns[0]), int(acceleration.time_ns[-1]))
     time_ns, value = measured.time_ns[covered], measured.value_m[covered]
     if np.count_nonzero(np.isfinite(value)) < MIN_MEASUREMENTS:
-        return time_ns[:0]
+        return WrongValues(time_ns[:0], time_ns[:0], 0.0)
     first = int(time_ns[0])
     pushed = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
     shaken = np.column_stack((seconds(acceleration.time_ns, first), pushed, acceleration.noise_density))
-    wrong = stuck(seconds(time_ns, first), value, shaken, resolution_m=resolution(value))
-    rows = measured_rows(time_ns, value, np.where(wrong | ~np.isfinite(value), np.inf, 1.0), first)
+    held = stuck(seconds(time_ns, first), value, shaken, resolution_m=resolution(value))
+    rows = measured_rows(time_ns, value, np.where(held | ~np.isfinite(value), np.inf, 1.0), first)
     density = float(np.median(acceleration.noise_density))
     pair = Pair(shaken / np.array([1.0, 1.0, density]), rows, 1.0)
-    wrong |= crowd_of_outliers(pair)
+    crowd = crowd_of_outliers(pair)
     # Those of a sensor that is stuck, as all that are not wrong show.
     right = pair.rows.copy()
-    right[wrong, 2] = np.inf
+    right[held | crowd, 2] = np.inf
     if np.count_nonzero(np.isfinite(right[:, 2])) >= MIN_MEASUREMENTS:
         right_pair = Pair(pair.samples, right, 1.0)
-        wrong |= held_values(right_pair, best_corner(right_pair, 0.0), pair.rows)
-    return time_ns[wrong]
+        held |= held_values(right_pair, best_corner(right_pair, 0.0), pair.rows)
+    crowd &= ~held
+    return WrongValues(time_ns[held], time_ns[crowd], float(np.mean(crowd)))
