@@ -206,10 +206,10 @@ impl TargetChain {
         })
     }
 
-    /// The row of a frame in which nothing is to be looked for as it is dark; None of others.
-    fn dark(&mut self, pixels: &Bound<'_, PyAny>, time_ns: i64) -> PyResult<Option<PyRow>> {
-        let dark = with_image!(Pixels::of(pixels)?, image => self.0.watch.is_dark(image));
-        Ok(dark.then(|| py_row(&self.0.dark(time_ns))))
+    /// The row of a frame in which nothing is to be looked for, as it is dark or torn; None of others.
+    fn unseen(&mut self, pixels: &Bound<'_, PyAny>, time_ns: i64) -> PyResult<Option<PyRow>> {
+        let row = with_image!(Pixels::of(pixels)?, image => self.0.unseen(image, time_ns));
+        Ok(row.as_ref().map(py_row))
     }
 
     /// See [`Chain::first_late_ns`].

@@ -146,9 +146,9 @@ impl Chain {
         time_ns: i64,
         prediction: Option<Prediction>,
     ) -> Seen {
-        if self.watch.is_dark(image) {
+        if let Some(row) = self.unseen(image, time_ns) {
             tracker.learnable = false;
-            return Seen::Row(self.dark(time_ns));
+            return Seen::Row(row);
         }
         match tracker.track(*image, time_ns, self.shown(prediction)) {
             Look::Known(found) => self.push(image, time_ns, found).map_or(Seen::Outside, Seen::Row),
@@ -162,10 +162,10 @@ impl Chain {
         Some(self.row(time_ns, found, unseen))
     }
 
-    /// The row of a dark frame.
-    pub fn dark(&mut self, time_ns: i64) -> Row {
-        self.watch.dark();
-        self.row(time_ns, LOST, Some(Unseen::Dark))
+    /// The row of a frame in which nothing is to be looked for, dark or torn; None of others.
+    pub fn unseen<T: Storable>(&mut self, image: &Image<'_, T>, time_ns: i64) -> Option<Row> {
+        let why = self.watch.unseen(image)?;
+        Some(self.row(time_ns, LOST, Some(why)))
     }
 
     fn row(&self, time_ns: i64, found: Translation, unseen: Option<Unseen>) -> Row {

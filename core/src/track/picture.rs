@@ -185,6 +185,33 @@ pub fn frozen_texture<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left:
     texture(now, left, top, &stood)
 }
 
+/// What of a picture is bit for bit that of another one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PartStill {
+    /// The share of its texture, 0 to 1.
+    pub share: f64,
+    /// Whether what differs does so by more than twice the least difference (rms).
+    pub rest_moved: bool,
+}
+
+/// How much of the codec's blocks is still between two pictures of one size from one place, and what the rest does.
+pub fn part_still<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: usize) -> PartStill {
+    let found = frozen_texture(now, before, left, top);
+    if found.frozen == 0.0 {
+        return PartStill::default();
+    }
+    let (mut least, mut square, mut count) = (f64::INFINITY, 0.0, 0.0);
+    for r in 0..now.rows {
+        for (one, other) in now.row(r).iter().zip(before.row(r)) {
+            let off = f64::from(one.less(0.0) - other.less(0.0)).abs();
+            if off > 0.0 {
+                (least, square, count) = (least.min(off), square + off * off, count + 1.0);
+            }
+        }
+    }
+    PartStill { share: found.frozen / found.whole, rest_moved: square > 4.0 * count * least * least }
+}
+
 vectorised! {
 fn texture<T: Pixel>(picture: &Image<'_, T>, left: usize, top: usize, stood: &[bool]) -> Texture {
     let mut found = Texture::default();

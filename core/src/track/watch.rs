@@ -7,10 +7,14 @@ use super::image::{Image, Pixel, Region};
 use super::kept::{Kept, Storable};
 use super::light::is_dark;
 use super::light_watch::{LightMemory, LightWatch};
-use super::picture::same;
+use super::picture::{part_still, same};
 use super::picture_watch::{PictureMemory, PictureWatch};
 use serde::{Deserialize, Serialize};
 
+/// Share of the texture that is still from which on a frame is torn, and the most that usually is where a camera's noise
+/// lets none be.
+const TORN_SHARE: f64 = 0.03;
+const MAX_USUAL_SHARE: f64 = 0.01;
 /// Step of the rows and columns that tell a black frame from a lit one, and the rows looked at where a frame has more.
 const THINNED: usize = 4;
 const DARK_ROWS: usize = 60;
@@ -59,7 +63,8 @@ pub enum Unseen {
     /// The frame is black, which the reference is not: what a tracker found in its noise would be wrong.
     Dark,
     /// The region's picture is bit for bit the one before: a frozen camera, or a codec that skipped it. Even the second
-    /// equal picture says nothing of its own time, by which the target has moved on.
+    /// equal picture says nothing of its own time, by which the target has moved on. Or a part of it is that of the
+    /// last frame that was whole, while the rest has moved: a torn frame shows the target at two places.
     Frozen,
 }
 
@@ -79,9 +84,19 @@ pub struct Watched {
 pub struct WatchMemory {
     fair: FairVariance,
     before: Option<Kept>,
+    still: Option<Still>,
     frozen_frames: u64,
     light: Option<LightMemory>,
     picture: Option<(CodecMemory, PictureMemory)>,
+}
+
+/// Share of the texture that is that of the frame before.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct Still {
+    /// In the newest frame.
+    now: f64,
+    /// In the last one that was whole; None before the second.
+    usual: Option<f64>,
 }
 
 /// Takes a target's frames with what a tracker found in them.
@@ -90,8 +105,10 @@ pub struct Watch {
     /// Whether the reference is no dark frame.
     lit: bool,
     fair: FairVariance,
-    /// The region's pixels in the frame before.
+    /// The region's pixels in the last frame that was whole.
     before: Option<Kept>,
+    /// Of frames that leave nothing out; a codec leaves out what does not change.
+    still: Option<Still>,
     /// How many frames only repeated them.
     pub frozen_frames: u64,
     /// Where light is watched.
@@ -109,20 +126,38 @@ impl Watch {
             lit: !is_dark(reference, 1),
             fair: FairVariance::default(),
             before: None,
+            still: watched.lossless.then(Still::default),
             frozen_frames: 0,
             light: watched.light.then(|| LightWatch::new(reference, region)),
             picture: if watched.picture { PictureWatch::new(reference, region, watched.lossless) } else { None },
         })
     }
 
-    /// Whether nothing is to be looked for in a frame.
-    pub fn is_dark<T: Pixel>(&self, image: &Image<'_, T>) -> bool {
-        self.lit && is_dark(image, THINNED.max(image.rows / DARK_ROWS))
+    /// Why nothing is to be looked for in a frame, if so; such a frame is not pushed.
+    pub fn unseen<T: Storable>(&mut self, image: &Image<'_, T>) -> Option<Unseen> {
+        let why = if self.lit && is_dark(image, THINNED.max(image.rows / DARK_ROWS)) {
+            Unseen::Dark
+        } else if self.is_torn(image) {
+            self.frozen_frames += 1;
+            Unseen::Frozen
+        } else {
+            return None;
+        };
+        self.picture.iter_mut().for_each(PictureWatch::lost);
+        Some(why)
     }
 
-    /// A dark frame.
-    pub fn dark(&mut self) {
-        self.picture.iter_mut().for_each(PictureWatch::lost);
+    /// Whether a part of a frame is still, and the rest has moved since the last frame that was whole.
+    ///
+    /// Noise lets blocks of pixels be equal by chance only where it is less than a step of the values; where nothing
+    /// has moved, what differs then does so by one step.
+    fn is_torn<T: Storable>(&mut self, image: &Image<'_, T>) -> bool {
+        let Some(still) = &mut self.still else { return false };
+        let before = self.before.as_ref().and_then(Kept::image);
+        let Some((now, before)) = image.cut(self.region).zip(before) else { return false };
+        let part = part_still(&now, &before, self.region.x as usize, self.region.y as usize);
+        still.now = part.share;
+        still.usual.is_some_and(|usual| usual < MAX_USUAL_SHARE) && part.share > TORN_SHARE && part.rest_moved
     }
 
     /// What was found in a frame, with the variances that its picture allows, and why nothing is if so; None where the
@@ -162,6 +197,9 @@ impl Watch {
             self.frozen_frames += 1;
             return Some(true);
         }
+        if let Some(still) = &mut self.still {
+            still.usual = self.before.as_ref().map(|_| still.now);
+        }
         Kept::replace(&mut self.before, &now, self.region);
         Some(false)
     }
@@ -171,6 +209,7 @@ impl Watch {
         WatchMemory {
             fair: self.fair.clone(),
             before: self.before.clone(),
+            still: self.still,
             frozen_frames: self.frozen_frames,
             light: self.light.as_ref().map(|light| light.memory.clone()),
             picture: self.picture.as_ref().map(|one| (one.codec.memory().clone(), one.memory.clone())),
@@ -182,10 +221,12 @@ impl Watch {
     pub fn restore(&mut self, memory: WatchMemory) -> bool {
         let same_kind =
             memory.light.is_some() == self.light.is_some() && memory.picture.is_some() == self.picture.is_some();
+        let same_kind = same_kind && memory.still.is_some() == self.still.is_some();
         if !same_kind {
             return false;
         }
         (self.fair, self.before, self.frozen_frames) = (memory.fair, memory.before, memory.frozen_frames);
+        self.still = memory.still;
         if let (Some(light), Some(memory)) = (&mut self.light, memory.light) {
             light.memory = memory;
         }
@@ -198,6 +239,7 @@ impl Watch {
     /// Keeps what is usual of the first frames, before these are taken once more.
     pub fn keep_usual(&mut self) {
         (self.before, self.frozen_frames) = (None, 0);
+        self.still = self.still.map(|_| Still::default());
         if let Some(light) = &mut self.light {
             light.memory = LightMemory::default();
         }
@@ -283,12 +325,34 @@ mod tests {
     }
 
     #[test]
+    fn a_torn_frame_is_not_taken_until_it_is_whole_again() {
+        let whole = film(12);
+        let torn = |k: usize, before: usize| {
+            let cut = SIDE * SIDE / 2;
+            [&whole[k][..cut], &whole[before][cut..]].concat()
+        };
+        let mut watch = Watch::new(&image(&whole[0]), REGION, Watched { lossless: true, ..ALL }).unwrap();
+        let unseen = |watch: &mut Watch, k: usize, picture: &[u8]| {
+            let why = watch.unseen(&image(picture));
+            why.or_else(|| watch.push(&image(picture), k as i64, found(k)).unwrap().1)
+        };
+        for (k, picture) in whole.iter().enumerate() {
+            let is_torn = (4..9).contains(&k);
+            let why = if is_torn { unseen(&mut watch, k, &torn(k, 3)) } else { unseen(&mut watch, k, picture) };
+            assert_eq!(why, is_torn.then_some(Unseen::Frozen), "{k}");
+        }
+        // A part that is always still is the scene's.
+        let mut watch = Watch::new(&image(&whole[0]), REGION, Watched { lossless: true, ..ALL }).unwrap();
+        assert!((0..12).all(|k| unseen(&mut watch, k, &torn(k, 0)).is_none()));
+    }
+
+    #[test]
     fn dark_frames_are_seen_by_a_lit_reference_only_and_smaller_ones_are_refused() {
         let [picture, black] = [film(1).remove(0), vec![2u8; SIDE * SIDE]];
         let mut lit = Watch::new(&image(&picture), REGION, ALL).unwrap();
-        assert!(lit.is_dark(&image(&black)) && !lit.is_dark(&image(&picture)));
-        let night = Watch::new(&image(&black), REGION, ALL).unwrap();
-        assert!(!night.is_dark(&image(&black)));
+        assert_eq!([&black, &picture].map(|one| lit.unseen(&image(one))), [Some(Unseen::Dark), None]);
+        let mut night = Watch::new(&image(&black), REGION, ALL).unwrap();
+        assert!(night.unseen(&image(&black)).is_none());
         let small = Image::new(&picture, 60, 60, SIDE).unwrap();
         assert!(lit.push(&small, 0, found(1)).is_none());
         assert!(Watch::new(&small, REGION, ALL).is_none());

@@ -104,7 +104,7 @@ class TargetChain:
 
     @property
     def frozen_frames(self) -> int:
-        """How many of the frames so far only repeated the one before."""
+        """How many of the frames so far repeated the one before, or a part of it."""
         return self._core.frozen_frames
 
     @property
@@ -120,14 +120,14 @@ class TargetChain:
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """The translation in `frame` in pixels of the ideal camera, dated by the row that the target lies in.
 
-        prediction: the same, of this frame. The target is LOST in the dark and where the picture is the one before once
-        more.
+        prediction: the same, of this frame. The target is LOST in the dark and where the picture, or a part of it,
+        is the one before once more.
         """
         core, tracker = self._core, self.tracker
         events: tuple[Event, ...] = ()
         try:
             if tracker.core is None:
-                row = core.dark(frame.pixels, frame.time_ns)
+                row = core.unseen(frame.pixels, frame.time_ns)
             else:
                 row = core.track(tracker.core, frame.pixels, frame.time_ns, prediction)
                 if tracker.core.learnable:

@@ -60,6 +60,8 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
     return Begun(0, "", _closing(source.frames(first, last)))
 
 
+# Pixels that are not finite leave none of what is computed here finite, and such a frame is not skipped.
+@np.errstate(invalid="ignore")
 def _unusable_temperatures(
     source: FrameSource, used: slice, regions: Sequence[Region], opening: Frame
 ) -> tuple[int, str]:

@@ -237,7 +237,7 @@ def open_tracker(name: str, reference: Frame, region: Region | Sequence[int], se
 
     `name` is a key of TRACKERS; `settings` is that tracker's settings record, its defaults when left out.
     Raises UsageError for an unknown name, a region outside the image or without texture; DataError for a frame that is
-    not one image plane.
+    not one image plane of real numbers.
     """
     entry, region = TRACKERS[option("tracker", name, TRACKERS)], region_of(region)
     instance("reference", reference, Frame, "a Frame", "Frame(time_ns, pixels) makes one of an array.")
@@ -246,6 +246,8 @@ def open_tracker(name: str, reference: Frame, region: Region | Sequence[int], se
             f"A frame must be one image plane (rows, columns); received an array of shape {reference.pixels.shape}. "
             "Give the luma plane."
         )
+    if reference.pixels.dtype.kind not in "buif":
+        raise DataError(f"A frame must hold real numbers; received an array of {reference.pixels.dtype}.")
     rows, columns = reference.pixels.shape
     check_region(region, columns, rows)
     known = getattr(importlib.import_module(entry.module), entry.settings)

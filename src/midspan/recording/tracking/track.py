@@ -16,7 +16,7 @@ from midspan.notices import Notice, notice_trees
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
 from midspan.recording.tracking.opening import levels_of, settings_of
-from midspan.records import PixelTrack, Region, Status, seconds
+from midspan.records import Nanoseconds, PixelTrack, Region, Status, joined, part, seconds
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.messages import in_words_of, renamed
 from midspan.sinks.table import ResultTable
@@ -25,6 +25,7 @@ from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.region import region_of
+from midspan.vision.target import lost
 from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 
 if TYPE_CHECKING:
@@ -33,14 +34,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """The first target's track (one row a frame), its region, and what is worth reporting; `tracking` has the
-    others."""
+    """The targets' tracks (one row a frame), the first one's region, and what is worth reporting."""
 
-    track: PixelTrack
+    tracks: tuple[PixelTrack, ...]
     region: Region
     tracker: str
     warnings: tuple[Notice, ...]
     tracking: CameraTracking = field(repr=False)
+
+    @property
+    def track(self) -> PixelTrack:
+        """The first target's track."""
+        return self.tracks[0]
 
     def __repr__(self) -> str:
         lost, place = int(np.count_nonzero(self.track.status == Status.LOST)), ", ".join(map(str, _listed(self.region)))
@@ -57,9 +62,9 @@ class Tracked:
     def table(self) -> ResultTable:
         """The columns of a track file."""
         columns: dict[str, Any] = {"time_s": seconds(self.track.time_ns, 0)}
-        for number, target in enumerate(self.tracking.targets):
+        for number, (target, track) in enumerate(zip(self.tracking.targets, self.tracks, strict=True)):
             # The first target has the plain names; the others' end with their own.
-            track, end = target.track, "" if number == 0 else f"_{target.name}"
+            end = "" if number == 0 else f"_{target.name}"
             columns |= {
                 f"x_px{end}": track.x_px,
                 f"y_px{end}": track.y_px,
@@ -123,16 +128,32 @@ def track(
         while block := tracking.take_block(len(tracking.time_ns)):
             tracking.push_block(block)
         tracking.close()
-        rows = tracking.tracks
+        rows = tuple(_with_those_passed_over(one, tracking.time_ns) for one in tracking.tracks)
     progress(1, 1, "tracking")
     warnings += [renamed(line, settings.sensor) for line in tracking.warnings("xy")]
     for target, found in zip(tracking.targets, rows, strict=True):
-        lost = int(np.count_nonzero(found.status == Status.LOST))
-        if lost:
+        count = int(np.count_nonzero(found.status == Status.LOST))
+        if count:
             which = "The target" if len(rows) == 1 else f"Target {target.name}"
-            text = f"{which} was lost in {lost} of {len(found.time_ns)} frames; their values are empty."
+            text = f"{which} was lost in {count} of {len(found.time_ns)} frames; their values are empty."
             warnings.append(Notice("lost", text))
-    return Tracked(rows[0], tracking.targets[0].region, settings.tracker, tuple(warnings), tracking)
+    return Tracked(rows, tracking.targets[0].region, settings.tracker, tuple(warnings), tracking)
+
+
+def _with_those_passed_over(track: PixelTrack, time_ns: Nanoseconds) -> PixelTrack:
+    """A track with a LOST row for each frame of these stamps (n,) that has none, as it could not be read.
+
+    Rows are later than their frames by up to a read-out.
+    """
+    near = np.searchsorted(track.time_ns, time_ns)
+    before, after = (track.time_ns[np.clip(near - k, 0, len(track.time_ns) - 1)] for k in (1, 0))
+    late_ns = np.median(track.time_ns[:1]) - time_ns[0]
+    off = np.minimum(np.abs(time_ns + late_ns - before), np.abs(time_ns + late_ns - after))
+    missed = time_ns[off > 0.5 * np.median(np.diff(time_ns))]
+    if not len(missed):
+        return track
+    whole = joined((track, PixelTrack.stack([lost(int(stamp)) for stamp in missed])))
+    return part(whole, np.argsort(whole.time_ns, kind="stable"))
 
 
 def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, TrackingSettings, list[Notice]]:

@@ -144,7 +144,9 @@ def luma(image: NDArray[np.generic], reversed_colours: bool) -> NDArray[np.gener
         mixed = colours.astype(np.float32) @ weights
         image = np.rint(mixed).astype(image.dtype) if image.dtype.kind in "iu" else mixed
     if image.dtype not in (np.uint8, np.uint16, np.float32):
-        image = image.astype(np.uint8 if image.dtype in (np.bool_, np.int8) else np.float32)
+        # What single precision cannot hold is no picture's value: it becomes infinite, a pixel without one.
+        with np.errstate(over="ignore"):
+            image = image.astype(np.uint8 if image.dtype in (np.bool_, np.int8) else np.float32)
     return np.ascontiguousarray(image)
 
 
