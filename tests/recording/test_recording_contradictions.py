@@ -128,6 +128,19 @@ def test_outliers_anywhere_cost_no_more_than_the_values_that_they_replace(seed, 
     assert np.std(error) < 1.6 * np.std(without)
 
 
+@pytest.mark.parametrize("method", ["lag", "kalman"])
+@pytest.mark.parametrize("wrong", [[0], [0, 3], [1, 3, 4]])
+def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_may_be(wrong, method, tmp_path):
+    for seed in (41, 42):
+        site = Structure(seed)
+        value = site.noisy_mm(STAMPS)
+        value[wrong] += site.rng.uniform(-20.0, 20.0, len(wrong))
+        folder = tmp_path / f"{seed}"
+        folder.mkdir()
+        result = midspan.estimate(site.displacement(folder, STAMPS, value), method=method)
+        held(result, result.displacement_mm - site.moved_mm(result.time_s))
+
+
 def noisy_for_a_while(site, seed):
     """A displacement sensor whose noise is five times as large from 20 to 35 s."""
     rng = np.random.default_rng(seed)

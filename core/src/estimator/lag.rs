@@ -9,7 +9,9 @@
 
 use super::cause::Decision;
 use super::decided::{Decided, Log};
+use super::hypothesis::Hypothesis;
 use super::innovation::{Mixed, Work};
+use super::layout::{MOTION_STATES, motion_of};
 use super::model::{Model, instant, since};
 use super::rows::{Output, Rows};
 use super::run::{Block, Filter, Judge};
@@ -207,6 +209,7 @@ impl Lag {
         let (samples, mut end) = (log.samples.view(), log.samples.len());
         let count = (self.given..due).filter(|&k| samples.is_row(k, first_ns)).count();
         let mut place = rows.add_zeros(model.axes(), count);
+        let alternatives = Alternatives::of(&self.estimator);
         for piece in self.pieces.iter().rev() {
             let first = end - piece.way.len();
             let own = first.max(self.given)..end.min(due).max(first);
@@ -216,6 +219,9 @@ impl Lag {
                 if samples.is_row(first + k, first_ns) {
                     place -= 1;
                     rows.put(place, samples.time_ns[first + k], one, |a| piece.way.status(k, a));
+                    if let Some(alternatives) = &alternatives {
+                        alternatives.widen(rows, place, since(samples.time_ns[first + k], log.origin_ns));
+                    }
                 }
             }
             if first <= self.given {
@@ -304,6 +310,54 @@ impl Lag {
         }
         log.filters.clear();
         self.given = due - dropped;
+    }
+}
+
+/// What else the motion may have been where hypotheses are not decided yet: by how much each differs from the best.
+struct Alternatives {
+    /// Since when they have not one past, s.
+    since_s: f64,
+    now_s: f64,
+    /// Its probability, and along each axis the differences of displacement, velocity and bias now.
+    others: Vec<(f64, Vec<[f64; MOTION_STATES]>)>,
+}
+
+impl Alternatives {
+    fn of(estimator: &Estimator) -> Option<Self> {
+        let (since_s, filter) = (estimator.memory.undecided.first_s()?, estimator.memory.filter.as_ref()?);
+        let (model, hyps) = (&estimator.model, filter.hyps.all());
+        let weight = |hyp: &Hypothesis| hyp.memory.weight.exp();
+        let total: f64 = hyps.iter().map(weight).sum();
+        let motion = |hyp: &Hypothesis, axis: usize| {
+            let state = |j: usize| {
+                let sensitivities = &hyp.x.row(j)[1..];
+                hyp.x[(j, 0)] + sensitivities.iter().zip(&hyp.parameters).map(|(one, value)| one * value).sum::<f64>()
+            };
+            let datum = model.datum.as_ref().map_or(0.0, |datum| state(datum[axis]));
+            let i = motion_of(axis);
+            [state(i) - datum, state(i + 1), state(i + 2)]
+        };
+        let best: Vec<_> = (0..model.axes()).map(|a| motion(&hyps[0], a)).collect();
+        let off = |hyp: &Hypothesis| {
+            let apart = |a: usize| std::array::from_fn(|j| motion(hyp, a)[j] - best[a][j]);
+            (weight(hyp) / total, (0..model.axes()).map(apart).collect())
+        };
+        Some(Self { since_s, now_s: filter.clock.time_s, others: hyps[1..].iter().map(off).collect() })
+    }
+
+    /// Adds to the variances of a row at a time (s) what the alternatives are apart there: all of them follow the same
+    /// acceleration.
+    fn widen(&self, rows: &mut Rows, place: usize, at_s: f64) {
+        if at_s < self.since_s {
+            return;
+        }
+        let ago_s = self.now_s - at_s;
+        for (weight, apart) in &self.others {
+            for (out, [moved, speed, bias]) in rows.axes.iter_mut().zip(apart) {
+                let off = moved - speed * ago_s - 0.5 * bias * ago_s * ago_s;
+                out.variance[place] += weight * off * off;
+            }
+        }
     }
 }
 

@@ -205,8 +205,8 @@ const FIRST_MEASUREMENTS: usize = 8;
 const FIRST_S: f64 = 2.0;
 /// A zero longer before the first measurement than this (s) is not followed from there: the rows count from the latter.
 const MAX_BEFORE_S: f64 = 10.0;
-/// A measurement counts from this long (s) before the first sample on: clocks are known to milliseconds.
-const BEFORE_SAMPLES_S: f64 = 0.005;
+/// A first measurement before the first sample counts when it is no more than this (s) before it.
+const BEFORE_SAMPLES_S: f64 = 2.0;
 
 impl Estimator {
     /// Starts once enough measurements are there; until then holds the samples from before the first one on.

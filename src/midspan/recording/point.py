@@ -37,9 +37,6 @@ BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
 # and at the start by as much as it drifts in a calibration's minute.
 WALK_S, DRIFT_S = 10.0, 60.0
 
-# A frame counts from this long before the first sample on, as the estimator does it (`start.rs`).
-BEFORE_SAMPLES_NS = 5_000_000
-
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
     """What is usual of an axis's acceleration: as calibrated, where the calibration tells it."""
@@ -89,27 +86,24 @@ def zero_instant(
     sensors: Mapping[str, Sensor],
     ran: Mapping[str, OneClock] | None = None,
 ) -> int | None:
-    """The instant (ns) that the displacement counts from: a camera's first frame from the first sample of the
-    acceleration on, at its target's row, or a radar's; None: the sensor's own zero.
+    """The instant (ns) that the displacement counts from: a camera's first frame, at its target's row, or a radar's;
+    None: the sensor's own zero.
 
     sensors: the stages by name. ran: how the sensors' clocks ran, by name, where that is known. Of two cameras the
     first one's; where that one was dark when it began, the first frame of either.
     """
     offsets_ns = clock_offsets_ns(main, tracked_cameras)
-    sampled_ns = int(main.acceleration.time_ns[0]) - BEFORE_SAMPLES_NS
-    firsts = [(one.sensor, one.zero_ns(sampled_ns - offsets_ns[one.sensor])) for one in tracked_cameras]
+    firsts = [(tracked_camera.sensor, tracked_camera.zero_ns) for tracked_camera in tracked_cameras]
     if not tracked_cameras:
         # The first sensor's zero is that of the displacement.
         view, radar = next((view, sensors[view.sensor]) for view, _ in known_sensors(main))
         if isinstance(radar, RadarSensor):
             # Its phase counts from the first frame used, which is looked for and given up again.
             before = radar.chain.state
-            pushed = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
-            seen = (each for one in pushed if one.status == Status.TRACKING for each in (*one.earlier, one))
-            since_ns = sampled_ns - offsets_ns[view.sensor]
-            first = next((one for one in seen if one.time_ns >= since_ns), None)
+            seen = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
+            first = next((one for one in seen if one.status == Status.TRACKING), None)
             radar.chain.restore(before)
-            firsts = [] if first is None else [(view.sensor, first.time_ns)]
+            firsts = [] if first is None else [(view.sensor, (*first.earlier, first)[0].time_ns)]
     stamps = [
         stamp if ran is None else ran[name].first_ns(stamp)
         for name, stamp in ((name, stamp + offsets_ns[name]) for name, stamp in firsts)

@@ -44,14 +44,11 @@ class TrackedCamera:
         """The camera's name."""
         return self.view.sensor
 
-    def zero_ns(self, since_ns: int) -> int:
-        """The instant (ns on its own clock) at which the rows of its best target were exposed in the first frame that
-        was exposed at an instant or later; in the first one used where that is none.
-        """
+    @property
+    def zero_ns(self) -> int:
+        """The instant (ns on its own clock) at which the rows of its best target were exposed in the first frame."""
         best = self.calibrations[0].best_used
-        exposed_ns = self.tracking.time_ns + self.tracking.targets[best].chain.first_late_ns
-        first = int(np.searchsorted(exposed_ns, since_ns))
-        return int(exposed_ns[first if first < len(exposed_ns) else 0])
+        return int(self.tracking.time_ns[0]) + self.tracking.targets[best].chain.first_late_ns
 
     @property
     def begins_dark(self) -> bool:
