@@ -9,12 +9,14 @@ use super::light::is_dark;
 use super::light_watch::{LightMemory, LightWatch};
 use super::picture::{part_still, same};
 use super::picture_watch::{PictureMemory, PictureWatch};
+use super::running_median::RunningMedian;
 use serde::{Deserialize, Serialize};
 
-/// Share of the texture that is still from which on a frame is torn, and the most that usually is where a camera's noise
-/// lets none be.
-const TORN_SHARE: f64 = 0.03;
+/// Share of the texture that is still from which on a frame is torn, and the most that usually is, over so many frames:
+/// a camera's noise lets none be.
+const TORN_SHARE: f64 = 0.05;
 const MAX_USUAL_SHARE: f64 = 0.01;
+const USUAL_FRAMES: usize = 9;
 /// Step of the rows and columns that tell a black frame from a lit one, and the rows looked at where a frame has more.
 const THINNED: usize = 4;
 const DARK_ROWS: usize = 60;
@@ -91,12 +93,12 @@ pub struct WatchMemory {
 }
 
 /// Share of the texture that is that of the frame before.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Still {
     /// In the newest frame.
     now: f64,
-    /// In the last one that was whole; None before the second.
-    usual: Option<f64>,
+    /// In the last ones that were whole.
+    usual: RunningMedian<USUAL_FRAMES>,
 }
 
 /// Takes a target's frames with what a tracker found in them.
@@ -107,7 +109,7 @@ pub struct Watch {
     fair: FairVariance,
     /// The region's pixels in the last frame that was whole.
     before: Option<Kept>,
-    /// Of frames that leave nothing out; a codec leaves out what does not change.
+    /// Of frames that leave nothing out; a codec leaves out what hardly changes.
     still: Option<Still>,
     /// How many frames only repeated them.
     pub frozen_frames: u64,
@@ -157,7 +159,7 @@ impl Watch {
         let Some((now, before)) = image.cut(self.region).zip(before) else { return false };
         let part = part_still(&now, &before, self.region.x as usize, self.region.y as usize);
         still.now = part.share;
-        still.usual.is_some_and(|usual| usual < MAX_USUAL_SHARE) && part.share > TORN_SHARE && part.rest_moved
+        still.usual.value() < MAX_USUAL_SHARE && part.share > TORN_SHARE && part.rest_moved
     }
 
     /// What was found in a frame, with the variances that its picture allows, and why nothing is if so; None where the
@@ -197,8 +199,8 @@ impl Watch {
             self.frozen_frames += 1;
             return Some(true);
         }
-        if let Some(still) = &mut self.still {
-            still.usual = self.before.as_ref().map(|_| still.now);
+        if let Some(still) = self.still.as_mut().filter(|_| self.before.is_some()) {
+            still.usual.push(still.now);
         }
         Kept::replace(&mut self.before, &now, self.region);
         Some(false)
@@ -209,7 +211,7 @@ impl Watch {
         WatchMemory {
             fair: self.fair.clone(),
             before: self.before.clone(),
-            still: self.still,
+            still: self.still.clone(),
             frozen_frames: self.frozen_frames,
             light: self.light.as_ref().map(|light| light.memory.clone()),
             picture: self.picture.as_ref().map(|one| (one.codec.memory().clone(), one.memory.clone())),
@@ -239,7 +241,7 @@ impl Watch {
     /// Keeps what is usual of the first frames, before these are taken once more.
     pub fn keep_usual(&mut self) {
         (self.before, self.frozen_frames) = (None, 0);
-        self.still = self.still.map(|_| Still::default());
+        self.still = self.still.as_ref().map(|_| Still::default());
         if let Some(light) = &mut self.light {
             light.memory = LightMemory::default();
         }
