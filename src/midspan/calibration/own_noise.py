@@ -35,11 +35,6 @@ MIN_GAIN = 10.0
 # Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
 # this many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
 STRONG, MAX_ORDINATES, LEAKED = 3.0, 24, 0.02
-# What may err on its own in a sensor other than the accelerometer, in words.
-OF_THE_SENSOR = {
-    "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
-    "displacement": "slow errors, or a mounting that moves",
-}
 
 
 def noise_floor(value: Floats) -> float:
@@ -156,8 +151,8 @@ def _wave(time_s: Floats, shape: Callable[[Floats], Floats], hertz: float) -> Fl
     return np.asarray(shape(2.0 * np.pi * hertz * time_s))
 
 
-def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:
-    """A sentence where what differs is far more than the accelerometer's own noise."""
+def strange_noise(pair: Pair, fit: Fit, sensor: str, causes: str) -> list[Notice]:
+    """A sentence where what differs is far more than the accelerometer's own noise; causes: what in the sensor errs."""
     if not exceeds_own_noise(pair, fit):
         return []
     implied, own = (
@@ -169,6 +164,6 @@ def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:
         f"fast parts of its readings have {1e3 * own:.2g} mm/s² at most; the band takes it for its noise. Nothing "
         "tells which of the two errs. On the accelerometer's part it may be a bias that drifts (1/f noise), cross "
         "motion that an inclined axis picks up, a mounting that vibrates, clipped crests, or a low-pass in the logger, "
-        f"which hides its fast noise; on the {sensor}'s part {OF_THE_SENSOR[sensor]}."
+        f"which hides its fast noise; on the {sensor}'s part {causes}."
     )
     return [Notice("accelerometer-noisy", text)]

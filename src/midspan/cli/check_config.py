@@ -30,12 +30,7 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     for name, quantity, section in [*_channels(settings), ("reference", "displacement", settings.reference)]:
         if section is not None and section.unit is not None:
             _check_unit(section, quantity, f"{path}: {name}")
-    sections = (
-        ("accelerometer", settings.accelerometer),
-        *((sensor.name, sensor.settings) for sensor in settings.sensors),
-        ("reference", settings.reference),
-    )
-    for name, part in sections:
+    for name, _, part in [*settings.streams, ("reference", "", settings.reference)]:
         for key in ("file", "config"):
             file_name = getattr(part, key, None)
             if file_name is None or any(sign in file_name for sign in "*?["):
@@ -75,10 +70,10 @@ def _check_unit(section: Any, quantity: str, where: str) -> None:
 
 
 def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
-    """Name, quantity and section of the accelerometer and each displacement sensor."""
-    plain = [one for one in settings.sensors if one.kind == "displacement"]
-    own = [("accelerometer", "acceleration", settings.accelerometer)]
-    return [*own, *((one.name, "displacement", one.settings) for one in plain)]
+    """Name, quantity and section of the accelerometer and each sensor that brings readings."""
+    from midspan.settings.kinds import LIVE
+
+    return [(name, LIVE[kind].quantity, section) for name, kind, section in settings.streams if LIVE[kind].quantity]
 
 
 def _site(file: str, console: Console) -> None:

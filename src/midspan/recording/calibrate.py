@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from midspan.calibration.camera.calibrate import CameraFit
-from midspan.calibration.displacement.sensor import DisplacementFit
-from midspan.calibration.radar.calibrate import RadarFit
 from midspan.calibration.scale import uncertain_scale
-from midspan.calibration.sensors.fit import Bias
+from midspan.calibration.sensors.fit import Bias, SensorFit
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
@@ -102,11 +99,11 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     return calibration, together(seen)
 
 
-def _fitted(view: Recording, progress: Progress) -> CameraFit | RadarFit | DisplacementFit:
+def _fitted(view: Recording, progress: Progress) -> SensorFit[Any, Any]:
     """What is estimated of a sensor that is no camera, in words with its name."""
     with in_words_of(view.sensor):
         fit = ROWS[view.kind].calibrate(view, progress)
-    own: Any = replace(fit.calibration, name=view.own.settings.name)
+    own = replace(fit.calibration, name=view.own.settings.name)
     return replace(fit, calibration=own, warnings=tuple(renamed(line, view.sensor) for line in fit.warnings))
 
 

@@ -22,8 +22,6 @@ from midspan.settings.messages import in_words_of, renamed
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 
-SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
-
 
 @dataclass(frozen=True, slots=True)
 class SeenBy:
@@ -94,7 +92,7 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
             tracking, parts = _taught(view, tracking, parts, progress)
         parts = tuple(_named(view, tracking, part) for part in parts)
     reported = [Notice("window-moved", line) for line in moved]
-    if view.kind == "infrared" and is_grey(view):
+    if isinstance(view.own.settings, InfraredSettings) and is_grey(view):
         reported.append(Notice("thermal", f"infrared: {AGC_NOTE}."))
     else:
         # Of these the scale factor suffers.
@@ -209,7 +207,7 @@ def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> Camera
     seen = (tracker.limits.low_c, tracker.limits.high_c) if isinstance(tracker, ThermalTarget) else None
     own = replace(
         part.calibration,
-        source=SOURCES[view.kind],
+        source=Source[view.kind.upper()],
         name=view.own.settings.name,
         temperature_range_c=seen,
         diagnostics=part.diagnostics,

@@ -11,7 +11,6 @@ from midspan.calibration.displacement.learn import MANY_LEFT_OUT
 from midspan.calibration.displacement.wrong_values import WrongValues, wrong_values
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.scale_check import Sensed, fitting
-from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.unfelt import (
     measured_rows,
     refuse_contradicted,
@@ -44,22 +43,22 @@ from midspan.fusion.streams import MethodSettings
 from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.kinds import ROWS
+from midspan.recording.kinds import ROWS, printed_by
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors, open_tracked_cameras, side_of
-from midspan.records import Estimate, Event, Innovation, Nanoseconds, Source, part
+from midspan.records import Estimate, Event, Innovation, Nanoseconds, Readings, part
+from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
-# What stands in `papers`, above this room: methods over one series of displacements, and the printed radar.
+# What stands in `papers`, above this room: methods over one series of displacements.
 ON_SERIES = "midspan.papers.printed.one_series:on_series"
-PRINTED_RADAR = "midspan.papers.printed.radar:estimate_printed"
 # Events of a first pass that may come of values that are wrong.
 CONTRADICTS = frozenset({"rejected", "clock", "level_shift", "acceleration", "reacquired", "frozen", "lost", "noise"})
 
@@ -101,8 +100,8 @@ def estimate(
     recording = opened(recording)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    if recording.has("radar") and recording.settings.fusion.literal:
-        printed: Result = named(PRINTED_RADAR)(recording, calibration, method, progress)
+    if recording.settings.fusion.literal and (whole := printed_by(recording)):
+        printed: Result = named(whole)(recording, calibration, method, progress)
         return printed
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
@@ -282,8 +281,8 @@ def _wrong(first: FirstPass) -> dict[str, WrongValues]:
     if not any(event.kind in CONTRADICTS for event in events):
         return {}
     main, found = first.sides[0], {}
-    for view, known in known_sensors(main):
-        if isinstance(known, DisplacementCalibration):
+    for view, _ in known_sensors(main):
+        if KINDS[view.kind].brings is Readings:
             measured = first.series[0][view.sensor].displacement
             wrong = wrong_values(measured, main.acceleration)
             if len(wrong.stamps):
@@ -493,7 +492,7 @@ def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
     density = estimator.settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
     steps_ns = [event.time_ns for event in found.events if event.kind == "clock"]
     for view, known in known_sensors(main):
-        if view.kind == Source.RADAR.word:
+        if view.sensor in first.outcome.radars:
             # Stamps (k,) of frames in which none of its targets was measured.
             measured = first.outcome.measured_by(view.sensor)
             unseen_ns = np.setdiff1d(measured.time_ns, measured.time_ns[np.isfinite(measured.value)])
@@ -521,8 +520,7 @@ def clocks_shared(main: Side) -> set[str]:
     """Names of the displacement sensors whose clock is the accelerometer's, as is said or as the calibration says."""
     found = set()
     for view, known in known_sensors(main):
-        section = view.settings.displacement
-        if isinstance(known, DisplacementCalibration) and section is not None:
+        if (section := view.settings.displacement) is not None:
             one = known.offset.value_s == 0.0 and known.clock_rate == 0.0
             if section.estimate_offset is False or (section.estimate_offset is None and one):
                 found.add(view.sensor)

@@ -6,7 +6,9 @@ from functools import partial
 from midspan.errors import MidspanError
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
-from midspan.records import Nanoseconds
+from midspan.records import Frame, Nanoseconds, RangeFrame, Readings
+from midspan.settings.camera import InfraredSettings
+from midspan.settings.kinds import KINDS
 from midspan.sources.inspect import Tree, acceleration_tree, frames_tree, overlap, radar_tree, series_tree
 
 
@@ -41,13 +43,14 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
         if across is not None and across.fused:
             # The column along the second image axis.
             yield f"accelerometer_{across.axis}", file, lambda: acceleration_tree(across.acceleration)
-    readers: dict[str, Callable[[Recording], tuple[Tree, Nanoseconds]]] = {
-        "camera": lambda view: frames_tree(view.frames, every_frame, progress),
-        "infrared": lambda view: frames_tree(view.frames, every_frame, progress, thermal=True),
-        "radar": lambda view: radar_tree(view.radar, every_frame, progress),
-        "displacement": lambda view: series_tree(view.displacement, "m"),
+    readers: dict[type, Callable[[Recording], tuple[Tree, Nanoseconds]]] = {
+        Frame: lambda view: frames_tree(
+            view.frames, every_frame, progress, thermal=isinstance(view.own.settings, InfraredSettings)
+        ),
+        RangeFrame: lambda view: radar_tree(view.radar, every_frame, progress),
+        Readings: lambda view: series_tree(view.displacement, "m"),
     }
     for view in recording.views:
-        yield view.sensor, view.own.settings.file, partial(readers[view.kind], view)
+        yield view.sensor, view.own.settings.file, partial(readers[KINDS[view.kind].brings], view)
     if settings.reference is not None:
         yield "reference", settings.reference.file, lambda: series_tree(recording.reference, "m")

@@ -16,8 +16,9 @@ from midspan.calibration.noise import USUAL_GAIN_STD
 from midspan.calibration.radar.calibrate import RadarFit, fit_radar
 from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened
 from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration
-from midspan.engine.channels import Table, interval_s, plain_channel, radar_channels, require_same_radar
+from midspan.engine.channels import interval_s, plain_channel, radar_channels, require_same_radar
 from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import PlainSensor, RadarSensor
 from midspan.errors import DataError, UsageError
@@ -114,14 +115,6 @@ def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
     return known
 
 
-def radar_stage(table: Table, view: Recording, known: RadarCalibration, *, moved_m: float, first: bool) -> RadarSensor:
-    """A radar's sensor, and its channels in the table."""
-    step_s = interval_s(view.radar.times_ns())
-    return radar_channels(
-        table, known, view.radar.info, sensor=view.sensor, step_s=step_s, moved_m=moved_m, first=first
-    )
-
-
 def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementFit:
     """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal."""
     section, series, own = view.settings.displacement, view.displacement, view.accelerometer
@@ -169,22 +162,27 @@ def displacement_series(view: Recording, known: DisplacementCalibration, log: Lo
 @dataclass(frozen=True, slots=True)
 class Kind:
     """calibrate: what is estimated of the sensor; known: its part of a calibration, or a refusal; stage: its part of
-    the engine, and its channels in the table; series: what it measured over the record.
+    the engine, and its channels in the table; series: what it measured over the record; printed: what estimates in
+    place of the engine with fusion.literal, on a calibration of the same form.
     """
 
-    calibrate: Callable[[Recording, Progress], RadarFit | DisplacementFit]
+    calibrate: Callable[[Recording, Progress], SensorFit[Any, Any]]
     known: Callable[[Recording, Calibration], Any]
     stage: Callable[..., PlainSensor | RadarSensor]
     series: Callable[..., SensorSeries]
+    printed: str = ""
 
 
 ROWS = {
     "radar": Kind(
         calibrate_radar,
         radar_part,
-        radar_stage,
+        lambda table, view, known, **more: radar_channels(
+            table, known, view.radar.info, sensor=view.sensor, step_s=interval_s(view.radar.times_ns()), **more
+        ),
         # What its targets measured together.
         lambda view, known, log: channel_series(log[0], log[1], view.sensor, log[2]),
+        printed="midspan.papers.printed.radar:estimate_printed",
     ),
     "displacement": Kind(
         calibrate_displacement,
@@ -195,3 +193,8 @@ ROWS = {
         displacement_series,
     ),
 }
+
+
+def printed_by(recording: Recording) -> str:
+    """What estimates a recording in place of the engine with fusion.literal; empty where the engine's methods do."""
+    return next((row.printed for kind, row in ROWS.items() if row.printed and recording.has(kind)), "")

@@ -4,8 +4,10 @@ from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.row_messages import rejected_share
 from midspan.errors import UntrustedError, UsageError
 from midspan.notices import Notice
+from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.records import Innovation
+from midspan.settings.kinds import KINDS
 from midspan.settings.stored.calibration import Calibration
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
@@ -24,8 +26,8 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]
 
 def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
     """UsageError for a calibration of other cameras, of another axis, or of a radar in another way."""
-    for radar in (view for view in recording.views if view.kind == "radar"):
-        if (made := calibration.of_sensor(radar.own, radar.companions)) is not None:
+    for view in (view for view in recording.views if view.kind in ROWS and ROWS[view.kind].printed):
+        if (made := calibration.of_sensor(view.own, view.companions)) is not None:
             require_same_way(made, recording.settings.fusion.literal)
     views = recording.cameras
     if views and not any(calibration.of_sensor(view.own, view.companions) for view in views):
@@ -55,9 +57,7 @@ def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
     share = rejected_share(innovation)
     if share <= MAX_REJECTED:
         return
-    looked_at = [f"its {view.sensor}.roi" for view in recording.cameras]
-    looked_at += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
-    looked_at += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
+    looked_at = dict.fromkeys(KINDS[view.kind].to_check.format(view.sensor) for view in recording.views)
     raise UntrustedError(
         f"{100 * share:.0f} % of the measurements contradict the acceleration; at most {100 * MAX_REJECTED:g} % may. "
         "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure the same "

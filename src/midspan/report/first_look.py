@@ -19,6 +19,7 @@ from midspan.recording.tracking.opening import given_targets, open_tracking, set
 from midspan.records import NANOSECONDS, Floats, Region
 from midspan.report.camera_figures import box, image, label
 from midspan.report.drawing import Colour, sheet, style, write_picture
+from midspan.settings.kinds import CAMERAS
 from midspan.settings.load import validate
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
@@ -119,7 +120,7 @@ def look_at_file(path: Path, progress: Progress) -> FirstLook:
 def _without_targets(recording: Recording) -> Recording:
     """The recording with its targets left to be chosen."""
     tree = recording.settings.model_dump(exclude_none=True)
-    for kind in ("camera", "infrared"):
+    for kind in CAMERAS:
         for section in tree[kind] if isinstance(tree.get(kind), list) else [tree.get(kind, {})]:
             section.pop("roi", None)
             section.pop("target", None)

@@ -1,14 +1,12 @@
 """The report's numbers as rows of text: cards, figures, calibration, settings, events."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.sensor_series import CameraResult
 from midspan.evaluate.metrics import Agreement, Comparison, normalised_innovation, step_of
@@ -16,11 +14,13 @@ from midspan.evaluate.spectrum import Mode
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.methods import METHODS
 from midspan.radar.target import Target
-from midspan.records import Event, Region, TimeOffset
+from midspan.records import Event, Region
 from midspan.report.material import BAND, Material
 from midspan.settings.camera import CameraSettings
+from midspan.settings.kinds import KINDS
 from midspan.settings.plausible import expected_m_per_px
 from midspan.settings.stored.calibration import Calibration
+from midspan.settings.stored.sections import offset_words
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.trees import flattened
 from midspan.vision.candidates import Candidate
@@ -90,7 +90,7 @@ def _sensor_cards(material: Material) -> list[Card]:
             more += "" if expected is None else f"; by its optics {1e3 * expected:.3g} mm/px"
             rows.append((f"Scale of the {name}", with_std(value, std, "mm/px"), more))
         if math.isfinite(sensor.offset.variance):
-            rows.append((f"Clock of the {name}", _offset(sensor.offset), "σ; added to its time stamps"))
+            rows.append((f"Clock of the {name}", offset_words(sensor.offset), "σ; added to its time stamps"))
     return rows
 
 
@@ -204,7 +204,7 @@ def calibrated(found: Calibration) -> list[Row]:
     """A calibration's values with their standard deviations."""
     rows, motion_s, std, axis = list[Row](), found.motion_noise_s, found.accelerometer_scale_std, found.sensor_axis
     for name, kind, sensor in found.sensors:
-        rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
+        rows += [(f"{name}: {label}", value) for label, value in KINDS[kind].stored.rows(sensor)]
     if std > 0.0:
         rows.append(("accelerometer: gain", f"{found.accelerometer_scale:.5g} ± {std:.2g}"))
     if axis is not None:
@@ -227,20 +227,6 @@ def calibrated(found: Calibration) -> list[Row]:
     return [*rows, ("made", f"{found.created} by midspan {found.version}")]
 
 
-def _camera(camera: CameraCalibration) -> list[Row]:
-    value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-    region, seen = camera.region, camera.temperature_range_c
-    return [
-        ("scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
-        ("clock offset", _offset(camera.offset)),
-        ("noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
-        ("variance factor", f"{camera.variance_factor:.3g}"),
-        ("region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
-        *([("temperature range", f"{seen[0]:.2f} … {seen[1]:.2f} °C")] if seen else []),
-        ("direction, tracker", f"{camera.direction}, {camera.tracker}"),
-    ]
-
-
 TARGETS_HEADER = ("target", "region (px)", "scale factor (mm/px)", "noise (px)", "noise (mm)", "used")
 
 
@@ -261,19 +247,6 @@ def targets(camera: CameraCalibration) -> list[tuple[str, ...]]:
         used = "yes" if target.used else f"no: {target.reason}"
         rows.append((target.name, _place(target.region), scale, *noise, used))
     return rows
-
-
-def _radar(radar: RadarCalibration) -> list[Row]:
-    best = radar.best
-    value, std = best.conversion_factor, best.conversion_factor_std
-    return [
-        ("conversion factor", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
-        ("range", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
-        ("clock offset", _offset(radar.offset)),
-        ("noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
-        ("variance factor", f"{radar.variance_factor:.3g}"),
-        ("carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
-    ]
 
 
 RADAR_HEADER = ("range (m)", "SNR (dB)", "conversion factor", "noise (mm)", "coherence", "clutter", "decision")
@@ -332,30 +305,6 @@ def partly_static(found: Candidate, choice: RegionChoice) -> bool:
     """Whether a place moves so much less in the image than the one taken that part of it does not move at all."""
     taken = [abs(one.scale_m_per_px) for one in choice.candidates if one.region == choice.region]
     return any(abs(found.scale_m_per_px) > FAR_OFF * scale for scale in taken)
-
-
-def _displacement(sensor: DisplacementCalibration) -> list[Row]:
-    scale = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), estimated"
-    return [
-        ("noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
-        ("clock offset", _offset(sensor.offset)),
-        *([("scale", scale)] if sensor.scale_std > 0.0 else []),
-    ]
-
-
-# The rows of a sensor of each kind, without its name.
-CALIBRATED: dict[str, Callable[[Any], list[Row]]] = {
-    "camera": _camera,
-    "infrared": _camera,
-    "radar": _radar,
-    "displacement": _displacement,
-}
-
-
-def _offset(offset: TimeOffset) -> str:
-    if not math.isfinite(offset.variance):
-        return f"{1e3 * offset.value_s:+.3f} ms, not determined by the motion"
-    return f"{1e3 * offset.value_s:+.3f} ± {1e3 * math.sqrt(offset.variance):.2g} ms"
 
 
 def settings(material: Material) -> list[Row]:

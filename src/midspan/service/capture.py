@@ -11,7 +11,6 @@ from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
 from midspan.settings.kinds import ACCELEROMETER, KINDS
 from midspan.settings.recording import RecordingSettings, Sensor
-from midspan.settings.sensors import DisplacementSettings
 from midspan.writing import write_whole
 
 # Profiles are written together, this many at a time.
@@ -32,9 +31,10 @@ class Capture:
         self._films: dict[str, _Film] = {}
         self._profiles: dict[str, _Profiles] = {}
         for sensor in settings.sensors:
-            if sensor.kind == "displacement":
+            brings = KINDS[sensor.kind].brings
+            if brings is Readings:
                 self._readings[sensor.name] = []
-            elif sensor.kind in ("camera", "infrared"):
+            elif brings is Frame:
                 self._films[sensor.name] = _Film(folder / sensor.settings.file)
             else:
                 self._profiles[sensor.name] = _Profiles(folder / sensor.settings.file, radars[sensor.name])
@@ -198,11 +198,12 @@ def capture_settings(settings: RecordingSettings, factors: dict[str, float]) -> 
 
 def _captured(sensor: Sensor, factors: dict[str, float]) -> dict[str, Any]:
     """What a captured recording says of a sensor besides."""
-    name, own = Path(sensor.settings.file).name, sensor.settings
-    if isinstance(own, DisplacementSettings):
+    own: Any = sensor.settings
+    name, brings = Path(own.file).name, KINDS[sensor.kind].brings
+    if brings is Readings:
         noise_std = None if own.noise_std is None else own.noise_std * factors[sensor.name]
         # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
         return {**READINGS, "unit": "m", "noise_std": noise_std, "estimate_offset": bool(own.estimate_offset)}
-    if sensor.kind == "radar":
+    if brings is RangeFrame:
         return {"file": f"{name}.h5", "config": None}
     return {"file": f"{name}.npy", "times": times_file(Path(f"{name}.npy")).name}

@@ -23,8 +23,8 @@ from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running, Stream
-from midspan.settings.kinds import ACCELEROMETER
-from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
+from midspan.settings.kinds import CAMERAS, LIVE
+from midspan.sources.live.blocks import Block, parse
 from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
 from midspan.sources.live.serial_line import blocks
@@ -35,8 +35,6 @@ from midspan.sources.thermal.temperatures import ThermalRequest, celsius_of, cou
 AHEAD_S = 1.0
 # Recordings that are replayed begin so long after the site does, s: the processes of cameras take a while to start.
 REPLAY_AFTER_S = 5.0
-PICTURES = ("camera", "infrared")
-BLOCK_KIND = {ACCELEROMETER: ACCELERATION, "displacement": DISPLACEMENT}
 MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
 
 Tell = Callable[[Running, str, str], None]
@@ -60,7 +58,7 @@ class Intake:
         """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
         for one in self._points:
             for name, address in one.live.plan.sources.items():
-                if one.kind(name) in PICTURES:
+                if one.kind(name) in CAMERAS:
                     place = self._replay_address(address, name) if address.startswith(REPLAY) else address
                     one.cameras[name] = CameraProcess(place, self._handed(self._pictured, one, name))
                     one.cameras[name].start()
@@ -99,7 +97,7 @@ class Intake:
         """A message of one of `topics`."""
         for one, name in self.topics.get(topic, ()):
             try:
-                block = parse(payload, BLOCK_KIND[one.kind(name)])
+                block = parse(payload, LIVE[one.kind(name)].block)
             except SourceFault as fault:
                 self._refused(one, name, fault)
             else:
@@ -177,9 +175,8 @@ class Intake:
 
     def _begin_thread(self, one: Running, name: str, address: str) -> None:
         if address.startswith(SERIAL):
-            read: Callable[[], Iterable[Any]] = partial(
-                blocks, address.removeprefix(SERIAL), BLOCK_KIND[one.kind(name)]
-            )
+            kind = LIVE[one.kind(name)].block
+            read: Callable[[], Iterable[Any]] = partial(blocks, address.removeprefix(SERIAL), kind)
         else:
             read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
         thread = ReadingThread(f"{one.name} {name}", read, self._handed(self._came, one, name))
@@ -214,7 +211,7 @@ class Intake:
         """The readings or range profiles of a recording as they come due."""
         stream: Stream = one.streams[name]
         try:
-            own = range_frames if one.kind(name) == "radar" else readings
+            own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
             for due_s, record in own(self._replay_address(address, name)):
                 left_s = due_s - time.time()
                 if left_s > 0:

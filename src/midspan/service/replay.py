@@ -21,10 +21,11 @@ from midspan.recording.point import clock_offsets_ns, measuring_point
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import open_tracked_cameras
-from midspan.records import NANOSECONDS, Arrival, Complete, Readings
+from midspan.records import NANOSECONDS, Arrival, Complete, RangeFrame, Readings
 from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
 from midspan.service.stored_recording import FIRST_NS, LAST_NS
+from midspan.settings.kinds import KINDS
 from midspan.settings.site import is_a_point
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
@@ -82,7 +83,7 @@ def replay(
         point = measuring_point(sides, tracked_cameras, lag_s=lag_s, given=given, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
-        radars = {view.sensor: view.radar.info for view in recording.views if view.kind == "radar"}
+        radars = {view.sensor: view.radar.info for view in recording.views if KINDS[view.kind].brings is RangeFrame}
         body, settings = json.dumps(calibration.with_even_clocks().to_dict()), settings_json(recording.settings, radars)
         number = store.add_calibration(name, first_ns, body, settings, accept=False)
         motion_m = point.estimator.settings.motion[0][0]

@@ -9,14 +9,15 @@ from typing import Any
 from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
+from midspan.records import RangeFrame
 from midspan.service.camera_process import CameraProcess
 from midspan.service.capture import capture_settings
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
-from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.site import PointPlan, without_secrets
-from midspan.sources.accelerometer.units import si_factor
+from midspan.sources.accelerometer.units import SI_UNITS, si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info
 from midspan.sources.radar.ti_config import read_settings
@@ -29,7 +30,6 @@ AVERAGED = 8
 RECENT = 256
 # A fault that goes on is an event so often, s.
 TELL_AGAIN_S = 60.0
-SI = {ACCELEROMETER: ("acceleration", "m/s^2"), "displacement": ("displacement", "m")}
 
 
 @dataclass(slots=True)
@@ -216,17 +216,15 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
     Raises what reading a radar's settings, or a recording that is replayed, does.
     """
     factors, layouts, radars = dict[str, float](), dict[str, Layout](), dict[str, RadarInfo]()
-    sections: list[tuple[str, str, Any]] = [(ACCELEROMETER, ACCELEROMETER, plan.recording.accelerometer)]
-    sections += [(sensor.name, sensor.kind, sensor.settings) for sensor in plan.recording.sensors]
-    for name, kind, section in sections:
-        replayed, address = plan.sources[name].startswith("replay:"), plan.sources[name]
-        if kind in SI:
-            quantity, unit = SI[kind]
+    for name, kind, section in plan.recording.streams:
+        row, address = LIVE[kind], plan.sources[name]
+        replayed = address.startswith("replay:")
+        if quantity := row.quantity:
             sensitivity = getattr(section, "sensitivity", 0.0) or None
-            factors[name] = 1.0 if replayed else si_factor(section.unit or unit, quantity, sensitivity)
-        elif kind == "radar" and replayed:
+            factors[name] = 1.0 if replayed else si_factor(section.unit or SI_UNITS[quantity], quantity, sensitivity)
+        elif row.brings is RangeFrame and replayed:
             radars[name] = radar_info(str(site / address.removeprefix("replay:")), name)
-        elif kind == "radar":
+        elif row.brings is RangeFrame:
             layouts[name] = read_settings(site / plan.configs[name]).layout(site / plan.configs[name], section.iq_order)
             radars[name] = live_info(layouts[name])
     live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)

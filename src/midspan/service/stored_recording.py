@@ -17,7 +17,7 @@ from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile, RadarInfo, profile_from_json, profile_to_json
 from midspan.radar.frames import bin_m_of
-from midspan.records import NANOSECONDS, seconds
+from midspan.records import NANOSECONDS, RangeFrame, Readings, seconds
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import NEW_DATUM, rows_stream, target_stream
 from midspan.settings.kinds import KINDS
@@ -134,12 +134,6 @@ def _metadata(store: Store, point: str, rows: Chunk, span: tuple[int, int]) -> d
 
 
 ACCELERATION_FILE = "acceleration.npz"
-# Keys of a section that say where the file of a recording is, and what only its frames need: the regions stand in the
-# calibration, a track has them no more.
-_FILE = ("file", "times", "rate_hz", "start_s", "every")
-_FRAMES = (*_FILE, "roi", "target", "automatic_targets", "temperature_range_c")
-_RADAR = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
-OF_FILES = {"camera": _FRAMES, "infrared": _FRAMES, "displacement": _FILE, "radar": _RADAR}
 # A radar's frames that are written together.
 FRAMES_AT_A_TIME = 1024
 # What messages advise for files, and for a store in its place.
@@ -170,12 +164,12 @@ class _Segment:
 
     def section(self, kind: str, settings: dict[str, Any]) -> dict[str, Any]:
         """A sensor's section with its file written."""
-        name = settings.get("name") or kind
-        kept = {key: value for key, value in settings.items() if key not in OF_FILES[kind]}
-        if kind == "radar":
-            return {**kept, "file": self._radar(name)}
+        name, row = settings.get("name") or kind, KINDS[kind]
+        kept = {key: value for key, value in settings.items() if key not in row.of_files}
+        if row.brings is RangeFrame:
+            return {**kept, "file": self._radar(kind, name)}
         columns: dict[str, NDArray[Any]] = {}
-        if kind == "displacement":
+        if row.brings is Readings:
             found = self._rows(name, f"raw records of {name}")
             columns = {"time_ns": found.time_ns, "value": found.columns["value"]}
             kept |= {"unit": "m", "time": "time_ns", "value": "value"}
@@ -186,11 +180,12 @@ class _Segment:
         np.savez(self.folder / f"{name}.npz", **columns)  # type: ignore[arg-type]
         return {**kept, "file": f"{name}.npz"}
 
-    def _radar(self, name: str) -> str:
+    def _radar(self, kind: str, name: str) -> str:
         """A radar's phasors written as slow-time I/Q."""
-        radar, chirp, what = self.calibration.of(name), self.chirps.get(name), f"phasors of {name} by calibration"
+        radar: Any = self.calibration.of(name)
+        chirp, what = self.chirps.get(name), f"phasors of {name} by calibration"
         found = self._rows(name, f"{what} {self.number}", self.number)
-        if not isinstance(radar, RadarCalibration):
+        if radar is None or radar.kind != kind:
             raise DataError(f"The store has no {what} {self.number} in that time.")
         profile = None if chirp is None else profile_from_json(json.dumps(chirp))
         _save_slow_time(self.folder / f"{name}.h5", found, radar, profile)

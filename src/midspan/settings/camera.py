@@ -16,6 +16,7 @@ from midspan.settings.fields import (
     IsNumber,
     Rate,
     Section,
+    SensorName,
     Time,
     has_four,
     known,
@@ -23,7 +24,6 @@ from midspan.settings.fields import (
     region_is_positive,
     second_is_larger,
 )
-from midspan.settings.kinds import SensorName
 from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens

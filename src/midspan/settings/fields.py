@@ -103,3 +103,23 @@ class Section(BaseModel):
     """A section of the tree: unknown keys are errors, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+def _is_a_word(value: str) -> str:
+    """A text that can become part of a column's name."""
+    if not (value.isascii() and value.replace("-", "_").replace("_", "a").isalnum()):
+        raise ValueError("must be a word of letters, digits, _ or -, as it becomes part of columns' names")
+    return value
+
+
+def _listed(value: Any) -> Any:
+    """One section, or several, as a list."""
+    if value is None or isinstance(value, tuple) or (isinstance(value, list) and value):
+        return value or ()
+    if not isinstance(value, dict):
+        raise ValueError("must be a section with keys, or a list of such sections with a name each")
+    return [value]
+
+
+Listed = BeforeValidator(_listed)
+SensorName = Annotated[str, AfterValidator(_is_a_word)]

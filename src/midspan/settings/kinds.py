@@ -1,67 +1,93 @@
-"""The kinds of sensors: the accelerometer, and those of which there may be several each, with their lists and names."""
+"""The kinds of sensors, one row each: the accelerometer, and those of which there may be several each, with names."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
-from pydantic import AfterValidator, BeforeValidator
+from midspan.records import Frame, RangeFrame, Readings
+from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.settings.fields import Section
+from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
+from midspan.settings.stored.sections import StoredAccelerometer, StoredCamera, StoredDisplacement, StoredRadar
+from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT
 
 ACCELEROMETER = "accelerometer"
-# In the order in which they count: the first one of a recording gives the zero.
-KINDS = ("camera", "infrared", "radar", "displacement")
-CAMERAS = ("camera", "infrared")
-# Words of the files and of results that mean something else than one sensor.
-TAKEN = (
-    *KINDS,
-    ACCELEROMETER,
-    "accelerometer_x",
-    "accelerometer_y",
-    "calibration",
-    "fusion",
-    "reference",
-    "site",
-    "name",
-    "overlap",
-    "recording",
-    "prediction",
+# Keys of a section that say where the file of a recording is, and of cameras what only frames need: the regions stand
+# in the calibration, a track has them no more.
+_FILE = ("file", "times", "rate_hz", "start_s", "every")
+_FRAMES = (*_FILE, "roi", "target", "automatic_targets", "temperature_range_c")
+_RADAR = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorKind:
+    """What differs between the kinds of sensors in settings, files and sources.
+
+    section: of recording.toml; stored: of calibration.json; brings: the records of its stream; schemes: what the
+    addresses of its live sources begin with; captured: the file of a captured recording; of_files: keys of the section
+    that only a file has; to_check: what may be wrong where it contradicts the acceleration, {} for its name; quantity:
+    of a channel's readings, with the kind of their blocks.
+    """
+
+    section: type[Section]
+    stored: Any
+    brings: type[Frame | RangeFrame | Readings]
+    schemes: tuple[str, ...]
+    captured: str
+    of_files: tuple[str, ...] = _FILE
+    to_check: str = ""
+    quantity: str = ""
+    block: int = 0
+
+
+_CAMERA = partial(
+    SensorKind, brings=Frame, schemes=("rtsp://", "usb:", "replay:"), of_files=_FRAMES, to_check="its {}.roi"
 )
+_CHANNEL = partial(SensorKind, brings=Readings, schemes=("mqtt:", "serial:", "replay:"))
+_SEEN = "what the radar sees (`midspan inspect` lists it)"
+# In the order in which they count: the first one of a recording gives the zero.
+KINDS = {
+    "camera": _CAMERA(CameraSettings, StoredCamera, captured="camera"),
+    "infrared": _CAMERA(InfraredSettings, StoredCamera, captured="infrared"),
+    "radar": SensorKind(RadarSettings, StoredRadar, RangeFrame, ("udp:", "replay:"), "radar", _RADAR, _SEEN),
+    "displacement": _CHANNEL(
+        DisplacementSettings,
+        StoredDisplacement,
+        captured="displacement.npz",
+        to_check="the unit and sign of its displacement file",
+        quantity="displacement",
+        block=DISPLACEMENT,
+    ),
+}
+CAMERAS = tuple(kind for kind, row in KINDS.items() if row.brings is Frame)
+_ACCELERATION = _CHANNEL(
+    AccelerometerSettings, StoredAccelerometer, captured="acceleration.npz", quantity="acceleration", block=ACCELERATION
+)
+LIVE = {ACCELEROMETER: _ACCELERATION, **KINDS}
+# Words of the files and of results that mean something else than one sensor.
+_OF_FILES = ("name", "calibration", "fusion", "reference", "site")
+_OF_RESULTS = ("accelerometer_x", "accelerometer_y", "overlap", "recording", "prediction")
+TAKEN = (*LIVE, *_OF_FILES, *_OF_RESULTS)
 
 
-def _is_a_word(value: str) -> str:
-    """A text that can become part of a column's name."""
-    if not (value.isascii() and value.replace("-", "_").replace("_", "a").isalnum()):
-        raise ValueError("must be a word of letters, digits, _ or -, as it becomes part of columns' names")
-    return value
-
-
-def _listed(value: Any) -> Any:
-    """One section, or several, as a list."""
-    if value is None or isinstance(value, tuple) or (isinstance(value, list) and value):
-        return value or ()
-    if not isinstance(value, dict):
-        raise ValueError("must be a section with keys, or a list of such sections with a name each")
-    return [value]
-
-
-Listed = BeforeValidator(_listed)
-SensorName = Annotated[str, AfterValidator(_is_a_word)]
-
-
-def sensor_names(listed: Mapping[str, Sequence[str | None]]) -> tuple[str, ...]:
-    """The name of each sensor in the order of KINDS; listed: kind → names as given, None for one without.
+def sensors_of(of_kind: Callable[[str], Sequence[Any]]) -> tuple[tuple[str, str, Any], ...]:
+    """Name, kind and section of each sensor in the order of KINDS; of_kind: the sections of a kind, each with its name.
 
     A single one without a name is called by its kind. Raises ValueError where they cannot be distinguished.
     """
-    names = []
+    found = []
     for kind in KINDS:
-        given = listed.get(kind, ())
-        for count, name in enumerate(given, start=1):
-            if not name and len(given) > 1:
+        listed = of_kind(kind)
+        for count, section in enumerate(listed, start=1):
+            name = section.name
+            if not name and len(listed) > 1:
                 raise ValueError(f"must give each of several [[{kind}]] a name of its own; {kind}[{count}] has none")
             if name in TAKEN and name != kind:
                 raise ValueError(f"must not give {kind}[{count}] the name {name!r}, which means something else")
-            names.append(name or kind)
-    name, count = Counter(names).most_common(1)[0] if names else ("", 0)
+            found.append((name or kind, kind, section))
+    name, count = Counter(name for name, _, _ in found).most_common(1)[0] if found else ("", 0)
     if count > 1:
         raise ValueError(f"must give each sensor a name of its own; {count} have the name {name!r}")
-    return tuple(names)
+    return tuple(found)

@@ -10,9 +10,7 @@ from pydantic import BaseModel
 from midspan.checks import nearest, shown
 from midspan.errors import MidspanError
 from midspan.notices import Notice
-from midspan.settings.camera import InfraredSettings
-from midspan.settings.kinds import KINDS
-from midspan.settings.sensors import DisplacementSettings, RadarSettings
+from midspan.settings.kinds import CAMERAS, KINDS
 
 # The validation library's words, and what stands for them.
 PLAIN = {
@@ -58,8 +56,8 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
         text = text.replace(words, plain)
     if not place:
         return f"{text}."
-    if place[0] == "infrared":
-        text = text.replace("[[camera.", "[[infrared.")
+    if place[0] in CAMERAS:
+        text = text.replace("[[camera.", f"[[{place[0]}.")
     if isinstance(value, dict):
         return f"{key}: {text}."
     received = shown(list(value) if isinstance(value, tuple) else value)
@@ -86,7 +84,7 @@ def _keys_at(place: list[str], model: Any) -> list[str]:
     return [field.alias or key for key, field in model.model_fields.items()]
 
 
-_FIELDS = {key for one in (InfraredSettings, RadarSettings, DisplacementSettings) for key in one.model_fields}
+_FIELDS = {key for row in KINDS.values() for key in row.section.model_fields}
 _KEYS = "|".join(sorted(_FIELDS, key=len, reverse=True))
 _PLACE = rf"(?=(\.({_KEYS})\b|:|\]| \([^()]*\):|'s clock\b))"
 _BEFORE = r"(?<![\w/\\.'\"])"
@@ -95,9 +93,9 @@ _CAMERA, _ANY = (re.compile(f"{_BEFORE}({words}){_PLACE}") for words in ("camera
 
 def worded(text: str, sensor: str) -> str:
     """A message about a sensor of a kind, as it reads for the one called `sensor`; in those of a thermal camera too."""
-    if sensor in KINDS and sensor != "infrared":
-        return text
-    return (_CAMERA if sensor == "infrared" else _ANY).sub(sensor, text)
+    if sensor in CAMERAS:
+        return _CAMERA.sub(sensor, text)
+    return text if sensor in KINDS else _ANY.sub(sensor, text)
 
 
 def renamed(notice: Notice, sensor: str) -> Notice:

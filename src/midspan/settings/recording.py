@@ -10,8 +10,8 @@ from midspan.calibration.camera.view import PrintedSteps
 from midspan.checks import RATE_HZ
 from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
-from midspan.settings.fields import IsNumber, Section, Time, known, limited, second_is_larger
-from midspan.settings.kinds import KINDS, Listed, sensor_names
+from midspan.settings.fields import IsNumber, Listed, Section, Time, known, limited, second_is_larger
+from midspan.settings.kinds import ACCELEROMETER, KINDS, sensors_of
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class RecordingSettings(Section):
                 "has no [accelerometer]. Add the section; only [camera] and [infrared] can do without it, for "
                 "`midspan track`"
             )
-        if camera is None and self.radar is None and self.displacement is None:
+        if not any(self.of_kind(kind) for kind in KINDS):
             raise ValueError(
                 "has [accelerometer] only. Add the section of a sensor that measures displacement: [camera], "
                 "[infrared], [radar] or [displacement]"
@@ -200,7 +200,7 @@ class RecordingSettings(Section):
                 'must have direction = "x" or "y" in each [camera] and [infrared] where there are several; "xy" is for '
                 "one of them alone"
             )
-        sensor_names({kind: [section.name for section in self.of_kind(kind)] for kind in KINDS})
+        sensors_of(self.of_kind)
         for kind in KINDS if self.fusion.literal else ():
             if len(listed := self.of_kind(kind)) > 1:
                 raise ValueError(
@@ -237,9 +237,13 @@ class RecordingSettings(Section):
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """All sensors besides the accelerometer: cameras, thermal cameras, radars, displacement sensors."""
-        listed = {kind: self.of_kind(kind) for kind in KINDS}
-        names = iter(sensor_names({kind: [section.name for section in listed[kind]] for kind in KINDS}))
-        return tuple(Sensor(next(names), kind, section) for kind in KINDS for section in listed[kind])
+        return tuple(Sensor(*one) for one in sensors_of(self.of_kind))
+
+    @property
+    def streams(self) -> tuple[tuple[str, str, Any], ...]:
+        """Name, kind and section of the accelerometer, where there is one, and of all sensors."""
+        own = () if self.accelerometer is None else ((ACCELEROMETER, ACCELEROMETER, self.accelerometer),)
+        return (*own, *sensors_of(self.of_kind))
 
     @property
     def camera(self) -> CameraSettings | None:

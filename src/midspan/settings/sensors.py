@@ -14,10 +14,10 @@ from midspan.settings.fields import (
     NoiseTime,
     Rate,
     Section,
+    SensorName,
     Time,
     limited,
 )
-from midspan.settings.kinds import SensorName
 
 
 class ChannelSettings(Section):

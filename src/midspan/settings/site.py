@@ -7,38 +7,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
-from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.load import RECORDING_FILE, validate
 from midspan.settings.messages import unknown
 from midspan.settings.recording import RecordingSettings
-from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
 from midspan.sources.live.radar import host_and_port
 from midspan.sources.live.serial_line import device_and_baud
 from midspan.trees import TreeError, read_toml
-
-
-class LiveKind(NamedTuple):
-    """A kind of sensor on a site: its settings, what the addresses of its sources begin with, its captured file."""
-
-    settings: type[Section]
-    schemes: tuple[str, ...]
-    captured: str
-
-
-LIVE = {
-    ACCELEROMETER: LiveKind(AccelerometerSettings, ("mqtt:", "serial:", "replay:"), "acceleration.npz"),
-    "camera": LiveKind(CameraSettings, ("rtsp://", "usb:", "replay:"), "camera"),
-    "infrared": LiveKind(InfraredSettings, ("rtsp://", "usb:", "replay:"), "infrared"),
-    "radar": LiveKind(RadarSettings, ("udp:", "replay:"), "radar"),
-    "displacement": LiveKind(DisplacementSettings, ("mqtt:", "serial:", "replay:"), "displacement.npz"),
-}
 
 
 def address_of(kind: str, section: dict[str, Any], where: str) -> str:
@@ -337,10 +318,9 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     recording = validate({"name": settings.name, "fusion": fusion, **plain}, where, RecordingSettings)
     sources = {ACCELEROMETER: next(addresses[ACCELEROMETER])}
     sources |= {sensor.name: next(addresses[sensor.kind]) for sensor in recording.sensors}
-    radars = {one.name: one.settings for one in recording.sensors if isinstance(one.settings, RadarSettings)}
-    configs = {name: radar.config for name, radar in radars.items() if radar.config is not None}
-    for name in radars:
-        if name not in configs and sources[name].startswith("udp:"):
+    configs = {one.name: config for one in recording.sensors if (config := getattr(one.settings, "config", None))}
+    for name, address in sources.items():
+        if name not in configs and address.startswith("udp:"):
             raise UsageError(
                 f"{where}: radar.config: is missing for {name!r}. Add the .cfg or .json that the radar runs with."
             )
@@ -356,7 +336,7 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
         )
     if section.get("direction") == "xy":
         raise UsageError(f'{where}: {kind}.direction = "xy": must be "x" or "y"; both axes are for recordings.')
-    known = ["source", *(key for key in LIVE[kind].settings.model_fields if key not in FILE_KEYS)]
+    known = ["source", *(key for key in LIVE[kind].section.model_fields if key not in FILE_KEYS)]
     for key, value in section.items():
         if key not in known:
             raise UsageError(f"{where}: {unknown(f'{kind}.{key}', value, known)}")

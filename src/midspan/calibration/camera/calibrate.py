@@ -263,7 +263,8 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     if apart_m > 0.0:
         warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m)))
     else:
-        warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera")
+        causes = "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns"
+        warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
     best = seen[_best(camera.targets)]
     parts = {
         "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),

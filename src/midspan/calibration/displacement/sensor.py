@@ -54,7 +54,8 @@ def fit_displacement(given: Given) -> DisplacementFit:
     warnings = [*_range_warnings(part, held), *_warnings(given, estimated, part)]
     # A scale that seems wrong is a misfit which the band holds already.
     found = Misfit() if _scale_error(estimated) > 0.0 else misfit(pair, fit)
-    warnings += found.text("displacement") or strange_noise(pair, fit, "displacement")
+    causes = "slow errors, or a mounting that moves"
+    warnings += found.text("displacement") or strange_noise(pair, fit, "displacement", causes)
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
     if rate is not None:

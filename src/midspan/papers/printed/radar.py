@@ -39,7 +39,7 @@ def estimate_printed(recording: Recording, calibration: Calibration | None, meth
     """The displacement of a recording whose radar, method and calibration are as printed."""
     if not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
-    if recording.cameras or recording.has("displacement"):
+    if len(recording.sensors) > 1:
         raise UsageError(
             f"{recording.file}: fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave "
             "[camera], [infrared] and [displacement] out, or leave fusion.literal out."

@@ -14,9 +14,9 @@ from midspan.checks import path_of
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.notebook import table
 from midspan.notices import Notice
-from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.records import NANOSECONDS, Nanoseconds, RangeFrame, Readings, TimeSeries
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.kinds import CAMERAS
+from midspan.settings.kinds import CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
@@ -74,9 +74,9 @@ class Recording:
     @property
     def streams(self) -> list[tuple[str, str]]:
         """Name and file of each stream, the accelerometer's first and the reference's last."""
-        own, last = self.settings.accelerometer, self.settings.reference
-        named = [("accelerometer", own), *((one.name, one.settings) for one in self.sensors), ("reference", last)]
-        return [(name, section.file) for name, section in named if section is not None]
+        last = self.settings.reference
+        named = [*self.settings.streams, *([] if last is None else [("reference", "", last)])]
+        return [(name, section.file) for name, _, section in named]
 
     @property
     def folder(self) -> Path:
@@ -159,9 +159,9 @@ class Recording:
 
         A thermal camera stands in its view as if it were the camera.
         """
-        if self._own is not None or (len(self.sensors) == 1 and self.kind != "infrared"):
+        if self._own is not None or (len(self.sensors) == 1 and not self.settings.infrareds):
             return (self,)
-        nothing: dict[str, Any] = {"cameras": (), "infrareds": (), "radars": (), "displacements": (), "reference": None}
+        nothing: dict[str, Any] = {"reference": None, **{f"{kind}s": () for kind in KINDS}}
         found = []
         for sensor in self.sensors:
             place = "cameras" if sensor.kind in CAMERAS else f"{sensor.kind}s"
@@ -302,14 +302,14 @@ class Recording:
     def frame_times(self) -> tuple[Nanoseconds, ...]:
         """Stamps (n,) of the frames of each camera and radar, ns on its own clock, where that is not far off."""
         cameras = [view.frames.times_ns() + view.late_ns for view in self.cameras]
-        return (*cameras, *(view.radar.times_ns() for view in self.views if view.kind == "radar"))
+        return (*cameras, *(view.radar.times_ns() for view in self.views if KINDS[view.kind].brings is RangeFrame))
 
     @property
     def channel_warnings(self) -> tuple[Notice, ...]:
         """What is wrong with the acceleration and with the file of each [displacement], as they were read."""
         reported = list(self.prepared.warnings)
         for view in self.views:
-            if view.kind == "displacement":
+            if KINDS[view.kind].brings is Readings:
                 where = f"{view.sensor} ({view.own.settings.file})"
                 reported += [Notice("file-damaged", f"{where}: {line}.") for line in view.displacement.damage]
                 reported += [one.worded(f"{where}: {one}.") for one in view.displacement.notices]
@@ -375,7 +375,7 @@ class Recording:
     @property
     def own_files(self) -> set[Path]:
         """The files that make up the recording, resolved: results must not be written over them."""
-        parts = [self.settings.accelerometer, self.settings.reference, *(one.settings for one in self.sensors)]
+        parts = [self.settings.reference, *(section for _, _, section in self.settings.streams)]
         lenses = [getattr(part, "lens", None) for part in parts]
         keys = ("file", "times", "config")
         names = [name for part in (*parts, *lenses) for key in keys if (name := getattr(part, key, None))]
@@ -418,5 +418,5 @@ def open_with_cameras(path: str | Path, changed: dict[str, Any], **overrides: di
     recording = open_recording(path, **overrides)
     if not changed:
         return recording
-    sections = [section for section in ("camera", "infrared") if recording.has(section)]
+    sections = [section for section in CAMERAS if recording.has(section)]
     return open_recording(path, **overrides, **{section: dict(changed) for section in sections})

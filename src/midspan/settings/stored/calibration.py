@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import ValidationError
+from pydantic import ValidationError, model_validator
 
 from midspan._version import __version__
 from midspan.calibration.direction import Direction
@@ -22,10 +22,11 @@ from midspan.engine.axis import AxisFigures
 from midspan.errors import DataError
 from midspan.notebook import table
 from midspan.notices import NOTICES, Notice, notice_trees
-from midspan.settings.kinds import KINDS, sensor_names
+from midspan.settings.fields import Listed
+from midspan.settings.kinds import KINDS, sensors_of
 from midspan.settings.messages import explain
 from midspan.settings.recording import Sensor
-from midspan.settings.stored.sections import SECTIONS, StoredAccelerometer, StoredAxis, StoredCalibration
+from midspan.settings.stored import sections
 from midspan.trees import TreeError, read_json
 from midspan.writing import write_whole
 
@@ -90,7 +91,7 @@ class Calibration:
 
     def summary(self) -> list[tuple[str, str]]:
         """What was estimated of each sensor with its standard deviations, as text; a row a sensor."""
-        rows = [(name, SECTIONS[kind].summary(sensor)) for name, kind, sensor in self.sensors]
+        rows = [(name, KINDS[kind].stored.summary(sensor)) for name, kind, sensor in self.sensors]
         gain_std = self.accelerometer_scale_std
         gain = f", gain {self.accelerometer_scale:.5g} ± {gain_std:.2g}" if gain_std > 0.0 else ""
         return [*rows, ("accelerometer", f"noise {1e3 * self.noise_std_m_s2:.3g} mm/s² per sample{gain}")]
@@ -106,16 +107,14 @@ class Calibration:
         return self.camera or self.infrared
 
     def of_kind(self, kind: str) -> tuple[SensorCalibration, ...]:
-        """All sensors of one kind: "camera", "infrared", "radar" or "displacement"."""
+        """All sensors of one of KINDS."""
         first = getattr(self, kind)
         return (*(() if first is None else (first,)), *(one for one in self.others if one.kind == kind))
 
     @property
     def sensors(self) -> tuple[tuple[str, str, SensorCalibration], ...]:
         """Name, kind and values of all sensors, in the order camera, infrared, radar, displacement."""
-        listed = {kind: self.of_kind(kind) for kind in KINDS}
-        names = iter(sensor_names({kind: [one.name for one in listed[kind]] for kind in KINDS}))
-        return tuple((next(names), kind, one) for kind in KINDS for one in listed[kind])
+        return sensors_of(self.of_kind)
 
     def with_even_clocks(self) -> "Calibration":
         """The same for readings that have the rates of their clocks taken out of the stamps."""
@@ -123,8 +122,7 @@ class Calibration:
         def even(sensor: SensorCalibration) -> SensorCalibration:
             return replace(sensor, clock_rate=0.0) if isinstance(sensor, DisplacementCalibration) else sensor
 
-        first = None if self.displacement is None else replace(self.displacement, clock_rate=0.0)
-        return replace(self, displacement=first, others=tuple(map(even, self.others)))
+        return replace(self, **placed([even(one) for _, _, one in self.sensors]))
 
     def of(self, name: str) -> SensorCalibration | None:
         """The values of the sensor of this name (its kind where it has none); None where there is no such sensor."""
@@ -165,12 +163,12 @@ class Calibration:
             "warnings": list(self.warnings),
             "notices": notice_trees(self.warnings),
             "accelerometer": {
-                **StoredAccelerometer.tree(self),
+                **sections.StoredAccelerometer.tree(self),
                 **({} if axis is None else {"direction": list(axis.components), "direction_std": list(axis.std)}),
             },
         }
-        for kind, section in SECTIONS.items():
-            listed = [section.tree(one) for one in self.of_kind(kind)]
+        for kind, row in KINDS.items():
+            listed = [row.stored.tree(one) for one in self.of_kind(kind)]
             if listed and self.of_kind(kind)[0] is self.first_camera:
                 listed[0] |= self._second_axis()
             if listed:
@@ -183,7 +181,7 @@ class Calibration:
         left_out = {"left_out": self.left_out} if self.left_out else {}
         if self.across is None or first is None or other is None:
             return left_out
-        along = StoredAxis.axis_tree
+        along = sections.StoredAxis.axis_tree
         both = {first.direction: along(first, self), other.direction: along(other, self.across)}
         return left_out | {"direction": "xy", "axis": first.direction, "axes": both}
 
@@ -193,6 +191,28 @@ class Calibration:
         path = path / CALIBRATION_FILE if path.is_dir() else path
         write_whole(path, (json.dumps(self.to_dict(), indent=2) + "\n").encode())
         return path
+
+
+class StoredCalibration(sections.Stored):
+    """The whole file; of each kind of sensor one section, or a list of several with a name each."""
+
+    version: sections.Text = ""
+    created: sections.Text = ""
+    warnings: tuple[sections.Text, ...] = ()
+    notices: tuple[sections.StoredNotice, ...] = ()
+    accelerometer: sections.StoredAccelerometer
+    camera: Annotated[tuple[sections.StoredCamera, ...], Listed] = ()
+    infrared: Annotated[tuple[sections.StoredCamera, ...], Listed] = ()
+    radar: Annotated[tuple[sections.StoredRadar, ...], Listed] = ()
+    displacement: Annotated[tuple[sections.StoredDisplacement, ...], Listed] = ()
+
+    @model_validator(mode="after")
+    def _sensors_are_reported_apart(self) -> "StoredCalibration":
+        cameras = (*self.camera, *self.infrared)
+        sensors_of(lambda kind: getattr(self, kind))
+        if len(cameras) > 1 and any(camera.direction == "xy" for camera in cameras):
+            raise ValueError('must have direction = "x" or "y" in each camera where there are several')
+        return self
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -225,7 +245,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
     # Earlier versions wrote no codes.
     codes = {one.text: one.code for one in stored.notices if one.code in NOTICES}
     own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
-    sensors = [part.record(kind) for kind in SECTIONS for part in getattr(stored, kind)]
+    sensors = [part.record(kind) for kind in KINDS for part in getattr(stored, kind)]
     made: dict[str, Any] = {"created": stored.created, "version": stored.version}
     found = Calibration(
         **own.values(Calibration),

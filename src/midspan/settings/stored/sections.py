@@ -27,12 +27,12 @@ from midspan.settings.fields import (
     Carrier,
     Duration,
     IsNumber,
+    SensorName,
     Time,
     limited,
     region_is_positive,
     second_is_larger,
 )
-from midspan.settings.kinds import KINDS, Listed, SensorName, sensor_names
 from midspan.vision.lens import Lens
 
 MM = 1e3
@@ -319,6 +319,13 @@ def _offset(offset: TimeOffset) -> str:
     return f"clock offset {1e3 * offset.value_s:.2f} ± {1e3 * math.sqrt(offset.variance):.2f} ms"
 
 
+def offset_words(offset: TimeOffset) -> str:
+    """A clock offset with its standard deviation, where the motion tells it."""
+    if not math.isfinite(offset.variance):
+        return f"{1e3 * offset.value_s:+.3f} ms, not determined by the motion"
+    return f"{1e3 * offset.value_s:+.3f} ± {1e3 * math.sqrt(offset.variance):.2g} ms"
+
+
 class StoredCamera(StoredSensor, StoredScale):
     """A camera of light or infrared."""
 
@@ -365,6 +372,21 @@ class StoredCamera(StoredSensor, StoredScale):
         """Scale factor and clock offset."""
         value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
         return f"{value:.5g} ± {std:.2g} mm/px along {camera.direction}, {_offset(camera.offset)}"
+
+    @staticmethod
+    def rows(camera: CameraCalibration) -> list[tuple[str, str]]:
+        """The values that the report lists."""
+        value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
+        region, seen = camera.region, camera.temperature_range_c
+        return [
+            ("scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
+            ("clock offset", offset_words(camera.offset)),
+            ("noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
+            ("variance factor", f"{camera.variance_factor:.3g}"),
+            ("region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
+            *([("temperature range", f"{seen[0]:.2f} … {seen[1]:.2f} °C")] if seen else []),
+            ("direction, tracker", f"{camera.direction}, {camera.tracker}"),
+        ]
 
 
 class StoredBackground(Stored):
@@ -480,6 +502,20 @@ class StoredRadar(StoredSensor):
         value, std = target.conversion_factor, target.conversion_factor_std
         return f"conversion factor {value:.5g} ± {std:.2g}, target at {target.range_m:.4g} m, {_offset(radar.offset)}"
 
+    @staticmethod
+    def rows(radar: RadarCalibration) -> list[tuple[str, str]]:
+        """The values that the report lists."""
+        best = radar.best
+        value, std = best.conversion_factor, best.conversion_factor_std
+        return [
+            ("conversion factor", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
+            ("range", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
+            ("clock offset", offset_words(radar.offset)),
+            ("noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
+            ("variance factor", f"{radar.variance_factor:.3g}"),
+            ("carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
+        ]
+
 
 class StoredDisplacement(StoredSensor):
     """A displacement sensor; its scale is 1 where it was not estimated."""
@@ -507,13 +543,15 @@ class StoredDisplacement(StoredSensor):
         scale = "" if sensor.scale == 1.0 else f", scale {sensor.scale:.5g} ± {sensor.scale_std:.2g}"
         return f"noise {1e3 * sensor.noise_std_m:.3g} mm{scale}, {_offset(sensor.offset)}"
 
-
-SECTIONS: dict[str, Any] = {
-    "camera": StoredCamera,
-    "infrared": StoredCamera,
-    "radar": StoredRadar,
-    "displacement": StoredDisplacement,
-}
+    @staticmethod
+    def rows(sensor: DisplacementCalibration) -> list[tuple[str, str]]:
+        """The values that the report lists."""
+        scale = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), estimated"
+        return [
+            ("noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
+            ("clock offset", offset_words(sensor.offset)),
+            *([("scale", scale)] if sensor.scale_std > 0.0 else []),
+        ]
 
 
 class StoredNotice(Stored):
@@ -522,25 +560,3 @@ class StoredNotice(Stored):
     code: Text
     severity: Text
     text: Text
-
-
-class StoredCalibration(Stored):
-    """The whole file; of each kind of sensor one section, or a list of several with a name each."""
-
-    version: Text = ""
-    created: Text = ""
-    warnings: tuple[Text, ...] = ()
-    notices: tuple[StoredNotice, ...] = ()
-    accelerometer: StoredAccelerometer
-    camera: Annotated[tuple[StoredCamera, ...], Listed] = ()
-    infrared: Annotated[tuple[StoredCamera, ...], Listed] = ()
-    radar: Annotated[tuple[StoredRadar, ...], Listed] = ()
-    displacement: Annotated[tuple[StoredDisplacement, ...], Listed] = ()
-
-    @model_validator(mode="after")
-    def _sensors_are_reported_apart(self) -> "StoredCalibration":
-        cameras = (*self.camera, *self.infrared)
-        sensor_names({kind: [sensor.name for sensor in getattr(self, kind)] for kind in KINDS})
-        if len(cameras) > 1 and any(camera.direction == "xy" for camera in cameras):
-            raise ValueError('must have direction = "x" or "y" in each camera where there are several')
-        return self
