@@ -62,7 +62,8 @@ def test_what_was_mended_is_reported_with_what_was_tracked(folder):
     from midspan.recording.tracking.track import track
 
     found = track(folder)
-    assert len(found.track.time_ns) == 54
+    assert len(found.track.time_ns) == 55
+    assert np.isnan(found.track.x_px[30])
     reported = " ".join(found.warnings)
     assert "infrared: 54 frames have missing values (NaN), at most 1 a frame, filled" in reported
     assert "infrared: 1 frames (30) have more than 20 % of their values missing (NaN) and were passed over." in reported
