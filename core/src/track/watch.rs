@@ -12,7 +12,7 @@ use super::picture_watch::{PictureMemory, PictureWatch};
 use super::running_median::RunningMedian;
 use serde::{Deserialize, Serialize};
 
-/// Share of the texture that is still from which on a frame is torn, and the most that usually is, over so many frames:
+/// Share of the texture that is still from which on a frame is torn, and the most that usually is, over this many frames:
 /// a camera's noise lets none be.
 const TORN_SHARE: f64 = 0.05;
 const MAX_USUAL_SHARE: f64 = 0.01;
