@@ -302,8 +302,7 @@ def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None
     """UsageError where hardly any of a target's temperatures in the reference frame are within the range shown."""
     if reference.pixels.dtype.kind != "f":
         return
-    part = reference.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-    celsius = np.asarray(part, dtype=np.float64)
+    celsius = np.asarray(reference.pixels[region.slices], dtype=np.float64)
     if np.mean((celsius > levels.low_c) & (celsius < levels.high_c)) >= MIN_INSIDE:
         return
     low, high = np.percentile(celsius, (1.0, 99.0))

@@ -305,7 +305,7 @@ def average(
 
 def _target(image: NDArray[np.generic], region: Region) -> tuple[Floats32, float]:
     """The region's pixels less their mean, and that mean; UsageError when there is no texture to follow."""
-    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    part = np.asarray(image[region.slices], dtype=np.float64)
     offset = float(np.mean(part[np.isfinite(part)])) if np.isfinite(part).any() else 0.0
     raw = values(part, offset)
     if raw is None:
@@ -316,7 +316,7 @@ def _target(image: NDArray[np.generic], region: Region) -> tuple[Floats32, float
 
 def _detector(image: NDArray[np.generic], region: Region, settings: FeatureSettings, offset: float) -> Detector:
     """The detector, its grey scale that of 8 bit images, else twice the region's range in the reference frame."""
-    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    part = np.asarray(image[region.slices], dtype=np.float64)
     # An occluder or a shadow raises the contrast of a frame, but must not raise the threshold for what is left.
     contrast = float(np.nanvar(part))
     surf = SurfSettings(
