@@ -246,12 +246,14 @@ def _laid_out(scene: Floats, shape: tuple[int, ...], region: Region) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What a target is tracked with.
+    """What a target is tracked with, and how its frames are made.
 
     tracker, tracker_settings: its name and settings record (None: its defaults). reference: "first", "key-frames" or
     "updating"; reference_settings: of the last one, by name. thermal: whether frames are temperatures; those of whole
     numbers are pictures all the same. levels: the range of temperatures shown in 256 grey levels, None: °C as they are.
-    lens: None: none is corrected.
+    lens: None: none is corrected. readout_s: rolling shutter, s from the first row (which the stamps belong to) to the
+    last: translations are dated by the row of the target's middle. lossless: whether the frames come from a file which
+    leaves nothing out. quarter_turns: by which the sensor's rows were turned with the picture.
     """
 
     tracker: str
@@ -261,6 +263,9 @@ class Opening:
     thermal: bool = False
     levels: Limits | None = None
     lens: Lens | None = None
+    readout_s: float = 0.0
+    lossless: bool = False
+    quarter_turns: int = 0
 
     def radiometric(self, frame: Frame) -> bool:
         """Whether a frame holds temperatures."""
