@@ -9,6 +9,7 @@ use super::light::is_dark;
 use super::light_watch::{LightMemory, LightWatch};
 use super::picture::{part_still, same};
 use super::picture_watch::{PictureMemory, PictureWatch};
+use crate::Status;
 use serde::{Deserialize, Serialize};
 
 /// Share of the texture that is still from which on a frame is torn, and the most that usually is where a camera's noise
@@ -18,17 +19,6 @@ const MAX_USUAL_SHARE: f64 = 0.01;
 /// Step of the rows and columns that tell a black frame from a lit one, and the rows looked at where a frame has more.
 const THINNED: usize = 4;
 const DARK_ROWS: usize = 60;
-
-/// What a translation rests on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Status {
-    /// The frame shows the target.
-    Tracking,
-    /// It was predicted.
-    Coasting,
-    /// Nothing is known.
-    Lost,
-}
 
 /// The translation of a target since its reference frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
