@@ -23,7 +23,7 @@ from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running, Stream
-from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.kinds import ACCELEROMETER, CAMERAS
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
 from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
@@ -35,7 +35,6 @@ from midspan.sources.thermal.temperatures import ThermalRequest, celsius_of, cou
 AHEAD_S = 1.0
 # Recordings that are replayed begin so long after the site does, s: the processes of cameras take a while to start.
 REPLAY_AFTER_S = 5.0
-PICTURES = ("camera", "infrared")
 BLOCK_KIND = {ACCELEROMETER: ACCELERATION, "displacement": DISPLACEMENT}
 MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
 
@@ -60,7 +59,7 @@ class Intake:
         """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
         for one in self._points:
             for name, address in one.live.plan.sources.items():
-                if one.kind(name) in PICTURES:
+                if one.kind(name) in CAMERAS:
                     place = self._replay_address(address, name) if address.startswith(REPLAY) else address
                     one.cameras[name] = CameraProcess(place, self._handed(self._pictured, one, name))
                     one.cameras[name].start()
