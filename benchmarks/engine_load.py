@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.table import goal
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain, ChainSettings, Target
+from midspan.engine.camera import CameraChain, Target
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point
@@ -52,7 +52,7 @@ def point(first: Frame | None) -> Point:
     """A point with an accelerometer, and a camera whose reference is `first`."""
     sensors, channels = {}, ()
     if first is not None:
-        chain = CameraChain(first, [Target(REGION)], ChainSettings(Opening("registration")))
+        chain = CameraChain(first, [Target(REGION)], Opening("registration"))
         channels = (Channel("camera", Source.CAMERA, 1.0 / M_PER_PX),)
         sensors["camera"] = CameraSensor("camera", chain, [[0]], ["y"])
     moved_m = 2.0 * M_PER_PX / np.sqrt(2.0)

@@ -10,7 +10,7 @@ import pytest
 import midspan
 from lively_recordings import Lively, write
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target
+from midspan.engine.camera import CameraChain, CameraState, Target
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
@@ -106,9 +106,7 @@ def test_a_tracker_is_a_file_and_a_row(tmp_path):
 def test_a_checkpoint_keeps_its_state():
     scene = textured_scene("natural", (64, 64), rng=np.random.default_rng(0))
     frames = [Frame(k, scene.render(0.2 * k, 0.3)) for k in range(3)]
-    chain, other = (
-        CameraChain(frames[0], (Target(Region(8, 8, 48, 48)),), ChainSettings(Opening("correlation"))) for _ in range(2)
-    )
+    chain, other = (CameraChain(frames[0], (Target(Region(8, 8, 48, 48)),), Opening("correlation")) for _ in range(2))
     chain.push(frames[1])
     other.restore(from_bytes(to_bytes(chain.state), CameraState))
     assert other.push(frames[2]) == chain.push(frames[2])

@@ -15,6 +15,18 @@ mod py;
 
 use pyo3::prelude::*;
 
+/// What a translation, or a row, rests on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Status {
+    /// A measurement that is not too old: the frame shows the target.
+    Tracking,
+    /// The prediction, by the acceleration alone.
+    Coasting,
+    /// Nothing, or the acceleration alone for longer.
+    #[default]
+    Lost,
+}
+
 /// The extension module `midspan._core`.
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -85,6 +85,11 @@ class Region:
     width: int
     height: int
 
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of an image that it holds."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
     def inside(self, columns: int, rows: int) -> bool:
         """Whether the region lies wholly in an image of `columns` by `rows` pixels."""
         inside_x = self.x >= 0 and self.width > 0 and self.x + self.width <= columns

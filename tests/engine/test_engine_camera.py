@@ -10,7 +10,7 @@ import pytest
 
 from lens_cases import ideal_translation
 from midspan._core import LIGHT_PX, TEMPLATE_NOISE
-from midspan.engine.camera import WARM_UP_FRAMES, CameraChain, ChainSettings, Target
+from midspan.engine.camera import WARM_UP_FRAMES, CameraChain, Target
 from midspan.engine.target_opening import Opening
 from midspan.engine.tracking import TargetTracking
 from midspan.errors import DataError
@@ -67,7 +67,7 @@ def compressed(frames, crf):
 
 def untaught(frames, targets=TARGETS, tracker="registration", readout_s=0.0, **opening):
     """A chain that has learned nothing."""
-    return CameraChain(frames[0], targets, ChainSettings(Opening(tracker, **opening), readout_s))
+    return CameraChain(frames[0], targets, Opening(tracker, readout_s=readout_s, **opening))
 
 
 def opened(frames, targets=TARGETS, **settings):

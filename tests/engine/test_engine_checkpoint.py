@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as arrays
 
 from midspan.engine import checkpoint
 from midspan.engine.axis import AxisFigures
-from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target
+from midspan.engine.camera import CameraChain, CameraState, Target
 from midspan.engine.checkpoint import DTYPES, from_bytes, to_bytes, types_in
 from midspan.engine.guard import Guard, GuardSettings, GuardState
 from midspan.engine.merge import Merge, MergeState
@@ -247,7 +247,7 @@ def test_the_state_of_every_tracker_comes_back_and_goes_on(tracker, reference):
         Frame(10**8 * k, Camera().expose(scene.render(0.0, y), rng=np.random.default_rng(k)))
         for k, y in enumerate(path)
     ]
-    made = ChainSettings(Opening(tracker, reference=reference))
+    made = Opening(tracker, reference=reference)
     chain, other = (CameraChain(film[0], (Target(Region(20, 20, 56, 56)),), made) for _ in range(2))
     for frame in film[:60]:
         chain.push(frame)

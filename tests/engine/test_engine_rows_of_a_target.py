@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from midspan.engine.camera import ChainSettings, Target, TargetChain
+from midspan.engine.camera import Target, TargetChain
 from midspan.engine.target_opening import Opening
 from midspan.engine.tracking import TargetTracking, light_warnings
 from midspan.records import Frame, PixelTrack, PixelTranslation, Region, Status
@@ -26,8 +26,7 @@ def found(k):
 @pytest.fixture
 def target():
     picture = np.random.default_rng(0).integers(20, 220, (40, 40), dtype=np.uint8)
-    settings = ChainSettings(Opening("template"))
-    return TargetTracking(TargetChain(Frame(0, picture), Target(Region(8, 8, 24, 24), "deck"), settings))
+    return TargetTracking(TargetChain(Frame(0, picture), Target(Region(8, 8, 24, 24), "deck"), Opening("template")))
 
 
 def test_the_rows_are_what_was_found_to_the_last_bit(target):

@@ -282,7 +282,7 @@ def test_the_order_of_the_rejections_matters_where_most_matches_are_equal_mismat
 
 def test_the_earlier_rules_join_pre_purification_and_consensus():
     translation = np.array([[1.0, 0], [2.0, 0], [60.0, 0], [60.0, 1], [60.0, 2], [-20.0, 0]])
-    assert earlier_rules(translation, FeatureSettings(max_displacement_px=30.0)).tolist() == [0, 1]
+    assert earlier_rules(np.zeros((6, 2)), translation, FeatureSettings(max_displacement_px=30.0)).tolist() == [0, 1]
 
 
 def test_the_literal_steps_look_for_the_target_in_the_region_only(reference, picture):

@@ -6,18 +6,7 @@ use super::innovation::Mixed;
 use super::model::Model;
 use super::reports::Report;
 use super::samples::BRIDGED;
-
-/// What a row rests on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Status {
-    /// A measurement that is not too old.
-    Tracking,
-    /// The acceleration alone.
-    Coasting,
-    /// The acceleration alone, for longer.
-    #[default]
-    Lost,
-}
+use crate::Status;
 
 /// Rows of one axis.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -18,7 +18,7 @@ pub const DECADES: f64 = 4.0;
 pub(super) const P_STEPPED: f64 = 0.1;
 /// Shortest time (s) that a rate is taken over.
 pub const SHORTEST_S: f64 = 1e-3;
-const LOG_2PI: f64 = 1.837_877_066_409_345_3;
+pub(super) const LOG_2PI: f64 = 1.837_877_066_409_345_3;
 
 /// A measurement in one hypothesis, before it is decided what it is.
 pub struct Situation<'a> {

@@ -17,7 +17,7 @@ use super::matrix::Matrix;
 use super::model::{ChannelModel, Model};
 use super::row::Row;
 use super::settings::Rates;
-use super::situation::met_within;
+use super::situation::{LOG_2PI, met_within};
 use crate::track::vector::vectorised;
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +36,6 @@ const MAX_PROBABILITY: f64 = 0.5;
 const MAX_LOG_PROBABILITY: f64 = -std::f64::consts::LN_2;
 /// Both causes of all instants: the zero's step (1 m), then that of the velocity (1 m/s).
 const LANES: usize = 2 * INSTANTS;
-const LOG_2PI: f64 = 1.837_877_066_409_345_3;
 
 /// When a step may have begun, and the time since the measurement before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

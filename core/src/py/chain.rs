@@ -4,12 +4,13 @@ use super::estimator::state_error;
 use super::lens::LensModel;
 use super::pixels::{Corners, Pixels, region, with_image};
 use super::registration::{PyPrediction, PyRegistration};
+use crate::Status;
 use crate::estimator::state::{StateError, from_bytes, to_bytes};
 use crate::track::chain::{Chain, Row, Seen, Shutter};
 use crate::track::codec::Compression;
 use crate::track::counts::AxisCounts;
 use crate::track::motion::Prediction;
-use crate::track::watch::{Status, Translation, Unseen, Watch, WatchMemory, Watched};
+use crate::track::watch::{Translation, Unseen, Watch, WatchMemory, Watched};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -28,18 +29,13 @@ type PyCounts = (u64, u64, u64, u64, f64, PyAxisCounts, PyAxisCounts);
 /// A row for Python.
 pub fn py_row(row: &Row) -> PyRow {
     let Translation { status, place: [x, y], variance, reference_variance, quality, strength } = row.translation;
-    let status = match status {
-        Status::Tracking => 0,
-        Status::Coasting => 1,
-        Status::Lost => 2,
-    };
     let unseen = match row.unseen {
         None => 0,
         Some(Unseen::Dark) => 1,
         Some(Unseen::Frozen) => 2,
     };
     let [[own_x, own_y], [more_x, more_y]] = [variance, reference_variance];
-    (row.time_ns, x, y, own_x, own_y, quality, status, strength, more_x, more_y, unseen)
+    (row.time_ns, x, y, own_x, own_y, quality, status as u8, strength, more_x, more_y, unseen)
 }
 
 /// A Python `PixelTranslation`.

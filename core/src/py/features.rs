@@ -103,10 +103,17 @@ fn surf_features<'py>(
     ))
 }
 
-fn features(descriptor: &PyReadonlyArray2<'_, f32>, kind: &PyReadonlyArray1<'_, i8>) -> PyResult<Features> {
-    let values = descriptor.as_array();
-    let features = Features::new(values.iter().copied().collect(), values.ncols().max(1), kind.as_array().to_vec());
-    features.ok_or_else(|| PyValueError::new_err("descriptor, kind: rows as many as kinds are needed"))
+/// Positions and features of the columns of Python's keypoints.
+fn features(
+    xy: &PyReadonlyArray2<'_, f64>,
+    descriptor: &PyReadonlyArray2<'_, f32>,
+    kind: &PyReadonlyArray1<'_, i8>,
+) -> PyResult<(Vec<[f64; 2]>, Features)> {
+    let (positions, values) = (super::pairs("xy", xy)?, descriptor.as_array());
+    let features = Features::new(values.iter().copied().collect(), values.ncols().max(1), kind.as_array().to_vec())
+        .ok_or_else(|| PyValueError::new_err("descriptor, kind: rows as many as kinds are needed"))?;
+    super::same_length("xy, kind", positions.len(), features.len())?;
+    Ok((positions, features))
 }
 
 /// Matches of features of a reference with those of a frame.
@@ -150,8 +157,7 @@ impl FeatureMatcher {
         kind: PyReadonlyArray1<'_, i8>,
         ratio: Option<f64>,
     ) -> PyResult<Self> {
-        let (positions, features) = (super::pairs("xy", &xy)?, features(&descriptor, &kind)?);
-        super::same_length("xy, kind", positions.len(), features.len())?;
+        let (positions, features) = features(&xy, &descriptor, &kind)?;
         Ok(Self { positions, features, ratio })
     }
 
@@ -163,8 +169,7 @@ impl FeatureMatcher {
         descriptor: PyReadonlyArray2<'py, f32>,
         kind: PyReadonlyArray1<'py, i8>,
     ) -> PyResult<Matched<'py>> {
-        let (positions, now) = (super::pairs("xy", &xy)?, features(&descriptor, &kind)?);
-        super::same_length("xy, kind", positions.len(), now.len())?;
+        let (positions, now) = features(&xy, &descriptor, &kind)?;
         self.matched(py, &now, &positions)
     }
 

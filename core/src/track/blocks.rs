@@ -94,7 +94,7 @@ pub fn gains(gain: &[(f64, f64)], usual: Option<f64>) -> Vec<Option<f64>> {
         .collect()
 }
 
-/// Normal matrix and right side of the weighted fit of x, y, roll, zoom.
+/// Normal matrix, its diagonal a little larger, and right side of the weighted fit of x, y, roll, zoom.
 fn normal(blocks: &[Counted], weight: &[f64]) -> (Matrix<4>, PoseValue) {
     let (mut matrix, mut right) = (Matrix::<4>::default(), PoseValue::default());
     for (block, &weight) in blocks.iter().zip(weight).filter(|(_, weight)| **weight > 0.0) {
@@ -110,8 +110,11 @@ fn normal(blocks: &[Counted], weight: &[f64]) -> (Matrix<4>, PoseValue) {
         }
     }
     let lower = matrix;
-    let whole = |i: usize, j: usize| if j <= i { lower[i][j] } else { lower[j][i] };
-    (std::array::from_fn(|i| std::array::from_fn(|j| whole(i, j))), right)
+    for (i, row) in matrix.iter_mut().enumerate() {
+        (i + 1..4).for_each(|j| row[j] = lower[j][i]);
+        row[i] = row[i] * (1.0 + 1e-9) + 1e-12;
+    }
+    (matrix, right)
 }
 
 /// A block that counts.
@@ -193,7 +196,9 @@ pub fn fuse(blocks: &[Shown], begin: &PoseValue, usual: Option<f64>) -> Fused {
         }
         let weighted: f64 = weight.iter().zip(&distance).map(|(weight, distance)| weight * distance).sum();
         fused.noise = (of_square * weighted / (2.0 * total - 4.0).max(1.0)).sqrt();
-        (pose, fused.covariance) = drawn(normal(&counted, &weight), fused.noise, of_variance);
+        let ((matrix, right), noise) = (normal(&counted, &weight), fused.noise);
+        (pose, fused.covariance) = drawn(matrix, &right, noise, of_variance * noise * noise);
+        fused.covariance = fused.covariance.map(|row| row.map(|value| value * of_variance * noise * noise));
         if pass > 0 && (pose[0] - before[0]).abs().max((pose[1] - before[1]).abs()) < SETTLED_PX {
             break;
         }
@@ -201,19 +206,17 @@ pub fn fuse(blocks: &[Shown], begin: &PoseValue, usual: Option<f64>) -> Fused {
     Fused { pose, ..fused }
 }
 
-/// The solution of the normal equations, roll and zoom drawn to zero as far as they may be noise, and its covariance.
-fn drawn((mut matrix, right): (Matrix<4>, PoseValue), noise: f64, factor: f64) -> (PoseValue, Matrix<4>) {
-    for (k, row) in matrix.iter_mut().enumerate() {
-        row[k] = row[k] * (1.0 + 1e-9) + 1e-12;
-    }
+/// The solution of normal equations, roll and zoom drawn to zero as far as they may be noise, and the inverse of their
+/// matrix then; `variance`: of the noise as they weigh it.
+pub fn drawn(mut matrix: Matrix<4>, right: &PoseValue, noise: f64, variance: f64) -> (PoseValue, Matrix<4>) {
     let plain = inverse(&matrix);
-    let pose = times(&plain, &right);
+    let pose = times(&plain, right);
     for k in 2..4 {
-        let own = factor * noise * noise * plain[k][k];
+        let own = variance * plain[k][k];
         matrix[k][k] += noise.max(1e-9).powi(2) / ((pose[k] * pose[k] - own).max(1e-3 * own) + 1e-300);
     }
-    let shrunk = inverse(&matrix);
-    (times(&shrunk, &right), shrunk.map(|row| row.map(|value| value * factor * noise * noise)))
+    let inverse = inverse(&matrix);
+    (times(&inverse, right), inverse)
 }
 
 #[cfg(test)]

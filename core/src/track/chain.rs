@@ -5,7 +5,8 @@ use super::kept::Storable;
 use super::lens::Lens;
 use super::motion::Prediction;
 use super::tracker::{Fix, Look, Tracker};
-use super::watch::{LOST, Status, Translation, Unseen, Watch};
+use super::watch::{LOST, Translation, Unseen, Watch};
+use crate::Status;
 
 const NANOSECONDS: f64 = 1e9;
 

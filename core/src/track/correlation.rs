@@ -152,8 +152,8 @@ vectorised! {
         }
         if let Ok(taps) = <[f32; 5]>::try_from(taps) {
             for r in 0..rows {
-                weighted::<5>(std::array::from_fn(|j| patch.row(r + j)), taps, &mut line);
-                weighted::<5>(std::array::from_fn(|i| &line[i..]), taps, out.row_mut(r));
+                weighted::<5, false>(std::array::from_fn(|j| patch.row(r + j)), taps, &mut line);
+                weighted::<5, false>(std::array::from_fn(|i| &line[i..]), taps, out.row_mut(r));
             }
             return out;
         }

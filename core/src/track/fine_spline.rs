@@ -4,7 +4,8 @@
 
 use super::grid::{Grid, Part};
 use super::spline::{REACH, coefficients, combine, quintic, weights};
-use super::vector::{add_weighted, vectorised, weighted};
+use super::vector::{vectorised, weighted};
+use std::array::from_fn;
 
 /// Coefficients a pixel.
 pub const PER_PX: usize = 2;
@@ -21,7 +22,7 @@ const HALF: usize = FINE_TAPS / PER_PX;
 /// derivative by it.
 pub fn fine_weights(shift: f64, derivative: usize) -> [f64; FINE_TAPS] {
     let scale = (-(PER_PX as f64)).powi(derivative as i32);
-    std::array::from_fn(|j| scale * quintic(j as f64 - MARGIN as f64 - PER_PX as f64 * shift, derivative))
+    from_fn(|j| scale * quintic(j as f64 - MARGIN as f64 - PER_PX as f64 * shift, derivative))
 }
 
 /// How many of them are not 0.
@@ -41,7 +42,7 @@ impl Taps {
     pub fn new(shift: f64, derivative: usize) -> Self {
         let all = fine_weights(shift, derivative);
         let first = ((PER_PX as f64 * shift).floor() + 2.0).clamp(0.0, (FINE_TAPS - SUPPORT) as f64) as usize;
-        Self { first, weight: std::array::from_fn(|j| all[first + j] as f32) }
+        Self { first, weight: from_fn(|j| all[first + j] as f32) }
     }
 
     /// Times a factor.
@@ -53,7 +54,7 @@ impl Taps {
     #[inline(always)]
     fn each_second(&self, part: usize) -> (usize, [f32; EACH]) {
         let before = (self.first + 1 - part) / PER_PX;
-        (before, std::array::from_fn(|m| self.weight[PER_PX * (before + m) + part - self.first]))
+        (before, from_fn(|m| self.weight[PER_PX * (before + m) + part - self.first]))
     }
 }
 
@@ -142,15 +143,15 @@ impl Line {
     #[inline(always)]
     fn down(&mut self, grid: &Fine, row: usize, left: usize, taps: &Taps) {
         let row = row + taps.first;
-        weighted::<SUPPORT>(std::array::from_fn(|j| &grid.even.row(row + j)[left..]), taps.weight, &mut self.even);
-        weighted::<SUPPORT>(std::array::from_fn(|j| &grid.odd.row(row + j)[left..]), taps.weight, &mut self.odd);
+        weighted::<SUPPORT, false>(from_fn(|j| &grid.even.row(row + j)[left..]), taps.weight, &mut self.even);
+        weighted::<SUPPORT, false>(from_fn(|j| &grid.odd.row(row + j)[left..]), taps.weight, &mut self.odd);
     }
 
     /// Fill `out` with the weighted sums of nine coefficients about each pixel.
     #[inline(always)]
     fn across(&self, taps: &Taps, out: &mut [f32]) {
         let line = |i: usize| if i % 2 == 0 { &self.even[i / 2..] } else { &self.odd[i / 2..] };
-        weighted::<SUPPORT>(std::array::from_fn(|j| line(taps.first + j)), taps.weight, out);
+        weighted::<SUPPORT, false>(from_fn(|j| line(taps.first + j)), taps.weight, out);
     }
 }
 
@@ -196,14 +197,14 @@ pub fn spread_into(pixels: &Grid, down: &Taps, across: &Taps, spreading: &mut Sp
         line[HALF..HALF + pixels.columns].copy_from_slice(pixels.row(r));
         for (part, lines) in [&mut lines.even, &mut lines.odd].into_iter().enumerate() {
             let (before, weight) = across.each_second(part);
-            weighted::<EACH>(std::array::from_fn(|m| &line[HALF - before - m..]), weight, lines.row_mut(r + HALF));
+            weighted::<EACH, false>(from_fn(|m| &line[HALF - before - m..]), weight, lines.row_mut(r + HALF));
         }
     }
     for r in 0..out.even.rows {
         let (before, weight) = down.each_second(r % PER_PX);
         let row = r / PER_PX + HALF - before;
         for (lines, out) in [(&lines.even, &mut out.even), (&lines.odd, &mut out.odd)] {
-            add_weighted::<EACH>(std::array::from_fn(|m| lines.row(row - m)), weight, out.row_mut(r));
+            weighted::<EACH, true>(from_fn(|m| lines.row(row - m)), weight, out.row_mut(r));
         }
     }
 }
@@ -236,7 +237,7 @@ vectorised! {
         let [down, steep] = [0, 1].map(|d| Taps::new(-y, d));
         let [across, along] = [0, 1].map(|d| Taps::new(-x, d));
         let mut line = Line::new(part.columns());
-        let [mut value, mut slope_x, mut slope_y] = std::array::from_fn(|_| Grid::filled(part.rows(), part.columns(), 0.0));
+        let [mut value, mut slope_x, mut slope_y] = from_fn(|_| Grid::filled(part.rows(), part.columns(), 0.0));
         for r in 0..part.rows() {
             let (row, left) = (PER_PX * (part.top + r), part.left);
             line.down(grid, row, left, &down);
@@ -256,8 +257,8 @@ vectorised! {
         let mut line = Line::new(part.columns());
         // By the order of the derivative down, and that across.
         let [mut flat, mut steep, mut bent]: [[Grid; 3]; 3] =
-            std::array::from_fn(|d| {
-                std::array::from_fn(|k| if d + k < 3 { Grid::filled(part.rows(), part.columns(), 0.0) } else { Grid::default() })
+            from_fn(|d| {
+                from_fn(|k| if d + k < 3 { Grid::filled(part.rows(), part.columns(), 0.0) } else { Grid::default() })
             });
         for r in 0..part.rows() {
             for (d, out) in [&mut flat[..], &mut steep[..2], &mut bent[..1]].into_iter().enumerate() {

@@ -224,18 +224,7 @@ impl Halves {
 vectorised! {
     /// Sum of products.
     fn halves_product(kernel: &[i16], pixels: &[f32]) -> f32 {
-        let mut lanes = [0.0f32; super::vector::WIDE_LANES];
-        let (blocks, others) = (kernel.chunks_exact(super::vector::WIDE_LANES), pixels.chunks_exact(super::vector::WIDE_LANES));
-        let (rest, rest_of_other) = (blocks.remainder(), others.remainder());
-        for (a, b) in blocks.zip(others) {
-            for k in 0..super::vector::WIDE_LANES {
-                lanes[k] += f32::from(a[k]) * b[k];
-            }
-        }
-        for (lane, (a, b)) in lanes.iter_mut().zip(rest.iter().zip(rest_of_other)) {
-            *lane += f32::from(*a) * b;
-        }
-        super::vector::gathered(lanes)
+        super::vector::dot(kernel, pixels)
     }
 }
 

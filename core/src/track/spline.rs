@@ -82,8 +82,8 @@ vectorised! {
         let (down, across) = (down.map(|w| w as f32), across.map(|w| w as f32));
         let (mut out, mut line) = (Grid::filled(rows, columns, 0.0), vec![0.0; grid.columns]);
         for r in 0..rows {
-            weighted::<TAPS>(std::array::from_fn(|j| grid.row(r + j)), down, &mut line);
-            weighted::<TAPS>(std::array::from_fn(|i| &line[i..]), across, out.row_mut(r));
+            weighted::<TAPS, false>(std::array::from_fn(|j| grid.row(r + j)), down, &mut line);
+            weighted::<TAPS, false>(std::array::from_fn(|i| &line[i..]), across, out.row_mut(r));
         }
         out
     }

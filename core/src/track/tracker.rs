@@ -8,7 +8,8 @@ use super::image::{Image, Pixel};
 use super::motion::{Motion, Prediction};
 use super::patch::values;
 use super::registration::Registration;
-use super::watch::{LOST, Status, Translation};
+use super::watch::{LOST, Translation};
+use crate::Status;
 
 /// A target that is found within this of its expected place is not taken for another, px.
 const NEXT_PX: f64 = 1.0;

@@ -10,7 +10,7 @@
 //! [`super::climb`]).
 
 use super::bank::{Division, Plane};
-use super::blocks::PoseValue;
+use super::blocks::{PoseValue, drawn};
 use super::climb::{MAX_GAIN, MIN_GAIN, NEAR_PX, OWN_WEIGHT, Pose, View};
 use super::image::{Image, Pixel};
 use super::kernels::{PHASES, Quantised, phase_slot};
@@ -360,16 +360,9 @@ fn shrunk(
     noise: f64,
     known: &Known,
 ) -> (PoseValue, Matrix<WANTED>) {
-    let mut matrix = normal.map(|row| row.map(|value| value * gain * gain));
-    let right = score.map(|value| value * gain);
-    let plain = inverse(&matrix);
-    let pose = times(&plain, &right);
-    for k in 2..WANTED {
-        let own = noise * noise * plain[k][k];
-        matrix[k][k] += noise.max(1e-9).powi(2) / ((pose[k] * pose[k] - own).max(1e-3 * own) + 1e-300);
-    }
-    let inverse = inverse(&matrix);
+    let matrix = normal.map(|row| row.map(|value| value * gain * gain));
+    let (pose, inverse) = drawn(matrix, &score.map(|value| value * gain), noise, noise * noise);
     let variance =
         known.usual.map_or(noise * noise, |usual| (OWN_WEIGHT * noise * noise + usual * usual) / (OWN_WEIGHT + 1.0));
-    (times(&inverse, &right), scaled_sum(&inverse, variance, &known.zero))
+    (pose, scaled_sum(&inverse, variance, &known.zero))
 }

@@ -139,17 +139,20 @@ pub fn gathered<const N: usize>(mut lanes: [f32; N]) -> f32 {
 
 /// Sum of the products of two equally long slices.
 #[inline(always)]
-pub fn dot(one: &[f32], other: &[f32]) -> f32 {
+pub fn dot<T: Copy>(one: &[T], other: &[f32]) -> f32
+where
+    f32: From<T>,
+{
     let mut lanes = [0.0f32; WIDE_LANES];
     let (blocks, others) = (one.chunks_exact(WIDE_LANES), other.chunks_exact(WIDE_LANES));
     let (rest, rest_of_other) = (blocks.remainder(), others.remainder());
     for (a, b) in blocks.zip(others) {
         for k in 0..WIDE_LANES {
-            lanes[k] += a[k] * b[k];
+            lanes[k] += f32::from(a[k]) * b[k];
         }
     }
     for (lane, (a, b)) in lanes.iter_mut().zip(rest.iter().zip(rest_of_other)) {
-        *lane += a * b;
+        *lane += f32::from(*a) * b;
     }
     gathered(lanes)
 }
@@ -171,29 +174,17 @@ pub fn sum(values: &[f32]) -> f32 {
     gathered(lanes)
 }
 
-/// Fill `out` with the sums of N lines, each times its weight; each line is at least as long as `out`.
+/// Fill `out` with the sums of N lines, each times its weight, or with ADD add them; each line is at least as long as
+/// `out`.
 #[inline(always)]
-pub fn weighted<const N: usize>(lines: [&[f32]; N], weight: [f32; N], out: &mut [f32]) {
+pub fn weighted<const N: usize, const ADD: bool>(lines: [&[f32]; N], weight: [f32; N], out: &mut [f32]) {
     let lines = lines.map(|line| &line[..out.len()]);
     for c in 0..out.len() {
         let mut total = weight[0] * lines[0][c];
         for j in 1..N {
             total += weight[j] * lines[j][c];
         }
-        out[c] = total;
-    }
-}
-
-/// Add to `out` the sums of N lines, each times its weight; each line is at least as long as `out`.
-#[inline(always)]
-pub fn add_weighted<const N: usize>(lines: [&[f32]; N], weight: [f32; N], out: &mut [f32]) {
-    let lines = lines.map(|line| &line[..out.len()]);
-    for c in 0..out.len() {
-        let mut total = weight[0] * lines[0][c];
-        for j in 1..N {
-            total += weight[j] * lines[j][c];
-        }
-        out[c] += total;
+        out[c] = if ADD { out[c] + total } else { total };
     }
 }
 

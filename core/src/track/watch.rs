@@ -10,6 +10,7 @@ use super::light_watch::{LightMemory, LightWatch};
 use super::picture::{part_still, same};
 use super::picture_watch::{PictureMemory, PictureWatch};
 use super::running_median::RunningMedian;
+use crate::Status;
 use serde::{Deserialize, Serialize};
 
 /// Share of the texture that is still from which on a frame is torn, and the most that usually is, over this many frames:
@@ -20,17 +21,6 @@ const USUAL_FRAMES: usize = 9;
 /// Step of the rows and columns that tell a black frame from a lit one, and the rows looked at where a frame has more.
 const THINNED: usize = 4;
 const DARK_ROWS: usize = 60;
-
-/// What a translation rests on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Status {
-    /// The frame shows the target.
-    Tracking,
-    /// It was predicted.
-    Coasting,
-    /// Nothing is known.
-    Lost,
-}
 
 /// The translation of a target since its reference frame.
 #[derive(Clone, Copy, Debug, PartialEq)]

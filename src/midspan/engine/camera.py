@@ -34,21 +34,6 @@ class Target:
     name: str = "1"
 
 
-@dataclass(frozen=True, slots=True)
-class ChainSettings:
-    """How a camera's frames become translations.
-
-    opening: what each target is tracked with. readout_s: rolling shutter, s from the first row (which the stamps belong
-    to) to the last: translations are dated by the row of the target's middle. lossless: whether the frames come from a
-    file which leaves nothing out. quarter_turns: by which the sensor's rows were turned with the picture.
-    """
-
-    opening: Opening
-    readout_s: float = 0.0
-    lossless: bool = False
-    quarter_turns: int = 0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetState:
     """What a `TargetChain` remembers: its tracker's state, and all the rest as the core writes it."""
@@ -65,10 +50,9 @@ class TargetChain:
     one call takes a frame through both.
     """
 
-    def __init__(self, reference: Frame, target: Target, settings: ChainSettings) -> None:
+    def __init__(self, reference: Frame, target: Target, opening: Opening) -> None:
         self.region, self.name = target.region, target.name
-        self._settings = settings
-        opening, region = settings.opening, target.region
+        self._opening, region = opening, target.region
         self.tracker = opening.opened(reference, region)
         pictured = not opening.radiometric(reference)
         self._core = _core.TargetChain(
@@ -76,9 +60,9 @@ class TargetChain:
             (region.x, region.y, region.width, region.height),
             picture=pictured,
             light=pictured and opening.reference == "first",
-            lossless=settings.lossless,
-            readout_s=settings.readout_s,
-            quarter_turns=settings.quarter_turns,
+            lossless=opening.lossless,
+            readout_s=opening.readout_s,
+            quarter_turns=opening.quarter_turns,
             lens=lens_of(opening.lens),
         )
         # How long after the reference frame's stamp the row of the target's middle was read out, ns.
@@ -136,7 +120,7 @@ class TargetChain:
             check_size(frame, tracker.reference)
             raise
         if row is None:
-            found = tracker.search(frame, shown_prediction(prediction, self.region, self._settings.opening.lens))
+            found = tracker.search(frame, shown_prediction(prediction, self.region, self._opening.lens))
             row, events = core.push(frame.pixels, frame.time_ns, found), found.events
         return translation_of(row, events)
 
@@ -160,9 +144,9 @@ class TargetChain:
         Both are box averages; their widths add as squares.
         """
         rows, columns = self.tracker.reference.pixels.shape
-        turned = self._settings.quarter_turns % 2
+        turned = self._opening.quarter_turns % 2
         share = self.region.width / max(columns, 1) if turned else self.region.height / max(rows, 1)
-        return math.hypot(exposure_s or 0.0, self._settings.readout_s * share)
+        return math.hypot(exposure_s or 0.0, self._opening.readout_s * share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,9 +164,9 @@ class CameraChain:
     the frames pushed.
     """
 
-    def __init__(self, reference: Frame, targets: Sequence[Target], settings: ChainSettings) -> None:
+    def __init__(self, reference: Frame, targets: Sequence[Target], opening: Opening) -> None:
         """Raises UsageError for a target that cannot be tracked, or is out of the lens model's reach."""
-        self.targets = tuple(TargetChain(reference, target, settings) for target in targets)
+        self.targets = tuple(TargetChain(reference, target, opening) for target in targets)
 
     @property
     def state(self) -> CameraState:

@@ -120,7 +120,7 @@ def _covered(
         # The whole picture warms and cools with the day, and its middle with it.
         celsius = frame.pixels.astype(np.float32)
         seen = celsius - np.float32(np.median(celsius) - np.median(usual))
-        now = max((_far_share(_cut(seen, region), _cut(usual, region)) for region in regions), default=0.0)
+        now = max((_far_share(seen[region.slices], usual[region.slices]) for region in regions), default=0.0)
         share = share if number else now
         if share < COVERED_SHARE or frame.time_ns > last:
             return 0, 0.0
@@ -143,10 +143,6 @@ def _contrast(pixels: NDArray[Any]) -> float:
     step = max(min(pixels.shape) // 60, 1)
     low, high = np.percentile(pixels[::step, ::step], (25.0, 75.0))
     return float(high - low)
-
-
-def _cut(pixels: NDArray[Any], region: Region) -> NDArray[Any]:
-    return pixels[region.y : region.y + region.height, region.x : region.x + region.width]
 
 
 def _closing(frames: Iterator[Frame]) -> Generator[Frame]:

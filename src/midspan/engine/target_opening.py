@@ -246,12 +246,14 @@ def _laid_out(scene: Floats, shape: tuple[int, ...], region: Region) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What a target is tracked with.
+    """What a target is tracked with, and how its frames are made.
 
     tracker, tracker_settings: its name and settings record (None: its defaults). reference: "first", "key-frames" or
     "updating"; reference_settings: of the last one, by name. thermal: whether frames are temperatures; those of whole
     numbers are pictures all the same. levels: the range of temperatures shown in 256 grey levels, None: °C as they are.
-    lens: None: none is corrected.
+    lens: None: none is corrected. readout_s: rolling shutter, s from the first row (which the stamps belong to) to the
+    last: translations are dated by the row of the target's middle. lossless: whether the frames come from a file which
+    leaves nothing out. quarter_turns: by which the sensor's rows were turned with the picture.
     """
 
     tracker: str
@@ -261,6 +263,9 @@ class Opening:
     thermal: bool = False
     levels: Limits | None = None
     lens: Lens | None = None
+    readout_s: float = 0.0
+    lossless: bool = False
+    quarter_turns: int = 0
 
     def radiometric(self, frame: Frame) -> bool:
         """Whether a frame holds temperatures."""
@@ -302,8 +307,7 @@ def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None
     """UsageError where hardly any of a target's temperatures in the reference frame are within the range shown."""
     if reference.pixels.dtype.kind != "f":
         return
-    part = reference.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-    celsius = np.asarray(part, dtype=np.float64)
+    celsius = np.asarray(reference.pixels[region.slices], dtype=np.float64)
     if np.mean((celsius > levels.low_c) & (celsius < levels.high_c)) >= MIN_INSIDE:
         return
     low, high = np.percentile(celsius, (1.0, 99.0))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.camera.view import SeenTarget
-from midspan.engine.camera import CameraChain, CameraState, ChainSettings, Target, TargetChain
+from midspan.engine.camera import CameraChain, CameraState, Target, TargetChain
 from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
@@ -80,9 +80,7 @@ class TrackingSettings(Opening):
     """What to track, and with what (see `Opening`): the measured image axis, the targets and the frames used.
 
     targets: none: `automatic_targets` are chosen. first: index of the reference frame; last: index after the last frame
-    used. readout_s: rolling shutter, s from the first row (which the stamps belong to) to the last: the track's times
-    are those of the target's middle row. trial_from_ns: where the calibration begins, on the camera's clock. sensor:
-    what messages call it.
+    used. trial_from_ns: where the calibration begins, on the camera's clock. sensor: what messages call it.
     """
 
     direction: str = "y"
@@ -90,7 +88,6 @@ class TrackingSettings(Opening):
     automatic_targets: int = 1
     first: int = 0
     last: int | None = None
-    readout_s: float = 0.0
     trial_from_ns: int | None = None
     sensor: str = "camera"
 
@@ -252,8 +249,8 @@ class CameraTracking:
                 refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
         info = source.info
-        chain = ChainSettings(settings, settings.readout_s, info.lossless is True, info.quarter_turns)
-        self.chain = CameraChain(self.reference, targets, chain)
+        opening = replace(settings, lossless=info.lossless is True, quarter_turns=info.quarter_turns)
+        self.chain = CameraChain(self.reference, targets, opening)
         self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
         # The chain learns from the first frames, which are kept to be tracked afterwards.
         wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")

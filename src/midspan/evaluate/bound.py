@@ -21,6 +21,7 @@ from midspan.fusion.runners import run_method
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, MethodSettings
 from midspan.recording.result import Result
 from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, Source, nanoseconds
+from midspan.simulate.files.folder import MARK
 from midspan.simulate.scenarios.table import pixel_bound
 
 # The bound's segment is left to settle by this many periods of the corner before it is called stationary.
@@ -137,9 +138,6 @@ def zeroed_bound(
     return float(np.sqrt(np.mean(variance[first : last + 1]) + smoothed[first]))
 
 
-KNOWN_FILE = "known.json"
-
-
 def least_error_mm(result: Result) -> float:
     """The least rms error (mm) of a camera's result from a simulated recording, its zero at the first frame included.
 
@@ -147,7 +145,7 @@ def least_error_mm(result: Result) -> float:
     where the recording is not simulated or has no camera.
     """
     recording, camera = result.recording, result.calibration.first_camera
-    file = None if recording is None else recording.folder / KNOWN_FILE
+    file = None if recording is None else recording.folder / MARK
     track = result.track
     if recording is None or file is None or not file.is_file() or camera is None or track is None:
         raise UsageError("The least error is only known for a simulated recording with a camera (with its known.json).")

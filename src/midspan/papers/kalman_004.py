@@ -143,7 +143,7 @@ def rejection(effort: Effort) -> Measured:
         begun = time.process_time()
         printed_matches(first, now, settings, prediction=Prediction(0.4, 3.1, 0.2, 0.2), rng=rng)
         middle = time.process_time()
-        earlier_rules(now - first, earlier)
+        earlier_rules(first, now, earlier)
         times["I and II"] += middle - begun
         times["existing"] += time.process_time() - middle
     return Measured({name: 1e6 * spent / count for name, spent in times.items()})

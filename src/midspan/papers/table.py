@@ -1,12 +1,13 @@
 """The papers' experiments in one table, and how they are run."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing import active_children, get_context
 
 from midspan.papers.claims import Curve, Effort, Experiment, Measured, Row, judged
+from midspan.progress import Progress
 
 # Key of a paper → module with its EXPERIMENTS.
 MODULES = {
@@ -17,8 +18,6 @@ MODULES = {
     "004": "midspan.papers.entries_004",
 }
 QUICK_SEEDS, SEEDS = 1, 3
-
-Progress = Callable[[int, int, str], None]  # measurements done, in all, the experiment's name
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ def image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
     """An image, or a region of it, in its own pixel coordinates, thinned to what the page can show."""
     rows, columns = pixels.shape
     place = region or Region(0, 0, columns, rows)
-    cut = pixels[place.y : place.y + place.height, place.x : place.x + place.width]
+    cut = pixels[place.slices]
     step = max(1, -(-max(cut.shape) // MAX_FRAME_PX))
     thinned = np.asarray(cut[::step, ::step], dtype=np.float64)
     low, high = np.nanpercentile(thinned, (0.5, 99.5))
@@ -240,7 +240,7 @@ def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
     """The region in the `reference` frame (rows, columns), and its active pixels along x and y tinted."""
     region = found.region
     pixels = np.asarray(reference, dtype=np.float64)
-    cut = pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+    cut = pixels[region.slices]
     low, high = np.nanpercentile(cut, (0.5, 99.5))
     grey = np.clip((cut - low) / max(high - low, 1e-9), 0.0, 1.0)
     figure = sheet(3.2)

@@ -11,6 +11,7 @@ import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from midspan.engine.point import PointStatus
 from midspan.errors import UsageError
 from midspan.service.keeping import Keeper
 from midspan.service.running import Running
@@ -130,7 +131,7 @@ def figures(points: Iterable[Running], keeper: Keeper, now_s: float) -> str:
     labels = ["point", "source"]
     counts = {key: Gauge(f"midspan_source_{key}", text, labels, registry=registry) for key, text in COUNTS.items()}
     age = Gauge("midspan_source_age_seconds", "Time since the newest record.", labels, registry=registry)
-    of_a_point = "0 tracking, 1 coasting, 2 lost, 3 warming, 4 calibrating."
+    of_a_point = f"{', '.join(f'{one.value} {one.name.lower()}' for one in PointStatus)}."
     status = Gauge("midspan_point_status", of_a_point, ["point"], registry=registry)
     for one in points:
         status.labels(one.name).set(int(one.live.status))

@@ -57,7 +57,7 @@ class ThermalCleaner:
             raise refuse("region", f"inside the image of {columns}x{rows} px", region)
         self._shape, self._region = (rows, columns), region
         self._watch = ShutterWatch()
-        self._follower = LimitFollower(_part(reference.pixels, region), reference.time_ns)
+        self._follower = LimitFollower(reference.pixels[region.slices], reference.time_ns)
         self._pattern: FixedPattern | None = None
         self._kept: deque[tuple[NDArray[np.float32], float, float]] = deque(maxlen=PATTERN_FRAMES)
         self._last: Frame | None = None
@@ -117,7 +117,7 @@ class ThermalCleaner:
         if verdict.reopened:
             self._pattern, self._tries, self._closed = None, 0, True
             self._kept.clear()
-        target = _part(frame.pixels, region_now or self._region)
+        target = frame.pixels[(region_now or self._region).slices]
         limits = self._follower.push(target, frame.time_ns)
         self._last = frame
         pixels = frame.pixels if self.pattern is None else self.pattern.removed(frame.pixels)
@@ -154,10 +154,6 @@ class ThermalCleaner:
         values = np.zeros(self._shape)
         values[place] = found.values_k
         return replace(found, values_k=values)
-
-
-def _part(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:
-    return pixels[region.y : region.y + region.height, region.x : region.x + region.width]
 
 
 def _around(region: Region, moved_px: Floats, foreign: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -7,8 +7,8 @@ a scene that moves draws every translation towards zero.
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.records import Floats32
 from midspan.signals.medians import SIGMA_OF_MEDIAN
-from midspan.thermal.limits import Floats32
 
 Mask = NDArray[np.bool_]
 

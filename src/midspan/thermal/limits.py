@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, Floats
-
-Floats32 = NDArray[np.float32]
+from midspan.records import NANOSECONDS, Floats, Floats32
 
 _SHARES = (1.0, 25.0, 50.0, 75.0, 99.0)  # percent; the quartiles are moved by what covers less than a quarter only
 _MIN_K = 1e-3

@@ -48,8 +48,7 @@ def field_range(frames: Sequence[Frame]) -> Limits:
 
 def region_range(frames: Sequence[Frame], region: Region) -> Limits:
     """Least and largest temperature inside `region` (px) of all frames, °C."""
-    rows, columns = np.s_[region.y : region.y + region.height], np.s_[region.x : region.x + region.width]
-    return _extent([frame.pixels[rows, columns] for frame in frames])
+    return _extent([frame.pixels[region.slices] for frame in frames])
 
 
 def _extent(pictures: Sequence[NDArray[np.generic]]) -> Limits:

@@ -112,6 +112,17 @@ class Matched:
     all: int
 
 
+def good_matches(
+    first: Floats, now: Floats, settings: FeatureSettings, *, prediction: Prediction | None, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Indices of the matches (n, 2), px, that rejection II, with a prediction, and I keep."""
+    kept, epsilon = np.arange(len(first)), settings.epsilon_px
+    if prediction is not None:
+        kept = kept[rejection_two(now - first, prediction, epsilon)]
+    kept = kept[repeated_rejection_one(first[kept], now[kept], epsilon, rng=rng)]
+    return kept[near_median((now - first)[kept], AGREEMENT_PX)]
+
+
 class FeatureTracker(Tracker):
     """Follows a target by its features; see `midspan.vision.tracker.Tracker` for its interface."""
 
@@ -119,6 +130,8 @@ class FeatureTracker(Tracker):
     # Ratio of the nearest to the second nearest descriptor that a match may have; None: any.
     _ratio: float | None = None
     _max_spread_px = MAX_SPREAD_PX
+    # Indices of the good ones among matches (n, 2), px.
+    _good = staticmethod(good_matches)
 
     def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
         self.settings = settings
@@ -247,14 +260,8 @@ class FeatureTracker(Tracker):
             return None
         then, here = matches
         rng = np.random.default_rng((self.settings.seed, frame.time_ns % 2**63))
-        good = self._good(then, here, prediction=prediction, rng=rng)
+        good = self._good(then, here, self.settings, prediction=prediction, rng=rng)
         return average((here - then)[good], len(then), self.settings, self._max_spread_px)
-
-    def _good(
-        self, first: Floats, now: Floats, *, prediction: Prediction | None, rng: np.random.Generator
-    ) -> NDArray[np.int64]:
-        """Indices of the good ones among matches (n, 2), px."""
-        return good_matches(first, now, self.settings, prediction=prediction, rng=rng)
 
 
 def _with_margin(region: Region, shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
@@ -265,22 +272,6 @@ def _with_margin(region: Region, shape: tuple[int, ...]) -> tuple[int, int, int,
     bottom = min(region.y + region.height + MARGIN_PX, rows)
     # A part this small has no room for three matches.
     return (left, top, right - left, bottom - top) if min(right - left, bottom - top) >= 12 else None
-
-
-def good_matches(
-    first: Floats,
-    now: Floats,
-    settings: FeatureSettings,
-    *,
-    prediction: Prediction | None,
-    rng: np.random.Generator,
-) -> NDArray[np.int64]:
-    """Indices of the matches (n, 2), px, that rejection II, with a prediction, and I keep."""
-    kept, epsilon = np.arange(len(first)), settings.epsilon_px
-    if prediction is not None:
-        kept = kept[rejection_two(now - first, prediction, epsilon)]
-    kept = kept[repeated_rejection_one(first[kept], now[kept], epsilon, rng=rng)]
-    return kept[near_median((now - first)[kept], AGREEMENT_PX)]
 
 
 def average(
@@ -305,7 +296,7 @@ def average(
 
 def _target(image: NDArray[np.generic], region: Region) -> tuple[Floats32, float]:
     """The region's pixels less their mean, and that mean; UsageError when there is no texture to follow."""
-    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    part = np.asarray(image[region.slices], dtype=np.float64)
     offset = float(np.mean(part[np.isfinite(part)])) if np.isfinite(part).any() else 0.0
     raw = values(part, offset)
     if raw is None:
@@ -316,7 +307,7 @@ def _target(image: NDArray[np.generic], region: Region) -> tuple[Floats32, float
 
 def _detector(image: NDArray[np.generic], region: Region, settings: FeatureSettings, offset: float) -> Detector:
     """The detector, its grey scale that of 8 bit images, else twice the region's range in the reference frame."""
-    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    part = np.asarray(image[region.slices], dtype=np.float64)
     # An occluder or a shadow raises the contrast of a frame, but must not raise the threshold for what is left.
     contrast = float(np.nanvar(part))
     surf = SurfSettings(

@@ -16,7 +16,7 @@ import numpy as np
 
 from midspan import _core
 from midspan.checks import option, refuse
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError
 from midspan.records import Floats32, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.phase_model import (
@@ -31,7 +31,7 @@ from midspan.vision.phase_model import (
     target_of,
     whole_region,
 )
-from midspan.vision.region import MIN_SIDE_PX, check_size
+from midspan.vision.region import check_size, inner
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
 from midspan.vision.tracker import AXES, MAX_LEARNING_FRAMES, TRACKERS, AxisMotion, Tracker, open_tracker
@@ -121,7 +121,7 @@ class PhaseTracker(Tracker):
         super().__init__(reference, region)
         self.settings = settings
         rows, columns = reference.pixels.shape
-        self._window = _window(region, columns, rows)
+        self._window = inner(region, columns, rows, INSET_PX)
         self._matcher = self._open_matcher()
         part = region_patch(self._window, 0, 0, INSET_PX)
         cut = np.asarray(reference.pixels[part], dtype=np.float64)
@@ -314,15 +314,3 @@ class HybridTracker(PhaseTracker):
             if fix is not None:
                 return fix
         return self._matched(frame, prediction)
-
-
-def _window(region: Region, columns: int, rows: int) -> Region:
-    """The region without what lies too near to the image's border for the filters."""
-    x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
-    x1, y1 = min(region.x + region.width, columns - INSET_PX), min(region.y + region.height, rows - INSET_PX)
-    if min(x1 - x0, y1 - y0) < MIN_SIDE_PX:
-        raise UsageError(
-            f"camera.roi must keep at least {MIN_SIDE_PX} px of width and height {INSET_PX} px away from the "
-            f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
-        )
-    return Region(x0, y0, x1 - x0, y1 - y0)

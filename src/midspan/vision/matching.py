@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from midspan import _core
 from midspan._core import Fix
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError
 from midspan.records import Floats, Floats32, Region
-from midspan.vision.region import MIN_SIDE_PX
+from midspan.vision.region import inner
 from midspan.vision.search import coarse_factor
 from midspan.vision.texture import (
     REACH,
@@ -61,7 +61,7 @@ class Template:
 
 def make_template(image: NDArray[np.generic], region: Region, matching: Matching) -> Template:
     """Prepare the template of `region` in the reference `image`; UsageError when it has no texture to follow."""
-    window = _window(region, image.shape[1], image.shape[0])
+    window = inner(region, image.shape[1], image.shape[0], INSET_PX)
     raw, x0, y0, offset = _surroundings(image, region, window)
     sigma = noise_std(raw.astype(np.float64))
     check_texture(raw, sigma, full_scale(image), str(region))
@@ -83,19 +83,6 @@ def make_template(image: NDArray[np.generic], region: Region, matching: Matching
         threshold=threshold,
     )
     return Template(matcher, window, taps, pixels, offset, coarse_factor(pixels), expected, threshold)
-
-
-def _window(region: Region, columns: int, rows: int) -> Region:
-    """The region without what lies too near to the image's border for the spline."""
-    x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
-    x1 = min(region.x + region.width, columns - INSET_PX)
-    y1 = min(region.y + region.height, rows - INSET_PX)
-    if min(x1 - x0, y1 - y0) < MIN_SIDE_PX:
-        raise UsageError(
-            f"camera.roi must keep at least {MIN_SIDE_PX} px of width and height {INSET_PX} px away from the "
-            f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
-        )
-    return Region(x0, y0, x1 - x0, y1 - y0)
 
 
 def _surroundings(image: NDArray[np.generic], region: Region, window: Region) -> tuple[Floats32, int, int, float]:

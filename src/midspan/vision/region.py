@@ -35,6 +35,18 @@ def check_region(region: Region, columns: int, rows: int) -> Region:
     return region
 
 
+def inner(region: Region, columns: int, rows: int, inset_px: int) -> Region:
+    """The part of a region that keeps `inset_px` away from the border of an image; UsageError where it is too small."""
+    x0, y0 = max(region.x, inset_px), max(region.y, inset_px)
+    x1, y1 = min(region.x + region.width, columns - inset_px), min(region.y + region.height, rows - inset_px)
+    if min(x1 - x0, y1 - y0) < MIN_SIDE_PX:
+        raise UsageError(
+            f"camera.roi must keep at least {MIN_SIDE_PX} px of width and height {inset_px} px away from the "
+            f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
+        )
+    return Region(x0, y0, x1 - x0, y1 - y0)
+
+
 def clamp(region: Region, columns: int, rows: int) -> Region:
     """The region of the same size, or the image's where that is smaller, moved the least to lie inside the image."""
     if region.inside(columns, rows):

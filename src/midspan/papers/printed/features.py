@@ -17,57 +17,8 @@ from midspan.vision.region import shift
 from midspan.vision.rejection import Mask, rejection_one, rejection_two
 
 
-class PrintedFeatureTracker(FeatureTracker):
-    """The paper's own technique; see `midspan.vision.tracker.Tracker` for its interface."""
-
-    _max_spread_px = math.inf
-
-    def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
-        return self._match(frame, shift(self.region, *self._state.expected(frame.time_ns, prediction)), prediction)
-
-    def _identified(self, frame: Frame, found: Matched, prediction: Prediction | None) -> Matched | None:
-        return found
-
-    def _good(
-        self, first: Floats, now: Floats, *, prediction: Prediction | None, rng: np.random.Generator
-    ) -> NDArray[np.int64]:
-        return printed_matches(first, now, self.settings, prediction=prediction, rng=rng)
-
-
-class EarlierFeatureTracker(PrintedFeatureTracker):
-    """The technique "existing", whose region stays; see `midspan.vision.tracker.Tracker` for its interface."""
-
-    def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
-        self._ratio = settings.ratio
-        super().__init__(reference, region, settings)
-
-    @property
-    def region_now(self) -> Region:
-        """The region itself."""
-        return self.region
-
-    def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
-        return self._match(frame, self.region, None)
-
-    def _good(
-        self, first: Floats, now: Floats, *, prediction: Prediction | None, rng: np.random.Generator
-    ) -> NDArray[np.int64]:
-        return earlier_rules(now - first, self.settings)
-
-
-def printed_features(reference: Frame, region: Region, settings: FeatureSettings) -> FeatureTracker:
-    """The tracker of the technique that the settings name."""
-    kind = EarlierFeatureTracker if settings.technique == "existing" else PrintedFeatureTracker
-    return kind(reference, region, settings)
-
-
 def printed_matches(
-    first: Floats,
-    now: Floats,
-    settings: FeatureSettings,
-    *,
-    prediction: Prediction | None,
-    rng: np.random.Generator,
+    first: Floats, now: Floats, settings: FeatureSettings, *, prediction: Prediction | None, rng: np.random.Generator
 ) -> NDArray[np.int64]:
     """Indices of the matches (n, 2), px, that rejection I and then, with a prediction, II keep."""
     epsilon_px = settings.epsilon_px
@@ -75,8 +26,9 @@ def printed_matches(
     return kept if prediction is None else kept[rejection_two((now - first)[kept], prediction, epsilon_px)]
 
 
-def earlier_rules(translation: Floats, settings: FeatureSettings) -> NDArray[np.int64]:
-    """Indices of the matches with translations (n, 2), px, that pre-purification and RANSAC keep."""
+def earlier_rules(first: Floats, now: Floats, settings: FeatureSettings, **_: object) -> NDArray[np.int64]:
+    """Indices of the matches (n, 2), px, that pre-purification and RANSAC keep."""
+    translation = now - first
     kept = np.flatnonzero(within_largest(translation, settings.max_displacement_px))
     return kept[consensus(translation[kept], settings.ransac_px)]
 
@@ -96,3 +48,40 @@ def consensus(translation: Floats, tolerance_px: float) -> Mask:
     apart = np.hypot(*(translation[:, None] - translation[None]).transpose(2, 0, 1))
     votes = apart <= tolerance_px
     return np.asarray(votes[np.argmax(votes.sum(axis=1))])
+
+
+class PrintedFeatureTracker(FeatureTracker):
+    """The paper's own technique; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    _max_spread_px = math.inf
+    _good = staticmethod(printed_matches)
+
+    def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
+        return self._match(frame, shift(self.region, *self._state.expected(frame.time_ns, prediction)), prediction)
+
+    def _identified(self, frame: Frame, found: Matched, prediction: Prediction | None) -> Matched | None:
+        return found
+
+
+class EarlierFeatureTracker(PrintedFeatureTracker):
+    """The technique "existing", whose region stays; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    _good = staticmethod(earlier_rules)
+
+    def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
+        self._ratio = settings.ratio
+        super().__init__(reference, region, settings)
+
+    @property
+    def region_now(self) -> Region:
+        """The region itself."""
+        return self.region
+
+    def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
+        return self._match(frame, self.region, None)
+
+
+def printed_features(reference: Frame, region: Region, settings: FeatureSettings) -> FeatureTracker:
+    """The tracker of the technique that the settings name."""
+    kind = EarlierFeatureTracker if settings.technique == "existing" else PrintedFeatureTracker
+    return kind(reference, region, settings)

@@ -127,10 +127,9 @@ def cramer_rao_std_px(scene: Scene, camera: Camera, *, region: Region | None = N
         region = Region(0, 0, scene.columns, scene.rows)
     if not region.inside(scene.columns, scene.rows):
         raise refuse("region", f"inside the picture of {scene.columns} × {scene.rows} px", region)
-    part = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
-    g_x, g_y = (g[part].astype(np.float64) for g in scene.gradient(0.0, 0.0))
+    g_x, g_y = (g[region.slices].astype(np.float64) for g in scene.gradient(0.0, 0.0))
     rounding = 1 / (12 * camera.counts_per_dn**2)
-    variance = camera.noise_std_dn(scene.render(0.0, 0.0))[part].astype(np.float64) ** 2 + rounding
+    variance = camera.noise_std_dn(scene.render(0.0, 0.0))[region.slices].astype(np.float64) ** 2 + rounding
     xx, yy, xy = (float(np.sum(a * b / variance)) for a, b in ((g_x, g_x), (g_y, g_y), (g_x, g_y)))
     determinant = xx * yy - xy**2
     # Single-precision gradients leave about 1e-12 where there is nothing; a real texture has well above 1e-8.

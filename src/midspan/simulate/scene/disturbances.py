@@ -50,9 +50,8 @@ class Water:
 
     def disturb(self, image: Image, time_s: float) -> None:
         """Paint the water of the moment, which hides what is behind it."""
-        r = self.region
         waves = self.amplitude_dn * np.sin(self.angle - (self.speed_rad_s * time_s)[:, None, None]).sum(axis=0)
-        image[r.y : r.y + r.height, r.x : r.x + r.width] = (110.0 + waves).astype(np.float32)
+        image[self.region.slices] = (110.0 + waves).astype(np.float32)
 
 
 class Foliage:
@@ -73,8 +72,7 @@ class Foliage:
     def disturb(self, image: Image, time_s: float) -> None:
         """Add the pattern of the moment to the region of `image`."""
         swing = np.sin(2 * np.pi * self.frequency_hz * time_s + self.phase_rad)
-        r = self.region
-        image[r.y : r.y + r.height, r.x : r.x + r.width] += np.tensordot(swing, self.patterns, 1).astype(np.float32)
+        image[self.region.slices] += np.tensordot(swing, self.patterns, 1).astype(np.float32)
 
 
 # What changes a picture of mean DN in place, as it is at a moment.
@@ -101,4 +99,4 @@ class Panel:
         if len(moments_s) > 1:
             x, y, moments_s = (values[r.y : r.y + r.height] for values in (x, y, moments_s))
         own = 0.0 if self.own_px is None else self.own_px.displacement(moments_s)
-        image[r.y : r.y + r.height, r.x : r.x + r.width] = self.scene.render(self.nearness * x, self.nearness * y + own)
+        image[r.slices] = self.scene.render(self.nearness * x, self.nearness * y + own)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
-from midspan.records import Nanoseconds
+from midspan.records import Floats32, Nanoseconds
 from midspan.sources.boundary import mapped
 from midspan.sources.camera.frames import StoredFrames, file_times, grid, named
 from midspan.sources.thermal.fff import (
@@ -26,7 +26,7 @@ from midspan.sources.thermal.fff import (
     is_jpeg,
     next_block,
 )
-from midspan.sources.thermal.temperatures import Floats32, ThermalRequest, checked_celsius
+from midspan.sources.thermal.temperatures import ThermalRequest, checked_celsius
 from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
 from midspan.vision.frame_source import FrameInfo
 

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from midspan.checks import positive, refuse
 from midspan.errors import DataError
-from midspan.records import Frame, Nanoseconds
+from midspan.records import Floats32, Frame, Nanoseconds
 from midspan.sources.camera.frames import MAX_MISSING, FrameRequest, named, passed_over
 from midspan.thermal.dead_pixels import filled, stuck_pixels
 from midspan.thermal.radiometry import ICE_K
 from midspan.vision.frame_source import FrameInfo, FrameSource
-
-Floats32 = NDArray[np.float32]
 
 # Temperatures that a camera can meet outdoors; a median in this range of kelvin is no temperature in °C.
 OUTDOOR_K = (200.0, 400.0)

@@ -129,7 +129,7 @@ def clear_share(windows: Sequence[Floats32]) -> float:
 
 def contrast(frame: Frame, region: Region) -> float:
     """Standard deviation of the pixels of a region; 0 where there are none."""
-    part = frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+    part = frame.pixels[region.slices]
     return float(np.nanstd(part.astype(np.float64))) if part.size else 0.0
 
 
