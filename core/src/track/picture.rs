@@ -177,39 +177,44 @@ pub fn frozen_texture<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left:
     if (now.rows, now.columns) != (before.rows, before.columns) {
         return Texture::default();
     }
-    let still = |[r, c]: [usize; 2]| (r..r + BLOCK_PX).all(|row| block_row(now, row, c) == block_row(before, row, c));
-    let stood: Vec<bool> = corners(now, left, top, 0).map(still).collect();
+    let stood = stood(now, before, left, top);
     if !stood.contains(&true) {
         return Texture::default();
     }
     texture(now, left, top, &stood)
 }
 
+/// Which of the codec's blocks are equal to the last bit in two pictures of one size.
+fn stood<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: usize) -> Vec<bool> {
+    let still = |[r, c]: [usize; 2]| (r..r + BLOCK_PX).all(|row| block_row(now, row, c) == block_row(before, row, c));
+    corners(now, left, top, 0).map(still).collect()
+}
+
+/// Share of equal pixels up to which a block of 64 of them is equal by chance once in a million.
+const MAX_EQUAL: f64 = 0.8;
+
 /// What of a picture is bit for bit that of another one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PartStill {
     /// The share of its texture, 0 to 1.
     pub share: f64,
-    /// Whether what differs does so by more than twice the least difference (rms).
-    pub rest_moved: bool,
+    /// Whether pixels of the rest are equal so seldom that no whole block is so by chance.
+    pub rest_differs: bool,
 }
 
 /// How much of the codec's blocks is still between two pictures of one size from one place, and what the rest does.
 pub fn part_still<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: usize) -> PartStill {
-    let found = frozen_texture(now, before, left, top);
-    if found.frozen == 0.0 {
+    let stood = stood(now, before, left, top);
+    if !stood.contains(&true) {
         return PartStill::default();
     }
-    let (mut least, mut square, mut count) = (f64::INFINITY, 0.0, 0.0);
-    for r in 0..now.rows {
-        for (one, other) in now.row(r).iter().zip(before.row(r)) {
-            let off = f64::from(one.less(0.0) - other.less(0.0)).abs();
-            if off > 0.0 {
-                (least, square, count) = (least.min(off), square + off * off, count + 1.0);
-            }
-        }
-    }
-    PartStill { share: found.frozen / found.whole, rest_moved: square > 4.0 * count * least * least }
+    let pairs = (0..now.rows).flat_map(|r| now.row(r).iter().zip(before.row(r)));
+    let equal = pairs.filter(|(one, other)| one == other).count();
+    let still = BLOCK_PX * BLOCK_PX * stood.iter().filter(|&&one| one).count();
+    let rest = (now.rows * now.columns).saturating_sub(still).max(1);
+    let found = texture(now, left, top, &stood);
+    let share = if found.whole > 0.0 { found.frozen / found.whole } else { 0.0 };
+    PartStill { share, rest_differs: ((equal - still) as f64) < MAX_EQUAL * rest as f64 }
 }
 
 vectorised! {

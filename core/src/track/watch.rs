@@ -139,17 +139,15 @@ impl Watch {
         Some(why)
     }
 
-    /// Whether a part of a frame is still, and the rest has moved since the last frame that was whole.
-    ///
-    /// Noise lets blocks of pixels be equal by chance only where it is less than a step of the values; where nothing
-    /// has moved, what differs then does so by one step.
+    /// Whether a part of a frame is still since the last one that was whole, and the rest is not, which noise would
+    /// have changed alike.
     fn is_torn<T: Storable>(&mut self, image: &Image<'_, T>) -> bool {
         let Some(still) = &mut self.still else { return false };
         let before = self.before.as_ref().and_then(Kept::image);
         let Some((now, before)) = image.cut(self.region).zip(before) else { return false };
         let part = part_still(&now, &before, self.region.x as usize, self.region.y as usize);
         still.now = part.share;
-        still.usual.value() < MAX_USUAL_SHARE && part.share > TORN_SHARE && part.rest_moved
+        still.usual.value() < MAX_USUAL_SHARE && part.share > TORN_SHARE && part.rest_differs
     }
 
     /// What was found in a frame, with the variances that its picture allows, and why nothing is if so; None where the

@@ -147,7 +147,7 @@ def _with_those_passed_over(track: PixelTrack, time_ns: Nanoseconds) -> PixelTra
     """
     near = np.searchsorted(track.time_ns, time_ns)
     before, after = (track.time_ns[np.clip(near - k, 0, len(track.time_ns) - 1)] for k in (1, 0))
-    late_ns = np.median(track.time_ns[:1]) - time_ns[0]
+    late_ns = track.time_ns[0] - time_ns[np.searchsorted(time_ns, track.time_ns[0], side="right") - 1]
     off = np.minimum(np.abs(time_ns + late_ns - before), np.abs(time_ns + late_ns - after))
     missed = time_ns[off > 0.5 * np.median(np.diff(time_ns))]
     if not len(missed):
