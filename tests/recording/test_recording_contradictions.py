@@ -141,6 +141,18 @@ def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_ma
         held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
+@pytest.mark.parametrize(("first", "last", "off_mm"), [(0, 6, 15.0), (0, 8, 15.0), (6, 21, 5.0), (0, 15, np.nan)])
+@pytest.mark.parametrize("seed", [51, 52])
+def test_first_values_that_are_wrong_do_not_make_the_zero_of_the_record(first, last, off_mm, seed, tmp_path):
+    # nan: each of them is anywhere. All rows were off by the offset at a stated 0.1 mm.
+    site = Structure(seed)
+    value = site.noisy_mm(STAMPS)
+    value[first:last] += site.rng.uniform(-25.0, 25.0, last - first) if np.isnan(off_mm) else off_mm
+    result = midspan.estimate(site.displacement(tmp_path, STAMPS, value), method="smoother")
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
+    assert any(event.kind == "rejected" for event in result.events)
+
+
 def noisy_for_a_while(site, seed):
     """A displacement sensor whose noise is five times as large from 20 to 35 s."""
     rng = np.random.default_rng(seed)

@@ -17,14 +17,14 @@ def moved_mm(time_s):
     return np.sin(np.multiply.outer(time_s, TURN) + PHASE) @ SIZE_MM
 
 
-def film(time_s, seed=3):
-    """Frames (n, rows, columns) uint8 of a wall that moves down with the motion, with noise of 1.5 grey levels."""
+def film(time_s, seed=3, noise=1.5, moved_mm=moved_mm):
+    """Frames (n, rows, columns) uint8 of a wall that moves down with the motion, with noise in grey levels."""
     rng = np.random.default_rng(seed)
     wall = gaussian_filter(rng.normal(size=(280, 280)), 1.6)
     wall = spline_filter(128.0 + 40.0 * wall / np.std(wall), 3)
     rows, columns = np.mgrid[:SIDE, :SIDE] + 65.0
     seen = [map_coordinates(wall, [rows + PX_PER_MM * one, columns], prefilter=False) for one in moved_mm(time_s)]
-    return np.clip(np.rint(seen + rng.normal(0.0, 1.5, (len(time_s), SIDE, SIDE))), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(seen + rng.normal(0.0, noise, (len(time_s), SIDE, SIDE))), 0, 255).astype(np.uint8)
 
 
 def recording(folder, time_s, frames):
@@ -55,6 +55,19 @@ def test_torn_frames_are_not_measured_and_those_after_them_are(part, tracker, tm
     whole = np.delete(np.arange(len(time_s)), slice(first, last))
     assert np.max(np.abs(track.y_px - moved)[whole] / np.sqrt(track.variance_y_px2[whole])) < 5.0
     assert any(line.code == "frozen" and "30 frames" in line for line in tracked.warnings)
+
+
+def test_torn_frames_are_found_by_a_camera_of_little_noise_and_where_the_motion_ends(tmp_path):
+    def stops_mm(time_s):
+        return np.where(time_s < 2.2, moved_mm(time_s), moved_mm(np.array([2.2])) + 0.03 * np.sin(3.0 * time_s))
+
+    time_s = np.arange(0.0, 5.0, 1.0 / RATE_HZ)
+    for torn in (0, 40):
+        frames = film(time_s, noise=0.2, moved_mm=stops_mm)
+        frames[60 : 60 + torn, 75:] = frames[59, 75:]
+        np.save(tmp_path / "film.npy", frames)
+        track = midspan.track(tmp_path / "film.npy", rate_hz=RATE_HZ, roi=ROI).track
+        assert np.array_equal(np.flatnonzero(np.isnan(track.y_px)), np.arange(60, 60 + torn))
 
 
 def test_torn_frames_are_bridged_by_the_accelerometer(tmp_path):

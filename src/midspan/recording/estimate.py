@@ -1,6 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -39,6 +39,7 @@ from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.estimator import Estimator, Lag
 from midspan.fusion.methods import METHODS, Method, Pass, named, no_literal_form
+from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.streams import MethodSettings
 from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
@@ -50,7 +51,7 @@ from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors, open_tracked_cameras, side_of
-from midspan.records import Estimate, Event, Innovation, Nanoseconds, Readings, part
+from midspan.records import Estimate, Event, Innovation, Nanoseconds, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
@@ -287,11 +288,31 @@ def _wrong(first: FirstPass) -> dict[str, WrongValues]:
             wrong = wrong_values(measured, main.acceleration)
             if len(wrong.stamps):
                 found[view.sensor] = wrong
-    return found
+    return with_first_values(first, found, events)
 
 
 # What the estimator cannot decide among many wrong values: whether a zero or the acceleration is wrong.
 UNSETTLED = ("level_shift", "acceleration", "reacquired")
+# Where it finds such a cause, or a clock's step, among a sensor's first values, those before were wrong: the zero is
+# that of the others.
+ANEW = ("clock", *UNSETTLED)
+FIRST_VALUES, MAX_FIRST_SHARE = 50, 0.1
+# So often at most: what follows the first ones may be wrong in another way.
+MAX_BEGUN = 3
+
+
+def with_first_values(
+    first: FirstPass, wrong: Mapping[str, WrongValues], events: Sequence[Event]
+) -> dict[str, WrongValues]:
+    """The wrong values with the first ones of a displacement sensor that is alone, by a pass' events."""
+    (name, series), *others = first.series[0].items()
+    time_ns, found = series.time_ns, dict(wrong)
+    last = int(min(FIRST_VALUES, MAX_FIRST_SHARE * len(time_ns)))
+    anew_ns = [event.time_ns for event in events if event.kind in ANEW and event.time_ns <= time_ns[last]]
+    if series.source == Source.DISPLACEMENT and not others and anew_ns:
+        known = found.get(name, WrongValues(time_ns[:0], time_ns[:0], 0.0))
+        found[name] = replace(known, held=np.union1d(known.held, time_ns[time_ns < max(anew_ns)]))
+    return found
 
 
 def refuse_unsettled(first: FirstPass, found: Found) -> None:
@@ -381,12 +402,12 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     if apart:
         settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.tracked_cameras, first.sensors, ran))
     if apart or first.wrong or settings != estimator.settings:
-        blocks = {name: outcome.measured_by(name) for name in outcome.measured}
-        for name, wrong in first.wrong.items():
-            blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, wrong.held))
-        blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
-        estimator, again = once_more(settings, estimator, tuple(blocks.values()))
-        outcome = Outcome(again)
+        for _ in range(MAX_BEGUN):
+            estimator, outcome = _passed_again(first, settings, apart)
+            wrong = with_first_values(first, first.wrong, outcome.fusion_events)
+            if apart or _held(wrong) == _held(first.wrong):
+                break
+            first = replace(first, wrong=wrong)
     found = _found(first, outcome, estimator.smoothed(settings))
     refuse_unsettled(first, found)
     # What the displacement may be off by where the motion does not tell which jump a clock made.
@@ -400,6 +421,23 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     events += [left_out_event(name, wrong.held) for name, wrong in first.wrong.items() if len(wrong.held)]
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
     return replace(found, rows=tuple(rows), events=(*found.events, *events), warnings=warnings)
+
+
+def _held(wrong: Mapping[str, WrongValues]) -> int:
+    return sum(len(one.held) for one in wrong.values())
+
+
+def _passed_again(
+    first: FirstPass, settings: EstimatorSettings, apart: Mapping[str, OneClock]
+) -> tuple[Estimator, Outcome]:
+    """The estimator run again, without values that are wrong and with clocks that ran apart put right."""
+    assert isinstance(first.estimator, Estimator)
+    blocks = {name: first.outcome.measured_by(name) for name in first.outcome.measured}
+    for name, wrong in first.wrong.items():
+        blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, wrong.held))
+    blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
+    estimator, again = once_more(settings, first.estimator, tuple(blocks.values()))
+    return estimator, Outcome(again)
 
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
@@ -487,6 +525,8 @@ def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
     rows = measured_rows(whole, found.innovations[0])
     for name, one in first.at_instants(0).items():
         refuse_forward_step(main.prepared, one.time_ns, one.value_m, name)
+        if one.source == Source.DISPLACEMENT:
+            refuse_run_away(whole, one)
     refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
     usual = figures(main, main.prepared.rate_hz)
     density = estimator.settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
@@ -500,6 +540,17 @@ def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
             refuse_wide(main.prepared, whole)
+
+
+def refuse_run_away(rows: Estimate, series: SensorSeries) -> None:
+    """UntrustedError where most rows lie farther from a displacement sensor's values than these span."""
+    value = series.value_m[np.isfinite(series.value_m)]
+    span_m = float(np.ptp(value)) if len(value) else np.inf
+    if np.median(np.abs(rows.displacement_m - np.median(value if len(value) else 0.0))) > span_m:
+        raise UntrustedError(
+            f"{series.sensor}: its values span {1e3 * span_m:.3g} mm, and most rows lie farther away: its values and "
+            "the acceleration contradict each other from the start. Cut the recording to a part in which they agree."
+        )
 
 
 def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[Notice]]:
