@@ -525,7 +525,8 @@ def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
     rows = measured_rows(whole, found.innovations[0])
     for name, one in first.at_instants(0).items():
         refuse_forward_step(main.prepared, one.time_ns, one.value_m, name)
-        if one.source == Source.DISPLACEMENT:
+        if one.source == Source.DISPLACEMENT and len(first.series[0]) == 1:
+            # Alone, its own zero is the rows'.
             refuse_run_away(whole, one)
     refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
     usual = figures(main, main.prepared.rate_hz)
