@@ -288,7 +288,7 @@ def test_an_acceleration_called_wrong_among_many_outliers_is_refused(kind, share
     # Two outliers that agree look like it: rows were 33 to 49 mm off at a stated 0.5, with exit code 0.
     stamps = np.arange(1200, dtype=np.int64) * 100_000_000
     crowd, held = np.split(stamps, [round(share * len(stamps))])
-    wrong = {"displacement": WrongValues(held[:5], crowd, share)}
+    wrong = {"displacement": WrongValues(held[:5], crowd)}
     first = SimpleNamespace(wrong=wrong, series=[{"displacement": SimpleNamespace(time_ns=stamps)}])
     found = SimpleNamespace(events=[Event(int(stamps[600]), kind, "")])
     with pytest.raises(UntrustedError, match="25 % of its values") if is_refused else contextlib.nullcontext():

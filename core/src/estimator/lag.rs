@@ -379,3 +379,27 @@ impl Piece {
         after.run(model, &mut block, &mut Judge::Decided { decisions, back: Some(way) }, None, work);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_alternatives_are_apart_follows_their_motion_back() {
+        // x(t) = 3 + 2 t - 0.4 t² / 2 from t = 1 s on, and nothing apart before it.
+        let apart = |t: f64| 3.0 + 2.0 * t - 0.2 * t * t;
+        let now_s = 2.5;
+        let others = vec![(0.25, vec![[apart(now_s), 2.0 - 0.4 * now_s, 0.4]])];
+        let alternatives = Alternatives { since_s: 1.0, now_s, others };
+        let mut rows = Rows::default();
+        rows.add_zeros(1, 3);
+        for (place, at_s) in [0.9, 1.0, 2.0].into_iter().enumerate() {
+            alternatives.widen(&mut rows, place, at_s);
+        }
+        assert_eq!(rows.axes[0].variance[0], 0.0);
+        for (place, at_s) in [(1, 1.0), (2, 2.0)] {
+            let expected = 0.25 * apart(at_s) * apart(at_s);
+            assert!((rows.axes[0].variance[place] - expected).abs() < 1e-9 * expected);
+        }
+    }
+}

@@ -87,15 +87,14 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     return replace(settings, parameters=tuple(parameters))
 
 
-def with_outliers(settings: EstimatorSettings, share: float) -> EstimatorSettings:
-    """The settings where this share of the values is known to be outliers.
+def without_steps(settings: EstimatorSettings) -> EstimatorSettings:
+    """The settings for a record with a crowd of outliers, in which no steps of clocks and zeros are considered.
 
-    The filter then expects them from the first value on. Steps of clocks and zeros, which chance makes of a few
-    outliers that agree, are not considered: what the whole record says of clocks is known before (`clocks`), and a zero
-    that does step is found as a motion that the accelerometer did not feel.
+    Chance makes such a step of a few outliers that agree. What the whole record says of clocks is known before
+    (`clocks`), and a zero that does step is found as a motion that the accelerometer did not feel.
     """
-    rates = replace(settings.rates, outlier=max(settings.rates.outlier, share), shift=0.0)
-    return replace(settings, rates=rates, motion=tuple((0.0, 0.0) for _ in settings.motion))
+    still = tuple((0.0, 0.0) for _ in settings.motion)
+    return replace(settings, rates=replace(settings.rates, shift=0.0), motion=still)
 
 
 def once_more(

@@ -29,8 +29,8 @@ from midspan.engine.second_look import (
     on_its_clock,
     once_more,
     ran_apart,
-    with_outliers,
     with_scales,
+    without_steps,
 )
 from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_result, camera_series, series_at_instants
 from midspan.engine.sensors import Sensor
@@ -310,7 +310,7 @@ def with_first_values(
     last = int(min(FIRST_VALUES, MAX_FIRST_SHARE * len(time_ns)))
     anew_ns = [event.time_ns for event in events if event.kind in ANEW and event.time_ns <= time_ns[last]]
     if series.source == Source.DISPLACEMENT and not others and anew_ns:
-        known = found.get(name, WrongValues(time_ns[:0], time_ns[:0], 0.0))
+        known = found.get(name, WrongValues(time_ns[:0], time_ns[:0]))
         found[name] = replace(known, held=np.union1d(known.held, time_ns[time_ns < max(anew_ns)]))
     return found
 
@@ -319,9 +319,10 @@ def refuse_unsettled(first: FirstPass, found: Found) -> None:
     """UntrustedError where values contradict the acceleration for long besides a crowd of outliers."""
     events = [event for event in found.events if event.kind in UNSETTLED]
     for name, wrong in first.wrong.items():
-        if wrong.share and events:
+        share = len(wrong.crowd) / max(len(first.series[0][name].time_ns), 1)
+        if share and events:
             raise UntrustedError(
-                f"{name}: {100 * wrong.share:.0f} % of its values contradict the acceleration and the others, and "
+                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and "
                 f"without them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may "
                 "follow something else at times, or its zero may step: cut the recording to a part in which it follows "
                 "the structure."
@@ -396,8 +397,8 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     settings = with_scales(estimator.settings, off)
     if alone:
         settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
-    if share := max((wrong.share for wrong in first.wrong.values()), default=0.0):
-        settings = with_outliers(settings, share)
+    if any(len(wrong.crowd) for wrong in first.wrong.values()):
+        settings = without_steps(settings)
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart:
         settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.tracked_cameras, first.sensors, ran))

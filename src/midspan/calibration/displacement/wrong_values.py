@@ -198,12 +198,11 @@ class WrongValues:
     """Stamps (k,) of the values that contradict both the acceleration and the rest of the values.
 
     held: they are frozen, or stuck while their noise goes on; a filter takes the first ones of them for motion. crowd:
-    outliers, more than a filter expects, which takes them for something else. share: of all values, the crowd's.
+    outliers, more than a filter expects, which takes them for something else.
     """
 
     held: Nanoseconds
     crowd: Nanoseconds
-    share: float
 
     @property
     def stamps(self) -> Nanoseconds:
@@ -216,7 +215,7 @@ def wrong_values(measured: Displacement, acceleration: Acceleration) -> WrongVal
     covered = inside(measured.time_ns, int(acceleration.time_ns[0]), int(acceleration.time_ns[-1]))
     time_ns, value = measured.time_ns[covered], measured.value_m[covered]
     if np.count_nonzero(np.isfinite(value)) < MIN_MEASUREMENTS:
-        return WrongValues(time_ns[:0], time_ns[:0], 0.0)
+        return WrongValues(time_ns[:0], time_ns[:0])
     first = int(time_ns[0])
     pushed = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
     shaken = np.column_stack((seconds(acceleration.time_ns, first), pushed, acceleration.noise_density))
@@ -231,5 +230,4 @@ def wrong_values(measured: Displacement, acceleration: Acceleration) -> WrongVal
     if np.count_nonzero(np.isfinite(right[:, 2])) >= MIN_MEASUREMENTS:
         right_pair = Pair(pair.samples, right, 1.0)
         held |= held_values(right_pair, best_corner(right_pair, 0.0), pair.rows)
-    crowd &= ~held
-    return WrongValues(time_ns[held], time_ns[crowd], float(np.mean(crowd)))
+    return WrongValues(time_ns[held], time_ns[crowd & ~held])
