@@ -190,6 +190,17 @@ fn stood<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: 
     corners(now, left, top, 0).map(still).collect()
 }
 
+/// Whether any of them may be, as their first rows say: hardly any is equal.
+fn any_stood<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: usize) -> bool {
+    let [first_row, first_column] = [top, left].map(|from| from.wrapping_neg() % BLOCK_PX);
+    (first_row..(now.rows + 1).saturating_sub(BLOCK_PX)).step_by(BLOCK_PX).any(|r| {
+        let [one, other] = [now, before].map(|picture| picture.row(r).get(first_column..).unwrap_or_default());
+        one.chunks_exact(BLOCK_PX).zip(other.chunks_exact(BLOCK_PX)).fold(false, |any, (one, other)| {
+            any | one.iter().zip(other).fold(true, |all, (one, other)| all & (one == other))
+        })
+    })
+}
+
 /// Share of equal pixels up to which a block of 64 of them is equal by chance once in a million.
 const MAX_EQUAL: f64 = 0.8;
 
@@ -204,10 +215,10 @@ pub struct PartStill {
 
 /// How much of the codec's blocks is still between two pictures of one size from one place, and what the rest does.
 pub fn part_still<T: Pixel>(now: &Image<'_, T>, before: &Image<'_, T>, left: usize, top: usize) -> PartStill {
-    let stood = stood(now, before, left, top);
-    if !stood.contains(&true) {
+    if (now.rows, now.columns) != (before.rows, before.columns) || !any_stood(now, before, left, top) {
         return PartStill::default();
     }
+    let stood = stood(now, before, left, top);
     let pairs = (0..now.rows).flat_map(|r| now.row(r).iter().zip(before.row(r)));
     let equal = pairs.filter(|(one, other)| one == other).count();
     let still = BLOCK_PX * BLOCK_PX * stood.iter().filter(|&&one| one).count();
