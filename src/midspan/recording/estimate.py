@@ -212,7 +212,7 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
         ran = _clocks(replace(first, wrong=wrong))
         apart = {name for name in wrong if ran_apart(ran[name])}
         if apart:
-            # A clock that runs apart explains the values.
+            # A clock that jumps or drifts explains the values.
             wrong = {name: one for name, one in wrong.items() if name not in apart}
             ran = _clocks(replace(first, wrong=wrong))
     if looks:
@@ -409,6 +409,9 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
             if apart or _held(wrong) == _held(first.wrong):
                 break
             first = replace(first, wrong=wrong)
+        else:
+            # What is left out is what the last pass found.
+            estimator, outcome = _passed_again(first, settings, apart)
     found = _found(first, outcome, estimator.smoothed(settings))
     refuse_unsettled(first, found)
     # What the displacement may be off by where the motion does not tell which jump a clock made.
