@@ -5,7 +5,7 @@ noise. But it is motion: innovations of a right model are white, whatever the no
 doi:10.1109/TAC.1968.1099025), and at a wrong offset they are not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -182,4 +182,4 @@ def at_rate(pair: Pair, offset_s: float, rate: float) -> Pair:
     """The pair with stamps that run faster by `rate` (s/s) about the middle of the rows compared at an offset (s)."""
     moved = pair.rows.copy()
     moved[:, 0] += rate * (moved[:, 0] - pair.rows[pair.used(offset_s), 0].mean())
-    return replace(pair, rows=moved)
+    return pair.changed(rows=moved)

@@ -36,9 +36,10 @@ class Compared:
     @cached_property
     def response(self) -> Response:
         """The acceleration integrated twice."""
-        return integrated(self.samples / np.array([1.0, 1.0, self.density]))
+        whole = integrated(self.samples)
+        return replace(whole, pieces=whole.pieces / np.array([1.0, self.density]))
 
-    @property
+    @cached_property
     def density(self) -> float:
         """The usual noise density of the acceleration, (m/s²)²/Hz."""
         return float(np.median(self.samples[:, 2]))
@@ -75,7 +76,13 @@ class Compared:
         """Rows of a segment, with the samples up to a margin around them."""
         rows = self.rows[begin:end]
         edges = np.searchsorted(self.samples[:, 0], (rows[0, 0] - margin_s, rows[-1, 0] + margin_s))
-        return Compared(self.samples[slice(*edges)], rows)
+        return self.with_rows(rows, slice(*edges))
+
+    def with_rows(self, rows: Floats, which: slice = slice(None)) -> "Compared":
+        """Other rows with some of the samples, which are integrated once."""
+        part = Compared(self.samples[which], rows)
+        vars(part).update(response=self.response.part(which), density=self.density)
+        return part
 
 
 def compared(acceleration: Acceleration, displacement: Displacement) -> tuple[Compared, NDArray[np.int64]]:

@@ -173,7 +173,7 @@ def _jump_near(one: Compared, late_s: Floats, place: int, begin: int) -> ClockJu
     if np.count_nonzero(covered) < 2 * MIN_ROWS:
         # The acceleration has a gap here, or its own clock ran away.
         return None
-    later = Compared(one.samples, rows + np.array([base, 0.0, 0.0]))
+    later = one.with_rows(rows + np.array([base, 0.0, 0.0]))
     segment = _segment(later.near(0, len(rows), LARGEST_S + 1.0))
     for guess in _coarse(segment, place - start):
         # What comes after the next jump says nothing of this one.
@@ -318,7 +318,7 @@ def without_jumps(
     found = []
     for rows in np.array_split(pair.rows, 2):
         if np.count_nonzero(np.isfinite(rows[:, 2])) >= MIN_FRAMES:
-            search = search_offset(replace(pair, rows=rows), max_offset_s)
+            search = search_offset(pair.changed(rows=rows), max_offset_s)
             with suppress(UntrustedError):
                 refuse(search)
                 found.append(search)
@@ -327,7 +327,7 @@ def without_jumps(
     search = max(found, key=lambda one: one.fit.gain)
     rows = pair.rows[pair.used(search.fit.offset_s)]
     jumps = clock_jumps(compared_by(pair, search.fit, rows))
-    return replace(pair, rows=_moved(rows, jumps)) if jumps else pair, jumps
+    return pair.changed(rows=_moved(rows, jumps)) if jumps else pair, jumps
 
 
 def _moved(rows: Floats, jumps: list[ClockJump]) -> Floats:

@@ -5,7 +5,7 @@ A short window hardly notices it: there offset and rate are searched together, t
 far as the line through it is known to a fraction of the motion's period (see `clock.drift`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def find_clock_rate(pair: Pair, max_offset_s: float, origin_ns: int) -> ClockRat
     rows = pair.rows[pair.used(0.0)]
     if len(rows) < MIN_ROWS or max_offset_s <= 0.0:
         return None
-    pair = replace(pair, rows=rows, ratio=None, reference=None)
+    pair = pair.changed(rows=rows, ratio=None, reference=None)
     first, length_s = float(rows[0, 0]), float(rows[-1, 0] - rows[0, 0])
     wide = min(WINDOW_S, WINDOW_SHARE * length_s)
     starts = first + np.linspace(0.0, length_s - wide, WINDOWS)
@@ -105,7 +105,7 @@ class _Start:
 def _turned(pair: Pair, rate: float, middle_s: float) -> Pair:
     rows = pair.rows.copy()
     rows[:, 0] += rate * (rows[:, 0] - middle_s)
-    return replace(pair, rows=rows)
+    return pair.changed(rows=rows)
 
 
 def _window(pair: Pair, begin_s: float, end_s: float, max_offset_s: float) -> _Start | None:
@@ -114,7 +114,7 @@ def _window(pair: Pair, begin_s: float, end_s: float, max_offset_s: float) -> _S
         return None
     around = AROUND_S + max_offset_s
     near = slice(*np.searchsorted(pair.samples[:, 0], (begin_s - around, end_s + around)))
-    part = replace(pair, rows=rows, samples=pair.samples[near], outside=None)
+    part = pair.changed(rows=rows, samples=pair.samples[near], outside=None)
     middle, half = 0.5 * (begin_s + end_s), 0.5 * (end_s - begin_s)
     steps = int(np.ceil(MAX_RATE * half / END_S))
     rates = [float(rate) for rate in np.arange(-steps, steps + 1) * (END_S / half)]

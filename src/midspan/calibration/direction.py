@@ -125,7 +125,7 @@ def _along(pair: Pair, components: Floats) -> Pair:
     samples = pair.samples.copy()
     samples[:, 1] = along(samples[:, 1], cross, components)
     level = float(along(np.array([pair.level_m_s2]), levels[None, :], components)[0])
-    return replace(pair, samples=samples, level_m_s2=level, cross=None)
+    return pair.changed(samples=samples, level_m_s2=level, cross=None)
 
 
 def _step(pair: Pair, fit: Fit, cross: Floats, components: Floats) -> tuple[Floats, Floats, Floats]:

@@ -11,6 +11,7 @@ the motion is long enough to tell the noise, this changes nothing.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,8 @@ MAX_KEPT, KEPT_ROWS = 16, 300_000
 ROUNDS, STEPS, HALVINGS, MIN_GAIN = 6, 12, 4, 1e-4
 # Fewer measurements than this are not calibrated on.
 MIN_MEASUREMENTS = 20
+# What a pair makes once, and of which fields.
+MADE_OF = {"responses": ("samples", "outside"), "pieces": ("samples", "level", "motion_share"), "lively": ("samples",)}
 
 
 @dataclass(frozen=True)
@@ -134,11 +137,16 @@ class Pair:
             ends[:: max(round(PIECE_S * self.sample_rate_hz), 1)] = True
         return np.column_stack((time_s, density))[ends]
 
-    def noisier(self, motion_share: float, *, bias_drifts: bool) -> "Pair":
-        """The pair with other errors of the accelerometer; what was made of its samples is kept."""
-        other = replace(self, motion_share=motion_share, bias_drifts=bias_drifts)
-        vars(other).update({name: getattr(self, name) for name in ("responses", "lively")})
+    def changed(self, **fields: Any) -> "Pair":
+        """The pair with other fields; what is made of those that stay is made once: of a long record most work."""
+        other = replace(self, **fields)
+        kept = [name for name, of in MADE_OF.items() if fields.keys().isdisjoint(of)]
+        vars(other).update({name: getattr(self, name) for name in kept})
         return other
+
+    def noisier(self, motion_share: float, *, bias_drifts: bool) -> "Pair":
+        """The pair with other errors of the accelerometer."""
+        return self.changed(motion_share=motion_share, bias_drifts=bias_drifts)
 
     def input_noise(self, mean_density: float) -> InputNoise:
         """The acceleration's noise whose mean density over the record is `mean_density`, (m/s²)²/Hz."""

@@ -102,17 +102,17 @@ class Term:
 
 def _exposed(pair: Pair, change: float, _: Floats) -> Pair:
     square = max(pair.exposure_s**2 + 24.0 * change, 0.0)
-    return replace(pair, exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
+    return pair.changed(exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
 
 
 def _leaning(pair: Pair, change: float, moved_m: Floats) -> Pair:
     samples = pair.samples.copy()
     samples[:, 1] += change * moved_m
-    return replace(pair, samples=samples, lean=pair.lean + change)
+    return pair.changed(samples=samples, lean=pair.lean + change)
 
 
 def _logged(pair: Pair, square: float, cube: float) -> Pair:
-    return replace(pair, logger=(pair.logger[0] + square, pair.logger[1] + cube))
+    return pair.changed(logger=(pair.logger[0] + square, pair.logger[1] + cube))
 
 
 TERMS = {
@@ -432,7 +432,7 @@ def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
 
 def exposure_shows(pair: Pair, fit: Fit) -> bool:
     """Whether an exposure explains the translation better than any ratio and any delay do, by MIN_GAIN."""
-    columns = _Columns(replace(pair, ratio=None, exposure_s=0.0), fit)
+    columns = _Columns(pair.changed(ratio=None, exposure_s=0.0), fit)
     found = columns.regressed((Kind.EXPOSURE,))
     return found.likelihood - columns.regressed(()).likelihood > MIN_GAIN * found.scatter
 
@@ -508,7 +508,7 @@ def _other_m(pair: Pair, fit: Fit, known: Sequence[Kind], declared_s: float) -> 
     if Kind.EXPOSURE not in known or declared_s >= pair.exposure_s:
         return 0.0
     square = (pair.exposure_s**2 - declared_s**2) / 24.0
-    resonant = _logged(replace(pair, exposure_s=declared_s), square, 0.0)
+    resonant = _logged(pair.changed(exposure_s=declared_s), square, 0.0)
     exposed, other = (best_corner(one, fit.offset_s, fit.corner).likelihood for one in (pair, resonant))
     odds = np.exp(np.clip(other - exposed, -50.0, 50.0))
     return _exposed_m(pair, fit, square) * float(np.sqrt(odds / (1.0 + odds)))

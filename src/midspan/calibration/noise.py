@@ -146,15 +146,15 @@ def calibrate_noise(
     pair, fit, low_pass = used.pair, used.fit, None
     if search is not None and offset.value_s != 0.0:
         # Without any delay there is no low-pass.
-        low_pass = find_low_pass(replace(pair, rows=search.pair.rows), found)
+        low_pass = find_low_pass(pair.changed(rows=search.pair.rows), found)
         if low_pass is not None:
             offset = TimeOffset(low_pass.offset_s, offset.variance)
             fit = fit if one_clock else best_corner(pair, low_pass.offset_s)
     # A wrong gain is no slow error.
-    free = replace(pair, ratio=None) if gain_std > 0.0 else pair
+    free = pair.changed(ratio=None) if gain_std > 0.0 else pair
     slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s, whole)
     if slow.pair.slow[0] > 0.0:
-        pair = replace(pair, slow=slow.pair.slow)
+        pair = pair.changed(slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
     estimated = _with_scale(pair, floored_fit, offset, search, max_offset_s, edge, floored=floored_fit is not fit)
@@ -168,7 +168,7 @@ def calibrate_noise(
     assert estimated.findings is not None
     if slow.pair.rows is not free.rows or slow.pair.level is not None:
         # What is judged stays judged as it was.
-        levelled = replace(pair, rows=slow.pair.rows, level=slow.pair.level)
+        levelled = pair.changed(rows=slow.pair.rows, level=slow.pair.level)
         fit = _within_floor(levelled, best_corner(levelled, floored_fit.offset_s))
         findings = replace(estimated.findings, levelled=(levelled, fit))
         estimated = replace(estimated, **levels_of(levelled, fit), findings=findings)
@@ -190,7 +190,7 @@ def _sought(
     """What is applied of clock offset and undeclared exposure, each of which seems to be the other; the offset, its
     search, and the fit at the offset that was found.
     """
-    pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)), steps=one_clock)
+    pair, still = without_outliers(without_lonely_outliers(pair.changed(ratio=1.0)), steps=one_clock)
     here = Exposed(pair, still) if declared else find_exposure(pair, still, offset_cost=MIN_GAIN)
     if max_offset_s <= 0.0:
         return here, TimeOffset(0.0, np.inf), None, here.fit
@@ -204,7 +204,7 @@ def _sought(
         if declared:
             there = Exposed(search.pair, found)
             break
-        none = replace(search.pair, exposure_s=0.0)
+        none = search.pair.changed(exposure_s=0.0)
         own = best_corner(none, found.offset_s)
         before, there = there, find_exposure(none, own, offset_cost=MIN_GAIN)
         if there.pair.exposure_s == before.pair.exposure_s:
@@ -228,7 +228,7 @@ def _without_gain(estimated: NoiseCalibration, known_std: float, spread: float) 
     if findings.levelled is None:
         findings = replace(findings, pair=pair, fit=fit)
     else:
-        judged = best_corner(replace(findings.pair, ratio=fit.ratio), findings.fit.offset_s)
+        judged = best_corner(findings.pair.changed(ratio=fit.ratio), findings.fit.offset_s)
         findings = replace(findings, fit=judged, levelled=(pair, fit))
     gain = 1.0 / (1.0 + weight * (fit.ratio - 1.0))
     gain_std = std * float(np.sqrt(weight))
@@ -240,7 +240,7 @@ def _within_floor(pair: Pair, fit: Fit) -> Fit:
     most = noise_floor(pair.rows[fit.whitened.index, 1])
     if fit.noise <= most:
         return fit
-    unknown = replace(pair, ratio=None)
+    unknown = pair.changed(ratio=None)
     if misfit(unknown, best_corner(unknown, fit.offset_s, fit.corner)).factor <= 1.0:
         return fit
     here, highest = aligned(pair, fit.offset_s), corner_range(pair)[1]
@@ -259,7 +259,7 @@ def _with_scale(
     *,
     floored: bool,
 ) -> NoiseCalibration:
-    unknown = replace(pair, ratio=None)
+    unknown = pair.changed(ratio=None)
     local = best_corner(unknown, offset.value_s)
     if floored and local.corner < fit.corner:
         local = aligned(unknown, offset.value_s).fit(fit.corner)
@@ -270,7 +270,7 @@ def _with_scale(
         found = search_offset(unknown, max_offset_s, edge)
         others += [found.fit, *([] if found.runner_up is None else [found.runner_up])]
     # The same without what a smaller ratio was made to lose: comparable with the ratio as it is.
-    others = [evaluate(replace(pair, ratio=one.ratio), one.offset_s, one.corner) for one in others]
+    others = [evaluate(pair.changed(ratio=one.ratio), one.offset_s, one.corner) for one in others]
     free = max(others, key=lambda one: one.likelihood)
     turned = [one.likelihood for one in others if one.ratio < 0.0 and one.gain > MIN_AGREEMENT]
     upright = [one.likelihood for one in (*others, likeliest) if one.ratio > 0.0]
@@ -304,7 +304,7 @@ def _drifts(pair: Pair, offset_s: float) -> bool:
     fast = sosfiltfilt(butter(4, DRIFT_HZ, "highpass", fs=rate, output="sos"), value)
     time_s, density = pair.samples[:, 0], pair.samples[:, 2]
     samples, slow = (np.column_stack((time_s, part, density)) for part in (fast, value - fast))
-    fit = best_corner(replace(pair, ratio=None, samples=samples, outside=slow), offset_s)
+    fit = best_corner(pair.changed(ratio=None, samples=samples, outside=slow), offset_s)
     return fit.gain > MIN_AGREEMENT and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR
 
 
@@ -349,7 +349,7 @@ def learn_motion(pair: Pair) -> float:
     """
     pair = without_lonely_outliers(pair)
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
-    here = aligned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), 0.0)
+    here = aligned(pair.changed(rows=pair.rows / np.array([1.0, 1.0, typical])), 0.0)
     low, high = np.log(corner_range(pair))
 
     def cost(corner: float) -> float:

@@ -1,7 +1,5 @@
 """Measurements that are wrong by far: single ones that leave their neighbours, and innovations beyond all noise."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -43,7 +41,7 @@ def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) 
             break
         rows = pair.rows.copy()
         rows[index[bad], 2] = np.inf
-        pair = replace(pair, rows=rows)
+        pair = pair.changed(rows=rows)
         fit = best_corner(pair, fit.offset_s, fit.corner)
         fit = refine(pair, fit, bound_s) if bound_s > 0.0 else fit
     return pair
@@ -86,7 +84,7 @@ def without_lonely_outliers(pair: Pair) -> Pair:
         rows[bad, 2] = np.inf
         if not len(bad):
             break
-    return replace(pair, rows=rows)
+    return pair.changed(rows=rows)
 
 
 def shaken_rows(pair: Pair) -> NDArray[np.bool_]:

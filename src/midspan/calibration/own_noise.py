@@ -5,7 +5,6 @@ it than the accelerometer's noise, or the camera's. The accelerometer's own read
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -92,7 +91,7 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     if not exceeds_own_noise(pair, fit):
         return narrow
     # An error over seconds (haze), where it is far likelier than the noise that the accelerometer would need instead.
-    likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
+    likelihood, std = likeliest_slow_error(pair.changed(ratio=fit.ratio), fit)
     moved = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
     return max(narrow, min(std, moved)) if likelihood - fit.likelihood > MIN_GAIN else narrow
 

@@ -145,7 +145,7 @@ def calibrate_scale(
         )
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     # Relative variances near 1 keep the corner frequency what its name says, and the diffuse start above all noise.
-    axis = turned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), max_offset_s)
+    axis = turned(pair.changed(rows=pair.rows / np.array([1.0, 1.0, typical])), max_offset_s)
     pair = axis.pair
     kinds = kinds_of(pair, exposure_declared=exposure_declared)
     jumps: Sequence[ClockJump] = ()
@@ -201,7 +201,7 @@ def with_frequency(
         doubt = float(np.hypot(doubt, one.doubt))
         # Outliers are judged anew: what depends on frequency looked like some.
         known = one.known
-        search = search_offset(replace(one.pair, rows=pair.rows, reference=None), max_offset_s)
+        search = search_offset(one.pair.changed(rows=pair.rows, reference=None), max_offset_s)
     if known and contradiction(search.pair, search.fit) > 0.0:
         # What they differ by is something else, which a function of frequency may only happen to resemble.
         doubt = float(np.hypot(doubt, search.fit.ratio / plain.fit.ratio - 1.0))
@@ -218,12 +218,12 @@ def with_frequency(
     response = replace(response, exposure_s=own_s, relative_std=float(np.hypot(response.relative_std, doubt)))
     if search.pair.logger != (0.0, 0.0):
         # The low-pass stays in the acceleration, whose noise levels are those with it.
-        search = _at_ratio(replace(search, pair=replace(search.pair, logger=(0.0, 0.0))), search.fit.ratio)
+        search = _at_ratio(replace(search, pair=search.pair.changed(logger=(0.0, 0.0))), search.fit.ratio)
     return search, response
 
 
 def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
-    pair = replace(search.pair, ratio=ratio)
+    pair = search.pair.changed(ratio=ratio)
     pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
 
@@ -284,7 +284,7 @@ def _slow_samples(pair: Pair) -> str:
 
 
 def _rival(pair: Pair, search: OffsetSearch, max_offset_s: float) -> Rival | None:
-    return likeliest_beyond(replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0)), search.fit, max_offset_s)
+    return likeliest_beyond(search.pair.changed(ratio=pair.ratio, logger=(0.0, 0.0)), search.fit, max_offset_s)
 
 
 def _refuse_rivals(
@@ -316,7 +316,7 @@ def _refuse_better(
         return
     offset_s = rival.fit.offset_s
     try:
-        refuse(search_offset(replace(pair, rows=pair.rows + np.array([offset_s, 0.0, 0.0])), max_offset_s))
+        refuse(search_offset(pair.changed(rows=pair.rows + np.array([offset_s, 0.0, 0.0])), max_offset_s))
     except UntrustedError as error:
         if not accepted:
             return
@@ -371,7 +371,7 @@ def start_noise(pair: Pair, fit: Fit) -> float:
     rows = pair.rows.copy()
     first = rows[: SETTLING + START_FRAMES, 2]
     first[np.isinf(first)] = 1.0
-    w = aligned(replace(pair, rows=rows), fit.offset_s).whitened(fit.corner)
+    w = aligned(pair.changed(rows=rows), fit.offset_s).whitened(fit.corner)
     left = (w.translation - fit.ratio * w.response)[:START_FRAMES] ** 2 / w.variance[:START_FRAMES]
     size = SIGMA_OF_MEDIAN * float(np.sqrt(np.median(left))) if len(left) else 0.0
     return size if size > START_NOISE * np.sqrt(fit.noise) else 0.0

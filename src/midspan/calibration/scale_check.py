@@ -1,7 +1,7 @@
 """Whether a given calibration fits the recording: scale and clock of each sensor against the accelerometer."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -163,7 +163,7 @@ def apparent_scale(acceleration: Acceleration, sensed: Sensed, max_offset_s: flo
         pair, fit = without_outliers(pair)
         return ApparentScale(fit.ratio, float(np.sqrt(fit.ratio_variance))) if tells(pair, fit) else None
     rows = pair.rows
-    search = search_offset(replace(pair, rows=rows[:: max(1, -(-len(rows) // MAX_ROWS))]), max_offset_s)
+    search = search_offset(pair.changed(rows=rows[:: max(1, -(-len(rows) // MAX_ROWS))]), max_offset_s)
     fit, variance = nearest(search)
     if not tells(search.pair, fit):
         return None

@@ -53,7 +53,7 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
     Where none is taken those that the motion does not exclude make the gain uncertain. offset_cost: as of
     `lead_over_first_order`.
     """
-    longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
+    longest_s, free = 1.0 / pair.rate_hz, pair.changed(ratio=None)
 
     @cache
     def fitted(share: float) -> Fit:
@@ -88,7 +88,7 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
         curved = (2.0 * best.likelihood - below.likelihood - above.likelihood) / step**2
         std = min(1.0 / float(np.sqrt(max(curved, 1e-300))), share)
         spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
-    pair = replace(pair, exposure_s=share * longest_s)
+    pair = pair.changed(exposure_s=share * longest_s)
     return Exposed(pair, best_corner(pair, fit.offset_s, fit.corner), spread)
 
 
@@ -129,7 +129,7 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
     better by frequency_response.MIN_GAIN (logarithm of the likelihood), with any gain of the accelerometer, and no
     other cause does so clearly.
     """
-    free = replace(pair, ratio=None, reference=None)
+    free = pair.changed(ratio=None, reference=None)
     before = best_corner(free, fit.offset_s, fit.corner)
     explained = with_response(free, before, (Kind.LAG, Kind.DROOP), most_open=np.inf)
     without = explained.pair

@@ -43,7 +43,7 @@ def calibrate_sensor_scale(
     Raises UntrustedError when the motion does not tell the scale to 5 %, when two offsets fit alike, or when the
     sensors do not agree.
     """
-    pair = without_lonely_outliers(replace(pair, ratio=None))
+    pair = without_lonely_outliers(pair.changed(ratio=None))
     search: OffsetSearch | None = None
     if not one_clock and max_offset_s > 0.0:
         search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))

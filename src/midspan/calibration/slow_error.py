@@ -82,7 +82,7 @@ def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit
         rows = pair.rows.copy()
         rows[:, 2] *= np.repeat(level, np.diff(edges))
         rows[:, 2] /= np.mean(rows[fit.whitened.index, 2])
-        pair = replace(pair, rows=rows)
+        pair = pair.changed(rows=rows)
         fit = best_corner(pair, fit.offset_s, fit.corner)
     return pair, fit
 
@@ -93,7 +93,7 @@ def _levelled_acceleration(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tu
     segment = np.searchsorted(begins_s, pair.samples[:, 0], side="right")
     for _ in range(ROUNDS):
         level = _level(fit, edges)[segment] * (1.0 if pair.level is None else pair.level)
-        pair = replace(pair, level=level / np.mean(level))
+        pair = pair.changed(level=level / np.mean(level))
         fit = best_corner(pair, fit.offset_s, fit.corner)
     return pair, fit
 
@@ -113,7 +113,7 @@ def _with_outliers(pair: Pair, whole: Floats) -> Pair:
     before = used[np.maximum(np.searchsorted(used, np.arange(len(rows)), side="right") - 1, 0)]
     left = np.isinf(rows[:, 2]) & np.isfinite(whole[:, 2])
     rows[left, 2] = rows[before[left], 2]
-    return replace(pair, rows=rows)
+    return pair.changed(rows=rows)
 
 
 def _edges(square: Floats) -> list[int]:
@@ -169,7 +169,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see the
     module): the rows of the pair that is returned have it in their relative variances, or its samples a level.
     """
-    white = replace(pair, slow=NO_SLOW_ERROR)
+    white = pair.changed(slow=NO_SLOW_ERROR)
     levelled, fit = _with_noise_levels(white, fit, whole)
     if levelled is not white:
         pair, white = replace(levelled, slow=pair.slow), levelled
@@ -187,7 +187,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         # Measurements without any noise have no slow error that could be distinguished from it.
         return SlowError(white, fit)
     rate = sum(moment / lasting for moment, lasting in zip(moments, times, strict=True)) / sum(moments)
-    slow = replace(pair, slow=(sum(moments) / white_moment, float(rate)))
+    slow = pair.changed(slow=(sum(moments) / white_moment, float(rate)))
     found = best_corner(slow, fit.offset_s)
     if time_s is None:
         none = aligned(white, fit.offset_s).fit(fit.corner)
@@ -208,7 +208,7 @@ def _times(pair: Pair, rows: Floats) -> Floats:
 
 def likeliest_slow_error(pair: Pair, fit: Fit) -> tuple[float, float]:
     """The largest likelihood (logarithm) with a slow error of the translation, and that one's standard deviation."""
-    white, times = replace(pair, slow=NO_SLOW_ERROR), _times(pair, pair.rows[pair.used(fit.offset_s), 0])
+    white, times = pair.changed(slow=NO_SLOW_ERROR), _times(pair, pair.rows[pair.used(fit.offset_s), 0])
     tried = [_along(white, fit, float(lasting)) for lasting in times]
     return max((float(np.max(one.likelihood)), float(one.std[np.argmax(one.likelihood)])) for one in tried)
 

@@ -90,7 +90,7 @@ class OffsetSearch:
             offset=TimeOffset(self.offset.value_s + late_s, self.offset.variance),
             runner_up=None if self.runner_up is None else later(self.runner_up),
             offsets_s=self.offsets_s + late_s,
-            pair=replace(self.pair, rows=self.pair.rows - np.array([late_s, 0.0, 0.0])),
+            pair=self.pair.changed(rows=self.pair.rows - np.array([late_s, 0.0, 0.0])),
         )
 
 
@@ -245,7 +245,7 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
     """
     if until_s - within_s < 3.0 / pair.sample_rate_hz:
         return None
-    pair = replace(pair, ratio=None, reference=None)
+    pair = pair.changed(ratio=None, reference=None)
     pair = with_input_noise(pair, best_corner(pair, near.offset_s))[0]
     sides = [_grid(pair, -until_s, -within_s), _grid(pair, within_s, until_s)]
     best = max((fit for side in sides for fit in _refined(pair, side, *scan(pair, side))), key=likelihood_of)
@@ -277,7 +277,7 @@ def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
     """
     # A smaller ratio leaves less of the accelerometer's noise, whichever is true: see `fit.shrinking`.
     reference = abs(near.ratio) if pair.ratio is None else None
-    pair = replace(pair, reference=reference, motion_share=0.0, bias_drifts=False)
+    pair = pair.changed(reference=reference, motion_share=0.0, bias_drifts=False)
     offsets = _offsets(pair, within_s)
     step = 1.0 / min(pair.sample_rate_hz, MAX_RATE_HZ)
     if not offsets:
@@ -320,11 +320,11 @@ def first_part(pair: Pair) -> Pair:
     rows = pair.rows[pair.rows[:, 0] <= last]
     near = (pair.samples[:, 0] >= first - PART_S) & (pair.samples[:, 0] <= last + PART_S)
     outside = None if pair.outside is None else pair.outside[near]
-    return replace(pair, rows=rows, samples=pair.samples[near], outside=outside, cross=None)
+    return pair.changed(rows=rows, samples=pair.samples[near], outside=outside, cross=None)
 
 
 def _evidence(pair: Pair, fit: Fit) -> float:
-    return fit.likelihood - best_corner(replace(pair, ratio=0.0), fit.offset_s).likelihood
+    return fit.likelihood - best_corner(pair.changed(ratio=0.0), fit.offset_s).likelihood
 
 
 def _offsets(pair: Pair, within_s: float) -> list[Floats]:

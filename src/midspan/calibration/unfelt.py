@@ -26,6 +26,8 @@ LOOKS = ((5.0, 4), (20.0, 3), (np.inf, 3))
 NOISE_LEFT = {3: 2520.0, 4: 6930.0}
 # Over the whole record this many values are enough.
 MAX_COMPARED = 20_000
+# Windows of this many values together are worked on at once, for memory.
+AT_ONCE = 100_000
 # A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
 # so that of n windows one exceeds the mean ln(n / p) times with a probability p.
 CHANCE = 1e-6
@@ -64,7 +66,7 @@ def _refuse_windows(
     prepared: PreparedAcceleration, moved: tuple[Nanoseconds, Floats, Floats], windows: list[slice], unknowns: int
 ) -> None:
     time_ns, moved_m, variance_m2 = moved
-    felt, differs, missed = np.array([_powers(prepared, time_ns[one], moved_m[one], unknowns) for one in windows]).T
+    felt, differs, missed = _powers(prepared, time_ns, moved_m, windows, unknowns)
     uncertain = np.array([np.mean(variance_m2[one]) for one in windows])
     allowed = felt + np.log(len(windows) / CHANCE) * (np.mean(felt) + missed + uncertain)
     k = int(np.argmax(differs / allowed))
@@ -141,9 +143,9 @@ def refuse_lost_cycles(
     if not windows:
         return
     chance = np.log(len(windows) / CHANCE)
-    for one in windows:
+    powers = _powers(prepared, rows.time_ns, rows.displacement_m, windows, unknowns)
+    for one, (felt, differs, missed) in zip(windows, powers.T, strict=True):
         time_ns, variance = rows.time_ns[one], rows.variance_m2[one]
-        felt, differs, missed = _powers(prepared, time_ns, rows.displacement_m[one], unknowns)
         noise = density * ((int(time_ns[-1]) - int(time_ns[0])) / NANOSECONDS) ** 3 / NOISE_LEFT[unknowns]
         # What the rows have in common is no motion.
         uncertain = float(np.mean(variance) - np.min(variance))
@@ -172,8 +174,7 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
     windows = _windows(rows.time_ns, length_s, unknowns)
     if not windows:
         return
-    powers = [_powers(prepared, rows.time_ns[one], rows.displacement_m[one], unknowns) for one in windows]
-    felt, _, missed = np.mean(powers, axis=0)
+    felt, _, missed = np.mean(_powers(prepared, rows.time_ns, rows.displacement_m, windows, unknowns), axis=1)
     if wide > np.log(1.0 / CHANCE) * (felt + missed):
         raise UntrustedError(
             f"In {100 * MAX_WIDE:.0f} % of the rows the displacement is known to ± {1e3 * np.sqrt(wide):.3g} mm only "
@@ -184,21 +185,38 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
 
 
 def _powers(
-    prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, unknowns: int
-) -> tuple[float, float, float]:
-    """Mean squares, m², about polynomials of this many unknowns: of the acceleration integrated twice, of what a
-    displacement (n,) differs from it by, and of what acceleration that is missing leaves open.
+    prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, windows: Sequence[slice], unknowns: int
+) -> Floats:
+    """Mean squares (3, windows), m², about polynomials of this many unknowns: of the acceleration integrated twice, of
+    what a displacement (n,) differs from it by, and of what acceleration that is missing leaves open.
     """
     first, last = np.searchsorted(prepared.time_ns, (time_ns[0], time_ns[-1]))
     near = slice(max(int(first) - 1, 0), int(last) + 1)
     origin = int(time_ns[0])
     time_s, sampled_s = seconds(time_ns, origin), seconds(prepared.time_ns[near], origin)
-    value_m_s2 = prepared.value_m_s2[near]
-    # A constant only bends the parabola, and would leave rounding of a long record.
-    felt_m = path(time_s, sampled_s, value_m_s2 - np.mean(value_m_s2))
-    length_s = float(time_s[-1])
-    basis = np.linalg.qr(np.vander(time_s / length_s, unknowns))[0]
+    # Where it starts and at which speed is open in every window: one integral does for all.
+    felt_m = path(time_s, sampled_s, prepared.value_m_s2[near])
     both = np.column_stack((felt_m, moved_m - felt_m))
-    left = np.mean((both - basis @ (basis.T @ both)) ** 2, axis=0)
-    missed = float(np.mean(prepared.bridging_density[near])) * length_s**3 / NOISE_LEFT[unknowns]
-    return float(left[0]), float(left[1]), missed
+    lengths, starts = np.array([one.stop - one.start for one in windows]), np.array([one.start for one in windows])
+    left = np.empty((2, len(windows)))
+    for length in np.unique(lengths):
+        alike = np.flatnonzero(lengths == length)
+        for some in np.array_split(alike, -(-len(alike) * int(length) // AT_ONCE)):
+            index = starts[some, None] + np.arange(length)
+            left[:, some] = _left(time_s[index], both[index], unknowns)
+    length_s = time_s[starts + lengths - 1] - time_s[starts]
+    edges = np.searchsorted(sampled_s, np.stack((time_s[starts], time_s[starts + lengths - 1])))
+    edges += np.array([[-1], [1]])
+    summed = np.concatenate(([0.0], np.cumsum(prepared.bridging_density[near])))
+    begin, end = np.clip(edges, 0, len(sampled_s))
+    missed = (summed[end] - summed[begin]) / (end - begin) * length_s**3 / NOISE_LEFT[unknowns]
+    return np.vstack((left, missed))
+
+
+def _left(time_s: Floats, both: Floats, unknowns: int) -> Floats:
+    """Mean squares (2, w) of two columns (w, n, 2) at times (w, n) about a polynomial in each of w windows."""
+    since_s = time_s - time_s[:, :1]
+    u = since_s / since_s[:, -1:]
+    basis = np.linalg.qr(u[:, :, None] ** np.arange(unknowns))[0]
+    left = both - basis @ (basis.transpose(0, 2, 1) @ both)
+    return np.asarray(np.mean(left**2, axis=1).T)

@@ -34,6 +34,8 @@ from midspan.records import (
 )
 from midspan.settings.messages import in_words_of, worded
 
+# Readings are pushed this many seconds at once: of a day at once, every stage would hold all of it several times.
+BLOCK_S = 600.0
 NOTHING_SEEN = (
     "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "
     "stands in front of the radar."
@@ -138,7 +140,7 @@ def run(point: Point, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCa
 
 
 def records_of(
-    point: Point, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera], *, block_s: float = np.inf
+    point: Point, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera], *, block_s: float = BLOCK_S
 ) -> Iterator[tuple[str, Arrival | Complete]]:
     """All records of a recording, readings ahead of the frames that they cover; with each the stream that it is from.
 
@@ -170,16 +172,16 @@ def blocks_of(
     """Readings of several streams in blocks: begin (ns) of each one's span on the common clock, stream and block."""
     first_ns = min((int(one.time_ns[0]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
     last_ns = max((int(one.time_ns[-1]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
-    step_ns = min(NANOSECONDS * block_s, last_ns - first_ns + 1)
+    step_ns = int(min(NANOSECONDS * block_s, last_ns - first_ns + 1))
     places, counts = dict.fromkeys(readings, 0), dict.fromkeys(readings, 0)
+    # What is backwards or doubled is for the engine to judge: a block ends where the stamps first pass its end.
+    latest = {name: np.maximum.accumulate(one.time_ns) + offsets_ns[name] for name, one in readings.items()}
     for number in range(1 + int((last_ns - first_ns) // step_ns)):
         for name, one in readings.items():
-            # What is backwards or doubled is for the engine to judge: a block ends where the stamps first pass its end.
-            later = one.time_ns[places[name] :] + offsets_ns[name] >= first_ns + (number + 1) * step_ns
-            end = places[name] + (int(np.argmax(later)) if later.any() else len(later))
+            end = int(np.searchsorted(latest[name], first_ns + (number + 1) * step_ns))
             if end > places[name]:
                 part = Readings(one.time_ns[places[name] : end], one.value[places[name] : end])
-                yield first_ns + round(number * step_ns), name, Arrival(name, counts[name], part)
+                yield first_ns + number * step_ns, name, Arrival(name, counts[name], part)
                 places[name], counts[name] = end, counts[name] + 1
 
 

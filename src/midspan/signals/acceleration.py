@@ -158,7 +158,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     Raises DataError when the channel is frozen, clipped or empty beyond what can be bridged.
     """
     usual = clock(series.time_ns, GAP_STEPS)
-    absent, still, held, alone = _unusable(series)
+    absent, still, held, alone = unusable = _unusable(series)
     _refuse(where, still & ~absent, "frozen", (MAX_MISSING, "stands at one value"))
     _refuse(where, held, "clipped", (MAX_CLIPPED, "is held at the end of its range"))
     missing = absent | still | held | alone
@@ -168,7 +168,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     density = _bridging_density(value, missing, usual)
     reported = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
     reported += [one.worded(f"{where}: {one}.") for one in series.notices]
-    bridged_texts = [f"{line}; they were bridged and marked." for line in unusable_samples(series)]
+    bridged_texts = [f"{line}; they were bridged and marked." for line in _in_words(series, unusable)]
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
         bridged_texts.append(f"gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
@@ -224,9 +224,13 @@ def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask, Mask]:
 
 def unusable_samples(series: TimeSeries) -> list[str]:
     """How many samples of a channel are no numbers, frozen, clipped or spikes, and where the longest block lies."""
+    return _in_words(series, _unusable(series))
+
+
+def _in_words(series: TimeSeries, unusable: Sequence[Mask]) -> list[str]:
     kinds = ("are not numbers", "are frozen", "are clipped", "are spikes far beyond all others")
     rate_hz, found = clock(series.time_ns, GAP_STEPS).rate_hz, []
-    for mask, what in zip(_unusable(series), kinds, strict=True):
+    for mask, what in zip(unusable, kinds, strict=True):
         if mask.any():
             first, end = max(runs(mask).tolist(), key=lambda block: block[1] - block[0])
             longest = f"for {(end - first) / rate_hz:.3g} s from {shown(int(series.time_ns[first]))} on"

@@ -159,7 +159,7 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         rows = pair.rows.copy()
         rows[crowd_of_outliers(pair), 2] = np.inf
         learned = calibrate_noise(
-            replace(pair, rows=rows),
+            pair.changed(rows=rows),
             max_offset,
             one_clock=overlap.one_clock,
             length_s=overlap.overlap_s,
@@ -223,7 +223,7 @@ def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries |
     origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
     """
     # A step leaves one half without any, where the sensors agree; in the other it looks like the accelerometer's noise.
-    halves = [without_outliers(replace(pair, rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
+    halves = [without_outliers(pair.changed(rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
     fit = min(halves, key=lambda one: one.input_density)
     used = pair.used(fit.offset_s)
     jumps = clock_jumps(compared_by(pair, fit, pair.rows[used]))
@@ -247,7 +247,7 @@ def refuse_step(pair: Pair, fit: Fit) -> None:
     """
     if np.ptp(pair.samples[:, 2]) > 0.0:
         return
-    cause = named_cause(replace(pair, ratio=1.0), fit.offset_s)
+    cause = named_cause(pair.changed(ratio=1.0), fit.offset_s)
     if cause is not None and cause.cause is Cause.STEP:
         measured = f"displacement: it differs from the accelerometer by {1e3 * cause.difference_m:.3g} mm rms"
         raise UntrustedError(disagreement(cause, measured))

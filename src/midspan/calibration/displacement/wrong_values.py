@@ -12,7 +12,7 @@ changes from moment to moment: a sensor or an accelerometer that is noisy for a 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,12 +63,12 @@ def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
     """
     held = np.zeros(len(whole), dtype=bool)
     # A slow error may be nothing but such a segment.
-    pair = replace(pair, rows=whole, slow=NO_SLOW_ERROR)
+    pair = pair.changed(rows=whole, slow=NO_SLOW_ERROR)
     before = best_corner(pair, fit.offset_s)
     for _ in range(MAX_SEGMENTS):
         rows = whole.copy()
         rows[held, 2] = np.inf
-        found = _stuck_segment(replace(pair, rows=rows), before)
+        found = _stuck_segment(pair.changed(rows=rows), before)
         if not len(found):
             break
         # With neighbours of the same level: there the motion passed where the sensor was stuck.
@@ -78,7 +78,7 @@ def held_values(pair: Pair, fit: Fit, whole: Floats) -> NDArray[np.bool_]:
         level, far = np.mean(value[found]), OUTLIER_LIMIT * np.std(value[found])
         found = np.concatenate((found, ends[np.abs(value[ends] - level) < far]))
         rows[found, 2] = np.inf
-        after = best_corner(replace(pair, rows=rows), fit.offset_s)
+        after = best_corner(pair.changed(rows=rows), fit.offset_s)
         # Whether the record is likelier with these readings anywhere within all; two instants are unknown.
         count = len(before.whitened.variance)
         left_out = count - len(after.whitened.variance)
@@ -140,7 +140,7 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     density = 2.0 * white_noise(pair.samples[:, 1]) ** 2 / pair.sample_rate_hz
     power = max(float(np.var(rows[:, 1])), 1e-300)
     clear_hz = float(np.cbrt(density / (3.0 * (2.0 * np.pi) ** 4 * MAX_NOISE_SHARE * power)))
-    compared = Comparison.of(replace(pair, rows=rows), len(usable), clear_hz)
+    compared = Comparison.of(pair.changed(rows=rows), len(usable), clear_hz)
     if len(compared.time_s) < MIN_READINGS:
         return crowd
     differs = compared.value_m - compared.path()(compared.time_s)
@@ -151,7 +151,7 @@ def crowd_of_outliers(pair: Pair) -> NDArray[np.bool_]:
     if not far.any():
         return crowd
     # What a slow sensor shows of a structure that rings is no outlier.
-    shaken = shaken_rows(replace(pair, rows=rows))[compared.inside]
+    shaken = shaken_rows(pair.changed(rows=rows))[compared.inside]
     # It lies clearly apart from the rest, and is the lesser part everywhere.
     apart = MIN_WRONG < np.mean(far) < MAX_WRONG and not np.median(np.abs(left[far])) < APART * _spread(left)
     apart = apart and all(np.mean(part) < MAX_OF_BLOCK for part in np.array_split(far, BLOCKS))
@@ -221,13 +221,13 @@ def wrong_values(measured: Displacement, acceleration: Acceleration) -> WrongVal
     shaken = np.column_stack((seconds(acceleration.time_ns, first), pushed, acceleration.noise_density))
     held = stuck(seconds(time_ns, first), value, shaken, resolution_m=resolution(value))
     rows = measured_rows(time_ns, value, np.where(held | ~np.isfinite(value), np.inf, 1.0), first)
-    density = float(np.median(acceleration.noise_density))
-    pair = Pair(shaken / np.array([1.0, 1.0, density]), rows, 1.0)
+    shaken[:, 2] /= np.median(acceleration.noise_density)
+    pair = Pair(shaken, rows, 1.0)
     crowd = crowd_of_outliers(pair)
     # Those of a sensor that is stuck, as all that are not wrong show.
     right = pair.rows.copy()
     right[held | crowd, 2] = np.inf
     if np.count_nonzero(np.isfinite(right[:, 2])) >= MIN_MEASUREMENTS:
-        right_pair = Pair(pair.samples, right, 1.0)
+        right_pair = pair.changed(rows=right)
         held |= held_values(right_pair, best_corner(right_pair, 0.0), pair.rows)
     return WrongValues(time_ns[held], time_ns[crowd & ~held])
