@@ -47,7 +47,7 @@ def test_whitened_columns_are_those_of_a_dense_solution():
     pair = record(3)
     pair = replace(pair, rows=pair.rows[:40] / [1.0, 1.0, pair.rows[0, 2]])
     here, corner = aligned(pair, OFFSET_S), 2.0
-    t = here.rows[:, 0] - here.rows[0, 0]
+    t = here.columns.rows[:, 0] - here.columns.rows[0, 0]
     density = corner**4 / pair.rate_hz
     shape = np.column_stack((np.ones(t.size), t, -0.5 * t * t))
     first = np.minimum(t[:, None], t)
@@ -56,7 +56,7 @@ def test_whitened_columns_are_those_of_a_dense_solution():
     walk = density * BIAS_WALK_RATIO * first**3 * (first**2 / 20.0 + first * apart / 8.0 + apart**2 / 12.0)
     covariance = shape @ (1e9 * np.eye(3)) @ shape.T + white + walk + np.eye(t.size)
     factor = np.linalg.cholesky(covariance)
-    expected = np.linalg.solve(factor, here.values)[SETTLING:]
+    expected = np.linalg.solve(factor, here.columns.values)[SETTLING:]
     w = here.whitened(corner)
     # The filter lets the bias walk from step to step: 0.1 s, a part in ten thousand.
     np.testing.assert_allclose(w.columns / np.sqrt(w.variance)[:, None], expected, atol=2e-3 * np.std(expected))

@@ -115,8 +115,8 @@ class Pair:
         return tuple(integrated(samples) for samples in (self.samples, self.outside) if samples is not None)
 
     @cached_property
-    def recent(self) -> "list[Aligned]":
-        """The pair at the clock offset that it was compared at last, where most of the work is done."""
+    def recent(self) -> "list[Columns]":
+        """What was whitened at the clock offset of the last comparison, where most of the work is done."""
         return []
 
     @cached_property
@@ -211,15 +211,15 @@ def likelihood_of(fit: Fit) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Aligned:
-    """A pair at a clock offset: the rows compared, and the columns that are whitened there.
+class Columns:
+    """What is whitened at a clock offset.
 
     rows (k, 2): time and relative variance; values (k, c): translation, response to the acceleration, its velocity and,
     with a band, the response to what is outside it, without what is open of them (see `levelled`); cubic (2, c): of
-    that the second derivative at the end and the third one; index (k,): which rows of the pair these are.
+    that the second derivative at the end and the third one; index (k,): which rows of the pair these are; fits: those
+    made of it by their corner frequencies.
     """
 
-    pair: Pair
     offset_s: float
     rows: Floats
     values: Floats
@@ -227,20 +227,28 @@ class Aligned:
     index: NDArray[np.int64]
     fits: dict[float, Fit] = field(init=False, repr=False, compare=False, default_factory=dict)
 
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """A pair at a clock offset. The pair keeps the columns alone: a circle would hold a day's arrays for long."""
+
+    pair: Pair
+    columns: Columns
+
     def whitened(self, corner: float) -> Whitened:
         """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
-        pair = self.pair
-        density = corner**4 / pair.rate_hz
-        columns = (self.rows, self.values, pair.pieces, density)
-        return whiten_columns(*columns, slow=pair.slow, index=self.index, open_bias=self.cubic[0])
+        pair, own = self.pair, self.columns
+        columns = (own.rows, own.values, pair.pieces, corner**4 / pair.rate_hz)
+        return whiten_columns(*columns, slow=pair.slow, index=own.index, open_bias=own.cubic[0])
 
     def fit(self, corner: float) -> Fit:
         """The fit with a corner frequency (rad/s), made once."""
-        if corner not in self.fits:
-            if len(self.fits) >= kept(self.rows):
-                self.fits.pop(next(iter(self.fits)))
-            self.fits[corner] = self._fit(corner)
-        return self.fits[corner]
+        fits = self.columns.fits
+        if corner not in fits:
+            if len(fits) >= kept(self.columns.rows):
+                fits.pop(next(iter(fits)))
+            fits[corner] = self._fit(corner)
+        return fits[corner]
 
     def _fit(self, corner: float) -> Fit:
         pair, w = self.pair, self.whitened(corner)
@@ -270,7 +278,7 @@ class Aligned:
         # The corner of the noise that does not go with the motion.
         alike = PRIOR_POWER * float(np.log(corner) + 0.25 * np.log1p(-pair.motion_share)) - w.entropy
         return Fit(
-            offset_s=self.offset_s,
+            offset_s=self.columns.offset_s,
             corner=corner,
             ratio=ratio,
             ratio_variance=ratio_variance,
@@ -290,7 +298,7 @@ def kept(rows: Floats) -> int:
 def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> Aligned:
     """A pair at a clock offset, s, with columns that are functions of time in addition to its own."""
     if not more and pair.recent and pair.recent[0].offset_s == offset_s:
-        return pair.recent[0]
+        return Aligned(pair, pair.recent[0])
     index = pair.used(offset_s)
     rows = pair.rows[index]
     time_s = rows[:, 0] + offset_s
@@ -299,10 +307,10 @@ def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> A
     columns += [response.at(time_s, pair.exposure_s, pair.logger) for response in outside]
     columns += [column(time_s) for column in more]
     values, cubic = levelled(time_s, np.column_stack(columns), drifts=pair.bias_drifts)
-    here = Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
+    own = Columns(offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
     if not more:
-        pair.recent[:] = [here]
-    return here
+        pair.recent[:] = [own]
+    return Aligned(pair, own)
 
 
 def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
@@ -356,8 +364,8 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
 def best_corner_here(here: Aligned, corner: float | None) -> Fit:
     """The most likely noise ratio of what is compared, near `corner` (rad/s) where one is given."""
     best = here.fit(likeliest_corner(here.pair, lambda one: here.fit(one).likelihood, corner))
-    here.fits.clear()
-    here.fits[best.corner] = best
+    here.columns.fits.clear()
+    here.columns.fits[best.corner] = best
     return best
 
 
@@ -423,7 +431,7 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     @cache
     def with_odds(odds: float) -> tuple[Pair, Fit]:
         noisy = constant.noisier(float(1.0 / (1.0 + np.exp(-odds))), bias_drifts=constant.bias_drifts)
-        return noisy, best_corner_here(replace(here, pair=noisy), without.corner)
+        return noisy, best_corner_here(Aligned(noisy, replace(here.columns)), without.corner)
 
     odds = global_minimum(lambda one: -with_odds(one)[1].likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
     noisy, found = with_odds(odds)

@@ -262,7 +262,7 @@ class _Columns:
 
         self._pair = pair
         here = aligned(pair, fit.offset_s, *(column(kind) for kind in Kind))
-        self.whitened = lru_cache(kept(here.rows))(here.whitened)
+        self.whitened = lru_cache(kept(here.columns.rows))(here.whitened)
 
     def regressed(self, known: Sequence[Kind]) -> Regression:
         """The most likely regression on the columns of some kinds."""

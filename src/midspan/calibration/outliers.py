@@ -63,12 +63,12 @@ def both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats, Floats]:
     # A piece of the noise ends, backwards, where it begins.
     ends, density = pair.pieces.T
     pieces = np.column_stack((-np.r_[pair.samples[0, 0], ends[:-1]], density))[::-1]
-    rows, values = here.rows[::-1] * np.array([-1.0, 1.0]), here.values[::-1]
+    rows, values = here.columns.rows[::-1] * np.array([-1.0, 1.0]), here.columns.values[::-1]
     w = whiten_columns(rows, values, pieces, fit.corner**4 / pair.rate_hz, slow=pair.slow)
-    size = np.full((2, len(here.rows)), np.inf)
+    size = np.full((2, len(here.columns.rows)), np.inf)
     size[0, SETTLING:] = np.abs(fit.residual)
     size[1, SETTLING:] = np.abs(w.translation - fit.ratio * w.response) / np.sqrt(fit.noise * w.variance)
-    return here.index, size[0], size[1, ::-1]
+    return here.columns.index, size[0], size[1, ::-1]
 
 
 def without_lonely_outliers(pair: Pair) -> Pair:

@@ -110,7 +110,7 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
         return 0.0
     columns = [partial(_wave, shape=shape, hertz=hertz) for hertz in lines for shape in (np.cos, np.sin)]
     here = aligned(pair, fit.offset_s, *columns)
-    w, moved = here.whitened(fit.corner), here.values[:, -len(columns) :]
+    w, moved = here.whitened(fit.corner), here.columns.values[:, -len(columns) :]
     waves = w.columns[:, -len(columns) :] / np.sqrt(w.variance)[:, None]
     left = (w.translation - fit.ratio * w.response) / np.sqrt(w.variance)
     inverse = np.linalg.pinv(waves.T @ waves, hermitian=True)
@@ -118,7 +118,7 @@ def narrow_motion(pair: Pair, fit: Fit) -> float:
     noise = float(np.sum((left - waves @ size) ** 2)) / max(len(left) - len(size), 1)
     by_chance = noise * float(np.mean(np.einsum("mi,ij,mj->m", moved, inverse, moved)))
     # What is far more than the translation moves there is the drift of an accelerometer, integrated twice.
-    shown = moved @ np.linalg.lstsq(moved, here.values[:, 0], rcond=None)[0]
+    shown = moved @ np.linalg.lstsq(moved, here.columns.values[:, 0], rcond=None)[0]
     return float(np.sqrt(max(min(np.mean((moved @ size) ** 2), np.mean(shown**2)) - by_chance, 0.0)))
 
 

@@ -1,9 +1,43 @@
 """Parquet with the metadata in the schema."""
 
 from collections.abc import Iterator
+from typing import Any
 
 from midspan.sinks.csv import word_column
-from midspan.sinks.table import ResultTable, codes, metadata_json, unit_of, words_or_numbers
+from midspan.sinks.table import Column, ResultTable, codes, metadata_json, unit_of, words_or_numbers
+
+# Rows of a row group, pyarrow's own number; a long record is written one after another.
+GROUP = 1 << 20
+
+
+class Pieces:
+    """What a writer takes for a file: its bytes, to be handed on."""
+
+    def __init__(self) -> None:
+        self.closed, self._written, self._taken = False, list[bytes](), 0
+
+    def write(self, content: bytes) -> int:
+        """Append bytes."""
+        self._written.append(bytes(content))
+        return len(content)
+
+    def tell(self) -> int:
+        """How many there are."""
+        return self._taken + sum(map(len, self._written))
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        """No more will come."""
+        self.closed = True
+
+    def take(self) -> bytes:
+        """What came since the last time."""
+        content = b"".join(self._written)
+        self._written.clear()
+        self._taken += len(content)
+        return content
 
 
 def encode(table: ResultTable) -> Iterator[bytes]:
@@ -11,16 +45,29 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    arrays = {}
-    for name, values in table.columns.items():
-        coded, array = codes(name, values), words_or_numbers(name, values)
-        plain = array.tolist() if array.dtype.kind == "U" else array
-        arrays[name] = pa.array(plain) if coded is None else word_column(name, coded)
+    def group(first: int) -> dict[str, Any]:
+        return {name: _array(name, values[first : first + GROUP]) for name, values in table.columns.items()}
+
+    first = group(0)
     fields = [
         pa.field(name, array.type, metadata={b"unit": unit.encode()} if (unit := unit_of(name)) else None)
-        for name, array in arrays.items()
+        for name, array in first.items()
     ]
     schema = pa.schema(fields, metadata={b"midspan": metadata_json(table).encode()})
-    stream = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_arrays(list(arrays.values()), schema=schema), stream)
-    yield stream.getvalue().to_pybytes()
+    pieces = Pieces()
+    with pq.ParquetWriter(pa.PythonFile(pieces, mode="w"), schema) as writer:
+        for begin in range(0, max(len(table.time_ns), 1), GROUP):
+            arrays = group(begin) if begin else first
+            writer.write_table(pa.Table.from_arrays(list(arrays.values()), schema=schema))
+            yield pieces.take()
+    yield pieces.take()
+
+
+def _array(name: str, values: Column) -> Any:
+    import pyarrow as pa
+
+    coded = codes(name, values)
+    if coded is not None:
+        return word_column(name, coded)
+    array = words_or_numbers(name, values)
+    return pa.array(array.tolist() if array.dtype.kind == "U" else array)

@@ -117,11 +117,12 @@ def _reached(far: NDArray[np.int64], middle: int, way: int) -> int:
 
 def _stays(pair: Pair, fit: Fit, inner: slice) -> bool:
     """Whether the readings move by far less than the structure meanwhile, and than the others do."""
-    here = aligned(pair, fit.offset_s)
-    time_s, moved = here.rows[inner, 0], fit.ratio * pair.responses[0].at(here.rows[inner, 0], pair.exposure_s)
+    own = aligned(pair, fit.offset_s).columns
+    time_s = own.rows[inner, 0]
+    moved = fit.ratio * pair.responses[0].at(time_s, pair.exposure_s)
     powers = np.vander(time_s - time_s[0], 3)
     moved = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
-    readings, others = pair.rows[here.index[inner], 1], np.delete(pair.rows[here.index, 1], inner)
+    readings, others = pair.rows[own.index[inner], 1], np.delete(pair.rows[own.index, 1], inner)
     return bool(np.var(readings) < MAX_MOVED * min(np.var(moved), np.var(others)))
 
 

@@ -62,11 +62,11 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
     variance = float(np.average(spread, weights=weight))
     if pair.bias_drifts:
         # The slope of white noise of density S over T, 12 S / T³ (variance), was taken out with it: at the end 3 S / T.
-        variance += 3.0 * fit.input_density / float(here.rows[-1, 0] - here.rows[0, 0])
+        variance += 3.0 * fit.input_density / float(here.columns.rows[-1, 0] - here.columns.rows[0, 0])
     if 0.0 < offset_std_s < np.inf:
         late = evaluate(pair, fit.offset_s + offset_std_s, fit.corner)
         variance += (acceleration(late.whitened.bias, late.ratio) - value[0]) ** 2
-    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)), 0.0 - acceleration(here.cubic[1], fit.ratio))
+    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)), 0.0 - acceleration(here.columns.cubic[1], fit.ratio))
 
 
 Calibrated = TypeVar("Calibrated")

@@ -49,10 +49,14 @@ def read(path: Path) -> ChannelSet:
 
 
 def _column(path: Path, name: str) -> Any:
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
-        return file.read(columns=[name]).column(name)
+        column = file.read(columns=[name]).column(name)
+    # Decoding took several times as much, which the library would keep for the next time.
+    pa.default_memory_pool().release_unused()
+    return column
 
 
 def _stamps(path: Path, field: Any) -> Values:
