@@ -6,7 +6,7 @@ set -eu
 need_cargo
 rm -rf dist
 "$BIN/maturin" build --quiet --profile wheel --out dist
-"$BIN/maturin" sdist --quiet --out dist
+"$BIN/maturin" sdist --out dist
 empty=$(mktemp -d)
 trap 'rm -rf "$empty"' EXIT
 "${PYTHON:-python3}" -m venv "$empty/venv"
