@@ -1,6 +1,6 @@
 """What of a result's rows, innovations, events and radar frames is worth reporting, in sentences."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -77,7 +77,7 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Noti
 
 
 def unmeasured_ends(
-    sampled_ns: Nanoseconds, measured: Mapping[str, Sequence[Measured]], rows: Estimate
+    sampled_ns: Nanoseconds, measured: Mapping[str, Iterable[Measured]], rows: Estimate
 ) -> list[Notice]:
     """A sentence where the rows begin or end more than a second inside the span of acceleration and measurements.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Channel, Estimate, Event, Floats, Innovation, Nanoseconds
+from midspan.records import Channel, Estimate, Event, Floats, Innovation, Nanoseconds, joined
 
 # The motion's first velocity lies within three times what the sensors say of its size; of the core too.
 VELOCITY_WITHIN = 3.0
@@ -78,6 +78,18 @@ class Rows:
     innovations: tuple[Innovation, ...]
     events: tuple[Event, ...]
     zero_variance_m2: tuple[float, ...] = ()
+
+
+def joined_rows(blocks: Sequence[Rows]) -> Rows:
+    """One block out of several, in their order."""
+    estimates = [block.estimates for block in blocks if block.estimates]
+    innovations = [block.innovations for block in blocks if block.innovations]
+    return Rows(
+        tuple(joined(axis) for axis in zip(*estimates, strict=True)),
+        tuple(joined(channel) for channel in zip(*innovations, strict=True)),
+        tuple(event for block in blocks for event in block.events),
+        next((block.zero_variance_m2 for block in reversed(blocks) if block.zero_variance_m2), ()),
+    )
 
 
 def rows_of(output: OutputArrays, channels: Sequence[Channel], max_waiting: int) -> Rows:

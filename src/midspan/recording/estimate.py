@@ -36,7 +36,7 @@ from midspan.engine.sensor_series import CameraResult, SensorSeries, camera_resu
 from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.blocks import REJECTED
+from midspan.fusion.blocks import REJECTED, joined_rows
 from midspan.fusion.estimator import Estimator, Lag
 from midspan.fusion.methods import METHODS, Method, Pass, named, no_literal_form
 from midspan.fusion.model import EstimatorSettings
@@ -48,7 +48,7 @@ from midspan.recording.kinds import ROWS, printed_by
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
-from midspan.recording.run import Outcome, run, used_when
+from midspan.recording.run import Blocks, Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors, open_tracked_cameras, side_of
 from midspan.records import Estimate, Event, Innovation, Nanoseconds, Readings, Source, part
@@ -441,7 +441,7 @@ def _passed_again(
         blocks[name] = part(blocks[name], ~np.isin(blocks[name].time_ns, wrong.held))
     blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
     estimator, again = once_more(settings, first.estimator, tuple(blocks.values()))
-    return estimator, Outcome(again)
+    return estimator, Outcome(Blocks(joined_rows, again))
 
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:

@@ -1,8 +1,10 @@
 """A recording as a loop over its point's `push`: all records in, everything that came out of them back."""
 
 import heapq
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from midspan.engine.point import ACCELEROMETER, Output, Point
 from midspan.engine.radar_trace import RadarLog
 from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
-from midspan.fusion.blocks import REJECTED, Rows
+from midspan.fusion.blocks import REJECTED, Rows, joined_rows
 from midspan.recording.point import clock_offsets_ns, radar_frames
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors
 from midspan.records import (
@@ -36,18 +38,39 @@ from midspan.settings.messages import in_words_of, worded
 
 # Readings are pushed this many seconds at once: of a day at once, every stage would hold all of it several times.
 BLOCK_S = 600.0
+# This many blocks of rows or measurements become one.
+JOINED = 512
+T = TypeVar("T")
+
 NOTHING_SEEN = (
     "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "
     "stands in front of the radar."
 )
 
 
+class Blocks(Generic[T]):
+    """Blocks in their order. Those of frames take more memory than what they hold: they are joined on the way."""
+
+    def __init__(self, join: Callable[[Sequence[T]], T], blocks: Sequence[T] = ()) -> None:
+        self._join, self._whole, self._last = join, list[T](), list(blocks)
+
+    def add(self, block: T) -> None:
+        """Append one."""
+        self._last.append(block)
+        if len(self._last) == JOINED:
+            self._whole.append(self._join(self._last))
+            self._last.clear()
+
+    def __iter__(self) -> Iterator[T]:
+        return chain(self._whole, self._last)
+
+
 @dataclass(slots=True)
 class Outcome:
     """What a point gave for a recording: rows, what each sensor measured, events; radars: what their stages found."""
 
-    rows: list[Rows] = field(default_factory=list)
-    measured: dict[str, list[Measured]] = field(default_factory=dict)
+    rows: Blocks[Rows] = field(default_factory=lambda: Blocks(joined_rows))
+    measured: dict[str, Blocks[Measured]] = field(default_factory=dict)
     sensor_events: list[Event] = field(default_factory=list)
     events_of: dict[str, list[Event]] = field(default_factory=dict)
     radars: dict[str, RadarLog] = field(default_factory=dict)
@@ -56,7 +79,7 @@ class Outcome:
         """Keep what a push gave."""
         for output in outputs:
             if isinstance(output, Rows):
-                self.rows.append(output)
+                self.rows.add(output)
             elif isinstance(output, Event):
                 self.sensor_events.append(output)
             elif isinstance(output, Seen):
@@ -65,7 +88,7 @@ class Outcome:
                 if output.sensor in self.radars:
                     self.radars[output.sensor].push([one for one in output.found if isinstance(one, PhaseMeasurement)])
                 if output.measured is not None:
-                    self.measured.setdefault(output.sensor, []).append(output.measured)
+                    self.measured.setdefault(output.sensor, Blocks(joined)).add(output.measured)
 
     def estimate(self, axis: int) -> Estimate:
         """The rows of an axis as one block."""
@@ -78,7 +101,7 @@ class Outcome:
 
     def measured_by(self, sensor: str) -> Measured:
         """All that a sensor measured as one block in time order: of an instant and channel the last row that came."""
-        found = joined(self.measured[sensor])
+        found = joined(list(self.measured[sensor]))
         if (np.diff(found.time_ns) >= 0).all():
             return found
         order = np.lexsort((found.channel, found.time_ns))
@@ -95,7 +118,7 @@ class Outcome:
     @property
     def zero_variance_m2(self) -> tuple[float, ...]:
         """Variance of the zero of each axis at the end."""
-        return next((rows.zero_variance_m2 for rows in reversed(self.rows) if rows.zero_variance_m2), (0.0, 0.0))
+        return next((rows.zero_variance_m2 for rows in reversed(list(self.rows)) if rows.zero_variance_m2), (0.0, 0.0))
 
     def innovation(self, channel: int) -> Innovation:
         """The innovations of a channel as one block."""
