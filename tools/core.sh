@@ -13,7 +13,8 @@ check() {
     if cargo clippy --version >/dev/null 2>&1; then cargo clippy --quiet --all-targets --no-default-features -- -D warnings
     else echo "core: without clippy here; lints are not checked." >&2
     fi
-    cargo test --quiet --no-default-features
+    need_libpython
+    cargo test --quiet --no-default-features --lib
 }
 
 build() {

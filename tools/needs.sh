@@ -28,3 +28,15 @@ need_cargo() {
         fail "Rust could not be installed; install Rust 1.85 or newer."
     recent_rust || fail "Rust 1.85 or newer is needed; found: $(rustc --version 2>&1)."
 }
+
+# Lets a program be linked with Python's own library: the tests of the core are one.
+need_libpython() {
+    python=${PYTHON:-python3}
+    # shellcheck disable=SC2046
+    echo 'int main(void) { return 0; }' | cc -x c - -o /dev/null $("$python" -c 'import sysconfig as s
+print("-L" + s.get_config_var("LIBDIR"), "-lpython" + s.get_config_var("LDVERSION"))') 2>/dev/null && return
+    command -v apt-get >/dev/null 2>&1 ||
+        fail "Python's library is needed by the core's tests; install it (libpython3-dev)."
+    as_root apt-get update -qq
+    install_debian libpython3-dev
+}

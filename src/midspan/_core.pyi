@@ -90,6 +90,7 @@ class PrintedFilter:
         displacement_std: float,
         beta: float,
         first_frames: float,
+        mean_input: bool,
         start_noise: float | None,
         held_noise: float,
         waiting: int,

@@ -54,6 +54,38 @@ def test_the_literal_form_equals_a_plain_implementation_of_the_printed_equations
     assert np.all(found.estimate.variance_m2 >= np.maximum(covariances[:, 0, 0], 0.0) * (1 - 1e-9))
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_with_the_mean_of_two_samples_it_is_the_same_with_a_held_acceleration_of_their_mean(seed):
+    time, acceleration, met, value = asynchronous(seed)
+    q, between = 0.3**2, np.append(0.5 * (acceleration[:-1] + acceleration[1:]), 0.0)
+    frames = list(zip(met, value, strict=True))
+    states, _, noises = adaptive_kalman(time, between, q, frames, LITERAL.forgetting)
+    blocks = acceleration_block(time, acceleration, q / RATE_A), displacement_block(met, value, 1e-4)
+    found = adapt(*blocks, replace(LITERAL, input_rule="mean"))
+    size = np.abs(states).max(axis=0)
+    np.testing.assert_allclose(found.estimate.displacement_m, states[:, 0], rtol=1e-9, atol=1e-11 * size[0])
+    np.testing.assert_allclose(found.estimate.velocity_m_s, states[:, 1], rtol=1e-9, atol=1e-11 * size[1])
+    np.testing.assert_allclose(found.variance_m2, noises, rtol=1e-9)
+
+
+def test_a_held_acceleration_errs_with_the_amplitude_and_the_mean_of_two_samples_does_not():
+    """Table 1 of the phase paper: 1 Hz at 13 to 40 mm, 0.34 mm of the tracker's noise, q = 0.02 m/s²."""
+    found = {}
+    for amplitude_m in (13e-3, 40e-3):
+        rng, time = np.random.default_rng(7), np.arange(6000) / RATE_A
+        truth, met = amplitude_m * np.sin(2 * np.pi * time), np.arange(1, 1790) / 30.0
+        value = np.interp(met, time, truth) + rng.normal(0, 0.34e-3, len(met))
+        acceleration = acceleration_block(time, -((2 * np.pi) ** 2) * truth + rng.normal(0, 5e-3, len(time)), 1e-6)
+        for rule in ("held", "mean"):
+            settings = MethodSettings(literal=True, input_rule=rule, input_noise_m_s2=0.02)
+            rows = adapt(acceleration, displacement_block(met, value, 0.34e-3**2), settings).estimate
+            found[rule, amplitude_m] = rms(rows.displacement_m[1000:] - truth[1000:])
+    # Half a sample of the motion, which no noise level takes away, against the noise alone.
+    assert found["held", 40e-3] > 2.0 * found["held", 13e-3]
+    assert found["mean", 40e-3] == pytest.approx(found["mean", 13e-3], rel=0.1)
+    assert found["mean", 13e-3] < 0.6 * 0.34e-3
+
+
 def test_the_literal_form_takes_expected_bias_off_and_ignores_unusable_and_early_frames():
     time, acceleration, met, value = asynchronous(4)
     # The first interval has no frame: with one, what is done twice before it would not show.

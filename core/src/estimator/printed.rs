@@ -2,8 +2,8 @@
 //!
 //! The adaptive multirate filter of Ma, Choi and Sohn, Computer-Aided Civil and Infrastructure Engineering 37 (2022)
 //! 688-703, doi 10.1111/mice.12767, equations 7 to 26: displacement and velocity, the acceleration held over each
-//! sample, and the noise variance by equation 20, which can become negative and runs away under a bias. Letters as
-//! there: G the covariance before a frame, K the gain, R the noise variance of a frame, beta the forgetting factor.
+//! sample (or the mean of both ends), and the noise variance by equation 20, which can become negative and runs away under
+//! a bias. Letters as there: G the covariance before a frame, K the gain, R the noise variance of a frame, beta the forgetting factor.
 
 use serde::{Deserialize, Serialize};
 
@@ -56,6 +56,17 @@ pub struct Learning {
     pub beta: f64,
     /// Frames in which R stays.
     pub first_frames: f64,
+    /// What acts between two samples.
+    pub input: Input,
+}
+
+/// The acceleration that acts from one sample to the next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// The first one's, as equation 7 is printed: half a sample late.
+    Held,
+    /// The mean of both, which is not late.
+    Mean,
 }
 
 /// What the filter remembers.
@@ -178,6 +189,9 @@ impl Printed {
         for [end_s, value, density] in samples {
             let dt = end_s - self.time_s;
             let q = if dt > 0.0 { density / dt } else { 0.0 };
+            if learning.input == Input::Mean {
+                self.input = 0.5 * (self.input + value - self.bias);
+            }
             // Frames before the last sample, and those to be ignored, are no frames of this interval.
             while frames.get(j).is_some_and(|one| one.at_s < self.time_s || !one.variance_m2.is_finite()) {
                 j += 1;

@@ -1,7 +1,7 @@
 //! `estimator::printed` for Python.
 
 use super::{elements, same_length};
-use crate::estimator::printed::{Frame, Learning, Printed, PrintedMet, PrintedRow, Start};
+use crate::estimator::printed::{Frame, Input, Learning, Printed, PrintedMet, PrintedRow, Start};
 use crate::estimator::state::{from_bytes, to_bytes};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
@@ -32,10 +32,11 @@ struct PrintedFilter {
 
 #[pymethods]
 impl PrintedFilter {
-    /// bias, velocity_std, displacement_std: at the first sample; start_noise: variance R of the first frames, or None
-    /// for the first declared one and `held_noise`; waiting: this many frames may wait.
+    /// bias, velocity_std, displacement_std: at the first sample; mean_input: whether the mean of two samples acts between
+    /// them; start_noise: variance R of the first frames, or None for the first declared one and `held_noise`; waiting:
+    /// this many frames may wait.
     #[new]
-    #[pyo3(signature = (*, bias, velocity_std, displacement_std, beta, first_frames, start_noise, held_noise, waiting))]
+    #[pyo3(signature = (*, bias, velocity_std, displacement_std, beta, first_frames, mean_input, start_noise, held_noise, waiting))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         bias: f64,
@@ -43,6 +44,7 @@ impl PrintedFilter {
         displacement_std: f64,
         beta: f64,
         first_frames: f64,
+        mean_input: bool,
         start_noise: Option<f64>,
         held_noise: f64,
         waiting: usize,
@@ -50,7 +52,7 @@ impl PrintedFilter {
         Self {
             filter: Printed::new(bias, velocity_std, displacement_std),
             waiting: Vec::new(),
-            learning: Learning { beta, first_frames },
+            learning: Learning { beta, first_frames, input: if mean_input { Input::Mean } else { Input::Held } },
             start: Start { noise: start_noise, held_noise },
             most: waiting,
         }

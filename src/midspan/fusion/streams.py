@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from midspan.checks import refuse
+from midspan.checks import option, refuse
 from midspan.fusion.blocks import Rows
 from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
 from midspan.fusion.estimator import Estimator, Lag, State, Stream
@@ -89,15 +89,16 @@ class MethodSettings:
 
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
-    What the papers leave open, see `papers/printed`: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s
-    of `adaptive-kalman` (`PrintedFilter`); half_window, cut_off_hz, accuracy of `fir` (`FirSettings`); transition_hz,
-    taps, anti_alias_taps of `two-stage-fir` (`TwoStageSettings`); spline_frames of both.
+    What the papers leave open, see `papers/printed`: input_rule (held or mean), first_frames, input_noise_m_s2,
+    start_noise_m, start_velocity_m_s of `adaptive-kalman` (`PrintedFilter`); half_window, cut_off_hz, accuracy of `fir`
+    (`FirSettings`); transition_hz, taps, anti_alias_taps of `two-stage-fir` (`TwoStageSettings`); spline_frames: both.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
     lag_s: float = 0.5
     literal: bool = False
     forgetting: float = 0.95
+    input_rule: str = "held"
     first_frames: int = 10
     input_noise_m_s2: float | None = None
     start_noise_m: float | None = None
@@ -113,6 +114,7 @@ class MethodSettings:
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting < 1.0:
             raise refuse("forgetting", "above 0 and below 1", self.forgetting)
+        option("input_rule", self.input_rule, ("held", "mean"))
         if self.first_frames < 1:
             raise refuse("first_frames", "1 or more", self.first_frames)
 

@@ -79,6 +79,10 @@ class FusionSettings(Section):
     forgetting: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
         0.95, description="factor beta of `adaptive-kalman`; nearer to 1 learns more slowly"
     )
+    input_rule: Literal["held", "mean"] = Field(
+        "held",
+        description="`adaptive-kalman` as printed: between two samples acts the first one (equation 7) or their mean",
+    )
     first_frames: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
         10, description="`adaptive-kalman` as printed: frames before its noise R is estimated"
     )

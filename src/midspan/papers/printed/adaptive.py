@@ -43,8 +43,9 @@ class PrintedFilter:
     acceleration, and a displacement before the first sample is ignored. The paper leaves the start open. Here it is at
     zero; velocity_std is the velocity's deviation unless `start_velocity_m_s` says it; R stays for `first_frames`
     frames, and is the position's variance, at the square of `start_noise_m`: left out, the first declared variance and
-    the error of the held acceleration, see `held_noise`. Q is the square of `input_noise_m_s2`: left out, what the
-    samples' noise density says.
+    the error of a held acceleration, see `held_noise`. Q is the square of `input_noise_m_s2`: left out, what the
+    samples' noise density says. input_rule: between two samples acts the first one, as equation 7 is printed, or the
+    mean of both.
     """
 
     def __init__(self, settings: MethodSettings, origin_ns: int, *, step_s: float, speed_m_s: float) -> None:
@@ -58,8 +59,9 @@ class PrintedFilter:
             displacement_std=kalman.displacement_std,
             beta=settings.forgetting,
             first_frames=float(settings.first_frames),
+            mean_input=settings.input_rule == "mean",
             start_noise=None if settings.start_noise_m is None else settings.start_noise_m**2,
-            held_noise=held_noise(step_s, speed_m_s),
+            held_noise=0.0 if settings.input_rule == "mean" else held_noise(step_s, speed_m_s),
             waiting=MAX_WAITING,
         )
 
