@@ -41,7 +41,7 @@ def check_values(table, result):
         np.testing.assert_allclose(table.columns[name], getattr(result, name), rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("method", ["kalman", "lag"])
+@pytest.mark.parametrize("method", ["kalman", "lag", "adaptive-kalman"])
 def test_the_rows_are_those_of_estimate(bridge, tmp_path, method):
     recording, calibration = bridge
     result = midspan.estimate(recording, calibration, method=method)
@@ -50,6 +50,17 @@ def test_the_rows_are_those_of_estimate(bridge, tmp_path, method):
     np.testing.assert_array_equal(table.time_ns, result.estimate.time_ns)
     check_values(table, result)
     np.testing.assert_array_equal(table.columns["status"], result.estimate.status)
+    store.close()
+
+
+def test_a_printed_method_needs_a_whole_record(bridge, tmp_path):
+    recording, calibration = bridge
+    changed = recording.settings.fusion.model_copy(update={"method": "adaptive-kalman", "literal": True})
+    literal = midspan.open_recording(recording.folder)
+    literal.settings = recording.settings.model_copy(update={"fusion": changed})
+    store = open_store(tmp_path)
+    with pytest.raises(UsageError, match="whole record only"):
+        replay(literal, store, name="p", calibration=calibration, method="adaptive-kalman")
     store.close()
 
 

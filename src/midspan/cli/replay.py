@@ -13,7 +13,7 @@ from midspan.cli.console import Console, common_options
 @click.option("--point", help="Name of the point; left out: the recording's name.")
 @click.option("--speed", type=click.FloatRange(0.0, 1e6, min_open=True), help="Times real time; left out: no waiting.")
 @click.option("-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration; left out: calibrate.")
-@click.option("--method", default="kalman", show_default=True, help="kalman or lag.")
+@click.option("--method", default="kalman", show_default=True, help="kalman, lag or adaptive-kalman.")
 @common_options
 def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Play a recording through a live point into a store: the rows are those of `estimate --method kalman`."""

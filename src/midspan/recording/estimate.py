@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from midspan.calibration.unfelt import (
 )
 from midspan.checks import option, path_of
 from midspan.engine.channels import without_gain
+from midspan.engine.point import Point
 from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
     clocks,
@@ -141,6 +143,13 @@ class Asked:
         """What the recording says of methods."""
         return self.recording.settings.fusion.of_method()
 
+    def point(self, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera], **how: Any) -> Point:
+        """The point that gives the method's rows; how: further arguments of `measuring_point`."""
+        wanted, row = self.by_settings, self.row
+        lag_s = wanted.lag_s if row.rows is Pass.LAGGED else None
+        memory = wanted.noise_memory if row.follows_noise else None
+        return measuring_point(sides, tracked_cameras, lag_s=lag_s, noise_memory=memory, given=self.given, **how)
+
     @property
     def sides(self) -> tuple[Side, ...]:
         """The axes, the main one first."""
@@ -234,13 +243,10 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     """All records of the recording through its point."""
     sides = asked.sides
     tracked_cameras = open_tracked_cameras(sides, tracking, progress)
-    wanted = asked.by_settings
-    lag_s = wanted.lag_s if asked.row.rows is Pass.LAGGED else None
-    memory = wanted.noise_memory if asked.row.follows_noise else None
     # As printed, a paper's tracker works with the predictions of the paper's own filter.
-    printed = wanted if wanted.literal and asked.row.rows is not None else None
-    point = measuring_point(
-        sides, tracked_cameras, lag_s=lag_s, noise_memory=memory, printed=printed, given=asked.given
+    wanted = asked.by_settings
+    point = asked.point(
+        sides, tracked_cameras, printed=wanted if wanted.literal and asked.row.rows is not None else None
     )
     outcome = run(point, sides, tracked_cameras)
     for tracked_camera in tracked_cameras:

@@ -13,11 +13,10 @@ from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, Point, PointState
 from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
 from midspan.errors import DataError
-from midspan.fusion.methods import METHODS, Pass
 from midspan.progress import silent
 from midspan.recording.estimate import Asked
 from midspan.recording.messages import require_same_cameras
-from midspan.recording.point import clock_offsets_ns, measuring_point
+from midspan.recording.point import clock_offsets_ns
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import open_recording
 from midspan.recording.tracked import open_tracked_cameras
@@ -81,10 +80,10 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     recording = open_recording(folder)
     method = recording.settings.fusion.method
     require_same_cameras(recording, calibration)
-    sides = Asked(recording, calibration, method, given=True).sides
+    asked = Asked(recording, calibration, method, given=True)
+    sides = asked.sides
     tracked_cameras = open_tracked_cameras(sides, None, silent)
-    lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
-    point = measuring_point(sides, tracked_cameras, lag_s=lag_s, given=True, log=False, wait_s=(LATENESS_S, SILENT_S))
+    point = asked.point(sides, tracked_cameras, log=False, wait_s=(LATENESS_S, SILENT_S))
     motion_m = point.estimator.settings.motion[0][0]
     journal = Journal(name, clock_offsets_ns(sides[0], tracked_cameras), calibration=number, motion_m=motion_m)
     regions = {

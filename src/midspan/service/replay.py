@@ -17,7 +17,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import Asked
 from midspan.recording.messages import require_same_cameras
-from midspan.recording.point import clock_offsets_ns, measuring_point
+from midspan.recording.point import clock_offsets_ns
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import open_tracked_cameras
@@ -32,7 +32,7 @@ from midspan.store.chunk import Chunk
 from midspan.store.store import Batch, Store
 
 # The methods that give a row once and for all.
-LIVE = ("kalman", "lag")
+LIVE = tuple(name for name, row in METHODS.items() if row.rows in (Pass.CAUSAL, Pass.LAGGED))
 # So much time of the records is written at once.
 BLOCK_S = 1.0
 
@@ -64,6 +64,7 @@ def replay(
     UsageError for a point whose rows are as new already, another method than those of a live point, or such a name.
     """
     option("method", method, LIVE)
+    refuse_printed(recording, method)
     name = point_called(name, recording)
     newest_ns = store.newest_ns(name, "rows")
     if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
@@ -77,10 +78,10 @@ def replay(
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
         require_same_cameras(recording, calibration)
-        sides = Asked(recording, calibration, method, given).sides
+        asked = Asked(recording, calibration, method, given)
+        sides = asked.sides
         tracked_cameras = open_tracked_cameras(sides, tracking, progress)
-        lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
-        point = measuring_point(sides, tracked_cameras, lag_s=lag_s, given=given, log=False)
+        point = asked.point(sides, tracked_cameras, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
         radars = {view.sensor: view.radar.info for view in recording.views if KINDS[view.kind].brings is RangeFrame}
@@ -106,6 +107,15 @@ def replay(
             tracked_camera.tracking.close()
     progress(1, 1, "replaying")
     return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings))
+
+
+def refuse_printed(recording: Recording, method: str) -> None:
+    """UsageError for a method as printed, whose rows only a whole record gives."""
+    if recording.settings.fusion.literal and METHODS[method].literal:
+        raise UsageError(
+            f"{method} as printed gives its rows for a whole record only: use `midspan estimate`, or leave "
+            "fusion.literal out."
+        )
 
 
 class Player:

@@ -131,8 +131,9 @@ class PointSettings(Section):
     """How a point is estimated; its sensors are sections of their own."""
 
     name: PointName
-    method: Literal["kalman", "lag"] = Field(
-        "kalman", description="kalman: at once; lag: lag_s later and nearly as good as a file"
+    method: Literal["kalman", "lag", "adaptive-kalman"] = Field(
+        "kalman",
+        description="kalman: at once; lag: lag_s later, nearly a file's; adaptive-kalman: for noise that changes",
     )
     lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(0.5, description="delay of the method lag, s")
     calibration: FileName | None = Field(None, description="calibration.json; left out: calibrates itself")
