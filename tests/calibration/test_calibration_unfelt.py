@@ -79,6 +79,9 @@ def test_an_accelerometer_that_dies_or_is_bridged_makes_no_motion() -> None:
     density = np.where(np.abs(TIME_S - 32.0) < 2.0, 1e-3, 0.0)
     bumped = MOVED + 0.02 * np.exp(-((TIME_S - 32.0) ** 2))
     judge(bumped, np.where(density > 0.0, 0.0, ACCELERATION), missing=density)
+    # What it stands for is a motion of so much, and no more: S T³ / 2520 over 20 s are 25 mm (mean square) at most.
+    with pytest.raises(UntrustedError, match="did not feel"):
+        judge(MOVED + 50.0 * (bumped - MOVED), np.where(density > 0.0, 0.0, ACCELERATION), missing=density)
 
 
 def test_what_is_uncertain_by_as_much_is_no_contradiction() -> None:

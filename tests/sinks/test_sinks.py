@@ -19,6 +19,7 @@ from scipy.io import loadmat
 
 from midspan.errors import UsageError
 from midspan.records import Source, Status
+from midspan.sinks import parquet
 from midspan.sinks.metadata import read_metadata
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import FORMATS, check_target, write_result
@@ -96,6 +97,16 @@ def test_parquet_keeps_units_words_and_metadata(tmp_path: Path) -> None:
     assert found["source"].to_pylist() == [Source(code).word for code in SOURCE]
     assert found.schema.field("velocity_mm_s").metadata[b"unit"] == b"mm/s"
     assert json.loads(found.schema.metadata[b"midspan"]) == READABLE
+
+
+@pytest.mark.parametrize("rows", [7, COUNT - 1, COUNT, COUNT + 1])
+def test_parquet_in_several_row_groups_is_the_same_table(tmp_path: Path, monkeypatch, rows: int) -> None:
+    write_result(tmp_path / "whole.parquet", table())
+    monkeypatch.setattr(parquet, "GROUP", rows)
+    write_result(tmp_path / "groups.parquet", table())
+    found = pq.ParquetFile(tmp_path / "groups.parquet")
+    assert found.num_row_groups == -(-COUNT // rows)
+    assert found.read().equals(pq.read_table(tmp_path / "whole.parquet"), check_metadata=True)
 
 
 def test_hdf5_has_one_dataset_a_column_with_its_unit(tmp_path: Path) -> None:
