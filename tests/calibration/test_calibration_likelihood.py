@@ -8,8 +8,9 @@ from calibration_cases import broadband, observed
 
 from midspan.calibration.fit import Pair, aligned, best_corner, evaluate, gauss_newton, refine
 from midspan.calibration.scale import calibrate_scale
+from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.calibration.time_offset import curvature, scan
-from midspan.calibration.whitening import BIAS_WALK_RATIO, SETTLING, integrated
+from midspan.calibration.whitening import BIAS_WALK_RATIO, NO_SLOW_ERROR, SETTLING, integrated
 from midspan.simulate.motion.motion import Sines
 
 SCALE, OFFSET_S, RECORDS = 1.3e-3, -0.07, 96
@@ -39,6 +40,35 @@ def test_scale_and_offset_scatter_by_their_standard_deviations():
         # 96 draws: the rms of z is known to ± 7 %, its mean to ± 0.1.
         assert 0.85 < np.sqrt(np.mean(z**2)) < 1.2
         assert abs(np.mean(z)) < 0.3
+
+
+def test_what_was_fitted_is_never_that_of_another_noise():
+    pair = record(5)
+    fit = best_corner(pair, OFFSET_S)
+    likeliest_slow_error(pair, fit)
+    for slow in (NO_SLOW_ERROR, (4.0, 0.5), (400.0, 0.5)):
+        changed = pair.changed(slow=slow)
+        for corner in (*pair.recent[0].fits, fit.corner, 1.1 * fit.corner):
+            kept, fresh = (evaluate(one, OFFSET_S, corner).likelihood for one in (changed, replace(changed)))
+            assert kept == fresh
+    for corner in pair.recent[0].fits:
+        assert evaluate(pair, OFFSET_S, corner).likelihood == evaluate(replace(pair), OFFSET_S, corner).likelihood
+
+
+@pytest.mark.parametrize(
+    "fields", [{"motion_share": 0.4}, {"level": np.linspace(0.5, 1.5, 3000)}, {"bias_drifts": True}, {"ratio": 1.0}]
+)
+def test_a_changed_pair_is_that_of_its_fields(fields):
+    pair = record(6)
+    n = len(pair.samples)
+    fields = {name: np.resize(one, n) if name == "level" else one for name, one in fields.items()}
+    evaluate(pair, OFFSET_S, 2.0)
+    kept, fresh = (evaluate(one, OFFSET_S, 2.0) for one in (pair.changed(**fields), replace(pair, **fields)))
+    assert (kept.likelihood, kept.ratio) == (fresh.likelihood, fresh.ratio)
+    rows, samples = pair.rows[::2], pair.samples * [1.0, 1.1, 1.0]
+    for change in ({"rows": rows}, {"samples": samples}, {"rows": rows, "samples": samples}):
+        kept, fresh = (evaluate(one, OFFSET_S, 2.0) for one in (pair.changed(**change), replace(pair, **change)))
+        assert (kept.likelihood, kept.ratio) == (fresh.likelihood, fresh.ratio)
 
 
 def test_whitened_columns_are_those_of_a_dense_solution():

@@ -76,12 +76,12 @@ class Compared:
         """Rows of a segment, with the samples up to a margin around them."""
         rows = self.rows[begin:end]
         edges = np.searchsorted(self.samples[:, 0], (rows[0, 0] - margin_s, rows[-1, 0] + margin_s))
-        return self.with_rows(rows, slice(*edges))
+        return Compared(self.samples[slice(*edges)], rows)
 
-    def with_rows(self, rows: Floats, which: slice = slice(None)) -> "Compared":
-        """Other rows with some of the samples, which are integrated once."""
-        part = Compared(self.samples[which], rows)
-        vars(part).update(response=self.response.part(which), density=self.density)
+    def since(self, begin: int) -> "Compared":
+        """The rows from one on, with all samples, which are integrated once."""
+        part = Compared(self.samples, self.rows[begin:])
+        vars(part).update(response=self.response, density=self.density)
         return part
 
 

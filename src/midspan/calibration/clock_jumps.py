@@ -105,7 +105,7 @@ def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
     start = max(0, begin - _rows_in(one, REACH_S, 0)) if len(one.rows) > 1 else 0
     if len(one.rows) - max(start, begin) < 2 * MIN_ROWS:
         return None
-    part = one.near(start, len(one.rows), LARGEST_S + 1.0)
+    part = one.since(start)
     windows = knots(part, late_s[start:], np.arange(0, len(part.rows), _rows_in(part, WINDOW_S, WINDOW_ROWS)))
     reference, known = 0.0, 0.0
     columns = (windows.first, windows.late_s, windows.information, windows.square)
@@ -173,7 +173,7 @@ def _jump_near(one: Compared, late_s: Floats, place: int, begin: int) -> ClockJu
     if np.count_nonzero(covered) < 2 * MIN_ROWS:
         # The acceleration has a gap here, or its own clock ran away.
         return None
-    later = one.with_rows(rows + np.array([base, 0.0, 0.0]))
+    later = Compared(one.samples, rows + np.array([base, 0.0, 0.0]))
     segment = _segment(later.near(0, len(rows), LARGEST_S + 1.0))
     for guess in _coarse(segment, place - start):
         # What comes after the next jump says nothing of this one.

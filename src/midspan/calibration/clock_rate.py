@@ -110,10 +110,10 @@ def _turned(pair: Pair, rate: float, middle_s: float) -> Pair:
 
 def _window(pair: Pair, begin_s: float, end_s: float, max_offset_s: float) -> _Start | None:
     rows = pair.rows[(pair.rows[:, 0] >= begin_s) & (pair.rows[:, 0] <= end_s)]
-    if len(rows) < MIN_ROWS:
-        return None
     around = AROUND_S + max_offset_s
     near = slice(*np.searchsorted(pair.samples[:, 0], (begin_s - around, end_s + around)))
+    if len(rows) < MIN_ROWS or near.stop - near.start < MIN_ROWS:
+        return None
     part = pair.changed(rows=rows, samples=pair.samples[near], outside=None)
     middle, half = 0.5 * (begin_s + end_s), 0.5 * (end_s - begin_s)
     steps = int(np.ceil(MAX_RATE * half / END_S))

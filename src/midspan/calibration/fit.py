@@ -216,8 +216,8 @@ class Columns:
 
     rows (k, 2): time and relative variance; values (k, c): translation, response to the acceleration, its velocity and,
     with a band, the response to what is outside it, without what is open of them (see `levelled`); cubic (2, c): of
-    that the second derivative at the end and the third one; index (k,): which rows of the pair these are; fits: those
-    made of it by their corner frequencies.
+    that the second derivative at the end and the third one; index (k,): which rows of the pair these are; fits: of the
+    pair that keeps the columns, by their corner frequencies.
     """
 
     offset_s: float
@@ -234,6 +234,10 @@ class Aligned:
 
     pair: Pair
     columns: Columns
+
+    def of(self, pair: Pair) -> "Aligned":
+        """The same of a pair with other noise, of which nothing is fitted yet."""
+        return Aligned(pair, replace(self.columns))
 
     def whitened(self, corner: float) -> Whitened:
         """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
@@ -431,7 +435,7 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     @cache
     def with_odds(odds: float) -> tuple[Pair, Fit]:
         noisy = constant.noisier(float(1.0 / (1.0 + np.exp(-odds))), bias_drifts=constant.bias_drifts)
-        return noisy, best_corner_here(Aligned(noisy, replace(here.columns)), without.corner)
+        return noisy, best_corner_here(here.of(noisy), without.corner)
 
     odds = global_minimum(lambda one: -with_odds(one)[1].likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
     noisy, found = with_odds(odds)

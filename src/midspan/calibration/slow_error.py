@@ -18,7 +18,7 @@ The noise whose level changes is the sensor's, or the accelerometer's where that
 with a cross motion or its attitude leaves innovations that are correlated, which a noisier sensor does not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,7 +172,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     white = pair.changed(slow=NO_SLOW_ERROR)
     levelled, fit = _with_noise_levels(white, fit, whole)
     if levelled is not white:
-        pair, white = replace(levelled, slow=pair.slow), levelled
+        pair, white = levelled.changed(slow=pair.slow), levelled
     if time_s == 0.0:
         return SlowError(white, fit)
     rows = pair.rows[pair.used(fit.offset_s), 0]
@@ -308,7 +308,7 @@ def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:
     size, corner = SMALLEST, fit.corner
     while size < LARGEST:
         with np.errstate(invalid="ignore"):
-            one = best_corner_here(replace(here, pair=replace(white, slow=(size * size, 1.0 / lasting_s))), corner)
+            one = best_corner_here(here.of(white.changed(slow=(size * size, 1.0 / lasting_s))), corner)
         if not np.isfinite(one.likelihood):
             # Its covariance is lost in rounding.
             break

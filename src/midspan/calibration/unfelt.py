@@ -194,7 +194,7 @@ def _powers(
     near = slice(max(int(first) - 1, 0), int(last) + 1)
     origin = int(time_ns[0])
     time_s, sampled_s = seconds(time_ns, origin), seconds(prepared.time_ns[near], origin)
-    # Where it starts and at which speed is open in every window: one integral does for all.
+    # Start, speed and a constant are open in every window: one integral does for all.
     felt_m = path(time_s, sampled_s, prepared.value_m_s2[near])
     both = np.column_stack((felt_m, moved_m - felt_m))
     lengths, starts = np.array([one.stop - one.start for one in windows]), np.array([one.start for one in windows])

@@ -46,13 +46,6 @@ class Response:
     cubics: Floats
     pieces: Floats
 
-    def part(self, which: slice) -> "Response":
-        """That of some of the samples; displacement and velocity go on from those before."""
-        first, end, _ = which.indices(len(self.cubics))
-        edges_s = self.edges_s[first : end + 1]
-        begin, last = np.searchsorted(self.pieces[:, 0], (edges_s[0], edges_s[-1]))
-        return Response(edges_s, self.cubics[first:end], self.pieces[begin : last + 1])
-
     def at(self, time_s: Floats, exposure_s: float = 0.0, logger: tuple[float, float] = (0.0, 0.0)) -> Floats:
         """Displacement (...,) in m, the mean over exposures around instants (...,).
 

@@ -57,7 +57,7 @@ class Blocks(Generic[T]):
     def add(self, block: T) -> None:
         """Append one."""
         self._last.append(block)
-        if len(self._last) == JOINED:
+        if len(self._last) >= JOINED:
             self._whole.append(self._join(self._last))
             self._last.clear()
 

@@ -63,8 +63,7 @@ def replay(
     None: as fast as it goes. Rows are those of `estimate` with the same method. Raises what `calibrate` raises, and
     UsageError for a point whose rows are as new already, another method than those of a live point, or such a name.
     """
-    option("method", method, LIVE)
-    refuse_printed(recording, method)
+    check_method(recording, method)
     name = point_called(name, recording)
     newest_ns = store.newest_ns(name, "rows")
     if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
@@ -109,8 +108,9 @@ def replay(
     return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings))
 
 
-def refuse_printed(recording: Recording, method: str) -> None:
-    """UsageError for a method as printed, whose rows only a whole record gives."""
+def check_method(recording: Recording, method: str) -> None:
+    """UsageError for a method that is none of a live point, or as printed, whose rows only a whole record gives."""
+    option("method", method, LIVE)
     if recording.settings.fusion.literal and METHODS[method].literal:
         raise UsageError(
             f"{method} as printed gives its rows for a whole record only: use `midspan estimate`, or leave "

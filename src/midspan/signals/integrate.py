@@ -8,10 +8,14 @@ from midspan.records import Floats
 def path(time_s: Floats, sampled_s: Floats, value: Floats) -> Floats:
     """Displacement (k,) from rest at increasing times (k,), s, by an acceleration (n,), m/s², without its mean.
 
-    sampled_s (n,): its times, s, evenly spaced or not; by the trapezoidal rule twice, which does not delay.
+    sampled_s (n,): its times, s, evenly spaced or not; by the trapezoidal rule twice, which does not delay. Between two
+    of them, and in a gap, it is a parabola, as a constant makes it.
     """
-    velocity = _integral(sampled_s, value - np.mean(value))
-    return np.asarray(np.interp(time_s, sampled_s, _integral(sampled_s, velocity)))
+    pushed = value - np.mean(value)
+    along = np.interp(time_s, sampled_s, _integral(sampled_s, _integral(sampled_s, pushed)))
+    k = np.clip(np.searchsorted(sampled_s, time_s, side="right") - 1, 0, len(sampled_s) - 2)
+    since_s, until_s = np.maximum(time_s - sampled_s[k], 0.0), np.maximum(sampled_s[k + 1] - time_s, 0.0)
+    return np.asarray(along - 0.5 * np.interp(time_s, sampled_s, pushed) * since_s * until_s)
 
 
 def _integral(time_s: Floats, value: Floats) -> Floats:

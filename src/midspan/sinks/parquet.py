@@ -10,7 +10,7 @@ from midspan.sinks.table import Column, ResultTable, codes, metadata_json, unit_
 GROUP = 1 << 20
 
 
-class Pieces:
+class Written:
     """What a writer takes for a file: its bytes, to be handed on."""
 
     def __init__(self) -> None:
@@ -45,22 +45,21 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    def group(first: int) -> dict[str, Any]:
-        return {name: _array(name, values[first : first + GROUP]) for name, values in table.columns.items()}
+    def group(begin: int, end: int) -> dict[str, Any]:
+        return {name: _array(name, values[begin:end]) for name, values in table.columns.items()}
 
-    first = group(0)
     fields = [
         pa.field(name, array.type, metadata={b"unit": unit.encode()} if (unit := unit_of(name)) else None)
-        for name, array in first.items()
+        for name, array in group(0, 1).items()
     ]
     schema = pa.schema(fields, metadata={b"midspan": metadata_json(table).encode()})
-    pieces = Pieces()
-    with pq.ParquetWriter(pa.PythonFile(pieces, mode="w"), schema) as writer:
+    written = Written()
+    with pq.ParquetWriter(pa.PythonFile(written, mode="w"), schema) as writer:
         for begin in range(0, max(len(table.time_ns), 1), GROUP):
-            arrays = group(begin) if begin else first
-            writer.write_table(pa.Table.from_arrays(list(arrays.values()), schema=schema))
-            yield pieces.take()
-    yield pieces.take()
+            arrays = list(group(begin, begin + GROUP).values())
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+            yield written.take()
+    yield written.take()
 
 
 def _array(name: str, values: Column) -> Any:
