@@ -161,9 +161,9 @@ impl<'a, T: Copy> Image<'a, T> {
         &self.row(row)[left..right]
     }
 
-    /// A part, which is inside.
+    /// A part, which is inside; or empty at an edge.
     pub fn part(&self, part: Part) -> Self {
-        let pixels = &self.pixels[part.top * self.stride + part.left..];
+        let pixels = self.pixels.get(part.top * self.stride + part.left..).unwrap_or_default();
         Self { pixels, rows: part.rows(), columns: part.columns(), stride: self.stride }
     }
 

@@ -290,6 +290,9 @@ mod tests {
         let mut holes = frame;
         holes.row_mut(50)[60] = f32::NAN;
         assert!(!registration.all_finite(&Image::from(&holes), &[0.0; 4]));
-        assert!(registration.all_finite(&Image::from(&holes), &[200.0, 0.0, 0.0, 0.0]));
+        // Where nothing of the window is inside, nothing is missing.
+        for place in [[200.0, 0.0], [0.0, 200.0], [200.0, 200.0], [-200.0, 200.0]] {
+            assert!(registration.all_finite(&Image::from(&holes), &[place[0], place[1], 0.0, 0.0]));
+        }
     }
 }
