@@ -144,10 +144,6 @@ class Pair:
         vars(other).update({name: getattr(self, name) for name in kept})
         return other
 
-    def noisier(self, motion_share: float, *, bias_drifts: bool) -> "Pair":
-        """The pair with other errors of the accelerometer."""
-        return self.changed(motion_share=motion_share, bias_drifts=bias_drifts)
-
     def input_noise(self, mean_density: float) -> InputNoise:
         """The acceleration's noise whose mean density over the record is `mean_density`, (m/s²)²/Hz."""
         share = self.motion_share
@@ -423,10 +419,10 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     nothing (G. Schwarz, Estimating the dimension of a model, Ann. Statist. 6 (1978) 461-464, doi
     10.1214/aos/1176344136).
     """
-    constant = pair.noisier(0.0, bias_drifts=False)
+    constant = pair.changed(motion_share=0.0, bias_drifts=False)
     without = best_corner(constant, fit.offset_s, fit.corner)
     least = 0.5 * np.log(max(len(without.whitened.variance), 1))
-    drifting = pair.noisier(0.0, bias_drifts=True)
+    drifting = pair.changed(motion_share=0.0, bias_drifts=True)
     found = best_corner(drifting, fit.offset_s)
     if found.likelihood - without.likelihood > least:
         constant, without = drifting, found
@@ -434,7 +430,7 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
 
     @cache
     def with_odds(odds: float) -> tuple[Pair, Fit]:
-        noisy = constant.noisier(float(1.0 / (1.0 + np.exp(-odds))), bias_drifts=constant.bias_drifts)
+        noisy = constant.changed(motion_share=float(1.0 / (1.0 + np.exp(-odds))))
         return noisy, best_corner_here(here.of(noisy), without.corner)
 
     odds = global_minimum(lambda one: -with_odds(one)[1].likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)

@@ -47,13 +47,13 @@ from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS, printed_by
-from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
+from midspan.recording.messages import no_overlap, refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
 from midspan.recording.run import Blocks, Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors, open_tracked_cameras, side_of
-from midspan.records import Estimate, Event, Innovation, Nanoseconds, Readings, Source, part
+from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
@@ -252,7 +252,7 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     for tracked_camera in tracked_cameras:
         tracked_camera.tracking.close()
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
-        raise DataError(_no_overlap(asked.recording, outcome.measured_ns))
+        raise DataError(no_overlap(asked.recording, outcome.measured_ns))
     events, series = outcome.events_of, []
     cameras = tuple(
         camera_result(
@@ -587,15 +587,3 @@ def clocks_shared(main: Side) -> set[str]:
             if section.estimate_offset is False or (section.estimate_offset is None and one):
                 found.add(view.sensor)
     return found
-
-
-def _no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:
-    """Why there is no row."""
-    sampled, measured = recording.acceleration.time_ns, "nothing"
-    if len(measured_ns):
-        measured = f"measurements run from {shown(int(measured_ns[0]))} to {shown(int(measured_ns[-1]))}"
-    return (
-        f"The streams do not overlap with the calibrated clock offset: {measured} on the accelerometer's clock, which "
-        f"runs from {shown(int(sampled[0]))} to {shown(int(sampled[-1]))}. Check the calibration's time_offset_s and "
-        "the start_s of both."
-    )

@@ -6,9 +6,10 @@ from midspan.errors import UntrustedError, UsageError
 from midspan.notices import Notice
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
-from midspan.records import Innovation
+from midspan.records import Innovation, Nanoseconds
 from midspan.settings.kinds import KINDS
 from midspan.settings.stored.calibration import Calibration
+from midspan.signals.stamps import shown
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MAX_REJECTED = 0.5
@@ -62,4 +63,16 @@ def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
         f"{100 * share:.0f} % of the measurements contradict the acceleration; at most {100 * MAX_REJECTED:g} % may. "
         "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure the same "
         f"motion. Calibrate this recording, and look at {' and '.join(looked_at)}."
+    )
+
+
+def no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:
+    """Why there is no row."""
+    sampled, measured = recording.acceleration.time_ns, "nothing"
+    if len(measured_ns):
+        measured = f"measurements run from {shown(int(measured_ns[0]))} to {shown(int(measured_ns[-1]))}"
+    return (
+        f"The streams do not overlap with the calibrated clock offset: {measured} on the accelerometer's clock, which "
+        f"runs from {shown(int(sampled[0]))} to {shown(int(sampled[-1]))}. Check the calibration's time_offset_s and "
+        "the start_s of both."
     )
