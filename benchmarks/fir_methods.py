@@ -1,8 +1,7 @@
-"""`fir` and `two-stage-fir`: the beam over ten draws, five excitations, wrong measurements, speed."""
+"""`fir` and `two-stage-fir`: the beam over ten draws, five excitations, delays, speed."""
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,9 @@ import numpy as np
 from benchmarks.cases import RATE_HZ, SLOW_HZ, SNR_DB, blocks, rms
 from benchmarks.filter_speed import record
 from benchmarks.table import goal, show
-from midspan.fusion.blocks import REJECTED
 from midspan.fusion.runners import run_method
-from midspan.fusion.streams import MethodSettings, smooth
+from midspan.fusion.streams import KalmanSettings, MethodSettings, smooth
 from midspan.papers.motions import CAMERA_HZ
-from midspan.papers.printed.fir import FirSettings, fir
-from midspan.papers.printed.two_stage import TwoStageSettings, two_stage_fir
 from midspan.papers.two_stage_003 import STOREY, STOREY_S, recorded, storey_motion
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.simulate.motion.beam import Beam, respond
@@ -23,12 +19,18 @@ from midspan.simulate.motion.motion import FineSteps, Pulse, Sines, Sum, Window
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 Method = Callable[[Acceleration, Displacement], Estimate]
-Spoil = Callable[[Acceleration, Displacement, Floats, int], tuple[Acceleration, Displacement, Floats]]
+
+
+def printed(acceleration: Acceleration, displacement: Displacement, name: str, **keys: float) -> Estimate:
+    """The rows of a method, its bias known as the mean."""
+    settings = MethodSettings(KalmanSettings(bias=float(np.mean(acceleration.value_m_s2))), **keys)  # type: ignore[arg-type]
+    return run_method(name, acceleration, displacement, settings).estimate
+
+
 METHODS: dict[str, Method] = {
-    "fir, literal": lambda a, d: fir(a, d, FirSettings(literal=True, cut_off_hz=1.0)),
-    "fir": fir,
-    "two-stage, literal": lambda a, d: two_stage_fir(a, d, TwoStageSettings(literal=True)),
-    "two-stage": two_stage_fir,
+    "fir, 1 Hz": lambda a, d: printed(a, d, "fir", cut_off_hz=1.0),
+    "two-stage-fir": lambda a, d: printed(a, d, "two-stage-fir"),
+    "lag of 4.9 s": lambda a, d: run_method("lag", a, d, MethodSettings(lag_s=4.9)).estimate,
     "smoother": lambda a, d: smooth(a, d).estimate,
 }
 LENGTH_S, STEP_RATE_HZ = 100.0, 4000.0
@@ -84,12 +86,12 @@ def draws() -> bool:
         ["method", "mean", "least", "most", "in 95 % band"],
         [[n, f[:, 0].mean(), f[:, 0].min(), f[:, 0].max(), f[:, 1].mean()] for n, f in found.items()],
     )
-    existing = found["fir, literal"][:, 0]
-    shares = {name: 1.0 - found[name][:, 0] / existing for name in ("two-stage, literal", "two-stage")}
+    shares = {n: 1.0 - found[n][:, 0] / found["fir, 1 Hz"][:, 0] for n in list(METHODS)[1:]}
     show(["reduction of", "mean", "least", "most"], [[n, s.mean(), s.min(), s.max()] for n, s in shares.items()])
-    met = goal("two-stage-fir below fir (literal), mean of ten", 100 * shares["two-stage"].mean(), 75.0, at_least=True)
-    covered = [abs(found[name][:, 1].mean() - 0.95) for name in ("two-stage", "two-stage, literal")]
-    return goal("two-stage-fir: distance of the coverage from 95 %", max(covered), 0.02) and met
+    # The paper has 78 %.
+    met = goal("two-stage-fir below fir, mean of ten", 100 * shares["two-stage-fir"].mean(), 75.0, at_least=True)
+    covered = min(found[name][:, 1].mean() for name in METHODS)
+    return goal("least share inside ± 1.96 sigma", covered, 0.93, at_least=True) and met
 
 
 def five_excitations() -> bool:
@@ -100,9 +102,9 @@ def five_excitations() -> bool:
         for tone in EXCITATIONS_HZ:
             found = {name: np.array([_excited(m, every, tone, seed) for seed in SEEDS]) for name, m in METHODS.items()}
             table.append([f"{29.97 / every:.3g}", tone, *(rms(f[:, 0]) for f in found.values())])
-            covered += [float(f[:, 1].mean()) for name, f in found.items() if name.startswith(("fir", "two"))]
+            covered += [float(f[:, 1].mean()) for f in found.values()]
     show(["camera Hz", "tone Hz", *METHODS], table)
-    return goal("least share inside ± 1.96 sigma of fir and two-stage-fir", min(covered), 0.90, at_least=True)
+    return goal("least share inside ± 1.96 sigma", min(covered), 0.90, at_least=True)
 
 
 def _excited(method: Method, every: int, tone: float, seed: int) -> tuple[float, float]:
@@ -121,10 +123,10 @@ def _excited(method: Method, every: int, tone: float, seed: int) -> tuple[float,
 
 def delays() -> bool:
     """The two-stage paper's storey model at 3 frames a second by the keys that decide the delay."""
-    print("\nDelay of two-stage-fir, literal, at 100 and 3 Hz: RMSE in mm in five excitations of the storey model")
+    print("\nDelay of two-stage-fir at 100 and 3 Hz: RMSE in mm in five excitations of the storey model")
     table, reached = [], 0.0
     for keys in DELAY_KEYS:
-        settings = MethodSettings(literal=True, **keys)
+        settings = MethodSettings(**keys)
         errors, delay_s = [], 0.0
         for tone in EXCITATIONS_HZ:
             found = [_of_the_storey(settings, tone, seed) for seed in range(3)]
@@ -151,82 +153,13 @@ PRINTED_MM = (0.161, 0.187, 0.175, 0.216, 0.197)
 
 def _of_the_storey(settings: MethodSettings, tone: float, seed: int) -> tuple[float, float]:
     record = recorded(storey_motion(tone, seed), STOREY_S, CAMERA_HZ / 10, STOREY, seed)
-    found = run_method("two-stage-fir", record.acceleration, record.displacement, settings, record.path)
+    found = run_method("two-stage-fir", record.acceleration, record.displacement, settings)
     error = (found.estimate.displacement_m - record.truth_m[-len(found.estimate.time_ns) :])[1000:-1000]
     return 1e3 * float(np.std(error)), found.delay_s
 
 
-def wrong_measurements() -> None:
-    """8 mm at 0.1 Hz with 3 mm at 3.3 Hz, 10 Hz; outliers, a target that sticks."""
-    print("\nWrong measurements: RMSE over that of the clean record, share inside ± 1.96 sigma")
-    table = []
-    for name in ("fir", "two-stage-fir"):
-        clean = [_gated(name, *_tones(seed), 0.0) for seed in GATE_SEEDS]
-        for what, spoil, level in SPOILT:
-            found = [_gated(name, *spoil(*_tones(seed), seed), level) for seed in GATE_SEEDS]
-            rows = [rms(np.array([f[0] for f in one])) for one in (found, clean)]
-            shares = [float(np.mean([f[1] for f in one])) for one in (found, clean)]
-            table.append([name, what, rows[0] / rows[1], shares[0], shares[1], float(np.mean([f[2] for f in found]))])
-    show(["method", "", "RMSE / clean", "inside", "clean inside", "rejected"], table)
-    for name, what, ratio, inside, usual, _ in table:
-        limit = 1.005 if what == "nothing wrong" else 1.10
-        goal(f"{name}, {what}: RMSE over clean", float(ratio), limit)
-        goal(f"{name}, {what}: coverage lost", float(usual) - float(inside), 0.02)
-
-
-def _tones(seed: int) -> tuple[Acceleration, Displacement, Floats]:
-    motion = Sines(np.array([8e-3, 3e-3]), np.array([0.1, 3.3]))
-    pair = simulate_pair(
-        motion,
-        120.0,
-        accelerometer=AccelerometerModel(RATE_HZ, 2e-3, 5e-3),
-        displacement=DisplacementSensorModel(SLOW_HZ, 1e-4, -4e-3),
-        seed=seed,
-    )
-    return *blocks(pair.acceleration, pair.displacement, 4e-8, 1e-8, -4e-3), pair.true_displacement_m
-
-
-def _outliers(a: Acceleration, d: Displacement, truth: Floats, seed: int) -> tuple[Acceleration, Displacement, Floats]:
-    """One in ten is off by 10 to 60 deviations, from 3 s on."""
-    rng = np.random.default_rng([3, seed])
-    size = rng.choice([-1.0, 1.0], len(d.value_m)) * rng.uniform(1e-3, 6e-3, len(d.value_m))
-    hit = (rng.random(len(d.value_m)) < 0.1) & (d.time_ns > 3e9)
-    return a, replace(d, value_m=d.value_m + np.where(hit, size, 0.0)), truth
-
-
-def _off(until_s: float) -> Spoil:
-    """8 mm off from 60 s until `until_s`."""
-
-    def spoil(a: Acceleration, d: Displacement, truth: Floats, seed: int) -> tuple[Acceleration, Displacement, Floats]:
-        off = (d.time_ns > 60e9) & (d.time_ns < 1e9 * until_s)
-        return a, replace(d, value_m=d.value_m + np.where(off, 8e-3, 0.0)), truth
-
-    return spoil
-
-
-def _gated(name: str, a: Acceleration, d: Displacement, truth: Floats, level: float) -> tuple[Floats, float, float]:
-    """Error, share inside the band and share rejected; with a `level` only the rows after 68 s."""
-    found = run_method(name, a, d)
-    where = (a.time_ns > 8e9) & (a.time_ns < 112e9)
-    if level != 0.0:
-        where &= a.time_ns > 68e9
-    error = (found.estimate.displacement_m - truth)[where]
-    inside = np.mean(np.abs(error) <= 1.96 * np.sqrt(found.estimate.variance_m2[where]))
-    verdict = found.innovation.verdict
-    return error, float(inside), float(np.mean(verdict == REJECTED)) if len(verdict) else 0.0
-
-
-GATE_SEEDS = range(701, 713)
-# What is wrong; -1: only the rows afterwards count.
-SPOILT: tuple[tuple[str, Spoil, float], ...] = (
-    ("nothing wrong", lambda a, d, truth, seed: (a, d, truth), 0.0),
-    ("one in ten an outlier", _outliers, 0.0),
-    ("8 mm off for 4 s: 4 s later", _off(64.0), -1.0),
-)
-
-
 def speed() -> None:
-    """Nanoseconds a sample of a long record, the smoothed path included."""
+    """Nanoseconds a sample of a long record."""
     long, short = record(1_000_000), record(20_000)
     rows = []
     for name, method in METHODS.items():
@@ -245,5 +178,4 @@ def main() -> None:
     draws()
     five_excitations()
     delays()
-    wrong_measurements()
     speed()

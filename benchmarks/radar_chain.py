@@ -4,7 +4,8 @@ import numpy as np
 
 from benchmarks.cases import fused, rms
 from benchmarks.table import goal, show
-from midspan.papers.printed.fir import FirSettings, fir
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.papers.printed.radar_phase import grid_factor, unwrap_aided
 from midspan.papers.radar_002 import unwrap_plain
 from midspan.radar.aligned import unwrap_aligned
@@ -295,13 +296,15 @@ def fusion() -> None:
 def fir_of(at: Floats, value: Floats, samples: Floats) -> Floats:
     """The printed fusion: 101 coefficients, weight for 1 Hz and 97 %."""
     count = len(at)
-    estimate = fir(
+    settings = MethodSettings(KalmanSettings(bias=float(np.mean(samples[:, 1]))), half_window=50, cut_off_hz=1.0)
+    estimate = run_method(
+        "fir",
         Acceleration(nanoseconds(samples[:, 0] + 10.0), samples[:, 1], np.full(len(samples), 2.5e-11)),
         Displacement(
             nanoseconds(at + 10.0), value, np.full(count, 1e-10), np.full(count, Source.RADAR, dtype=np.uint8)
         ),
-        FirSettings(literal=True, half_window=50, cut_off_hz=1.0),
-    )
+        settings,
+    ).estimate
     return np.interp(at, estimate.time_ns / 1e9 - 10.0, estimate.displacement_m)
 
 

@@ -1,7 +1,7 @@
 """Figure 16 of the two-stage paper again: error over the displacement's noise, and over an error of its time stamps.
 
 The beam of Ma, Liu, Choi and Sohn (40 m; 100 Hz acceleration, 10 Hz displacement), its truth stepped at 4 kHz. `fir`
-with a fixed cut-off is the paper's existing technique, `two-stage-fir` with `literal=True` its proposed one. Errors are
+with a fixed cut-off is the paper's existing technique, `two-stage-fir` its proposed one. Errors are
 taken without five seconds at each end. With a folder on the command line, both figures are drawn into it.
 """
 
@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from midspan import Acceleration, Displacement, smooth
-from midspan.papers.printed.fir import FirSettings, fir
-from midspan.papers.printed.two_stage import TwoStageSettings, two_stage_fir
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.records import Source
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
+FIXED = MethodSettings(KalmanSettings(bias=0.02), cut_off_hz=1.0)
 METHODS = {
-    "fir, fixed cut-off": lambda a, d: fir(a, d, FirSettings(literal=True, cut_off_hz=1.0)),
-    "two-stage-fir, as printed": lambda a, d: two_stage_fir(a, d, TwoStageSettings(literal=True)),
-    "two-stage-fir": two_stage_fir,
+    "fir": lambda a, d: run_method("fir", a, d, FIXED).estimate,
+    "two-stage-fir": lambda a, d: run_method("two-stage-fir", a, d).estimate,
     "smoother": lambda a, d: smooth(a, d).estimate,
 }
 SEEDS, INNER = (11, 12), slice(500, -500)

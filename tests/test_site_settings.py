@@ -77,7 +77,7 @@ def test_a_site_as_documented(tmp_path, monkeypatch):
         (("[store]", "foo = 1\n[store]"), r"foo: is not a known key. Known: name, store, mqtt, service, point"),
         (
             ('method = "lag"', "calibraton_s = 40"),
-            r"calibraton_s: is not a known key. Did you mean 'calibration_s'\? Known: name, method, lag_s, cal",
+            r"calibraton_s: is not a known key. Did you mean 'calibration_s'\? Known: name, method, literal, lag_s",
         ),
         (
             ('unit = "g"', 'unitt = "g"'),

@@ -299,8 +299,9 @@ class Channel:
     variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
     zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
     the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s:
-    age of the last accepted measurement from which on rows are marked so. slow_std_m, slow_time_s: standard deviation
-    and correlation time of its slow error (first-order Gauss-Markov).
+    age of the last accepted measurement from which on rows are marked so. interval_s: its usual interval between
+    measurements; 0: unknown. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
+    (first-order Gauss-Markov).
     """
 
     sensor: str
@@ -314,6 +315,7 @@ class Channel:
     zero_walk_m2_s: float = 0.0
     coasting_s: float = 0.25
     lost_s: float = 10.0
+    interval_s: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
 

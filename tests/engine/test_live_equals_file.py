@@ -19,9 +19,11 @@ from midspan.engine.point import ACCELEROMETER, PointState
 from midspan.fusion.estimator import Estimator, Lag
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.point import measuring_point, radar_frames
+from midspan.recording.estimate import Asked
+from midspan.recording.point import radar_frames
 from midspan.recording.run import Outcome, run
-from midspan.recording.tracked import open_tracked_cameras, side_of
+from midspan.recording.streams.recording import Recording
+from midspan.recording.tracked import open_tracked_cameras
 from midspan.records import Arrival, Estimate, Readings, Tracked, part
 from midspan.simulate.scenarios.stage import CameraSetup
 from midspan.simulate.scenarios.table import SCENARIOS
@@ -131,26 +133,24 @@ CASES = {
 class Site:
     """A recording, its calibration, and points made of it again and again.
 
-    given: the calibration counts as one that was given.
+    given: the calibration counts as one that was given; literal: method, trackers and calibration are as printed.
     """
 
-    def __init__(self, folder, given=True):
-        self.folder, self.given = folder, given
-        self.calibration, _ = calibrate_and_track(midspan.open_recording(folder), silent)
+    def __init__(self, folder, given=True, literal=False):
+        self.folder, self.given, self.literal = folder, given, literal
+        self.calibration, _ = calibrate_and_track(self.recording(), silent)
 
-    def sides(self):
-        recording = midspan.open_recording(self.folder)
-        sides = [side_of(recording, self.calibration)]
-        if recording.across is not None and self.calibration.across is not None:
-            sides.append(side_of(recording.across, self.calibration.across))
-        return sides
+    def recording(self, method="adaptive-kalman"):
+        if not self.literal:
+            return midspan.open_recording(self.folder)
+        recording = midspan.open_recording(self.folder, fusion={"literal": True, "method": method})
+        return Recording(recording.file, recording.settings.calibrated_as_printed())
 
     def opened(self, method, tracking=None):
         """The point before its first record, and what it is made of."""
-        sides = self.sides()
-        tracked_cameras = open_tracked_cameras(sides, tracking, silent)
-        lag_s = sides[0].recording.settings.fusion.lag_s if method == "lag" else None
-        return measuring_point(sides, tracked_cameras, lag_s=lag_s, given=self.given), sides, tracked_cameras
+        asked = Asked(self.recording(method), self.calibration, method, self.given)
+        tracked_cameras = open_tracked_cameras(asked.sides, tracking, silent)
+        return asked.point(asked.sides, tracked_cameras), asked.sides, tracked_cameras
 
 
 def records(point, sides, tracked_cameras, rng):

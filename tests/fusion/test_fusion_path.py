@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from midspan.fusion.path import at
-from midspan.papers.printed.complementary import rows_at
 from midspan.records import Estimate, part
 
 RATE_HZ, EPOCH_NS = 100.0, 1_700_000_000_000_000_000
@@ -39,13 +38,6 @@ def test_at_the_rows_it_is_the_rows_and_beyond_the_ends_the_last_ones():
     value, variance = at(path, path.time_ns[[0, -1]] + np.array([-1_000_000_000, 1_000_000_000]))
     np.testing.assert_array_equal(value, path.displacement_m[[0, -1]])
     np.testing.assert_array_equal(variance, path.variance_m2[[0, -1]])
-
-
-def test_the_rows_at_their_own_stamps_are_the_rows():
-    path = tone(5.0)
-    found = rows_at(path, path.time_ns[3:-2])
-    for name in Estimate.__slots__:
-        np.testing.assert_allclose(getattr(found, name), getattr(path, name)[3:-2], atol=1e-12, err_msg=name)
 
 
 def test_a_single_row_stands_everywhere():

@@ -1,16 +1,13 @@
 """With `--literal` the adaptive filter as printed predicts for its tracker: AMKF paper, equations 27 to 29."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import midspan
 from lively_recordings import Lively, write
 from midspan.engine.camera import CameraChain
-from midspan.fusion.estimator import Estimator
-from midspan.papers.printed.adaptive import PrintedFilter
-from midspan.papers.printed.prediction import PredictedAsPrinted
+from midspan.fusion.blocks import VELOCITY_WITHIN
+from midspan.papers.printed.adaptive import AdaptiveRows, PrintedFilter
 from midspan.records import Acceleration, Displacement, Source
 
 CASE = Lively(seed=4, first_s=1.0037, rate_hz=9.99, duration_s=30.0, tones=((6e-3, 0.7), (2e-3, 2.2)), mm_per_px=-1.6)
@@ -44,16 +41,16 @@ def predicted(folder, monkeypatch, **fusion):
 
 def test_the_tracker_gets_the_printed_filters_own_prediction_and_deviation(folder, monkeypatch):
     kept = []
-    begun = PredictedAsPrinted._begun
-    monkeypatch.setattr(PredictedAsPrinted, "_begun", lambda own, ns: kept.append(own) or begun(own, ns))
+    begun = AdaptiveRows._begun
+    monkeypatch.setattr(AdaptiveRows, "_begun", lambda own, ns: kept.append(begun(own, ns)) or kept[-1])
     fusion = {"method": "adaptive-kalman", "literal": True, "input_noise_m_s2": 0.01, "start_velocity_mm_s": 50.0}
     _, calibration, rows = predicted(folder, monkeypatch, **fusion)
     scale, offset_s = calibration.camera.scale.value_m_per_px, calibration.camera.offset.value_s
     time_s, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
     # The same filter by hand over the frames and the samples before each.
-    settings = replace(kept[0]._printed_start.settings)
+    settings = kept[0].settings
     assert (settings.input_noise_m_s2, settings.kalman.bias) == (0.01, calibration.bias_m_s2)
-    own = PrintedFilter(settings, 0, step_s=0.01, speed_m_s=kept[0]._printed_start.speed_m_s)
+    own = PrintedFilter(settings, 0, step_s=0.01, speed_m_s=settings.kalman.velocity_std / VELOCITY_WITHIN)
     stamps, pushed = rows[:, 0] + np.rint(1e9 * offset_s), 0
     samples = Acceleration(np.rint(1e9 * time_s).astype(np.int64), value, np.ones(len(value)))
     expected = []
@@ -80,17 +77,3 @@ def test_the_guarded_method_keeps_the_estimators_prediction(folder, monkeypatch)
     # The first rows of a causal filter do not know the velocity yet; the literal form lags by half a sample: 0.15 mm.
     error_mm = (result.displacement_mm - CASE.from_zero_mm(result.time_s))[200:]
     assert np.std(error_mm) < 0.01
-
-
-def test_its_state_goes_on_where_it_was_read(folder, monkeypatch):
-    kept = []
-    begun = PredictedAsPrinted._begun
-    monkeypatch.setattr(PredictedAsPrinted, "_begun", lambda own, ns: kept.append(own) or begun(own, ns))
-    predicted(folder, monkeypatch, method="adaptive-kalman", literal=True)
-    one = kept[0]
-    assert isinstance(one, Estimator)
-    again = PredictedAsPrinted(one.settings, one._printed_start, log=True)
-    again.restore(one.state)
-    later_ns = one._printed.origin_ns + round(1e9 * CASE.duration_s)
-    assert np.isfinite(one.predict(0, later_ns)).all()
-    assert again.predict(0, later_ns) == one.predict(0, later_ns)

@@ -41,26 +41,21 @@ def check_values(table, result):
         np.testing.assert_allclose(table.columns[name], getattr(result, name), rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("method", ["kalman", "lag", "adaptive-kalman"])
-def test_the_rows_are_those_of_estimate(bridge, tmp_path, method):
-    recording, calibration = bridge
+@pytest.mark.parametrize(
+    ("method", "literal"),
+    [("kalman", False), ("lag", False), ("adaptive-kalman", False), ("adaptive-kalman", True), ("two-stage-fir", True)],
+)
+def test_the_rows_are_those_of_estimate(bridge, tmp_path, method, literal):
+    known, calibration = bridge
+    changed = known.settings.fusion.model_copy(update={"method": method, "literal": literal})
+    recording = midspan.open_recording(known.folder)
+    recording.settings = known.settings.model_copy(update={"fusion": changed})
     result = midspan.estimate(recording, calibration, method=method)
-    store = replayed(bridge, tmp_path, method=method)
+    store = replayed((recording, calibration), tmp_path, method=method)
     table = stored_table(store, "p", None, None)
     np.testing.assert_array_equal(table.time_ns, result.estimate.time_ns)
     check_values(table, result)
     np.testing.assert_array_equal(table.columns["status"], result.estimate.status)
-    store.close()
-
-
-def test_a_printed_method_needs_a_whole_record(bridge, tmp_path):
-    recording, calibration = bridge
-    changed = recording.settings.fusion.model_copy(update={"method": "adaptive-kalman", "literal": True})
-    literal = midspan.open_recording(recording.folder)
-    literal.settings = recording.settings.model_copy(update={"fusion": changed})
-    store = open_store(tmp_path)
-    with pytest.raises(UsageError, match="whole record only"):
-        replay(literal, store, name="p", calibration=calibration, method="adaptive-kalman")
     store.close()
 
 

@@ -22,15 +22,17 @@ struct SurfSettings {
     most: usize,
     upright: bool,
     contrast: f64,
+    least: f64,
 }
 
 impl SurfSettings {
     fn checked(&self) -> PyResult<surf::Settings> {
-        if !(1..=8).contains(&self.octaves) || self.threshold.is_nan() || self.contrast.is_nan() {
+        if !(1..=8).contains(&self.octaves) || self.threshold.is_nan() || self.contrast.is_nan() || self.least.is_nan()
+        {
             return Err(PyValueError::new_err("settings: 1 to 8 octaves and numbers are needed"));
         }
-        let Self { octaves, threshold, most, upright, contrast } = *self;
-        Ok(surf::Settings { octaves, threshold, most, upright, contrast })
+        let Self { octaves, threshold, most, upright, contrast, least } = *self;
+        Ok(surf::Settings { octaves, threshold, most, upright, contrast, least })
     }
 }
 

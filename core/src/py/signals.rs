@@ -1,14 +1,14 @@
 //! `signals` for Python.
 
-use super::{elements, pairs, same_length};
+use super::{elements, same_length};
 use crate::signals::resample::{self, Taps};
 use crate::signals::{equal_runs, lively};
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Both channels (n,) of the spline, 0 where nothing is bridged, and whether it is (n,).
-type Bridged<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<bool>>);
+/// The spline (n,), 0 where nothing is bridged, and whether it is (n,).
+type Bridged<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<bool>>);
 
 /// See [`resample::spline`].
 #[pyfunction]
@@ -16,17 +16,17 @@ fn local_spline<'py>(
     py: Python<'py>,
     at_s: PyReadonlyArray1<'py, f64>,
     knot_s: PyReadonlyArray1<'py, f64>,
-    value: PyReadonlyArray2<'py, f64>,
+    value: PyReadonlyArray1<'py, f64>,
     longest_s: f64,
     reach_s: f64,
 ) -> PyResult<Bridged<'py>> {
     let (at, knot) = (elements("at_s", &at_s)?, elements("knot_s", &knot_s)?);
-    let pairs = pairs("value", &value)?;
-    same_length("knot_s, value", knot.len(), pairs.len())?;
-    let values = py.detach(|| resample::spline(at, knot, &pairs, longest_s, reach_s));
-    let [one, other] = [0, 1].map(|c| values.iter().map(|pair| pair.map_or(0.0, |pair| pair[c])).collect::<Vec<f64>>());
-    let bridged: Vec<bool> = values.iter().map(Option::is_some).collect();
-    Ok((one.into_pyarray(py), other.into_pyarray(py), bridged.into_pyarray(py)))
+    let value = elements("value", &value)?;
+    same_length("knot_s, value", knot.len(), value.len())?;
+    let found = py.detach(|| resample::spline(at, knot, value, longest_s, reach_s));
+    let values: Vec<f64> = found.iter().map(|one| one.unwrap_or(0.0)).collect();
+    let bridged: Vec<bool> = found.iter().map(Option::is_some).collect();
+    Ok((values.into_pyarray(py), bridged.into_pyarray(py)))
 }
 
 /// See [`resample::filtered_at`].

@@ -6,15 +6,12 @@
 /// Knots used on each side of an interval.
 pub const SIDE: usize = 4;
 
-/// Two channels' values at an instant, knot or interval.
-pub type Pair = [f64; 2];
-
 /// Values (n,) of local cubic splines through uneven knots at increasing instants, or None where an instant lies in no
 /// interval that is bridged.
 ///
 /// `at_s` (n,), `knot_s` (k,): s, increasing; `value` (k,): not finite where a knot does not count; `longest_s`:
 /// longest interval that is bridged; `reach_s`: how far behind the start of an interval a knot is looked at.
-pub fn spline(at_s: &[f64], knot_s: &[f64], value: &[Pair], longest_s: f64, reach_s: f64) -> Vec<Option<Pair>> {
+pub fn spline(at_s: &[f64], knot_s: &[f64], value: &[f64], longest_s: f64, reach_s: f64) -> Vec<Option<f64>> {
     let knots = Knots::new(knot_s, value, longest_s);
     let mut next = 0;
     let mut piece: Option<(usize, Cubic)> = None;
@@ -23,9 +20,11 @@ pub fn spline(at_s: &[f64], knot_s: &[f64], value: &[Pair], longest_s: f64, reac
         while next < knot_s.len() && knot_s[next] <= at {
             next += 1;
         }
-        // An instant exactly on the last knot belongs to the interval before it.
-        let left = next.min(knot_s.len().saturating_sub(1)).checked_sub(1);
-        let interval = left.filter(|&left| knots.bridged[left] && at <= knot_s[left + 1]);
+        let bridged = |left: &usize| knots.bridged.get(*left) == Some(&true);
+        let left = next.checked_sub(1);
+        // An instant exactly on a knot after which nothing is bridged belongs to the interval before it.
+        let before = left.filter(|&left| knot_s[left] == at).and_then(|left| left.checked_sub(1));
+        let interval = left.filter(bridged).or(before.filter(bridged));
         values.push(interval.map(|left| {
             let cubic = match piece {
                 Some((of, cubic)) if of == left => cubic,
@@ -41,19 +40,17 @@ pub fn spline(at_s: &[f64], knot_s: &[f64], value: &[Pair], longest_s: f64, reac
 /// Knots with the length and slope of the interval after each, and whether it is bridged.
 struct Knots<'a> {
     knot_s: &'a [f64],
-    value: &'a [Pair],
+    value: &'a [f64],
     step: Vec<f64>,
-    slope: Vec<Pair>,
+    slope: Vec<f64>,
     bridged: Vec<bool>,
 }
 
 impl<'a> Knots<'a> {
-    fn new(knot_s: &'a [f64], value: &'a [Pair], longest_s: f64) -> Self {
+    fn new(knot_s: &'a [f64], value: &'a [f64], longest_s: f64) -> Self {
         let step: Vec<f64> = knot_s.windows(2).map(|two| two[1] - two[0]).collect();
-        let slope: Vec<Pair> =
-            value.windows(2).zip(&step).map(|(two, h)| [0, 1].map(|c| (two[1][c] - two[0][c]) / h)).collect();
-        let bridged =
-            step.iter().zip(&slope).map(|(&h, slope)| h <= longest_s && slope.iter().all(|s| s.is_finite())).collect();
+        let slope: Vec<f64> = value.windows(2).zip(&step).map(|(two, h)| (two[1] - two[0]) / h).collect();
+        let bridged = step.iter().zip(&slope).map(|(&h, slope)| h <= longest_s && slope.is_finite()).collect();
         Self { knot_s, value, step, slope, bridged }
     }
 
@@ -64,9 +61,9 @@ impl<'a> Knots<'a> {
         let bends = self.bends(first, left, last);
         Cubic {
             a: self.value[left],
-            b: [0, 1].map(|c| self.slope[left][c] - h * (2.0 * bends[0][c] + bends[1][c]) / 6.0),
-            c: bends[0].map(|m| 0.5 * m),
-            d: [0, 1].map(|c| (bends[1][c] - bends[0][c]) / (6.0 * h)),
+            b: self.slope[left] - h * (2.0 * bends[0] + bends[1]) / 6.0,
+            c: 0.5 * bends[0],
+            d: (bends[1] - bends[0]) / (6.0 * h),
         }
     }
 
@@ -89,22 +86,19 @@ impl<'a> Knots<'a> {
     ///
     /// The tridiagonal system is eliminated from both ends towards the interval; over the two end intervals the second
     /// derivative is constant.
-    fn bends(&self, first: usize, left: usize, last: usize) -> [Pair; 2] {
+    fn bends(&self, first: usize, left: usize, last: usize) -> [f64; 2] {
         let h = self.step[left];
         let before =
             (first + 1..=left).fold(None, |eliminated, i| Some(self.eliminated(eliminated, i, self.step[i - 1])));
         let after =
             (left + 1..last).rev().fold(None, |eliminated, i| Some(self.eliminated(eliminated, i, self.step[i])));
         match (before, after) {
-            (None, None) => [[0.0; 2]; 2],
-            (None, Some(s)) => [s.right.map(|v| v / (s.diagonal + h)); 2],
-            (Some(r), None) => [r.right.map(|v| v / (r.diagonal + h)); 2],
+            (None, None) => [0.0; 2],
+            (None, Some(s)) => [s.right / (s.diagonal + h); 2],
+            (Some(r), None) => [r.right / (r.diagonal + h); 2],
             (Some(r), Some(s)) => {
                 let det = r.diagonal * s.diagonal - h * h;
-                [
-                    [0, 1].map(|c| (s.diagonal * r.right[c] - h * s.right[c]) / det),
-                    [0, 1].map(|c| (r.diagonal * s.right[c] - h * r.right[c]) / det),
-                ]
+                [(s.diagonal * r.right - h * s.right) / det, (r.diagonal * s.right - h * r.right) / det]
             }
         }
     }
@@ -114,10 +108,10 @@ impl<'a> Knots<'a> {
     fn eliminated(&self, towards_the_end: Option<Eliminated>, i: usize, outer: f64) -> Eliminated {
         // At the end the second derivative is constant over the interval.
         let share = towards_the_end.map_or(-1.0, |one| outer / one.diagonal);
-        let right = [0, 1].map(|c| 6.0 * (self.slope[i][c] - self.slope[i - 1][c]));
+        let right = 6.0 * (self.slope[i] - self.slope[i - 1]);
         Eliminated {
             diagonal: 2.0 * (self.step[i - 1] + self.step[i]) - share * outer,
-            right: towards_the_end.map_or(right, |one| [0, 1].map(|c| right[c] - share * one.right[c])),
+            right: towards_the_end.map_or(right, |one| right - share * one.right),
         }
     }
 }
@@ -126,21 +120,21 @@ impl<'a> Knots<'a> {
 #[derive(Clone, Copy)]
 struct Eliminated {
     diagonal: f64,
-    right: Pair,
+    right: f64,
 }
 
-/// A cubic of two channels from the start of its interval.
+/// A cubic from the start of its interval.
 #[derive(Clone, Copy)]
 struct Cubic {
-    a: Pair,
-    b: Pair,
-    c: Pair,
-    d: Pair,
+    a: f64,
+    b: f64,
+    c: f64,
+    d: f64,
 }
 
 impl Cubic {
-    fn at(&self, t: f64) -> Pair {
-        [0, 1].map(|k| self.a[k] + t * (self.b[k] + t * (self.c[k] + t * self.d[k])))
+    fn at(&self, t: f64) -> f64 {
+        self.a + t * (self.b + t * (self.c + t * self.d))
     }
 }
 
@@ -201,12 +195,11 @@ mod tests {
         fn a_parabola_is_kept(a in -2.0..2.0f64, b in -2.0..2.0f64, c in -0.5..0.5f64) {
             let parabola = |t: f64| a + t * (b + t * c);
             let knot_s = uneven(30);
-            let value: Vec<Pair> = knot_s.iter().map(|&t| [parabola(t), -parabola(t)]).collect();
+            let value: Vec<f64> = knot_s.iter().map(|&t| parabola(t)).collect();
             let at_s: Vec<f64> = (0..400).map(|k| knot_s[0] + (knot_s[29] - knot_s[0]) * f64::from(k) / 400.0).collect();
             for (at, found) in at_s.iter().zip(spline(&at_s, &knot_s, &value, 3.0, 6.0)) {
-                let [one, other] = found.unwrap();
                 // Values are up to 500.
-                prop_assert!((one - parabola(*at)).abs() < 1e-9 && (one + other).abs() < 1e-9);
+                prop_assert!((found.unwrap() - parabola(*at)).abs() < 1e-9);
             }
         }
     }
@@ -214,16 +207,16 @@ mod tests {
     #[test]
     fn no_interval_longer_than_the_longest_and_no_unknown_knot_is_bridged() {
         let knot_s = [0.0, 1.0, 2.0, 6.0, 7.0, 8.0];
-        let value = [[0.0; 2], [1.0; 2], [2.0; 2], [3.0; 2], [f64::NAN; 2], [5.0; 2]];
+        let value = [0.0, 1.0, 2.0, 3.0, f64::NAN, 5.0];
         let found = spline(&[-0.1, 0.0, 1.5, 2.0, 4.0, 6.5, 7.5, 8.0, 8.1], &knot_s, &value, 2.0, 5.5);
         let given: Vec<bool> = found.iter().map(Option::is_some).collect();
-        assert_eq!(given, [false, true, true, false, false, false, false, false, false]);
+        assert_eq!(given, [false, true, true, true, false, false, false, false, false]);
     }
 
     #[test]
     fn without_knots_nothing_is_bridged() {
         assert_eq!(spline(&[0.0, 1.0], &[], &[], 1.0, 1.0), [None, None]);
-        assert_eq!(spline(&[0.0, 1.0], &[0.0], &[[1.0; 2]], 1.0, 1.0), [None, None]);
+        assert_eq!(spline(&[0.0, 1.0], &[0.0], &[1.0], 1.0, 1.0), [None, None]);
     }
 
     #[test]

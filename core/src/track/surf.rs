@@ -31,6 +31,8 @@ pub struct Settings {
     pub upright: bool,
     /// As the image's variance.
     pub contrast: f64,
+    /// The same in squared values of the image; the greater counts.
+    pub least: f64,
 }
 
 /// A blob of an image.
@@ -85,7 +87,7 @@ pub fn find(integral: &Integral, settings: &Settings, variance: f64) -> Vec<Blob
             break;
         }
         let octave = Octave { layers: sizes.map(|size| hessian(integral, size, step)), sizes, step };
-        peaks(integral, &octave, (settings.threshold * variance) as f32, &mut blobs);
+        peaks(integral, &octave, (settings.threshold * variance).max(settings.least) as f32, &mut blobs);
     }
     blobs.sort_by(|one, other| other.strength.total_cmp(&one.strength));
     blobs.truncate(settings.most);
@@ -353,7 +355,8 @@ mod tests {
     #[test]
     fn filter_sizes_are_the_published_ones_and_small_images_have_no_blobs() {
         assert_eq!([0, 1, 2].map(filter_sizes), [[9, 15, 21, 27], [15, 27, 39, 51], [27, 51, 75, 99]]);
-        let settings = Settings { octaves: 3, threshold: 0.002, most: 400, upright: true, contrast: f64::INFINITY };
+        let settings =
+            Settings { octaves: 3, threshold: 0.002, most: 400, upright: true, contrast: f64::INFINITY, least: 0.0 };
         for (rows, columns) in [(0, 0), (1, 1), (20, 20), (3, 90)] {
             let pixels = noise(rows, columns);
             assert!(detect(&Image::new(&pixels, rows, columns, columns).unwrap(), &settings).is_empty());
@@ -368,7 +371,8 @@ mod tests {
             };
             let pixel = |k: usize| at(k / 110, k % 110, 40.3, 45.7, 80.0) + at(k / 110, k % 110, 75.8, 50.2, 50.0);
             let pixels: Vec<f32> = (0..100 * 110).map(|k| pixel(k) as f32).collect();
-            let settings = Settings { octaves: 2, threshold: 0.01, most: 400, upright: true, contrast: f64::INFINITY };
+            let settings =
+                Settings { octaves: 2, threshold: 0.01, most: 400, upright: true, contrast: f64::INFINITY, least: 0.0 };
             let found = on_both(|| detect(&Image::new(&pixels, 100, 110, 110).unwrap(), &settings));
             for (blob, (x, y)) in found.iter().map(|one| one.0).zip([(40.3, 45.7), (75.8, 50.2)]) {
                 assert!((blob.x - x).hypot(blob.y - y) < 0.1 && blob.dark == (sign < 0.0), "{blob:?}");

@@ -1,11 +1,12 @@
 """`midspan calibrate RECORDING`."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.papers.published import PAPER_KEYS
 
 if TYPE_CHECKING:
     from midspan.settings.stored.calibration import Calibration
@@ -16,15 +17,17 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=click.Path(), help="File to write; left out: calibration.json in the recording.")
 @click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
 @click.option("--literal", is_flag=True, help="Scale factor and clock offset of a camera as the papers print them.")
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
 @common_options
-def command(recording: str, output: str | None, tracker: str | None, literal: bool, quiet: bool, as_json: bool) -> None:
+def command(recording: str, output: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
     console = Console(quiet, as_json)
     from midspan.cli.estimate import open_with
     from midspan.cli.targets import check_calibration
     from midspan.recording.calibrate import calibrate
 
-    opened = open_with(recording, tracker, literal=literal, fused=False)
+    literal, paper = options["literal"], options["paper"]
+    opened = open_with(recording, options["tracker"], literal=literal, fused=False, paper=paper)
     console.progress(0, 1, "reading the recording")
     target = check_calibration(output, opened) if output else opened.folder
     calibration = calibrate(opened, console.progress)

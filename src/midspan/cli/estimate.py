@@ -9,6 +9,7 @@ import click
 
 from midspan.cli.console import Console, common_options
 from midspan.notices import notice_trees
+from midspan.papers.published import PAPER_KEYS
 
 if TYPE_CHECKING:
     from midspan.evaluate.methods import MethodRun
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 @click.option("--reference-unit", help="Unit of its values, where the file does not say, for example mm.")
 @click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard; see "
               "`midspan methods --papers`.")  # fmt: skip
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it: tracker, method, --literal and "
+              "the keys that `midspan methods --papers` names.")  # fmt: skip
 @click.option("--tracker", help="Tracker, over the recording's own.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
 @click.option("--point", help="RECORDING is a store: the point whose raw records are computed again.")
@@ -98,7 +101,7 @@ def _of_store(where: str, folder: Path, console: Console, options: dict[str, Any
 
 def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> None:
     """Estimate a recording, and write and show what was asked for."""
-    opened = open_with(recording, options["tracker"], options["method"], options["literal"])
+    opened = open_with(recording, options["tracker"], options["method"], options["literal"], paper=options["paper"])
     console.progress(0, 1, "reading the recording")
     _of_opened(opened, console, options)
 
@@ -153,11 +156,17 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
 
 
 def open_with(
-    recording: str, tracker: str | None, method: str | None = None, literal: bool = False, fused: bool = True
+    recording: str,
+    tracker: str | None,
+    method: str | None = None,
+    literal: bool = False,
+    *,
+    fused: bool = True,
+    paper: str | None = None,
 ) -> "Recording":
     """Open a recording with the tracker and method of the command line, which win over its own.
 
-    literal: calibration, tracker and, where it is `fused`, method are as printed.
+    literal: calibration, tracker and, where it is `fused`, method are as printed. paper: all three as a paper has them.
     """
     from midspan.checks import option
     from midspan.fusion.methods import METHODS
@@ -165,6 +174,8 @@ def open_with(
     from midspan.vision.tracker import TRACKERS
 
     overrides: dict[str, dict[str, Any]] = {}
+    if paper is not None:
+        return as_in_paper(paper, recording)
     chosen: dict[str, Any] = {} if tracker is None else {"tracker": option("--tracker", tracker, TRACKERS)}
     if method is not None:
         overrides["fusion"] = {"method": option("--method", method, METHODS)}
@@ -176,6 +187,20 @@ def open_with(
     if tracker is not None and not opened.cameras:
         raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] or [infrared] to track.")
     return opened
+
+
+def as_in_paper(key: str, recording: str) -> "Recording":
+    """A recording with everything as one paper has it."""
+    from midspan.papers.published import PAPERS
+    from midspan.recording.streams.recording import open_recording
+    from midspan.settings.kinds import CAMERAS
+
+    paper, plain = next(one for one in PAPERS if one.key == key), open_recording(recording)
+    tracked = {"tracker": paper.tracker} if paper.tracker else {}
+    sections = {name: paper.of_section(name) | tracked for name in CAMERAS if plain.has(name)}
+    fusion = {"method": paper.method, "literal": True, **paper.of_section("fusion")}
+    opened = open_recording(recording, fusion=fusion, **sections)
+    return type(opened)(opened.file, opened.settings.calibrated_as_printed())
 
 
 def write_report(

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import click
@@ -11,6 +12,9 @@ from midspan.papers.published import PAPERS
 
 if TYPE_CHECKING:
     from midspan.papers.claims import Row
+
+# So much of a test is played in real time for its latency, s: several times the longest delay; with --quick once.
+LATENCY_S, QUICK_S = 30.0, 12.0
 
 
 @click.command("papers")
@@ -33,22 +37,50 @@ def command(only: str | None, quick: bool, seeds: int | None, report: str | None
     wanted = experiments([only] if only else MODULES)
     count = seeds or (QUICK_SEEDS if quick else SEEDS)
     outcomes = repeat(wanted, quick=quick, seeds=range(count), progress=console.progress, processes=os.cpu_count() or 1)
+    late = _latencies([only] if only else list(MODULES), QUICK_S if quick else LATENCY_S, console)
     console.done()
     for paper in PAPERS:
         _show(console, paper.key, [row for one in outcomes if one.experiment.paper == paper.key for row in one.rows])
+        if paper.key in late:
+            console.table([(f"{paper.key} latency", late[paper.key])])
     rows = [row for one in outcomes for row in one.rows]
     console.say(_counted(rows))
-    document = {"seeds": count, "quick": quick, "rows": [row.to_dict() for row in rows]}
+    document = {"seeds": count, "quick": quick, "rows": [row.to_dict() for row in rows], "latency": late}
     if path is not None:
         from midspan.papers.page import write_papers
 
         given = [f" --only {only}"] * bool(only) + [" --quick"] * quick
-        write_papers(outcomes, path, f"midspan papers{''.join(given)} --seeds {count}")
+        write_papers(outcomes, path, f"midspan papers{''.join(given)} --seeds {count}", late)
         console.say(f"{path}: the page")
         document["report"] = str(path)
     # What the papers do not print, by experiment.
     free = {f"{one.experiment.paper} {one.experiment.name}": one.experiment.free for one in outcomes}
     console.document(document | {"chosen_here": free})
+
+
+def _latencies(keys: list[str], length_s: float, console: Console) -> dict[str, str]:
+    """Of each paper the time from a sample and from a frame to its row, as printed, in real time."""
+    from midspan.cli.estimate import as_in_paper
+    from midspan.papers.scenes import write_scene
+    from midspan.recording.calibrate import calibrate
+    from midspan.service.replay import replay
+    from midspan.store.store import open_store
+
+    found = {}
+    for number, paper in enumerate(one for one in PAPERS if one.key in keys):
+        console.progress(number, len(keys), f"{paper.key} in real time")
+        with TemporaryDirectory() as place:
+            opened = as_in_paper(paper.key, str(write_scene(paper.scene, Path(place) / "recording")))
+            calibration, store = calibrate(opened), open_store(Path(place) / "store", points=["latency"])
+            method = opened.settings.fusion.method
+            done = replay(
+                opened, store, name="latency", calibration=calibration, method=method, speed=1.0, length_s=length_s
+            )
+            store.close()
+        if done.from_sample is not None and done.from_frame is not None:
+            sample, frame = (f"{1e3 * one.median_s:.3g} ms" for one in (done.from_sample, done.from_frame))
+            found[paper.key] = f"{frame} from frame to row, {sample} from sample to row (medians)"
+    return found
 
 
 def _report_file(report: str | None) -> Path | None:
@@ -78,6 +110,8 @@ def _show(console: Console, key: str, rows: "list[Row]") -> None:
         lines = [("paper", row.entry.paper), ("as printed", row.printed), ("our default", ours)]
         console.table([(name, text) for name, text in lines if text])
         console.table([("claim", f"{row.verdict.value}: {row.why}")])
+        if row.with_less_noise:
+            console.table([("less noise", row.with_less_noise)])
 
 
 def _counted(rows: "list[Row]") -> str:

@@ -5,6 +5,7 @@ from typing import Any
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.papers.published import PAPER_KEYS
 
 
 @click.command("replay")
@@ -13,20 +14,24 @@ from midspan.cli.console import Console, common_options
 @click.option("--point", help="Name of the point; left out: the recording's name.")
 @click.option("--speed", type=click.FloatRange(0.0, 1e6, min_open=True), help="Times real time; left out: no waiting.")
 @click.option("-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration; left out: calibrate.")
-@click.option("--method", default="kalman", show_default=True, help="kalman, lag or adaptive-kalman.")
+@click.option("--method", default="kalman", show_default=True, help="One of `midspan methods` but smoother.")
+@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
+@click.option("--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="End after so many s of it.")
 @common_options
 def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Play a recording through a live point into a store: the rows are those of `estimate --method kalman`."""
+    """Play a recording through a live point into a store: the rows are those of `estimate` with the same method."""
     console = Console(quiet, as_json)
     from midspan.checks import option
+    from midspan.cli.estimate import open_with
     from midspan.cli.targets import check_store
-    from midspan.recording.streams.recording import open_recording
     from midspan.service.replay import LIVE, point_called, replay
     from midspan.settings.stored.calibration import load_calibration
     from midspan.store.store import open_store
 
     option("method", options["method"], LIVE)
-    opened = open_recording(recording)
+    opened = open_with(recording, None, options["method"], options["literal"], paper=options["paper"])
+    method = opened.settings.fusion.method if options["paper"] else options["method"]
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     name = point_called(options["point"], opened)
     check_store(store)
@@ -37,14 +42,26 @@ def command(recording: str, store: str, quiet: bool, as_json: bool, **options: A
             kept,
             name=name,
             calibration=calibration,
-            method=options["method"],
+            method=method,
             speed=options["speed"],
+            length_s=options["length_s"],
             progress=console.progress,
         )
     finally:
         kept.close()
     console.done()
     console.table([("point", name), ("rows", f"{done.rows} of {done.length_s:.1f} s"), ("store", store)])
+    late = {"sample": done.from_sample, "frame": done.from_frame}
+    console.table(
+        [
+            (f"{what} to row", f"{1e3 * one.median_s:.3g} ms (median), {1e3 * one.of_95_s:.3g} ms (95 %)")
+            for what, one in late.items()
+            if one is not None
+        ]
+    )
     console.warn(done.warnings)
     document = {"point": name, "rows": done.rows, "length_s": done.length_s, "store": store}
+    for what, one in late.items():
+        if one is not None:
+            document[f"{what}_to_row_s"] = {"median": one.median_s, "of_95": one.of_95_s}
     console.document({**document, "warnings": list(done.warnings)})

@@ -165,6 +165,7 @@ def plain_channel(
         zero_std_m=0.0 if first else np.inf,
         coasting_s=coasting_s,
         lost_s=lost_s,
+        interval_s=step_s,
         slow_std_m=known.slow_std_m,
         slow_time_s=known.slow_time_s,
         exposure_s=known.exposure_s,
@@ -220,6 +221,7 @@ def camera_channels(
                 zero_std_m=zero_std_m if first else np.inf,
                 coasting_s=coasting_s,
                 lost_s=lost_s,
+                interval_s=step_s,
             )
             along[axis].append(table.add(channel))
     for numbers, camera in zip(along, calibrations, strict=True):
@@ -271,6 +273,7 @@ def radar_channels(
     step_s: float,
     moved_m: float,
     first: bool,
+    **_: float,
 ) -> RadarSensor:
     """A radar's sensor, and its channels in the table.
 
@@ -281,7 +284,13 @@ def radar_channels(
     chain, channels = radar_chain(calibration, info, sensor, moved_m)
     numbers = [
         table.add(
-            replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
+            replace(
+                channel,
+                coasting_s=coasting_s,
+                lost_s=lost_s,
+                interval_s=step_s,
+                zero_std_m=channel.zero_std_m if first else np.inf,
+            )
         )
         for channel in channels
     ]

@@ -19,6 +19,7 @@ from midspan.engine.stream import STEPS
 from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import BLOCK, Estimator, Lag, State
 from midspan.fusion.model import ParameterKind
+from midspan.fusion.on_series import OnSeries, OnSeriesState
 from midspan.records import NANOSECONDS, Arrival, ClockOffset, Complete, Event, Readings, Samples, Status, Tick, part
 from midspan.signals.stamps import shown
 
@@ -92,7 +93,7 @@ class PointState:
 
     merge: MergeState
     guard: GuardState
-    estimator: State | tuple[State, State | None, int]
+    estimator: State | OnSeriesState
     sensors: tuple[SensorState, ...]
     support: Support
     averaging: AveragingState | None
@@ -107,7 +108,7 @@ class Point:
         merge: Merge,
         guard: Guard,
         sensors: Mapping[str, Sensor],
-        estimator: Estimator | Lag,
+        estimator: Estimator | Lag | OnSeries,
         unmeasured: Sequence[float] = (),
         switch: Switch | None = None,
     ) -> None:

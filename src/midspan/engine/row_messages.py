@@ -28,6 +28,7 @@ EVENT_CODES = {
     "reacquired": "acceleration-wrong",
     "clock": "clock-differs",
     "rate": "method-rates",
+    "literal": "literal",
     "frozen": "frozen",
     "lost": "lost",
     "new datum": "radar-zero",

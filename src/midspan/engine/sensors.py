@@ -148,7 +148,7 @@ class CameraSensorState:
     unseen: Unseen
 
 
-SensorState = CameraSensorState | tuple[FollowedState, ...] | PlainState | None
+SensorState = CameraSensorState | tuple[FollowedState, ...] | tuple[PhaseMeasurement, ...] | PlainState | None
 """What a sensor remembers; a checkpoint keeps nothing else."""
 
 

@@ -14,7 +14,7 @@ from midspan.fusion.methods import METHODS
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
-from midspan.recording.kinds import printed_by
+from midspan.recording.kinds import has_printed
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import open_tracked_cameras, side_of
@@ -89,7 +89,7 @@ def run_all(
     # The frames are tracked in the first run; what the methods take is measured without it.
     estimate(recording, calibration, tracking=tracking, given=given, progress=progress)
     forms = [(method, False) for method in METHODS]
-    forms += [(method, True) for method, row in METHODS.items() if row.literal and not printed_by(recording)]
+    forms += [(method, True) for method, row in METHODS.items() if row.literal and not has_printed(recording)]
     for method, literal in forms:
         begun_s = time.perf_counter()
         try:

@@ -33,7 +33,7 @@ class Stream:
         rows: bool,
         lag_samples: int | None = None,
     ) -> None:
-        self.settings, self._max_waiting = settings, max_waiting or MAX_WAITING
+        self.settings, self._max_waiting, self.lag_samples = settings, max_waiting or MAX_WAITING, lag_samples or 0
         self.core = _core.Estimator(
             settings, log=log, rows=rows, waiting=self._max_waiting, block=BLOCK, lag_samples=lag_samples
         )
@@ -141,7 +141,6 @@ class Lag(Stream):
 
     def __init__(self, settings: EstimatorSettings, lag_samples: int, *, max_waiting: int | None = None) -> None:
         super().__init__(settings, max_waiting, log=True, rows=False, lag_samples=lag_samples)
-        self.lag_samples = lag_samples
 
 
 def restore(core: _core.Estimator | _core.PrintedFilter, state: State) -> None:

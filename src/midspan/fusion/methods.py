@@ -12,9 +12,9 @@ from typing import Any
 from midspan.errors import UsageError
 
 # What the FIR methods take: lengths of their equiripple filters, below which nothing is left to shape and beyond which
-# the exchange algorithm fails to converge, and knots on each side of an interval. A cubic spline forgets what is k
-# knots away by 0.268 to the power k: 0.5 %.
-MIN_TAPS, MAX_TAPS, SPLINE_FRAMES = 9, 1500, 4
+# the exchange algorithm fails to converge, half the least-squares window of as many, and knots on each side of an
+# interval. A cubic spline forgets what is k knots away by 0.268 to the power k: 0.5 %.
+MIN_TAPS, MAX_TAPS, MIN_HALF_WINDOW, SPLINE_FRAMES = 9, 1500, 8, 4
 
 
 class Pass(Enum):
@@ -30,27 +30,28 @@ class Method:
     """One row of the table: the method's name in words, when to use it, and what makes its rows.
 
     rows: those of the estimator, which takes each sensor's measurements as they come. on_series: module and function
-    that make them from one series of displacements, an `OnSeries` of `runners`; with both it makes those as printed.
-    literal: it is a paper's and can also be run exactly as printed. follows_noise: the estimator follows the
-    measurements' noise as fusion.forgetting says.
+    that make a method of one series of displacements, a `MakeMethod` of `on_series`, whose rows replace these.
+    literal: it is a paper's. guarded: its own rows come with fusion.literal only, without it they are the estimator's.
+    follows_noise: the estimator follows the measurements' noise as fusion.forgetting says. predicts: as printed its own
+    predictions move the trackers' regions.
     """
 
     use: str
-    rows: Pass | None = None
+    rows: Pass
     on_series: str = ""
     literal: bool = False
+    guarded: bool = False
     follows_noise: bool = False
+    predicts: bool = False
     title: str = ""
 
     def __post_init__(self) -> None:
-        if self.rows is None and not self.on_series:
-            raise UsageError("A method must have rows of the estimator or on_series; received neither. Name one.")
         if self.literal and not self.on_series:
             raise UsageError("A method that can be run as printed must have on_series; received none. Name it.")
 
     def takes_series(self, *, literal: bool) -> bool:
         """Whether its rows are made from one series, run as printed or not."""
-        return literal or self.rows is None
+        return bool(self.on_series) and (literal or not self.guarded)
 
 
 METHODS: dict[str, Method] = {
@@ -73,21 +74,25 @@ METHODS: dict[str, Method] = {
         "causal, estimates the displacement's noise all the time: for light or weather that changes; "
         "with fusion.literal the adaptive multi-rate Kalman filter (AMKF paper) exactly as published",
         Pass.CAUSAL,
-        "midspan.papers.printed.adaptive:run_printed",
+        "midspan.papers.printed.adaptive:AdaptiveRows",
         literal=True,
+        guarded=True,
         follows_noise=True,
+        predicts=True,
         title="adaptive multirate Kalman filter",
     ),
     "fir": Method(
-        "two FIR branches with a delay of seconds (Lee and others 2010; radar paper): to compare with it, where no "
-        "motion is above the Nyquist frequency of the displacement",
-        on_series="midspan.papers.printed.fir:run_fir",
+        "two FIR branches with a delay of seconds (Lee and others 2010; radar paper), as published: to compare with "
+        "it, where no motion is above the Nyquist frequency of the displacement",
+        Pass.LAGGED,
+        on_series="midspan.papers.printed.fir:fir",
         literal=True,
         title="regularised FIR filters of Lee",
     ),
     "two-stage-fir": Method(
-        "the same after aliased motion is subtracted (two-stage paper): to compare with it",
-        on_series="midspan.papers.printed.two_stage:run_two_stage",
+        "the same after aliased motion is subtracted (two-stage paper), as published: to compare with it",
+        Pass.LAGGED,
+        on_series="midspan.papers.printed.two_stage:two_stage_fir",
         literal=True,
         title="two-stage FIR filters with aliased motion removed first",
     ),

@@ -5,14 +5,15 @@ For displacement that comes ready made; everything else about the estimator is i
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from midspan.checks import option, refuse
+from midspan.checks import option, positive, refuse
 from midspan.fusion.blocks import Rows
 from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
 from midspan.fusion.estimator import Estimator, Lag, State, Stream
-from midspan.fusion.methods import SPLINE_FRAMES
+from midspan.fusion.methods import MAX_TAPS, MIN_HALF_WINDOW, MIN_TAPS, SPLINE_FRAMES
 from midspan.fusion.model import EstimatorSettings, Rates
 from midspan.records import (
     NANOSECONDS,
@@ -21,7 +22,6 @@ from midspan.records import (
     Displacement,
     Estimate,
     Event,
-    Floats,
     Innovation,
     Measured,
     SampleKind,
@@ -30,6 +30,9 @@ from midspan.records import (
     joined,
     part,
 )
+
+if TYPE_CHECKING:
+    from midspan.fusion.on_series import OnSeries
 
 Output = Estimate | Innovation | Event
 # Every measurement is as good as its variance says: none is rejected.
@@ -91,7 +94,10 @@ class MethodSettings:
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
     What the papers leave open, see `papers/printed`: input_rule (held or mean), first_frames, input_noise_m_s2,
     start_noise_m, start_velocity_m_s of `adaptive-kalman` (`PrintedFilter`); half_window, cut_off_hz, accuracy of `fir`
-    (`FirSettings`); transition_hz, taps, anti_alias_taps of `two-stage-fir` (`TwoStageSettings`); spline_frames: both.
+    (half the window in samples; the frequency, Hz, from which on the acceleration gives this share of the amplitude);
+    transition_hz (up to the first the displacement alone counts, from the second on the acceleration), taps,
+    anti_alias_taps (lengths, odd; None: by a ripple of 0.001) of `two-stage-fir`; of both spline_frames, displacements
+    after an interval that the spline looks at.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
@@ -117,6 +123,17 @@ class MethodSettings:
         option("input_rule", self.input_rule, ("held", "mean"))
         if self.first_frames < 1:
             raise refuse("first_frames", "1 or more", self.first_frames)
+        if self.cut_off_hz is not None:
+            positive("cut_off_hz", self.cut_off_hz, "Hz")
+        if not 0.0 < self.accuracy < 1.0:
+            raise refuse("accuracy", "between 0 and 1 (share of the amplitude)", self.accuracy)
+        if self.half_window is not None and self.half_window < MIN_HALF_WINDOW:
+            raise refuse("half_window", f"at least {MIN_HALF_WINDOW} samples", self.half_window)
+        for name, value in (("taps", self.taps), ("anti_alias_taps", self.anti_alias_taps)):
+            if value is not None and not (value % 2 and MIN_TAPS <= value <= MAX_TAPS):
+                raise refuse(name, f"an odd number from {MIN_TAPS} to {MAX_TAPS}", value)
+        if not 0 <= self.spline_frames <= SPLINE_FRAMES:
+            raise refuse("spline_frames", f"from 0 to {SPLINE_FRAMES} displacements", self.spline_frames)
 
     @property
     def noise_memory(self) -> float:
@@ -128,16 +145,14 @@ class MethodSettings:
 class Smoothed:
     """What a method returns for a whole record: the estimate, the innovations of its forward pass, and events.
 
-    innovation: of each measurement that was met, in time order. variance_m2 (m,): what each of them was taken to vary
-    by, of the adaptive filter as printed alone. delay_s: by how much a row needs what comes later, of a method with
-    filters of a fixed length.
+    innovation: of each measurement that was met, in time order. delay_s: by how much a row needs what comes later, of
+    a method that needs no more than that.
     """
 
     estimate: Estimate
     innovation: Innovation
     events: tuple[Event, ...]
-    variance_m2: Floats | None = None
-    delay_s: float = 0.0
+    delay_s: float = np.inf
 
 
 class KalmanFilter:
@@ -217,17 +232,29 @@ def filtered(
     step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
     lag_samples = round(lag_s / step_s)
     estimator = Lag(known, lag_samples, max_waiting=count) if lag_samples else Estimator(known, max_waiting=count)
+    return pushed(estimator, acceleration, displacement, settings, delay_s=lag_s)
+
+
+def pushed(
+    estimator: "Stream | OnSeries",
+    acceleration: Acceleration,
+    displacement: Displacement,
+    settings: KalmanSettings,
+    *,
+    delay_s: float,
+) -> Smoothed:
+    """What a stream with one channel for each of `sources_of` gives for a whole record, in one piece."""
     estimate, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
     assert estimate is not None
-    return Smoothed(estimate, innovation or no_innovation(), tuple(events))
+    return Smoothed(estimate, innovation or no_innovation(), tuple(events), delay_s)
 
 
 def whole(
-    estimator: Stream, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
+    estimator: "Stream | OnSeries", acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
 ) -> list[Rows]:
-    """All that an estimator with one channel for each of `sources_of` gives for a whole record, in one piece.
+    """All that a stream with one channel for each of `sources_of` gives for a whole record, in one piece.
 
-    The estimator lets all measurements, and one that is put before them, wait for their samples.
+    It lets all measurements, and one that is put before them, wait for their samples.
     """
     displacement = with_prior(displacement, acceleration, settings)
     estimator.push(measured(displacement, sources_of(displacement)))

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -99,20 +99,25 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """Entries that one measurement gives. free: what the paper does not print, and what is chosen here."""
+    """Entries that one measurement gives. free: what the paper does not print, and what is chosen here.
+
+    cleaner: the same measured with the noise of today's cameras, where `measure` has that of the paper's own errors.
+    """
 
     paper: str
     name: str
     measure: Callable[[Effort], Measured]
     entries: tuple[Entry, ...]
     free: str = ""
+    cleaner: Callable[[Effort], Measured] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """An entry with what was measured, mean over the seeds: texts to show, the verdict and the numbers themselves.
 
-    factor: least error as printed over ours, below 1 where ours is worse; NaN where there are not both.
+    factor: least error as printed over ours, below 1 where ours is worse; NaN where there are not both. cleaner: the
+    same with less noise, where that was measured too.
     """
 
     paper: str
@@ -123,6 +128,13 @@ class Row:
     why: str
     values: Mapping[str, Floats]
     factor: float = float("nan")
+    cleaner: "Row | None" = None
+
+    @property
+    def with_less_noise(self) -> str:
+        """What was measured with less noise, as printed and by default, and its verdict; empty where nothing was."""
+        one = self.cleaner
+        return "" if one is None else "; ".join((*filter(None, (one.printed, f"ours {one.ours}")), one.verdict.value))
 
     @property
     def worse(self) -> bool:
@@ -151,6 +163,7 @@ class Row:
             "why": self.why,
             "factor": self.factor,
             "worse": self.worse,
+            "with_less_noise": self.with_less_noise,
             "values": {name: value.tolist() for name, value in self.values.items()},
             "claims": {claim.text: claim.holds(self.values) for claim in _claims(self.entry)},
         }
@@ -164,10 +177,16 @@ def mean_of(found: Sequence[Measured]) -> dict[str, Floats]:
     }
 
 
-def judged(experiment: Experiment, found: Sequence[Measured]) -> list[Row]:
+def judged(experiment: Experiment, found: Sequence[Measured], cleaner: Sequence[Measured] = ()) -> list[Row]:
     """The experiment's rows; an experiment that was not run has entries that cannot be tried."""
-    values = mean_of(found)
-    return [_row(experiment.paper, entry, values) for entry in experiment.entries]
+    values, less = mean_of(found), mean_of(cleaner)
+    return [
+        replace(
+            _row(experiment.paper, entry, values),
+            cleaner=_row(experiment.paper, entry, less) if less else None,
+        )
+        for entry in experiment.entries
+    ]
 
 
 def _claims(entry: Entry) -> list[Claim]:

@@ -94,7 +94,8 @@ class PaperScene:
 
     paper: its key; calibration: the excitation that the scale factor is estimated from; excitations: those that are
     measured. bound_px: the Cramér-Rao bound of the region along the motion that the texture's contrast is set to give.
-    published_mm: root mean square error over all excitations after fusion.
+    published_mm: root mean square error over all excitations after fusion. noise: by this much the bound is raised for
+    the printed trackers to err as published.
     """
 
     paper: str
@@ -107,6 +108,7 @@ class PaperScene:
     calibration: Excitation
     excitations: MappingProxyType[str, Excitation]
     published_mm: float
+    noise: float = 1.0
 
 
 def _table(amplitude_m: float) -> MappingProxyType[str, Excitation]:
@@ -135,9 +137,21 @@ FREE = (
     "camera, noise and bias of the accelerometer, 0.037 s between the clocks; calibration and excitations in one record"
 )
 
+# The noise is that by which err: the existing technique 4 mm on the storey model (44 % more than 2.24 mm), the features
+# 0.34 mm indoors (0.237 to 0.291 after fusion) and on the table, all pixels 1.9 mm outdoors (table 4), the existing
+# features 0.17 mm on the bridges (table 7).
 PAPER_SCENES: dict[str, PaperScene] = {
     "shaking-table": PaperScene(
-        "004", "shaking table, concrete block at 3 m", 3.0, 2.289, "y", *NEAR, sine(40e-3, 1.0), _table(40e-3), 0.53
+        "004",
+        "shaking table, concrete block at 3 m",
+        3.0,
+        2.289,
+        "y",
+        *NEAR,
+        sine(40e-3, 1.0),
+        _table(40e-3),
+        0.53,
+        5.0,
     ),
     "four-storey": PaperScene(
         "004",
@@ -149,6 +163,7 @@ PAPER_SCENES: dict[str, PaperScene] = {
         sine(50e-3, 1.0),
         MappingProxyType(_STOREYS),
         2.24,
+        1.5,
     ),
     "footbridge": PaperScene(
         "004",
@@ -160,12 +175,13 @@ PAPER_SCENES: dict[str, PaperScene] = {
         _BRIDGE["jumping"],
         MappingProxyType(_BRIDGE | {"one jumping, crossing": _footbridge(0.35e-3, 1.5e-3)}),
         0.11,
+        5.5,
     ),
     "indoor": PaperScene(
-        "000", "storey model, wall at 3 m", 3.0, 2.11, "x", *NEAR, sine(40e-3, 1.0), _table(40e-3), 0.153
+        "000", "storey model, wall at 3 m", 3.0, 2.11, "x", *NEAR, sine(40e-3, 1.0), _table(40e-3), 0.153, 5.0
     ),
     "outdoor": PaperScene(
-        "000", "shaking table, window at 63 m", 63.0, 40.0, "y", *FAR, sine(40e-3, 1.0), _table(40e-3), 1.32
+        "000", "shaking table, window at 63 m", 63.0, 40.0, "y", *FAR, sine(40e-3, 1.0), _table(40e-3), 1.32, 4.0
     ),
     "footbridge-phase": PaperScene(
         "000",
@@ -177,17 +193,22 @@ PAPER_SCENES: dict[str, PaperScene] = {
         _BRIDGE["jumping"],
         MappingProxyType(_BRIDGE),
         0.043,
+        5.5,
     ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class FilmSettings:
-    """How long the calibration and each excitation last, s (the papers calibrate with 50 s), and which: () for all."""
+    """How long the calibration and each excitation last, s (the papers calibrate with 50 s), and which: () for all.
+
+    noise: factor on the bound of the scene.
+    """
 
     calibration_s: float = 30.0
     excitation_s: float = 24.0
     excitations: tuple[str, ...] = ()
+    noise: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,9 +253,10 @@ def film(name: str, settings: FilmSettings | None = None, *, seed: int = 0) -> F
     """Record the scene `name`, one of PAPER_SCENES; everything random is drawn from `seed`."""
     scene = PAPER_SCENES[option("paper scene", name, PAPER_SCENES)]
     rng_motion, rng_texture, rng_noise, rng_accelerometer = np.random.default_rng(seed).spawn(4)
-    motion, spans = _in_turn(scene, settings or FilmSettings(), rng_motion)
+    settings = settings or FilmSettings()
+    motion, spans = _in_turn(scene, settings, rng_motion)
     end_s = max(stop for _, stop in spans.values()) + LEAD_S
-    seen, bound_px = _contrasted(scene, rng_texture)
+    seen, bound_px = _contrasted(scene, settings.noise * scene.bound_px, rng_texture)
     view = View(seen, -1e-3 * scene.scale_mm_per_px, scene.direction, CAMERA)
     count = int((end_s - 0.1 - TIME_OFFSET_S) * FRAME_RATE)
     stamps = np.arange(count) / float(FRAME_RATE)
@@ -260,11 +282,11 @@ def _in_turn(
     return Sum(tuple(parts)), spans
 
 
-def _contrasted(scene: PaperScene, rng: np.random.Generator) -> tuple[Scene, float]:
-    """The texture with the contrast that gives the region its bound, and the bound in px."""
+def _contrasted(scene: PaperScene, bound_px: float, rng: np.random.Generator) -> tuple[Scene, float]:
+    """The texture with the contrast that gives the region a bound, and the bound in px."""
     drawn = textured_scene(scene.texture, (200, 200), rng=rng, reach_px=40.0, lens_px=0.9)
     axis = "xy".index(scene.direction)
-    factor = cramer_rao_std_px(drawn, CAMERA, region=REGION)[axis] / scene.bound_px
+    factor = cramer_rao_std_px(drawn, CAMERA, region=REGION)[axis] / bound_px
     # The rendered image is linear in the coefficients; the noise hardly changes with the contrast.
     seen = replace(drawn, coefficients=drawn.coefficients * np.float32(factor))
     return seen, cramer_rao_std_px(seen, CAMERA, region=REGION)[axis]

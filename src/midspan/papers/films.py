@@ -34,14 +34,15 @@ from midspan.settings.stored.calibration import Calibration
 from midspan.vision.tracker import open_tracker, tracker_settings
 
 # What the printed calibration is given: its band reaches from 0.3 Hz to a tenth of the camera's 29.97 frames a second,
-# of which every third is used (AMKF paper, sections 3.1.1 and 4.1).
-PRINTED: dict[str, Any] = {"band_hz": (0.3, 2.997)}
+# of which every third is used (AMKF paper, sections 3.1.1 and 4.1). The clocks are known to be less than a third of a
+# period of the fastest calibration's tone, 2.1 Hz, apart.
+CALIBRATED: dict[str, Any] = {"band_hz": (0.3, 2.997), "max_offset_s": 0.15}
 HALF_SAMPLE_S = 0.5 / ACCELEROMETER.rate_hz
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How a recording is run: the options --tracker, --method and --literal, and camera.tracker_settings.
+    """How a recording is run: the options --tracker, --method and --literal, camera.tracker_settings, keys of [fusion].
 
     like: the way before this one whose calibration is taken (--calibration); left out, it is calibrated anew.
     """
@@ -51,15 +52,14 @@ class Way:
     literal: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
     like: str = ""
+    fusion: Mapping[str, Any] = field(default_factory=dict)
 
     def opened(self, folder: Path) -> Recording:
         """The recording in `folder` with these options."""
         camera = {"tracker": self.tracker, "tracker_settings": dict(self.settings)}
-        fusion = {"method": self.method, "literal": self.literal}
-        if not self.literal:
-            return open_recording(folder, camera=camera, fusion=fusion)
-        found = open_recording(folder, camera=camera, fusion=fusion, calibration=PRINTED)
-        return Recording(found.file, found.settings.calibrated_as_printed())
+        fusion = {"method": self.method, "literal": self.literal, **self.fusion}
+        found = open_recording(folder, camera=camera, fusion=fusion, calibration=CALIBRATED)
+        return Recording(found.file, found.settings.calibrated_as_printed()) if self.literal else found
 
 
 @dataclass(frozen=True, slots=True)

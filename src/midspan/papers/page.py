@@ -1,6 +1,6 @@
 """The page of the papers' repeated experiments: a table for each paper and figures like the papers' own."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,20 +22,20 @@ OURS, OTHERS = (
 )
 
 
-def write_papers(outcomes: Sequence[Outcome], path: Path, command: str) -> Path:
+def write_papers(outcomes: Sequence[Outcome], path: Path, command: str, late: Mapping[str, str] | None = None) -> Path:
     """Write the page to `path`: one HTML file, or Markdown whose figures go into images/ of its folder.
 
-    Raises UsageError where it cannot be written.
+    late: by paper the time to a row, in words. Raises UsageError where it cannot be written.
     """
     with style():
         if path.suffix == ".md":
-            write_whole(path, _markdown(outcomes, path, command).encode())
+            write_whole(path, _markdown(outcomes, path, command, late or {}).encode())
         else:
-            write_whole(path, _html(outcomes, command).encode())
+            write_whole(path, _html(outcomes, command, late or {}).encode())
     return path
 
 
-def _html(outcomes: Sequence[Outcome], command: str) -> str:
+def _html(outcomes: Sequence[Outcome], command: str, late: Mapping[str, str]) -> str:
     body = []
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
@@ -47,11 +47,9 @@ def _html(outcomes: Sequence[Outcome], command: str) -> str:
         ]
         free = page.bullets([f"{name}: {text}" for name, text in _free(own)], "")
         chosen = page.collapsible("What the paper does not print, chosen here", free)
-        body.append(
-            page.section(
-                paper.key, paper.name, page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn
-            )
-        )
+        live = [page.paragraph(f"Live: {late[paper.key]}.")] if paper.key in late else []
+        text = (page.paragraph(paper.citation), *live, page.table(rows, HEADER), chosen)
+        body.append(page.section(paper.key, paper.name, *text, *drawn))
     title = "The papers' experiments, repeated in simulation"
     return page.document(title, [page.heading(title, [_made(command)]), page.contents(body), *body])
 
@@ -71,12 +69,13 @@ def _axes(curve: Curve) -> "Figure":
     return figure
 
 
-def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
+def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mapping[str, str]) -> str:
     (path.parent / "images").mkdir(exist_ok=True)
     lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
         lines += [f"## {paper.key}: {paper.name}", "", f"{paper.citation}.", ""]
+        lines += [f"Live: {late[paper.key]}.", ""] if paper.key in late else []
         lines += [_line(HEADER), _line(["---"] * len(HEADER))]
         lines += [_line(_cells(row)) for one in own for row in one.rows]
         lines += ["", "The paper does not print, and is chosen here:", ""]
@@ -93,8 +92,9 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
 
 def _cells(row: Row) -> tuple[str, ...]:
     factor = row.compared.removesuffix(" times less")
-    where = f"{row.entry.where}: {row.entry.what}"
-    return where, row.entry.paper, row.printed, row.ours, factor, f"{row.verdict.value}: {row.why}"
+    where, less = f"{row.entry.where}: {row.entry.what}", row.with_less_noise
+    claim = f"{row.verdict.value}: {row.why}" + (f". With less noise: {less}" if less else "")
+    return where, row.entry.paper, row.printed, row.ours, factor, claim
 
 
 def _line(cells: Sequence[str]) -> str:

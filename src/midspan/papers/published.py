@@ -4,14 +4,15 @@ The table costs no import.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
 class Paper:
     """A paper: what it is called here, authors and title, where it appeared, the sensors besides the accelerometer.
 
-    key: of `midspan papers --only`; tracker: empty without a camera; method: a fusion method; settings: keys of
-    recording.toml that it needs besides.
+    key: of `midspan papers --only`; tracker: empty without a camera; method: a fusion method; scene: a test of it that
+    `midspan simulate` writes; settings: keys of recording.toml that it needs besides.
     """
 
     key: str
@@ -21,7 +22,15 @@ class Paper:
     sensors: tuple[str, ...]
     tracker: str
     method: str
+    scene: str
     settings: dict[str, str] = field(default_factory=dict)
+
+    def of_section(self, section: str) -> dict[str, Any]:
+        """The keys of a section of recording.toml that the method needs besides the options."""
+        import tomllib
+
+        tree: dict[str, Any] = tomllib.loads("\n".join(f"{key} = {value}" for key, value in self.settings.items()))
+        return dict(tree.get(section, {}))
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -31,8 +40,8 @@ class Paper:
 
     @property
     def command(self) -> str:
-        """The command for a recording."""
-        return f"midspan estimate RECORDING {' '.join(self.flags)}"
+        """The command for a recording; --paper sets the keys as well."""
+        return f"midspan estimate RECORDING {f'--paper {self.key}' if self.settings else ' '.join(self.flags)}"
 
 
 PAPERS = (
@@ -45,6 +54,7 @@ PAPERS = (
         ("camera",),
         "template",
         "two-stage-fir",
+        "003-storey-1",
     ),
     Paper(
         "004",
@@ -55,6 +65,7 @@ PAPERS = (
         ("camera",),
         "features",
         "adaptive-kalman",
+        "004-footbridge-noisy",
     ),
     Paper(
         "002",
@@ -64,6 +75,7 @@ PAPERS = (
         ("radar",),
         "",
         "fir",
+        "002-wall",
     ),
     Paper(
         "001",
@@ -74,6 +86,7 @@ PAPERS = (
         ("camera", "infrared"),
         "features",
         "adaptive-kalman",
+        "001-case-1",
         {
             "camera.reference": '"updating"',
             "camera.reference_settings": "{ literal = true }",
@@ -91,6 +104,9 @@ PAPERS = (
         ("camera",),
         "hybrid",
         "adaptive-kalman",
+        "000-footbridge-phase-noisy",
     ),
 )
 """The papers, in the order of their methods here."""
+
+PAPER_KEYS = tuple(sorted(paper.key for paper in PAPERS))

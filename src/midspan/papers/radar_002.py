@@ -14,8 +14,8 @@ import numpy as np
 
 from midspan.checks import refuse
 from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.papers.claims import Curve, Effort, Measured
-from midspan.papers.printed.fir import FirSettings, fir
 from midspan.papers.printed.radar_phase import best_on_grid, unwrap_aided
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
@@ -206,7 +206,9 @@ def _blocks(one: Seen, value: Floats, variance: Floats | float) -> tuple[Acceler
 
 
 def _fir(one: Seen, value: Floats) -> Floats:
-    estimate = fir(*_blocks(one, value, 1e-10), FirSettings(**FIR))
+    acceleration, displacement = _blocks(one, value, 1e-10)
+    settings = MethodSettings(KalmanSettings(bias=float(np.mean(acceleration.value_m_s2))), **FIR)
+    estimate = run_method("fir", acceleration, displacement, settings).estimate
     return np.interp(one.at_s, estimate.time_ns / 1e9 - BEFORE_S, estimate.displacement_m)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from midspan.errors import UsageError
-from midspan.papers.filming import FREE, PAPER_SCENES, film, write_recording
+from midspan.papers.filming import FREE, PAPER_SCENES, FilmSettings, film, write_recording
 from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ, Excitation, Later, Sweep, random, sine
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.day.setup import CameraPlan, DaySetup
@@ -247,10 +247,18 @@ PUBLISHED: dict[str, Scenario] = {
 }
 """Name → scenario; the first three digits are the paper's key."""
 
-# Films by their name in PAPER_SCENES, after the key of their paper.
-FILMS = {f"{scene.paper}-{name}": name for name, scene in PAPER_SCENES.items()}
+# Films by their name in PAPER_SCENES, after the key of their paper, and the factor on the noise; NOISY: as published.
+NOISY = "-noisy"
+FILMS = {
+    f"{scene.paper}-{name}{more}": (name, noise)
+    for name, scene in PAPER_SCENES.items()
+    for more, noise in (("", 1.0), (NOISY, scene.noise))
+}
 PAPER_NAMES: dict[str, str] = {
-    **{name: f"{name[:3]}, {PAPER_SCENES[scene].title}" for name, scene in FILMS.items()},
+    **{
+        name: f"{name[:3]}, {PAPER_SCENES[scene].title}{', noise as of the published errors' * name.endswith(NOISY)}"
+        for name, (scene, _) in FILMS.items()
+    },
     **{name: scenario.line for name, scenario in PUBLISHED.items()},
 }
 
@@ -270,4 +278,5 @@ def write_scene(
     check_free(target)
     if breaks:
         raise UsageError(f"--break {breaks[0]} does not fit {name!r}, a paper's film. Leave it out.")
-    return write_recording(film(FILMS[name], seed=seed), target)
+    scene, noise = FILMS[name]
+    return write_recording(film(scene, FilmSettings(noise=noise), seed=seed), target)

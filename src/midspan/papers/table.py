@@ -1,6 +1,6 @@
 """The papers' experiments in one table, and how they are run."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from importlib import import_module
@@ -18,6 +18,8 @@ MODULES = {
     "004": "midspan.papers.entries_004",
 }
 QUICK_SEEDS, SEEDS = 1, 3
+# Name, what is measured, how much is spent.
+Job = tuple[str, Callable[[Effort], Measured], Effort]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,26 +40,29 @@ def repeat(
     wanted: Sequence[Experiment], *, quick: bool, seeds: Sequence[int], progress: Progress, processes: int = 1
 ) -> list[Outcome]:
     """Run the experiments with each seed; rows are judged on the mean. processes: how many run at the same time."""
-    found = iter(_measured([(one, Effort(seed, quick)) for one in wanted for seed in seeds], progress, processes))
+    runs = [(one, measure) for one in wanted for measure in (one.measure, one.cleaner) if measure is not None]
+    jobs = [(f"{one.paper} {one.name}", measure, Effort(seed, quick)) for one, measure in runs for seed in seeds]
+    found = iter(_measured(jobs, progress, processes))
     outcomes = []
     for one in wanted:
         own = [next(found) for _ in seeds]
-        outcomes.append(Outcome(one, tuple(judged(one, own)), own[0].curves))
+        cleaner = [next(found) for _ in seeds if one.cleaner is not None]
+        outcomes.append(Outcome(one, tuple(judged(one, own, cleaner)), own[0].curves))
     return outcomes
 
 
-def _measured(jobs: Sequence[tuple[Experiment, Effort]], progress: Progress, processes: int) -> list[Measured]:
-    """What each experiment gives, in their order."""
+def _measured(jobs: Sequence[Job], progress: Progress, processes: int) -> list[Measured]:
+    """What each measurement gives, in their order."""
     if processes < 2 or len(jobs) < 2:
         found = []
-        for done, (one, effort) in enumerate(jobs):
-            progress(done, len(jobs), f"{one.paper} {one.name}")
-            found.append(one.measure(effort))
+        for done, (name, measure, effort) in enumerate(jobs):
+            progress(done, len(jobs), name)
+            found.append(measure(effort))
         progress(len(jobs), len(jobs), "done")
         return found
     # A process that is forked would inherit threads of the libraries that are loaded.
     with ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn")) as pool:
-        futures = [pool.submit(one.measure, effort) for one, effort in jobs]
+        futures = [pool.submit(measure, effort) for _, measure, effort in jobs]
         try:
             waiting = set(futures)
             while waiting:

@@ -12,45 +12,38 @@ from typing import Any
 import numpy as np
 
 from midspan.fusion.runners import run_method
-from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed, smooth
 from midspan.papers.claims import Curve, Effort, Measured
 from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ
-from midspan.papers.printed import fir, two_stage
-from midspan.papers.printed.complementary import fused, smoothed_record
 from midspan.records import Acceleration, Displacement, Floats, Source
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
-RATE_HZ = ACCELEROMETER.rate_hz
+RATE_HZ, BIAS_M_S2 = ACCELEROMETER.rate_hz, 0.02
 TONES_HZ = (2.2, 3.3, 5.1, 6.3, 10.3)
 # The beam's two aliases in a displacement at 10 Hz, Hz.
 ALIASES_HZ = (0.3, 2.0)
-# Rows nearer to the ends than the filters' reach are the smoother's; no more is left out than this, s.
+# Rows nearer to the ends than the filters' reach are the estimator's; no more is left out than this, s.
 MAX_EDGE_S = 12.0
 
-Method = Callable[[Acceleration, Displacement, Smoothed], Smoothed]
+Method = Callable[[Acceleration, Displacement], Smoothed]
 
 
-def _designed(design: Any, settings: Any) -> Method:
-    return lambda a, d, path: fused(design, settings, (a, d), path)
-
-
-def _kalman(a: Acceleration, d: Displacement, path: Smoothed) -> Smoothed:
-    return run_method("adaptive-kalman", a, d, MethodSettings(KalmanSettings(bias=STOREY.bias_m_s2), literal=True))
+def _printed(name: str, bias_m_s2: float = 0.0, **keys: Any) -> Method:
+    settings = MethodSettings(KalmanSettings(bias=bias_m_s2), literal=True, **keys)
+    return lambda a, d: run_method(name, a, d, settings)
 
 
 # As printed; SHORT with the lengths that leave the delay of 2.5 s that section 5.1.2 states at 3 frames/s: the
 # paper prints no length.
 FIRS: dict[str, Method] = {
-    "existing": _designed(fir.design, fir.FirSettings(literal=True, cut_off_hz=1.0)),
-    "proposed": _designed(two_stage.design, two_stage.TwoStageSettings(literal=True)),
-    "smoother": lambda a, d, path: path,
+    "existing": _printed("fir", BIAS_M_S2, cut_off_hz=1.0),
+    "proposed": _printed("two-stage-fir"),
+    "smoother": smooth,
 }
-ALL: dict[str, Method] = {"Kalman": _kalman, **FIRS}
-SHORT = _designed(
-    two_stage.design, two_stage.TwoStageSettings(literal=True, taps=201, anti_alias_taps=201, spline_frames=0)
-)
+ALL: dict[str, Method] = {"Kalman": _printed("adaptive-kalman", BIAS_M_S2), **FIRS}
+SHORT = _printed("two-stage-fir", taps=201, anti_alias_taps=201, spline_frames=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +52,7 @@ class Sensors:
 
     acceleration_std: float
     displacement_std: float
-    bias_m_s2: float = 0.02
+    bias_m_s2: float = BIAS_M_S2
     late_s: float = 0.0
 
 
@@ -68,16 +61,15 @@ STOREY = Sensors(1e-3, 1e-4)
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Both series on one clock, the truth (n,) at the samples, and the smoothed path that the filters' ends take."""
+    """Both series on one clock, and the truth (n,) at the samples."""
 
     acceleration: Acceleration
     displacement: Displacement
     truth_m: Floats
-    path: Smoothed
 
     def run(self, methods: dict[str, Method]) -> dict[str, tuple[Floats, float]]:
-        """Each method's error (n,) in mm and its delay in s."""
-        found = {name: method(self.acceleration, self.displacement, self.path) for name, method in methods.items()}
+        """Each method's error (n,) in mm and its delay in s, infinite for the whole record."""
+        found = {name: method(self.acceleration, self.displacement) for name, method in methods.items()}
         return {
             name: (1e3 * (one.estimate.displacement_m - self.truth_m[-len(one.estimate.time_ns) :]), one.delay_s)
             for name, one in found.items()
@@ -98,15 +90,14 @@ def recorded(motion: Motion, length_s: float, slow_hz: float, sensors: Sensors, 
     variance, source = np.full(len(d.value), sensors.displacement_std**2), np.full(len(d.value), Source.DISPLACEMENT)
     acceleration = Acceleration(a.time_ns, a.value, density)
     displacement = Displacement(d.time_ns, d.value, variance, source.astype(np.uint8))
-    path = smoothed_record(acceleration, displacement, KalmanSettings())
-    return Record(acceleration, displacement, pair.true_displacement_m, path)
+    return Record(acceleration, displacement, pair.true_displacement_m)
 
 
 def errors_mm(record: Record, methods: dict[str, Method], edge_s: float | None = None) -> dict[str, float]:
     """Standard deviation of each method's error in mm without its ends: as long as the longest delay, or `edge_s`."""
     found = record.run(methods)
-    reach = min(max(delay for _, delay in found.values()), MAX_EDGE_S) if edge_s is None else edge_s
-    edge = round(reach * RATE_HZ)
+    reach = max(delay for _, delay in found.values() if np.isfinite(delay)) if edge_s is None else edge_s
+    edge = round(min(reach, MAX_EDGE_S) * RATE_HZ)
     return {name: float(np.std(error[edge : len(error) - edge])) for name, (error, _) in found.items()}
 
 

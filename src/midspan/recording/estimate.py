@@ -21,7 +21,7 @@ from midspan.calibration.unfelt import (
     refuse_wide,
 )
 from midspan.checks import option, path_of
-from midspan.engine.channels import without_gain
+from midspan.engine.channels import interval_s, without_gain
 from midspan.engine.point import Point
 from midspan.engine.row_messages import REPORTED, event_warnings, radar_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
@@ -40,13 +40,14 @@ from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.blocks import REJECTED, joined_rows
 from midspan.fusion.estimator import Estimator, Lag
-from midspan.fusion.methods import METHODS, Method, Pass, named, no_literal_form
+from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
 from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.on_series import OnSeries
 from midspan.fusion.streams import MethodSettings
 from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.kinds import ROWS, printed_by
+from midspan.recording.kinds import ROWS, require_alone
 from midspan.recording.messages import no_overlap, refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
@@ -60,8 +61,6 @@ from midspan.settings.stored.calibration import Calibration, load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
-# What stands in `papers`, above this room: methods over one series of displacements.
-ON_SERIES = "midspan.papers.printed.one_series:on_series"
 # Events of a first pass that may come of values that are wrong.
 CONTRADICTS = frozenset({"rejected", "clock", "level_shift", "acceleration", "reacquired", "frozen", "lost", "noise"})
 
@@ -103,9 +102,7 @@ def estimate(
     recording = opened(recording)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    if recording.settings.fusion.literal and (whole := printed_by(recording)):
-        printed: Result = named(whole)(recording, calibration, method, progress)
-        return printed
+    require_alone(recording)
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given
@@ -145,10 +142,7 @@ class Asked:
 
     def point(self, sides: Sequence[Side], tracked_cameras: Sequence[TrackedCamera], **how: Any) -> Point:
         """The point that gives the method's rows; how: further arguments of `measuring_point`."""
-        wanted, row = self.by_settings, self.row
-        lag_s = wanted.lag_s if row.rows is Pass.LAGGED else None
-        memory = wanted.noise_memory if row.follows_noise else None
-        return measuring_point(sides, tracked_cameras, lag_s=lag_s, noise_memory=memory, given=self.given, **how)
+        return measuring_point(sides, tracked_cameras, self.row, self.by_settings, given=self.given, **how)
 
     @property
     def sides(self) -> tuple[Side, ...]:
@@ -169,12 +163,17 @@ class FirstPass:
 
     sides: tuple[Side, ...]
     tracked_cameras: tuple[TrackedCamera, ...]
-    estimator: Estimator | Lag
+    estimator: Estimator | Lag | OnSeries
     sensors: Mapping[str, Sensor]
     outcome: Outcome
     cameras: tuple[CameraResult, ...]
     series: tuple[dict[str, SensorSeries], ...]
     wrong: Mapping[str, WrongValues] = field(default_factory=dict)
+
+    @property
+    def delay_s(self) -> float:
+        """By how much a row needs what comes later, s."""
+        return self.estimator.lag_samples * interval_s(self.sides[0].recording.acceleration.time_ns)
 
     def at_instants(self, axis: int) -> dict[str, SensorSeries]:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
@@ -209,13 +208,12 @@ class Found:
     used: dict[str, list[tuple[int, int]]]
     events: tuple[Event, ...]
     warnings: tuple[Notice, ...]
-    delay_s: float = 0.0
 
 
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
-    looks, ran = asked.on_series or asked.row.rows is Pass.SMOOTHED, dict[str, OneClock]()
+    looks, ran = asked.row.rows is Pass.SMOOTHED, dict[str, OneClock]()
     wrong = _wrong(first)
     if looks or asked.given:
         ran = _clocks(replace(first, wrong=wrong))
@@ -229,9 +227,7 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     else:
         refuse_followed(first, wrong)
     checked = check(asked, first, ran)
-    if asked.on_series:
-        found: Found = named(ON_SERIES)(asked, first, ran, checked)
-    elif asked.row.rows is Pass.SMOOTHED:
+    if looks:
         found = smoothed(first, ran, checked)
     else:
         found = _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
@@ -243,11 +239,7 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     """All records of the recording through its point."""
     sides = asked.sides
     tracked_cameras = open_tracked_cameras(sides, tracking, progress)
-    # As printed, a paper's tracker works with the predictions of the paper's own filter.
-    wanted = asked.by_settings
-    point = asked.point(
-        sides, tracked_cameras, printed=wanted if wanted.literal and asked.row.rows is not None else None
-    )
+    point = asked.point(sides, tracked_cameras)
     outcome = run(point, sides, tracked_cameras)
     for tracked_camera in tracked_cameras:
         tracked_camera.tracking.close()
@@ -392,17 +384,12 @@ def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
     return {name: without_gain(std, own) for name, std in found.items()}
 
 
-def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *, alone: bool = False) -> Found:
-    """The rows smoothed by the whole record, after what it shows of scales and clocks.
-
-    alone: without misfit and what nothing measured shows.
-    """
+def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
+    """The rows smoothed by the whole record, after what it shows of scales and clocks."""
     estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
     off = {(name, axis): std for axis, one in enumerate(checked.scale_std) for name, std in one.items()}
     settings = with_scales(estimator.settings, off)
-    if alone:
-        settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
     if any(len(wrong.crowd) for wrong in first.wrong.values()):
         settings = without_steps(settings)
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
@@ -504,9 +491,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
         zero_std_m=float(np.sqrt(found.zero_variance_m2[0])),
         used=found.used,
-        delay_s={Pass.SMOOTHED: np.inf, Pass.LAGGED: asked.by_settings.lag_s}.get(
-            asked.row.rows or Pass.CAUSAL, found.delay_s
-        ),
+        delay_s=np.inf if asked.row.rows is Pass.SMOOTHED else first.delay_s,
         file=recording.file,
         name=recording.name,
     )

@@ -18,7 +18,7 @@ from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration
-from midspan.engine.channels import interval_s, plain_channel, radar_channels, require_same_radar
+from midspan.engine.channels import Table, interval_s, plain_channel, radar_channels, require_same_radar
 from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import PlainSensor, RadarSensor
 from midspan.errors import DataError, UsageError
@@ -41,6 +41,7 @@ MAX_VALUES = 1 << 24
 WARNED_LOST = 0.02
 # What stands in `papers`, above this room.
 PRINTED_FIT = "midspan.papers.printed.radar_calibration:fit_radar_literal"
+PRINTED_RADAR = "midspan.papers.printed.radar:radar_channels"
 
 Log = tuple[Measured, Sequence[Channel], Estimate]
 """All that a sensor measured, the estimator's channels, the rows along the main axis."""
@@ -159,35 +160,41 @@ def displacement_series(view: Recording, known: DisplacementCalibration, log: Lo
     return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, value, std)
 
 
+def radar_stage(table: Table, view: Recording, known: RadarCalibration, **more: Any) -> RadarSensor:
+    """The radar's part of the engine; with fusion.literal as printed."""
+    made = named(PRINTED_RADAR) if view.settings.fusion.literal else radar_channels
+    step_s = interval_s(view.radar.times_ns())
+    sensor: RadarSensor = made(table, known, view.radar.info, sensor=view.sensor, step_s=step_s, **more)
+    return sensor
+
+
 @dataclass(frozen=True, slots=True)
 class Kind:
     """calibrate: what is estimated of the sensor; known: its part of a calibration, or a refusal; stage: its part of
-    the engine, and its channels in the table; series: what it measured over the record; printed: what estimates in
-    place of the engine with fusion.literal, on a calibration of the same form.
+    the engine, and its channels in the table; series: what it measured over the record; printed: with fusion.literal
+    calibration and stage are others.
     """
 
     calibrate: Callable[[Recording, Progress], SensorFit[Any, Any]]
     known: Callable[[Recording, Calibration], Any]
     stage: Callable[..., PlainSensor | RadarSensor]
     series: Callable[..., SensorSeries]
-    printed: str = ""
+    printed: bool = False
 
 
 ROWS = {
     "radar": Kind(
         calibrate_radar,
         radar_part,
-        lambda table, view, known, **more: radar_channels(
-            table, known, view.radar.info, sensor=view.sensor, step_s=interval_s(view.radar.times_ns()), **more
-        ),
+        radar_stage,
         # What its targets measured together.
         lambda view, known, log: channel_series(log[0], log[1], view.sensor, log[2]),
-        printed="midspan.papers.printed.radar:estimate_printed",
+        printed=True,
     ),
     "displacement": Kind(
         calibrate_displacement,
         displacement_part,
-        lambda table, view, known, *, moved_m, first: plain_channel(
+        lambda table, view, known, *, first, **_: plain_channel(
             table, known, view.displacement, view.sensor, first=first
         ),
         displacement_series,
@@ -195,6 +202,15 @@ ROWS = {
 }
 
 
-def printed_by(recording: Recording) -> str:
-    """What estimates a recording in place of the engine with fusion.literal; empty where the engine's methods do."""
-    return next((row.printed for kind, row in ROWS.items() if row.printed and recording.has(kind)), "")
+def has_printed(recording: Recording) -> bool:
+    """Whether a recording has a sensor whose calibration and stage are others with fusion.literal."""
+    return any(row.printed and recording.has(kind) for kind, row in ROWS.items())
+
+
+def require_alone(recording: Recording) -> None:
+    """UsageError where a sensor that is as printed is not alone."""
+    if recording.settings.fusion.literal and has_printed(recording) and len(recording.sensors) > 1:
+        raise UsageError(
+            f"{recording.file}: fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave "
+            "[camera], [infrared] and [displacement] out, or leave fusion.literal out."
+        )

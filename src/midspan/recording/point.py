@@ -16,8 +16,9 @@ from midspan.engine.point import ACCELEROMETER, Point, Switch
 from midspan.engine.sensors import MIN_STD_PX, RadarSensor, Sensor
 from midspan.engine.stream import FIRST_NS
 from midspan.fusion.estimator import Estimator, Lag
-from midspan.fusion.methods import named
+from midspan.fusion.methods import Method, Pass, named
 from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.on_series import MakeMethod, OnSeries, SeriesMethod, Usual
 from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
@@ -28,9 +29,8 @@ from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
 
-# What stands in `papers`, above this room: the rule of two cameras, and the estimator with printed predictions.
+# What stands in `papers`, above this room: the rule of two cameras.
 SWITCH = "midspan.papers.printed.switching:switch_of"
-PREDICTED = "midspan.papers.printed.prediction:predicted_as_printed"
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
 # A bias that drifts is a random walk that is as far off after the first time, s, of the order of the filter's memory,
@@ -151,28 +151,26 @@ def estimator_settings(
 def measuring_point(
     sides: Sequence[Side],
     tracked_cameras: Sequence[TrackedCamera],
+    method: Method,
+    wanted: MethodSettings,
     *,
-    lag_s: float | None = None,
-    noise_memory: float | None = None,
-    printed: MethodSettings | None = None,
     given: bool = False,
     log: bool = True,
     wait_s: tuple[float, float] = (np.inf, np.inf),
 ) -> Point:
-    """The point of a recording's axes and sensors.
+    """The point of a recording's axes and sensors that gives a method's rows.
 
-    lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
-    printed: of the adaptive filter as printed, whose predictions the trackers then work with. log: keep what was
-    decided, for a second pass over the whole. wait_s: how long other streams are waited for behind the accelerometer's,
-    and after what silence no longer; those of a recording for ever.
+    log: keep what was decided, for a second pass over the whole. wait_s: how long other streams are waited for behind
+    the accelerometer's, and after what silence no longer; those of a recording for ever.
     """
     main = sides[0]
     recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
     gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
     table, moved_m = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds), usual.moved_m
     sensors: dict[str, Sensor] = {}
+    on_series = method.takes_series(literal=wanted.literal)
     # As printed, the filter's own deviation bounds the search, however small it is.
-    min_std_px = MIN_STD_PX if printed is None else 0.0
+    min_std_px = 0.0 if on_series and method.predicts else MIN_STD_PX
     for number, tracked_camera in enumerate(tracked_cameras):
         sensors[tracked_camera.sensor] = camera_channels(
             table,
@@ -183,27 +181,43 @@ def measuring_point(
             min_std_px=min_std_px,
         )
     for view, known in known_sensors(main):
-        sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
+        more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
+        sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
     table.by_first_terms()
     section = recording.accelerometer
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=section.estimate_scale)
     offsets_ns = clock_offsets_ns(main, tracked_cameras)
     settings = estimator_settings(table, sides, tracked_cameras, sensors)
-    settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
+    if method.follows_noise:
+        settings = replace(settings, noise_memory=wanted.noise_memory)
     merge = Merge([ACCELEROMETER, *sensors], *wait_s)
     for name in sensors:
         merge.push(ClockOffset(name, offsets_ns[name], FIRST_NS))
-    measured = [side for side in sides if side.recording.fused]
     rate_hz = 1.0 / interval_s(main.recording.acceleration.time_ns)
-    guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
-    unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
+    guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in sides if side.recording.fused)))
+    unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if not side.recording.fused]
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(tracked_cameras) > 1
     switch: Switch | None = named(SWITCH)(recording, tracked_cameras) if one_at_a_time else None
-    lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
-    estimator: Estimator | Lag
-    if printed is not None:
-        estimator = named(PREDICTED)(settings, printed, main, log=log)
+    estimator: Estimator | Lag | OnSeries
+    if on_series:
+        names = list(sensors) if switch is not None else list(sensors)[:1]
+        methods = [_along(side, named(method.on_series), wanted, settings, names[0]) for side in sides]
+        estimator = OnSeries(settings, methods, names, log=log)
+    elif method.rows is Pass.LAGGED:
+        estimator = Lag(settings, max(1, round(wanted.lag_s * rate_hz)))
     else:
-        estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
+        estimator = Estimator(settings, log=log)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
+
+
+def _along(
+    side: Side, make: MakeMethod, wanted: MethodSettings, settings: EstimatorSettings, sensor: str
+) -> SeriesMethod | None:
+    """The method of one series along an axis; None where nothing is felt along it."""
+    if not side.recording.fused:
+        return None
+    moved_m, omega = figures(side, side.prepared.rate_hz).motion
+    frame_s = next(one.interval_s for one in settings.channels if one.sensor == sensor)
+    usual = Usual(interval_s(side.recording.acceleration.time_ns), frame_s, omega * moved_m)
+    return make(replace(wanted, kalman=side.kalman), usual)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.engine.channels import interval_s
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, Point, PointState
 from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
@@ -49,7 +50,8 @@ SEPARATOR = b"\n"
 class Opened:
     """A point on live records: the engine's point, what keeps its records, and the numbers of the records pushed.
 
-    regions: of each camera, the smallest that holds all its targets, px; bins: of each radar's targets.
+    regions: of each camera, the smallest that holds all its targets, px; bins: of each radar's targets. delay_s: by how
+    much a row comes later than its sample, s.
     """
 
     point: Point
@@ -58,6 +60,7 @@ class Opened:
     newest_ns: dict[str, int]
     regions: dict[str, Region]
     bins: dict[str, Floats]
+    delay_s: float
 
     @property
     def has_own_zero(self) -> bool:
@@ -91,7 +94,8 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
         for tracked_camera in tracked_cameras
     }
     bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}
-    found = Opened(point, journal, {}, {}, regions, bins)
+    delay_s = point.estimator.lag_samples * interval_s(recording.acceleration.time_ns)
+    found = Opened(point, journal, {}, {}, regions, bins, delay_s)
     if push:
         for stream, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S):
             if isinstance(record, Arrival):

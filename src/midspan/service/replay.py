@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +11,13 @@ from midspan.checks import option
 from midspan.engine.point import Output, Point
 from midspan.engine.sensors import Seen
 from midspan.errors import UsageError
-from midspan.fusion.methods import METHODS, Pass
+from midspan.fusion.blocks import Rows
+from midspan.fusion.methods import METHODS, Pass, no_literal_form
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import Asked
+from midspan.recording.kinds import require_alone
 from midspan.recording.messages import require_same_cameras
 from midspan.recording.point import clock_offsets_ns
 from midspan.recording.run import records_of
@@ -33,17 +35,35 @@ from midspan.store.store import Batch, Store
 
 # The methods that give a row once and for all.
 LIVE = tuple(name for name, row in METHODS.items() if row.rows in (Pass.CAUSAL, Pass.LAGGED))
-# So much time of the records is written at once.
-BLOCK_S = 1.0
+# So much time of the records is written at once; at a given speed readings come in blocks of so much, as loggers send.
+BLOCK_S, SENT_S = 1.0, 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """Time from a sample or a frame to its row as it was given out at a given speed, s: the median, and of 95 %."""
+
+    median_s: float
+    of_95_s: float
+
+    @classmethod
+    def of(cls, late_s: Sequence[float]) -> "Latency | None":
+        """Of all that were measured; None where there are none."""
+        return cls(float(np.median(late_s)), float(np.quantile(late_s, 0.95))) if late_s else None
 
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """What a replay gave: rows kept, how long they last (s), and what the calibration warned of."""
+    """What a replay gave: rows kept, how long they last (s), and what the calibration warned of.
+
+    from_sample, from_frame: of a replay at a given speed.
+    """
 
     rows: int
     length_s: float
     warnings: tuple[Notice, ...]
+    from_sample: Latency | None = None
+    from_frame: Latency | None = None
 
 
 def replay(
@@ -54,14 +74,16 @@ def replay(
     calibration: Calibration | None = None,
     method: str = "kalman",
     speed: float | None = None,
+    length_s: float | None = None,
     progress: Progress = silent,
     wait: Callable[[float], None] = time.sleep,
 ) -> Replayed:
     """Push a recording through a live point and keep raw records, rows and events in `store`.
 
     name: of the point; left out: the recording's. calibration: left out, it is made first. speed: times real time;
-    None: as fast as it goes. Rows are those of `estimate` with the same method. Raises what `calibrate` raises, and
-    UsageError for a point whose rows are as new already, another method than those of a live point, or such a name.
+    None: as fast as it goes. length_s: it ends after so much of the recording; None: with it. Rows are those of
+    `estimate` with the same method. Raises what `calibrate` raises, and UsageError for a point whose rows are as new
+    already, another method than those of a live point, or such a name.
     """
     check_method(recording, method)
     name = point_called(name, recording)
@@ -87,12 +109,14 @@ def replay(
         body, settings = json.dumps(calibration.with_even_clocks().to_dict()), settings_json(recording.settings, radars)
         number = store.add_calibration(name, first_ns, body, settings, accept=False)
         motion_m = point.estimator.settings.motion[0][0]
-        journal = Journal(
-            name, clock_offsets_ns(sides[0], tracked_cameras), axes=axes, calibration=number, motion_m=motion_m
-        )
-        player = Player(point, journal, store, speed, wait)
+        offsets_ns = clock_offsets_ns(sides[0], tracked_cameras)
+        journal = Journal(name, offsets_ns, axes=axes, calibration=number, motion_m=motion_m)
+        pace = None if speed is None else Pace(speed, offsets_ns, wait)
+        player = Player(point, journal, store, pace)
         try:
-            for _, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S):
+            for _, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S if speed is None else SENT_S):
+                if length_s is not None and player.newest_ns - first_ns > length_s * NANOSECONDS:
+                    break
                 player.push(record)
                 done_s = (player.newest_ns - first_ns) / NANOSECONDS
                 progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
@@ -105,17 +129,16 @@ def replay(
         for tracked_camera in tracked_cameras:
             tracked_camera.tracking.close()
     progress(1, 1, "replaying")
-    return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings))
+    late = (None, None) if pace is None else (Latency.of(pace.of_samples_s), Latency.of(pace.of_frames_s))
+    return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings), *late)
 
 
 def check_method(recording: Recording, method: str) -> None:
-    """UsageError for a method that is none of a live point, or as printed, whose rows only a whole record gives."""
+    """UsageError for a method that is none of a live point, or that has no form as printed."""
     option("method", method, LIVE)
-    if recording.settings.fusion.literal and METHODS[method].literal:
-        raise UsageError(
-            f"{method} as printed gives its rows for a whole record only: use `midspan estimate`, or leave "
-            "fusion.literal out."
-        )
+    if recording.settings.fusion.literal and not METHODS[method].literal:
+        raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
+    require_alone(recording)
 
 
 class Player:
@@ -124,13 +147,9 @@ class Player:
     Rows are kept in the streams' common span, as in a result: from the first to the last measurement.
     """
 
-    def __init__(
-        self, point: Point, journal: Journal, store: Store, speed: float | None, wait: Callable[[float], None]
-    ) -> None:
-        self._point, self._journal, self._store = point, journal, store
-        self._speed, self._wait = speed, wait
-        self._begun: tuple[int, float] | None = None
-        self._first_ns, self._last_ns = LAST_NS, FIRST_NS
+    def __init__(self, point: Point, journal: Journal, store: Store, pace: "Pace | None" = None) -> None:
+        self._point, self._journal, self._store, self._pace = point, journal, store, pace
+        self._first_ns, self._last_ns, self._written_ns = LAST_NS, FIRST_NS, FIRST_NS
         # Rows since the last measurement.
         self._held: list[Chunk] = []
         # What was written begins here.
@@ -140,11 +159,17 @@ class Player:
     def push(self, record: Arrival | Complete) -> None:
         """One record; what came before a new block of readings is written."""
         if isinstance(record, Arrival) and isinstance(record.record, Readings):
-            self._write()
+            if self.newest_ns >= self._written_ns + round(BLOCK_S * NANOSECONDS):
+                self._write()
+                self._written_ns = self.newest_ns
             self.newest_ns = max(self.newest_ns, int(record.record.time_ns[-1]))
-            self._keep_pace()
+        if self._pace is not None and isinstance(record, Arrival):
+            self._pace.arrived(record)
         self._journal.arrived(record)
-        self._take(self._point.push(record))
+        outputs = self._point.push(record)
+        if self._pace is not None:
+            self._pace.given(outputs)
+        self._take(outputs)
 
     def finish(self) -> None:
         """The end of all records."""
@@ -173,16 +198,48 @@ class Player:
         if chunks or batch.events:
             self._store.write(Batch(chunks, batch.events))
 
-    def _keep_pace(self) -> None:
-        """Wait until the records' own time, times the speed, has gone by."""
-        if self._speed is None:
-            return
+
+class Pace:
+    """Lets records arrive when their own time, times a speed, has gone by, and measures how late their rows are.
+
+    offsets_ns: what is added to each stream's stamps. of_samples_s: from each sample of the acceleration to its row;
+    of_frames_s: from each frame to the first row that is not before it.
+    """
+
+    def __init__(self, speed: float, offsets_ns: Mapping[str, int], wait: Callable[[float], None]) -> None:
+        self._speed, self._offsets_ns, self._wait = speed, offsets_ns, wait
+        self._begun: tuple[int, float] | None = None
+        self._frames_ns: list[int] = []
+        self.of_samples_s: list[float] = []
+        self.of_frames_s: list[float] = []
+
+    def arrived(self, record: Arrival) -> None:
+        """Wait until a record is due."""
+        newest_ns = record.newest_ns + self._offsets_ns.get(record.stream, 0)
         if self._begun is None:
-            self._begun = (self.newest_ns, time.monotonic())
-        due_s = self._begun[1] + (self.newest_ns - self._begun[0]) / NANOSECONDS / self._speed
-        left_s = due_s - time.monotonic()
+            self._begun = (newest_ns, time.monotonic())
+        left_s = -self._late_s(newest_ns)
         if left_s > 0:
             self._wait(left_s)
+        if not isinstance(record.record, Readings):
+            self._frames_ns.append(newest_ns)
+
+    def given(self, outputs: Sequence[Output]) -> None:
+        """Note how late the rows are."""
+        for output in outputs:
+            if not isinstance(output, Rows) or not output.estimates or not len(output.estimates[0].time_ns):
+                continue
+            stamps = output.estimates[0].time_ns
+            self.of_samples_s += [self._late_s(stamp) for stamp in stamps.tolist()]
+            met = [stamp for stamp in self._frames_ns if stamp <= stamps[-1]]
+            self._frames_ns = self._frames_ns[len(met) :]
+            self.of_frames_s += [self._late_s(stamp) for stamp in met]
+
+    def _late_s(self, time_ns: int) -> float:
+        """By how much more the clock has gone on than the records."""
+        if self._begun is None:
+            return 0.0
+        return time.monotonic() - self._begun[1] - (time_ns - self._begun[0]) / NANOSECONDS / self._speed
 
 
 def point_name(text: str) -> str:

@@ -166,8 +166,7 @@ class Running:
         else:
             reason = live.held_up or ("lost" if status is PointStatus.LOST else "")
         reason = reason or ("clock" if live.row_health.stepped else "")
-        fusion = live.plan.recording.fusion
-        fresh_s = FRESH_S + (fusion.lag_s if fusion.method == "lag" else 0.0)
+        fresh_s = FRESH_S + (live.opened.delay_s if live.opened is not None else 0.0)
         if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
             return reason
         if all(stream.reason == "ended" for stream in self.streams.values()):

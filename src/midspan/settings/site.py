@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from midspan.errors import DataError, UsageError
+from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.load import RECORDING_FILE, validate
@@ -131,10 +132,12 @@ class PointSettings(Section):
     """How a point is estimated; its sensors are sections of their own."""
 
     name: PointName
-    method: Literal["kalman", "lag", "adaptive-kalman"] = Field(
+    method: Literal["kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir"] = Field(
         "kalman",
-        description="kalman: at once; lag: lag_s later, nearly a file's; adaptive-kalman: for noise that changes",
+        description="kalman: at once; lag: lag_s later, nearly a file's; adaptive-kalman: for noise that changes; fir, "
+        "two-stage-fir: as published, seconds later",
     )
+    literal: bool = Field(False, strict=True, description="method, calibration and tracker as a paper prints them")
     lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(0.5, description="delay of the method lag, s")
     calibration: FileName | None = Field(None, description="calibration.json; left out: calibrates itself")
     accept: Literal["auto", "manual"] = Field(
@@ -148,6 +151,8 @@ class PointSettings(Section):
     def _lag_has_its_method(self) -> "PointSettings":
         if "lag_s" in self.model_fields_set and self.method != "lag":
             raise ValueError('must have method = "lag" with lag_s; add it, or take lag_s out')
+        if self.literal and not METHODS[self.method].literal:
+            raise ValueError(no_literal_form(self.method))
         return self
 
 
@@ -312,11 +317,12 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
             raise UsageError(f"{where}: {kind}: must be one section.")
         sections[kind] = [_captured(kind, number, one, where) for number, one in enumerate(given)]
         addresses[kind] = iter([address_of(kind, one, f"{where}: {kind}") for one in given])
-    fusion = {"method": settings.method, "lag_s": settings.lag_s}
+    fusion = {"method": settings.method, "lag_s": settings.lag_s, "literal": settings.literal}
     plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
     if ACCELEROMETER not in plain:
         raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
     recording = validate({"name": settings.name, "fusion": fusion, **plain}, where, RecordingSettings)
+    recording = recording.calibrated_as_printed() if settings.literal else recording
     sources = {ACCELEROMETER: next(addresses[ACCELEROMETER])}
     sources |= {sensor.name: next(addresses[sensor.kind]) for sensor in recording.sensors}
     configs = {one.name: config for one in recording.sensors if (config := getattr(one.settings, "config", None))}

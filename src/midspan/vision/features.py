@@ -37,6 +37,8 @@ MIN_MATCHES = 3
 MIN_FEATURES = 2 * MIN_MATCHES
 MAX_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
 AGREEMENT_PX = 1.0
+# Ratio of the nearest to the second nearest descriptor: MATLAB's default, and that of Yu and Zhang.
+LITERAL_RATIO, EXISTING_RATIO = 0.6, 0.65
 WIDE_SHARE = 0.25  # a prediction no better than this share of the region's side needs a search
 
 
@@ -51,12 +53,15 @@ class FeatureSettings:
     a frame may lie `MARGIN_PX` outside it; they match mutually; and fewer than three matches count as lost, since they
     do not tell the variance of their mean.
     max_features: the strongest this many in the region, 10 to 5000; more is slower and a little quieter.
-    threshold, octaves, upright: of SURF, see `midspan.vision.keypoints.SurfSettings`.
+    threshold, threshold_dn2, octaves, upright: of SURF, see `midspan.vision.keypoints.SurfSettings`.
+    ratio: the nearest descriptor's distance over the second nearest's that a match may have, above 0, up to 1; None:
+    0.6 with `literal`, what MATLAB's matching has by default (the paper does not print its own), 0.65 with the
+    technique "existing", any otherwise.
     epsilon_px: discretisation error of a coordinate in rejection I and II, above 0 to 5 px; more rejects less.
     search_px: how far the target is looked for when it is not near its last place and there is no prediction.
     seed: of the random pairing in rejection I; one seed gives the same result in every run.
-    max_displacement_px, ratio, ransac_px: largest translation known beforehand, ratio of the nearest to the second
-    nearest descriptor, tolerance of RANSAC; only with the technique "existing".
+    max_displacement_px, ransac_px: largest translation known beforehand, tolerance of RANSAC; only with the technique
+    "existing".
     bias_floor_px: standard deviation added for what the scatter of the matches does not show, 0 px or more.
     """
 
@@ -65,13 +70,14 @@ class FeatureSettings:
     literal: bool = False
     max_features: int = 300
     threshold: float = 0.002
+    threshold_dn2: float = 0.0
     octaves: int = 3
     upright: bool = True
     epsilon_px: float = 0.5
     search_px: float = 48.0
     seed: int = 0
     max_displacement_px: float = 32.0
-    ratio: float = 0.65
+    ratio: float | None = None
     ransac_px: float = 5.0
     bias_floor_px: float = 0.001
 
@@ -79,8 +85,15 @@ class FeatureSettings:
         option("technique", self.technique, TECHNIQUES)
         option("detector", self.detector, DETECTORS)
         for name, low, high, rule in _RANGES:
-            if not low <= getattr(self, name) <= high:
-                raise refuse(name, rule, getattr(self, name))
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise refuse(name, rule, value)
+
+    @property
+    def least_ratio(self) -> float | None:
+        """Which ratio a match may have; None: any."""
+        printed = EXISTING_RATIO if self.technique == "existing" else LITERAL_RATIO if self.literal else None
+        return printed if self.ratio is None else self.ratio
 
     @property
     def as_printed(self) -> bool:
@@ -91,6 +104,7 @@ class FeatureSettings:
 _RANGES = (
     ("max_features", 10, 5000, "from 10 to 5000"),
     ("threshold", 0.0, 1.0, "from 0 to 1"),
+    ("threshold_dn2", 0.0, 1e9, "0 or more (squared grey levels)"),
     ("octaves", 1, 4, "from 1 to 4"),
     ("epsilon_px", 1e-3, 5.0, "from 0.001 to 5 px"),
     ("search_px", 3.0, MAX_DISTANCE_PX, "3 px or more"),
@@ -127,8 +141,6 @@ class FeatureTracker(Tracker):
     """Follows a target by its features; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: Motion
-    # Ratio of the nearest to the second nearest descriptor that a match may have; None: any.
-    _ratio: float | None = None
     _max_spread_px = MAX_SPREAD_PX
     # Indices of the good ones among matches (n, 2), px.
     _good = staticmethod(good_matches)
@@ -142,7 +154,7 @@ class FeatureTracker(Tracker):
         self._detector = _detector(reference.pixels, region, settings, self._offset)
         self._features = self._reference_features()
         xy, descriptor, kind = self._features.xy, self._features.descriptor, self._features.kind
-        self._matcher = _core.FeatureMatcher(xy, descriptor, kind, self._ratio)
+        self._matcher = _core.FeatureMatcher(xy, descriptor, kind, settings.least_ratio)
         self._state = Motion()
 
     @property
@@ -311,7 +323,12 @@ def _detector(image: NDArray[np.generic], region: Region, settings: FeatureSetti
     # An occluder or a shadow raises the contrast of a frame, but must not raise the threshold for what is left.
     contrast = float(np.nanvar(part))
     surf = SurfSettings(
-        settings.octaves, settings.threshold, settings.max_features, upright=settings.upright, contrast=contrast
+        settings.octaves,
+        settings.threshold,
+        settings.max_features,
+        upright=settings.upright,
+        contrast=contrast,
+        least=settings.threshold_dn2,
     )
     if image.dtype == np.uint8:
         return Detector(settings.detector, surf, level=-offset)

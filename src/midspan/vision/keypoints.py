@@ -19,7 +19,8 @@ class SurfSettings:
     """Which blobs are kept.
 
     octaves: doublings of the filters' size, 1 to 4. threshold: least determinant, in the image's variance or in
-    `contrast` where that is less; lower gives more and weaker blobs. most: the strongest this many are kept. upright:
+    `contrast` where that is less; lower gives more and weaker blobs. least: the same in squared values of the image,
+    whatever its contrast; the greater of both counts. most: the strongest this many are kept. upright:
     without orientation, for a camera that rolls less than some 15 degrees; quicker and more distinctive.
     """
 
@@ -28,6 +29,7 @@ class SurfSettings:
     most: int = 400
     upright: bool = True
     contrast: float = math.inf
+    least: float = 0.0
 
 
 DETECTORS = {

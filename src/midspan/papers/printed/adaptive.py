@@ -8,25 +8,18 @@ The guarded form is the estimator with a memory of as many measurements.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from midspan import _core
-from midspan.fusion.blocks import ACCEPTED
+from midspan.fusion.blocks import VELOCITY_WITHIN
+from midspan.fusion.entry import MAX_M
 from midspan.fusion.estimator import State, restore
-from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
-from midspan.records import (
-    NANOSECONDS,
-    Acceleration,
-    Displacement,
-    Estimate,
-    Floats,
-    Innovation,
-    Source,
-    Status,
-    part,
-    seconds,
-)
+from midspan.fusion.on_series import Held, Usual
+from midspan.fusion.streams import MethodSettings
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Nanoseconds, part, seconds
+from midspan.signals.health import Mask
 
 # This many frames may wait for the samples that cover them; older ones are dropped.
 MAX_WAITING = 65536
@@ -103,32 +96,82 @@ class PrintedFilter:
         return self._core.predict((time_ns - self.origin_ns) / NANOSECONDS)
 
 
-def run_printed(
-    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
-) -> Smoothed:
-    """`printed` as `on_series` of METHODS: it begins at zero, so the series is counted from its first value."""
-    level_m = float(displacement.value_m[np.argmax(np.isfinite(displacement.value_m))])
-    found = printed(acceleration, replace(displacement, value_m=displacement.value_m - level_m), settings)
-    return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m))
+NOTHING = Displacement(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.uint8))
 
 
-def printed(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    """Equations 7 to 26 over a whole record: one row a sample, see `PrintedFilter`.
+class AdaptiveRows:
+    """The filter as a method over a series, counted from its first displacement."""
 
-    `variance_m2` tells the noise that each measurement was taken with.
-    """
-    usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2)
-    met_by = part(displacement, usable)
-    time_s = seconds(acceleration.time_ns, int(acceleration.time_ns[0]))
-    step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
-    filtered = PrintedFilter(settings, int(acceleration.time_ns[0]), step_s=step_s, speed_m_s=speed_of(met_by))
-    filtered.wait(met_by)
-    rows, met = filtered.push(acceleration)
-    used = np.flatnonzero(met[:, MET_USED] > 0.0)
-    verdict = np.full(len(used), ACCEPTED, dtype=np.int8)
-    innovation = Innovation(met_by.time_ns[used], met[used, MET_INNOVATION], met[used, MET_TOTAL], verdict)
-    estimate = _estimate(acceleration, rows, time_s - rows[:, ROW_ACCEPTED], settings.kalman)
-    return Smoothed(estimate, innovation, (), met[used, MET_NOISE])
+    delay_samples = 0
+    notes = (
+        (
+            "literal",
+            "fusion.literal: the rows are those of the filter exactly as printed, without bias, gate and limits. Its "
+            "own covariance does not hold its error: the band is the guarded filter's and what the two differ by.",
+        ),
+    )
+
+    def __init__(self, settings: MethodSettings, usual: Usual) -> None:
+        """See `fusion.on_series`."""
+        self._settings, self._usual = settings, usual
+        self._filter: PrintedFilter | None = None
+        self._level_m, self._early, self._held = np.nan, NOTHING, Held(2)
+
+    def wait(self, met: Displacement) -> None:
+        """Take displacements that are later than the last sample; those before the first sample do not count."""
+        if self._filter is None:
+            # The last one may be that of the first sample's instant.
+            self._early = met
+            return
+        if np.isnan(self._level_m) and len(met.time_ns):
+            self._level_m = float(met.value_m[0])
+        self._filter.wait(replace(met, value_m=met.value_m - self._level_m))
+
+    def push(self, acceleration: Acceleration) -> None:
+        """Take further samples."""
+        if self._filter is None:
+            self._filter = self._begun(int(acceleration.time_ns[0]))
+            self.wait(part(self._early, self._early.time_ns >= acceleration.time_ns[0]))
+        rows, _ = self._filter.push(acceleration)
+        self._held.add(acceleration.time_ns, rows[:, ROW_X], rows[:, ROW_VELOCITY])
+
+    def rows(self, time_ns: Nanoseconds) -> tuple[Floats, Floats, Mask]:
+        """Displacement (m), velocity (m/s) and whether they are finite, (n,); beyond that the filter ran away."""
+        place, known = self._held.at(time_ns)
+        found = np.full((2, len(time_ns)), np.nan)
+        for row, column in zip(found, self._held.columns, strict=True):
+            row[known] = column[place[known]]
+        self._held.drop_first(int(place[-1]))
+        displacement = found[0] + np.nan_to_num(self._level_m)
+        return displacement, found[1], (np.abs(displacement) <= MAX_M) & np.isfinite(found[1])
+
+    def predict(self, time_ns: int) -> tuple[float, float] | None:
+        """Of `PrintedFilter`, counted as the series is."""
+        if self._filter is None:
+            return None
+        value_m, variance_m2 = self._filter.predict(time_ns)
+        return value_m + float(np.nan_to_num(self._level_m)), variance_m2
+
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """All that has an effect on what comes later."""
+        one, early = self._filter, self._early
+        waiting = early.time_ns, early.value_m, early.variance_m2, early.source
+        own = None if one is None else (one.state, one.origin_ns)
+        return own, self._level_m, waiting, self._held.state
+
+    @state.setter
+    def state(self, state: tuple[Any, ...]) -> None:
+        own, self._level_m, waiting, self._held.state = state
+        self._early, self._filter = Displacement(*waiting), None
+        if own is not None:
+            self._filter = self._begun(own[1])
+            self._filter.restore(own[0])
+
+    def _begun(self, origin_ns: int) -> PrintedFilter:
+        usual, kalman = self._usual, self._settings.kalman
+        settings = replace(self._settings, kalman=replace(kalman, velocity_std=VELOCITY_WITHIN * usual.speed_m_s))
+        return PrintedFilter(settings, origin_ns, step_s=usual.step_s, speed_m_s=usual.speed_m_s)
 
 
 def held_noise(step_s: float, speed_m_s: float) -> float:
@@ -139,20 +182,3 @@ def held_noise(step_s: float, speed_m_s: float) -> float:
     wrong by it, and equation 20 takes what follows for noise.
     """
     return float((0.5 * step_s * speed_m_s) ** 2)
-
-
-def speed_of(series: Displacement) -> float:
-    """Rms of the speed of a series, m/s."""
-    known = np.isfinite(series.value_m)
-    step_s, moved_m = np.diff(seconds(series.time_ns[known], 0)), np.diff(series.value_m[known])
-    later = step_s > 0.0
-    return float(np.sqrt(np.mean((moved_m[later] / step_s[later]) ** 2))) if later.any() else 0.0
-
-
-def _estimate(acceleration: Acceleration, rows: Floats, age_s: Floats, kalman: KalmanSettings) -> Estimate:
-    """The rows; `coasting` or `lost` by the age (n,) of their last frame."""
-    status = np.where(age_s <= kalman.coasting_s, np.uint8(Status.TRACKING), np.uint8(Status.COASTING))
-    status = np.where(age_s <= kalman.lost_s, status, np.uint8(Status.LOST))
-    source = np.where(status == Status.TRACKING, rows[:, ROW_SOURCE], Source.PREDICTION).astype(np.uint8)
-    displacement, variance, velocity = rows[:, [ROW_X, ROW_VARIANCE, ROW_VELOCITY]].T.copy()
-    return Estimate(acceleration.time_ns, displacement, variance, velocity, source, status)

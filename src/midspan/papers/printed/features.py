@@ -68,10 +68,6 @@ class EarlierFeatureTracker(PrintedFeatureTracker):
 
     _good = staticmethod(earlier_rules)
 
-    def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
-        self._ratio = settings.ratio
-        super().__init__(reference, region, settings)
-
     @property
     def region_now(self) -> Region:
         """The region itself."""

@@ -1,16 +1,14 @@
-"""Linear-phase filters: design from transition bands and ripples, responses, and fast sums of convolutions.
+"""Linear-phase filters: design from transition bands and ripples, responses.
 
 Taps are symmetric and odd in number, so that a filter delays by a whole number of samples, its half length. A low-pass
 made here has the sum 1 and no second moment: it keeps a straight line and a parabola exactly, so that the
 complementary high-pass applied to a displacement takes a constant acceleration away exactly.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.checks import positive, refuse
 from midspan.fusion.methods import MAX_TAPS
@@ -19,12 +17,6 @@ from midspan.records import Floats
 # `flat_at_zero` adds ripple to the pass band only; the exchange leaves room for it. Measured at 0.5 to 1 Hz and 100 Hz:
 # with these two 721 taps keep 1e-3, a Blackman window and even weights need 861, no flatness at all 653.
 PASS_WEIGHT, CORRECTION_SHAPE = 2.0, 3.0
-BEST_BLOCK = 8192
-# Fewer rows than this are summed directly: a transform of the whole length would cost more.
-FEW_ROWS = 48
-KEPT_SIZES = 8
-
-Spectrum = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,71 +155,3 @@ def _worst_ripple(taps: Floats, band: Transition, rate_hz: float) -> float:
     passed = np.append(amplitude[frequency <= band.pass_hz], response(taps, np.array([band.pass_hz]), rate_hz))
     stopped = np.append(amplitude[frequency >= band.stop_hz], response(taps, np.array([band.stop_hz]), rate_hz))
     return float(max(np.max(np.abs(passed - 1.0)), np.max(np.abs(stopped))))
-
-
-class FilterBank:
-    """Sums of symmetric filters, each applied to its own series, where all series reach: overlap-save.
-
-    outputs: for each sum one array of taps a series, of odd length, or None where the series does not count. The
-    longest has the length 2 · half + 1. Each series is transformed once, whatever the number of sums.
-    """
-
-    def __init__(self, *outputs: Sequence[Floats | None]) -> None:
-        self.half = max(len(item) for row in outputs for item in row if item is not None) // 2
-        self.taps = tuple(
-            tuple(None if item is None else np.pad(item, self.half - len(item) // 2) for item in row) for row in outputs
-        )
-        self._spectra: dict[int, list[list[Spectrum | None]]] = {}
-
-    def __call__(self, *series: Floats) -> Floats:
-        """The sums (outputs, n − 2 · half) for series (n,); without columns where n is too small."""
-        extra = 2 * self.half
-        rows = max(len(series[0]) - extra, 0)
-        result = np.empty((len(self.taps), rows))
-        if rows <= FEW_ROWS:
-            for row, taps in zip(result, self.taps, strict=True):
-                used = [(a, b) for a, b in zip(series, taps, strict=True) if b is not None]
-                row[:] = sum(np.convolve(a, b, mode="valid") for a, b in used) if rows else 0.0
-            return result
-        size = self._size(rows)
-        for start in range(0, rows, size - extra):
-            stop = min(start + size - extra, rows)
-            self._block([item[start : stop + extra] for item in series], size, result[:, start:stop])
-        return result
-
-    def _size(self, rows: int) -> int:
-        """Length of the transforms: about what is fastest for the length of the taps, so that they fill the rows."""
-        from scipy.fft import next_fast_len
-
-        extra = 2 * self.half
-        best = max(BEST_BLOCK, 8 * (extra + 1))
-        blocks = int(np.ceil(rows / (best - extra)))
-        return int(next_fast_len(int(np.ceil(rows / blocks)) + extra, real=True))
-
-    def _block(self, series: list[Floats], size: int, result: Floats) -> None:
-        from scipy.fft import irfft, rfft
-
-        if size not in self._spectra:
-            if len(self._spectra) >= KEPT_SIZES:
-                self._spectra.clear()
-            self._spectra[size] = [[None if b is None else rfft(b, size) for b in row] for row in self.taps]
-        forward = [rfft(item, size) for item in series]
-        for row, spectra in zip(result, self._spectra[size], strict=True):
-            used = [(a, b) for a, b in zip(forward, spectra, strict=True) if b is not None]
-            whole = used[0][0] * used[0][1]
-            for a, b in used[1:]:
-                whole += a * b
-            row[:] = irfft(whole, size, overwrite_x=True)[2 * self.half : 2 * self.half + len(row)]
-
-
-class FilterSum:
-    """One sum of symmetric filters, each applied to its own series; taps: arrays of odd length, see `FilterBank`."""
-
-    def __init__(self, *taps: Floats) -> None:
-        self._bank = FilterBank(taps)
-        self.half = self._bank.half
-
-    def __call__(self, *series: Floats) -> Floats:
-        """The sum (n − 2 · half,) for series (n,), one for each filter; empty where n is too small."""
-        result: Floats = self._bank(*series)[0]
-        return result

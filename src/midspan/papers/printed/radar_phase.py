@@ -20,8 +20,6 @@ CUT_OFF_HZ = 0.5
 GRID = (0.5, 2.0, 0.001)
 # Left out at both ends, where the filter has not settled, s.
 EDGE_S = 4.0
-# A range that goes on at half a cycle a frame for this long, s, has lost cycles: no structure moves so.
-RUN_AWAY_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +103,6 @@ def printed_change(z: Phasors, acceleration_m_s2: Floats, *, period_s: float, ph
     unwrapped = unwrap_aided(phase, acceleration_m_s2[since], period_s=period_s, phase_per_m=phase_per_m)
     out[since] = (unwrapped - unwrapped[0]) / phase_per_m
     return out
-
-
-def ran_away(change_m: Floats, *, period_s: float, phase_per_m: float) -> bool:
-    """Whether a range change (n,) in m went on for seconds as fast as only whole lost cycles a frame can."""
-    lag = max(round(RUN_AWAY_S / period_s), 1)
-    gone = np.abs(change_m[lag:] - change_m[:-lag])
-    return bool(np.nanmax(gone, initial=0.0) > np.pi * lag / phase_per_m)
 
 
 def acceleration_at(samples: Floats, time_s: Floats) -> Floats:

@@ -6,59 +6,20 @@ acceleration-based displacement's high-pass, complementary equiripple filters wi
 
 Reference: Z. Ma, P. Liu, J. Choi, H. Sohn, High-sampled structural displacement estimation through the FIR filter-based
 two-stage fusion of high-sampled acceleration and temporally aliased low-sampled displacement measurements, sections 2.2
-and 2.3.
+and 2.3. The double integral is the trapezoidal rule's.
 """
 
-from dataclasses import dataclass, field
-
-from midspan.checks import refuse
-from midspan.fusion.methods import MAX_TAPS, MIN_TAPS, SPLINE_FRAMES
-from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
-from midspan.papers.printed.branches import Branches, Rates, check_spline_frames
-from midspan.papers.printed.complementary import fused, smoothed_record
+from midspan.fusion.on_series import Usual
+from midspan.fusion.streams import MethodSettings
 from midspan.papers.printed.filters import Transition, complement, equiripple_low_pass, equiripple_of_length
-from midspan.papers.printed.fir import at_frames
+from midspan.papers.printed.fir_rows import AtFrames, Branches, FirRows
 from midspan.papers.printed.integrate import integrating
-from midspan.records import Acceleration, Displacement, Estimate, Floats
+from midspan.records import Floats
 
 # Least width of the anti-aliasing filter's transition band, Hz: half the displacement's rate is at least f_c + this.
 MIN_WIDTH_HZ = 0.5
 # Above this share of the accelerometer's rate nothing can alias.
-HIGHEST_NYQUIST = 0.4
-
-
-@dataclass(frozen=True, slots=True)
-class TwoStageSettings:
-    """Transition bands and ripples.
-
-    band: of the complementary pair, from where only the displacement counts to where only the acceleration does; its
-    stop_hz is the cut-off f_c. A wider band shortens the delay, a higher one leaves less to the accelerometer.
-    anti_alias_ripple: of the anti-aliasing filter, relative amplitude. literal: the double integral by the trapezoidal
-    rule, as the paper's; otherwise Numerov's. taps, anti_alias_taps: length of the pair and of the anti-aliasing
-    filter, odd; None: the shortest that keeps the ripple. Fewer shortens the delay by half a sample each and lets more
-    of the other band through. spline_frames: displacements after an interval that the spline to the accelerometer's
-    grid looks at, 0 to 4; fewer shortens the delay by a displacement interval each.
-    """
-
-    band: Transition = field(default_factory=lambda: Transition(0.5, 1.0))
-    anti_alias_ripple: float = 1e-3
-    literal: bool = False
-    taps: int | None = None
-    anti_alias_taps: int | None = None
-    spline_frames: int = SPLINE_FRAMES
-
-    def __post_init__(self) -> None:
-        Transition(1.0, 2.0, self.anti_alias_ripple)
-        for name in ("taps", "anti_alias_taps"):
-            value = getattr(self, name)
-            if value is not None and not (value % 2 and MIN_TAPS <= value <= MAX_TAPS):
-                raise refuse(name, f"an odd number from {MIN_TAPS} to {MAX_TAPS}", value)
-        check_spline_frames(self.spline_frames)
-
-    @property
-    def rule(self) -> str:
-        """The integration rule."""
-        return "trapezoid" if self.literal else "numerov"
+MAX_NYQUIST = 0.4
 
 
 def least_rate_hz(cut_off_hz: float) -> float:
@@ -66,26 +27,34 @@ def least_rate_hz(cut_off_hz: float) -> float:
     return 2.0 * (cut_off_hz + MIN_WIDTH_HZ)
 
 
-def design(rates: Rates, settings: TwoStageSettings) -> Branches:
-    """The complementary pair and the anti-aliasing filter for given rates, with a warning where the rate is too low.
+def design(settings: MethodSettings, usual: Usual) -> Branches:
+    """The complementary pair and the anti-aliasing filter for the steps of both series, with a warning where the
+    displacement is too slow.
 
     Raises UsageError where the band reaches half the accelerometer's rate.
     """
-    rate_hz, nyquist_hz = 1.0 / rates.step_s, 0.5 / rates.frame_s
-    low = _low_pass(settings.band, rate_hz, settings.taps)
-    knots = settings.spline_frames
-    high = integrating(complement(low), rates.step_s, rule=settings.rule)
-    cut_off_hz = settings.band.stop_hz
+    rate_hz, nyquist_hz, band = 1.0 / usual.step_s, 0.5 / usual.frame_s, Transition(*settings.transition_hz)
+    low = _low_pass(band, rate_hz, settings.taps)
+    high, removed, warnings = integrating(complement(low), usual.step_s), None, list[str]()
     # A few parts in a million: rates estimated from stamps are not exact.
-    if 2.0 * nyquist_hz < least_rate_hz(cut_off_hz) * (1.0 - 1e-3):
+    if 2.0 * nyquist_hz < least_rate_hz(band.stop_hz) * (1.0 - 1e-3):
         # Below the least rate the complementary high-pass is the anti-aliasing filter too.
-        removed = at_frames(low, rates, settings.rule)
-        return Branches(low, high, settings.rule, removed, knots, (_too_slow(rates, settings),))
-    if nyquist_hz * rates.step_s > HIGHEST_NYQUIST:
-        return Branches(low, high, settings.rule, spline_frames=knots)
-    band = Transition(cut_off_hz, nyquist_hz, settings.anti_alias_ripple)
-    anti_alias = _low_pass(band, rate_hz, settings.anti_alias_taps)
-    return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule), knots)
+        removed, warnings = _at_frames(low, usual.step_s), [_too_slow(band, nyquist_hz)]
+    elif nyquist_hz * usual.step_s <= MAX_NYQUIST:
+        anti_alias = _low_pass(Transition(band.stop_hz, nyquist_hz), rate_hz, settings.anti_alias_taps)
+        removed = _at_frames(anti_alias, usual.step_s)
+    return Branches(low, high, usual.step_s, usual.frame_s, settings.spline_frames, removed, warnings=tuple(warnings))
+
+
+def two_stage_fir(settings: MethodSettings, usual: Usual) -> FirRows:
+    """The method as a stream, see `fusion.on_series`."""
+    return FirRows(design(settings, usual))
+
+
+def _at_frames(low_pass: Floats, step_s: float) -> AtFrames:
+    """The complement of a low-pass, from acceleration to displacement at any instant."""
+    high_pass = complement(low_pass)
+    return AtFrames(integrating(high_pass, step_s), step_s**2 * high_pass)
 
 
 def _low_pass(band: Transition, rate_hz: float, taps: int | None) -> Floats:
@@ -93,34 +62,10 @@ def _low_pass(band: Transition, rate_hz: float, taps: int | None) -> Floats:
     return equiripple_low_pass(band, rate_hz) if taps is None else equiripple_of_length(band, rate_hz, taps)
 
 
-def two_stage_fir(
-    acceleration: Acceleration, displacement: Displacement, settings: TwoStageSettings | None = None
-) -> Estimate:
-    """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
-    smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
-    return fused(design, settings or TwoStageSettings(), (acceleration, displacement), smoothed).estimate
-
-
-def run_two_stage(
-    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
-) -> Smoothed:
-    """The same as `on_series` of METHODS, see `fused`."""
-    smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
-    own = TwoStageSettings(
-        band=Transition(*settings.transition_hz),
-        literal=settings.literal,
-        taps=settings.taps,
-        anti_alias_taps=settings.anti_alias_taps,
-        spline_frames=settings.spline_frames,
-    )
-    return fused(design, own, (acceleration, displacement), smoothed)
-
-
-def _too_slow(rates: Rates, settings: TwoStageSettings) -> str:
-    band = settings.band
+def _too_slow(band: Transition, nyquist_hz: float) -> str:
     return (
-        f"The displacement comes at {1.0 / rates.frame_s:.3g} Hz; the cut-off of {band.stop_hz:g} Hz needs at least "
-        f"{least_rate_hz(band.stop_hz):g} Hz. Motion between {min(band.pass_hz, 0.5 / rates.frame_s):.3g} and "
+        f"The displacement comes at {2.0 * nyquist_hz:.3g} Hz; the cut-off of {band.stop_hz:g} Hz needs at least "
+        f"{least_rate_hz(band.stop_hz):g} Hz. Motion between {min(band.pass_hz, nyquist_hz):.3g} and "
         f"{band.stop_hz:g} Hz is weakened or aliased, and the band is wider for it; a faster displacement or a lower "
         "transition band mends that."
     )

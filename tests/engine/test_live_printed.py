@@ -1,0 +1,62 @@
+"""Every method and tracker as printed runs live: the rows of a point that is fed in any way are those of `estimate`."""
+
+import numpy as np
+import pytest
+from test_live_equals_file import CASES, Site, assert_same, assert_same_events, interleaved, live, records
+
+import midspan
+from recording_edits import set_keys
+
+PRINTED = ("adaptive-kalman", "fir", "two-stage-fir")
+TRACKERS = ("template", "features", "phase", "hybrid")
+
+
+def assert_live_is_file(site, method):
+    result = midspan.estimate(site.recording(method), site.calibration, method=method)
+    assert len(result.estimate.time_ns) > 1000
+    outcome = live(site, method, 1)
+    assert_same(outcome.estimate(0), result.estimate)
+    assert_same_events(outcome, result)
+    if result.across is not None:
+        assert_same(outcome.estimate(1), result.across.estimate)
+    return result
+
+
+@pytest.fixture(scope="module", params=["lossless", "displacement", "two axes", "radar"])
+def site(request, tmp_path_factory):
+    return Site(CASES[request.param](tmp_path_factory.mktemp("live") / "site"), literal=True)
+
+
+@pytest.mark.parametrize("method", PRINTED)
+def test_rows_of_the_file_are_rows_of_the_point(site, method):
+    assert_live_is_file(site, method)
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_with_each_tracker_as_printed_and_the_predictions_of_the_printed_filter(tracker, tmp_path):
+    folder = CASES["lossless"](tmp_path / "site")
+    set_keys(folder, "camera", tracker=tracker)
+    assert_live_is_file(Site(folder, literal=True), "adaptive-kalman")
+
+
+@pytest.mark.parametrize("method", PRINTED)
+def test_a_row_comes_after_the_stated_delay_and_at_most_a_quarter_more(method, tmp_path):
+    site = Site(CASES["lossless"](tmp_path / "site"), literal=True)
+    result = midspan.estimate(site.recording(method), site.calibration, method=method)
+    point, sides, tracked_cameras = site.opened(method)
+    late_s, push = [], point.estimator.push
+
+    def pushed(record):
+        out = push(record)
+        newest = [rows.estimates[0].time_ns[-1] for rows in out if rows.estimates and len(rows.estimates[0].time_ns)]
+        late_s.extend((int(record.time_ns[-1]) - int(one)) / 1e9 for one in newest)
+        return out
+
+    point.estimator.push = pushed
+    for arrival in interleaved(records(point, sides, tracked_cameras, rng := np.random.default_rng(1)), rng):
+        point.push(arrival)
+    step_s = 0.01
+    assert result.delay_s == pytest.approx(point.estimator.lag_samples * step_s)
+    # Blocks of samples that are pushed hold up to a second.
+    assert min(late_s) >= result.delay_s - 1e-9
+    assert np.median(late_s) <= 1.25 * result.delay_s + step_s
