@@ -158,13 +158,13 @@ def _fitted(
     then few. `least`: a step that lowers the sum of squared differences by less is the last.
     """
     rest, likely = samples.spread(), _gain(start.shape, weights, penalty)
-    grid = start.copy()
-    rest -= samples.normal(grid, penalty)
+    grid, normal = start.copy(), samples.normal(penalty)
+    rest -= normal.times(grid)
     direction = _divided(rest, likely)
     square, steps = float(np.vdot(rest, direction)), 0
     while steps < ITERATIONS:
         steps += 1
-        through = samples.normal(direction, penalty)
+        through = normal.times(direction)
         step = square / max(float(np.vdot(direction, through)), 1e-300)
         grid += np.float32(step) * direction
         if step * square < least or steps == ITERATIONS:
