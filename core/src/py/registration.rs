@@ -371,6 +371,16 @@ impl PyNormal {
     }
 }
 
+/// See [`learning::alike`].
+#[pyfunction]
+fn alike<'py>(
+    py: Python<'py>,
+    pixels: PyReadonlyArray2<'py, f32>,
+    like: PyReadonlyArray2<'py, f32>,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    array(py, learning::alike(&grid(&pixels), &grid(&like)))
+}
+
 /// See [`learning::roughness`].
 #[pyfunction]
 fn roughness(coefficients: PyReadonlyArray2<'_, f32>) -> f64 {
@@ -381,6 +391,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyPose>()?;
     module.add_class::<PyLearningSamples>()?;
     module.add_class::<PyNormal>()?;
+    module.add_function(wrap_pyfunction!(alike, module)?)?;
     module.add_function(wrap_pyfunction!(roughness, module)?)?;
     module.add_class::<PyRegistration>()
 }

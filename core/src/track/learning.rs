@@ -10,7 +10,7 @@ use super::fine_spline::{Fine, Spreading, Taps, read_into, slopes, spread_into};
 use super::grid::{Grid, Part};
 use super::matrix::{Matrix, inverse_with_pivots, times};
 use super::normal::Normal;
-use super::vector::{dot, vectorised};
+use super::vector::{dot, dot_f64, sum_f64, vectorised};
 
 /// Around the window: what low-pass and spline reach for.
 pub const PAD_PX: usize = 8;
@@ -94,6 +94,19 @@ vectorised! {
             spread_into(&item.pixels, &down.times(item.count), &across, &mut spreading, out);
         }
     }
+}
+
+/// Pixels at the level and with the contrast of others.
+pub fn alike(pixels: &Grid, like: &Grid) -> Grid {
+    let level = |grid: &Grid| (sum_f64(&grid.values) / grid.values.len() as f64) as f32;
+    let [own, others] = [pixels, like].map(|grid| {
+        let level = level(grid);
+        grid.map(|value| value - level)
+    });
+    let [square, wanted] = [&own, &others].map(|grid| dot_f64(&grid.values, &grid.values));
+    let gain = (wanted / square.max(1e-60)).sqrt() as f32;
+    let level = level(like);
+    own.map(|value| gain * value + level)
 }
 
 /// See [`Samples::place`].
@@ -200,6 +213,13 @@ mod tests {
         assert!((item.shift[0] - 0.23).abs() < 1e-4 && (item.shift[1] + 0.12).abs() < 1e-4, "{:?}", item.shift);
         // What is left is the spline's error at the edges.
         assert!(samples.residual_square(&grid, 9).row(20)[20] < 1e-4);
+    }
+
+    #[test]
+    fn pixels_are_made_alike_in_level_and_contrast_alone() {
+        let picture = seen(24, [0.0; 2]).map(|&value| value as f32);
+        let found = alike(&picture.map(|value| 0.7 * value + 30.0), &picture);
+        assert!(found.values.iter().zip(&picture.values).all(|(found, value)| (found - value).abs() < 1e-3));
     }
 
     #[test]
