@@ -159,14 +159,15 @@ impl Kernels {
     /// Low-passed slopes along x and y (both negative) and values of a block, weighted, without its mean, as whole
     /// numbers.
     fn fill(&mut self, smooth: &Slopes, weight: &Grid, part: Part) {
-        for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
+        let planes = [&smooth.x, &smooth.y, &smooth.value];
+        let (mean, largest) = means_and_largest(&planes, weight, part);
+        for (sum, plane) in planes.into_iter().enumerate() {
             let sign = if sum == 2 { 1.0 } else { -1.0 };
-            let (mean, largest) = mean_and_largest(plane, weight, part);
-            let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
+            let factor = if largest[sum] > 0.0 { sign * LARGEST / largest[sum] } else { 0.0 };
             for r in part.top..part.bottom {
                 let first = (r * SUMS + sum) * self.width;
                 let (line, w) = (inside(plane, r, part), inside(weight, r, part));
-                rounded(line, w, mean, factor, &mut self.values[first + part.left..first + part.right]);
+                rounded(line, w, mean[sum], factor, &mut self.values[first + part.left..first + part.right]);
             }
         }
     }
@@ -200,32 +201,41 @@ impl Kernels {
 }
 
 vectorised! {
-    /// The weighted mean of a part of a plane, and the largest weighted distance from it.
-    fn mean_and_largest(plane: &Grid, weight: &Grid, part: Part) -> (f32, f32) {
-        // Eight values and their weights; past the last column of no weight.
-        let at = |r: usize, c: usize| (eight(inside(plane, r, part), c, 0.0), eight(inside(weight, r, part), c, 0.0));
-        let (mut total, mut all) = ([0.0f32; EIGHT], [0.0f32; EIGHT]);
+    /// The weighted means of a part of planes, and the largest weighted distances from them.
+    fn means_and_largest(planes: &[&Grid; SUMS], weight: &Grid, part: Part) -> ([f32; SUMS], [f32; SUMS]) {
+        // Past the last column of no weight.
+        let at = |plane: &Grid, r: usize, c: usize| eight(inside(plane, r, part), c, 0.0);
+        let (mut total, mut all) = ([[0.0f32; EIGHT]; SUMS], [0.0f32; EIGHT]);
         for r in part.top..part.bottom {
             for c in (0..part.columns()).step_by(EIGHT) {
-                let (values, weights) = at(r, c);
+                let weights = at(weight, r, c);
                 for k in 0..EIGHT {
-                    total[k] += weights[k] * values[k];
                     all[k] += weights[k];
                 }
-            }
-        }
-        let mean = gathered(total) / gathered(all);
-        let mut largest = [0.0f32; EIGHT];
-        for r in part.top..part.bottom {
-            for c in (0..part.columns()).step_by(EIGHT) {
-                let (values, weights) = at(r, c);
-                for k in 0..EIGHT {
-                    let far = (weights[k] * (values[k] - mean)).abs();
-                    largest[k] = if far > largest[k] { far } else { largest[k] };
+                for (total, plane) in total.iter_mut().zip(planes) {
+                    let values = at(plane, r, c);
+                    for k in 0..EIGHT {
+                        total[k] += weights[k] * values[k];
+                    }
                 }
             }
         }
-        (mean, largest.into_iter().fold(0.0, f32::max))
+        let all = gathered(all);
+        let mean = total.map(|total| gathered(total) / all);
+        let mut largest = [[0.0f32; EIGHT]; SUMS];
+        for r in part.top..part.bottom {
+            for c in (0..part.columns()).step_by(EIGHT) {
+                let weights = at(weight, r, c);
+                for (m, plane) in planes.iter().enumerate() {
+                    let values = at(plane, r, c);
+                    for k in 0..EIGHT {
+                        let far = (weights[k] * (values[k] - mean[m])).abs();
+                        largest[m][k] = if far > largest[m][k] { far } else { largest[m][k] };
+                    }
+                }
+            }
+        }
+        (mean, largest.map(|lanes| lanes.into_iter().fold(0.0, f32::max)))
     }
 }
 
