@@ -4,7 +4,7 @@ use super::grid::{Grid, Part};
 use super::products::Factor;
 use std::ops::{Add, Mul, Sub};
 
-/// What a processor fetches at once, and what is mapped at once.
+/// What a processor fetches at once, and what of a file Linux maps where a pixel of it is looked at.
 const LINE_BYTES: usize = 64;
 const MAPPED_BYTES: usize = 65536;
 

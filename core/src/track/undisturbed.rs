@@ -324,8 +324,8 @@ vectorised! {
     fn weighed(tables: &Tables, sums: &BlockSums) -> ([f64; WANTED], [f64; UNKNOWNS]) {
         let mut both = [0.0; UNKNOWNS];
         for (row, value) in tables.rows.iter().zip(sums.as_flattened()) {
-            for u in 0..UNKNOWNS {
-                both[u] += row.weight[u] * value;
+            for (sum, weight) in both.iter_mut().zip(&row.weight) {
+                *sum += weight * value;
             }
         }
         let score = std::array::from_fn(|k| both[k]);

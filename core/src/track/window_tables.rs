@@ -299,8 +299,8 @@ vectorised! {
         for c in (0..part.columns()).step_by(EIGHT) {
             for (r, line) in (part.top..part.bottom).zip(&mut lines) {
                 let weight = eight(inside(weight, r, part), c, 1.0);
-                for m in 0..MODEL {
-                    line.model[m] = eight(inside(planes[m], r, part), c, 0.0);
+                for (model, plane) in line.model.iter_mut().zip(&planes) {
+                    *model = eight(inside(plane, r, part), c, 0.0);
                 }
                 for k in 0..SUMS {
                     let kernel = eight(&kernels.line(r, k)[part.left..part.right], c, 0);
@@ -311,7 +311,7 @@ vectorised! {
                 }
             }
             for k in 0..SUMS {
-                let (plain, ramped, own) = down(&lines, k, part.top as f32 - top);
+                let Down { plain, ramped, own } = down(&lines, k, part.top as f32 - top);
                 for i in 0..EIGHT {
                     let x = (part.left + c + i) as f32 - left;
                     let [along, down, value, xx, xy, yy, one] = plain.map(|sums| sums[i]);
@@ -336,31 +336,40 @@ vectorised! {
     }
 }
 
-/// Sums down lines of one kernel's products with the model and 1; with the first three and 1, times y, which is `first`
-/// in the first line; and with the kernels over the weight.
+/// Sums down lines of eight pixels of one kernel's products.
+#[derive(Default)]
+struct Down {
+    /// With the model and 1.
+    plain: [[f32; EIGHT]; MODEL + 1],
+    /// With the model's first three and 1, times y.
+    ramped: [[f32; EIGHT]; 4],
+    /// With the kernels over the weight.
+    own: [[f32; EIGHT]; SUMS],
+}
+
+/// The sums of kernel `k`; y is `first` in the first line.
 #[inline(always)]
-fn down(lines: &[Eight], k: usize, first: f32) -> ([[f32; EIGHT]; MODEL + 1], [[f32; EIGHT]; 4], [[f32; EIGHT]; SUMS]) {
-    let (mut plain, mut ramped, mut own) = ([[0.0; EIGHT]; MODEL + 1], [[0.0; EIGHT]; 4], [[0.0; EIGHT]; SUMS]);
-    let mut y = first;
+fn down(lines: &[Eight], k: usize, first: f32) -> Down {
+    let (mut out, mut y) = (Down::default(), first);
     for line in lines {
-        let kernel = &line.kernels[k];
+        let (kernel, over) = (&line.kernels[k], &line.over[k]);
         for i in 0..EIGHT {
             for m in 0..MODEL {
                 let product = kernel[i] * line.model[m][i];
-                plain[m][i] += product;
+                out.plain[m][i] += product;
                 if m < 3 {
-                    ramped[m][i] += y * product;
+                    out.ramped[m][i] += y * product;
                 }
             }
-            plain[MODEL][i] += kernel[i];
-            ramped[3][i] += y * kernel[i];
-            for m in 0..SUMS {
-                own[m][i] += line.over[k][i] * line.kernels[m][i];
+            out.plain[MODEL][i] += kernel[i];
+            out.ramped[3][i] += y * kernel[i];
+            for (own, other) in out.own.iter_mut().zip(&line.kernels) {
+                own[i] += over[i] * other[i];
             }
         }
         y += 1.0;
     }
-    (plain, ramped, own)
+    out
 }
 
 /// The row of one sum: its `responses` are about the block's middle, which moves as the window turns and grows and lies
