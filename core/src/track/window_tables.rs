@@ -317,8 +317,8 @@ vectorised! {
                     let [along, down, value, xx, xy, yy, one] = plain.map(|sums| sums[i]);
                     let [along_y, down_y, value_y, one_y] = ramped.map(|sums| sums[i]);
                     let terms = [
-                        -along, -down, along_y - x * down, -x * along - down_y, value, x * value, value_y, x * one, one_y, xx,
-                        xy, yy, own[0][i], own[1][i], own[2][i],
+                        -along, -down, along_y - x * down, -x * along - down_y, value, x * value, value_y, x * one, one_y,
+                        xx, xy, yy, own[0][i], own[1][i], own[2][i],
                     ];
                     for m in 0..RESPONSES {
                         sums[k][m][i] += terms[m];
