@@ -2,7 +2,7 @@
 
 use super::estimator::state_error;
 use super::lens::LensModel;
-use super::pixels::{Corners, Pixels, region, with_image};
+use super::pixels::{Corners, Pixels, in_place, region, with_image};
 use super::registration::{PyPrediction, PyRegistration};
 use crate::Status;
 use crate::estimator::state::{StateError, from_bytes, to_bytes};
@@ -127,6 +127,15 @@ impl TargetChain {
             Ok(row)
         })
     }
+
+    /// Ask for the pixels of the next frame while this one is tracked, if they may lie in a file.
+    fn ask_for(&self, tracker: &PyRegistration, next: Option<&PyFrame>) {
+        match next.and_then(|next| Pixels::native(&next.pixels)) {
+            Some(Pixels::U8(array)) => in_place(&array).iter().for_each(|image| self.0.ask_for(image, &tracker.own)),
+            Some(Pixels::U16(array)) => in_place(&array).iter().for_each(|image| self.0.ask_for(image, &tracker.own)),
+            _ => {}
+        }
+    }
 }
 
 #[pymethods]
@@ -180,7 +189,8 @@ impl TargetChain {
         frames: Vec<PyFrame<'py>>,
     ) -> PyResult<Bound<'py, PyBytes>> {
         let mut packed = Vec::with_capacity(frames.len() * PACKED_BYTES);
-        for PyFrame { pixels, time_ns } in &frames {
+        for (k, PyFrame { pixels, time_ns }) in frames.iter().enumerate() {
+            self.ask_for(&tracker, frames.get(k + 1));
             let Some(row) = self.tracked(py, &mut tracker, pixels, *time_ns, None)? else { break };
             pack(py_row(&row), &mut packed);
         }

@@ -22,7 +22,8 @@ impl<'py> Pixels<'py> {
         Self::native(any).map_or_else(|| Self::converted(any), Ok)
     }
 
-    fn native(any: &Bound<'py, PyAny>) -> Option<Self> {
+    /// The image where its type of pixel is used as it is.
+    pub fn native(any: &Bound<'py, PyAny>) -> Option<Self> {
         fn array<'py, T: Element>(any: &Bound<'py, PyAny>) -> Option<PyReadonlyArray2<'py, T>> {
             any.cast::<PyArray2<T>>().ok()?.try_readonly().ok()
         }
@@ -44,8 +45,8 @@ impl<'py> Pixels<'py> {
     }
 }
 
-/// An array as an image: without a copy where its rows are contiguous, else copied into `store`.
-pub fn view<'a, T: Element + Copy>(array: &'a PyReadonlyArray2<'_, T>, store: &'a mut Vec<T>) -> Image<'a, T> {
+/// An array as an image, whose rows are contiguous; else None.
+pub fn in_place<'a, T: Element + Copy>(array: &'a PyReadonlyArray2<'_, T>) -> Option<Image<'a, T>> {
     let pixels = array.as_array();
     let (rows, columns) = pixels.dim();
     let (down, across) = (pixels.strides()[0], pixels.strides()[1]);
@@ -55,10 +56,18 @@ pub fn view<'a, T: Element + Copy>(array: &'a PyReadonlyArray2<'_, T>, store: &'
         // SAFETY: the first and the last element belong to the array, and what lies between them to the same buffer, as
         // all strides are positive; nothing writes there while the read-only borrow of `array` lives.
         let slice = unsafe { std::slice::from_raw_parts(pixels.as_ptr(), length) };
-        if let Some(image) = Image::new(slice, rows, columns, stride) {
-            return image;
-        }
+        return Image::new(slice, rows, columns, stride);
     }
+    None
+}
+
+/// An array as an image: without a copy where its rows are contiguous, else copied into `store`.
+pub fn view<'a, T: Element + Copy>(array: &'a PyReadonlyArray2<'_, T>, store: &'a mut Vec<T>) -> Image<'a, T> {
+    if let Some(image) = in_place(array) {
+        return image;
+    }
+    let pixels = array.as_array();
+    let (rows, columns) = pixels.dim();
     store.extend(pixels.iter().copied());
     // As many as rows times columns have just been copied.
     Image::new(store, rows, columns, columns).unwrap()

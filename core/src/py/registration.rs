@@ -13,6 +13,7 @@ use crate::track::grid::Grid;
 use crate::track::image::{Image, Pixel};
 use crate::track::learning::{self, PAD_PX, Sample, Samples};
 use crate::track::motion::{Motion, Prediction};
+use crate::track::normal::Normal;
 use crate::track::registration::{Registration, Settings};
 use crate::track::tracker::{Fix, Given, Look, Memory, Tracker};
 use crate::track::watch::Translation;
@@ -306,14 +307,9 @@ impl PyLearningSamples {
     }
 
     /// See [`Samples::normal`].
-    fn normal<'py>(
-        &self,
-        py: Python<'py>,
-        coefficients: PyReadonlyArray2<'py, f32>,
-        penalty: f64,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let coefficients = self.fitting(&coefficients)?;
-        array(py, py.detach(|| self.0.normal(&coefficients, penalty)))
+    fn normal(&self, py: Python<'_>, penalty: f64) -> PyNormal {
+        let (rows, columns) = self.shape();
+        PyNormal(py.detach(|| self.0.normal(rows, columns, penalty)))
     }
 
     /// See [`Samples::residual_square`].
@@ -357,6 +353,34 @@ impl PyLearningSamples {
     }
 }
 
+/// See [`Normal`].
+#[pyclass(frozen, module = "midspan._core", name = "NormalEquations")]
+struct PyNormal(Normal);
+
+#[pymethods]
+impl PyNormal {
+    /// See [`Normal::times`].
+    fn times<'py>(
+        &self,
+        py: Python<'py>,
+        coefficients: PyReadonlyArray2<'py, f32>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let coefficients = grid(&coefficients);
+        let found = py.detach(|| self.0.times(&coefficients));
+        array(py, found.ok_or_else(|| PyValueError::new_err("coefficients: not of the samples' size"))?)
+    }
+}
+
+/// See [`learning::alike`].
+#[pyfunction]
+fn alike<'py>(
+    py: Python<'py>,
+    pixels: PyReadonlyArray2<'py, f32>,
+    like: PyReadonlyArray2<'py, f32>,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    array(py, learning::alike(&grid(&pixels), &grid(&like)))
+}
+
 /// See [`learning::roughness`].
 #[pyfunction]
 fn roughness(coefficients: PyReadonlyArray2<'_, f32>) -> f64 {
@@ -366,6 +390,8 @@ fn roughness(coefficients: PyReadonlyArray2<'_, f32>) -> f64 {
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyPose>()?;
     module.add_class::<PyLearningSamples>()?;
+    module.add_class::<PyNormal>()?;
+    module.add_function(wrap_pyfunction!(alike, module)?)?;
     module.add_function(wrap_pyfunction!(roughness, module)?)?;
     module.add_class::<PyRegistration>()
 }

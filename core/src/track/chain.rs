@@ -9,6 +9,8 @@ use super::watch::{LOST, Translation, Unseen, Watch};
 use crate::Status;
 
 const NANOSECONDS: f64 = 1e9;
+/// How much farther than the last region the next frame's pixels are asked for.
+const AHEAD_PX: usize = 4;
 
 /// How the sensor's rows are read out: with a rolling shutter one after another.
 #[derive(Clone, Copy, Debug)]
@@ -155,6 +157,12 @@ impl Chain {
             Look::Known(found) => self.push(image, time_ns, found).map_or(Seen::Outside, Seen::Row),
             Look::Search(candidate) => Seen::Search(candidate),
         }
+    }
+
+    /// Ask for the pixels of the next frame about the place where the target was last.
+    pub fn ask_for<T: Storable>(&self, image: &Image<'_, T>, tracker: &Tracker) {
+        let [x, y] = tracker.memory.motion.place.map(|moved| moved.round_ties_even() as i64);
+        image.ask_for(self.watch.region.moved(x, y, AHEAD_PX));
     }
 
     /// The row of a frame with what a tracker found in it; None where the region leaves the image.

@@ -33,8 +33,10 @@ const EACH: usize = SUPPORT / PER_PX;
 /// The weights of [`fine_weights`] that are not 0.
 #[derive(Clone, Copy)]
 pub struct Taps {
-    first: usize,
-    weight: [f32; SUPPORT],
+    /// The first of the coefficients about a pixel that they belong to.
+    pub first: usize,
+    /// Of this and the next ones.
+    pub weight: [f32; SUPPORT],
 }
 
 impl Taps {

@@ -4,6 +4,10 @@ use super::grid::{Grid, Part};
 use super::products::Factor;
 use std::ops::{Add, Mul, Sub};
 
+/// What a processor fetches at once, and what of a file Linux maps where a pixel of it is looked at.
+const LINE_BYTES: usize = 64;
+const MAPPED_BYTES: usize = 65536;
+
 /// A number that pixels are computed with.
 pub trait Level: Copy + Default + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
     /// Whether it is a whole number.
@@ -176,6 +180,34 @@ impl<'a, T: Copy> Image<'a, T> {
         }
         let pixels = &self.pixels[y * self.stride + x..];
         Some(Self { pixels, rows: region.height, columns: region.width, stride: self.stride })
+    }
+
+    /// Ask for the pixels of a region, as far as it is inside, some time before they are needed.
+    ///
+    /// A frame of a file comes from far away, row by row, too seldom in sequence for the processor to foresee it.
+    pub fn ask_for(&self, region: Region) {
+        let along = |first: i64, length: usize, size: usize| {
+            [first, first.saturating_add(length as i64)].map(|end| end.clamp(0, size as i64) as usize)
+        };
+        let [left, right] = along(region.x, region.width, self.columns);
+        let [top, bottom] = along(region.y, region.height, self.rows);
+        let mut mapped = 0;
+        for row in (top..bottom).map(|r| self.line(r, left, right)) {
+            for pixels in row.chunks((LINE_BYTES / size_of::<T>()).max(1)) {
+                let place = pixels.as_ptr();
+                // What is not mapped yet is not fetched: a part of the file is, once it is looked at.
+                if place as usize / MAPPED_BYTES != mapped {
+                    mapped = place as usize / MAPPED_BYTES;
+                    std::hint::black_box(pixels[0]);
+                }
+                #[cfg(target_arch = "x86_64")]
+                // SAFETY: a prefetch reads nothing, and every x86-64 processor has it.
+                unsafe {
+                    use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+                    _mm_prefetch::<_MM_HINT_T1>(place.cast());
+                }
+            }
+        }
     }
 
     /// One in `step` rows.

@@ -9,7 +9,8 @@
 use super::fine_spline::{Fine, Spreading, Taps, read_into, slopes, spread_into};
 use super::grid::{Grid, Part};
 use super::matrix::{Matrix, inverse_with_pivots, times};
-use super::vector::{dot, vectorised};
+use super::normal::Normal;
+use super::vector::{dot, dot_f64, sum_f64, vectorised};
 
 /// Around the window: what low-pass and spline reach for.
 pub const PAD_PX: usize = 8;
@@ -46,14 +47,10 @@ impl Samples {
         out.joined()
     }
 
-    /// What the normal equations make of coefficients: each sample read and spread again, and the penalty.
-    pub fn normal(&self, grid: &Grid, penalty: f64) -> Grid {
-        let mut out = Fine::zeros(grid.rows, grid.columns);
-        through_all(&self.items, &Fine::of(grid), &mut out);
-        let mut out = out.joined();
-        let bent = powered(grid, 4);
-        out.values.iter_mut().zip(&bent.values).for_each(|(out, bent)| *out += (penalty as f32) * (*bent as f32));
-        out
+    /// The normal equations of coefficients of this shape, with the penalty.
+    pub fn normal(&self, rows: usize, columns: usize, penalty: f64) -> Normal {
+        let taps = |item: &Sample| ([item.shift[1], item.shift[0]].map(|shift| Taps::new(-shift, 0)), item.count);
+        Normal::new(rows, columns, self.items.iter().map(taps), penalty)
     }
 
     /// Mean square of what the fit leaves of one frame; of the first samples only, if this many are `most`.
@@ -99,17 +96,17 @@ vectorised! {
     }
 }
 
-vectorised! {
-    fn through_all(items: &[Sample], grid: &Fine, out: &mut Fine) {
-        let size = grid.pixels();
-        let mut pixels = Grid::filled(size.rows(), size.columns(), 0.0);
-        let mut spreading = Spreading::new(size.rows(), size.columns());
-        for item in items {
-            let [across, down] = item.shift.map(|shift| Taps::new(-shift, 0));
-            read_into(grid, &down.times(item.count), &across, &mut pixels);
-            spread_into(&pixels, &down, &across, &mut spreading, out);
-        }
-    }
+/// Pixels at the level and with the contrast of others.
+pub fn alike(pixels: &Grid, like: &Grid) -> Grid {
+    let level = |grid: &Grid| (sum_f64(&grid.values) / grid.values.len() as f64) as f32;
+    let [own, others] = [pixels, like].map(|grid| {
+        let level = level(grid);
+        grid.map(|value| value - level)
+    });
+    let [square, wanted] = [&own, &others].map(|grid| dot_f64(&grid.values, &grid.values));
+    let gain = (wanted / square.max(1e-60)).sqrt() as f32;
+    let level = level(like);
+    own.map(|value| gain * value + level)
 }
 
 /// See [`Samples::place`].
@@ -193,6 +190,7 @@ pub fn roughness(grid: &Grid) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::fine_spline::refined;
+    use super::super::vector::on_both;
     use super::*;
 
     fn wave(x: f64, y: f64) -> f64 {
@@ -218,19 +216,30 @@ mod tests {
     }
 
     #[test]
-    fn the_normal_equations_are_symmetric() {
+    fn pixels_are_made_alike_in_level_and_contrast_alone() {
+        let picture = seen(24, [0.0; 2]).map(|&value| value as f32);
+        let found = alike(&picture.map(|value| 0.7 * value + 30.0), &picture);
+        assert!(found.values.iter().zip(&picture.values).all(|(found, value)| (found - value).abs() < 1e-3));
+    }
+
+    #[test]
+    fn the_normal_equations_read_each_sample_and_spread_it_again_and_bend_the_rest() {
         let shape = 2 * 24 + 7;
-        let [one, other] = [3.0, 7.0].map(|seed| {
-            let values = (0..shape * shape).map(|k| ((seed * k as f64).sin() * 10.0) as f32).collect();
-            Grid { values, rows: shape, columns: shape }
-        });
-        let item = |shift: [f64; 2]| Sample { pixels: seen(24, shift).map(|&v| v as f32), shift, count: 2.0 };
-        let samples = Samples { items: vec![item([0.1, 0.4]), item([-0.3, 0.0])] };
-        let product = |a: &Grid, b: &Grid| {
-            a.values.iter().zip(&b.values).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum::<f64>()
+        let values = (0..shape * shape).map(|k| ((3.0 * k as f64).sin() * 10.0) as f32).collect();
+        let grid = Grid { values, rows: shape, columns: shape };
+        let item = |shift: [f64; 2]| {
+            let mut item = Sample { pixels: Grid::filled(24, 24, 0.0), shift, count: 2.0 };
+            let mut pixels = item.pixels.clone();
+            expected_of(&item, &Fine::of(&grid), &mut pixels);
+            item.pixels = pixels;
+            item
         };
-        let (there, back) =
-            (product(&samples.normal(&one, 0.01), &other), product(&samples.normal(&other, 0.01), &one));
-        assert!((there - back).abs() < 1e-5 * product(&samples.normal(&one, 0.01), &one), "{there} {back}");
+        let samples = Samples { items: vec![item([0.1, 0.4]), item([-0.3, 0.0]), item([-0.58, 0.6])] };
+        let (found, bent) = (on_both(|| samples.normal(shape, shape, 0.01).times(&grid).unwrap()), powered(&grid, 4));
+        for ((found, spread), bent) in found.values.iter().zip(samples.spread(shape, shape).values).zip(bent.values) {
+            // Sums of a hundred products of up to 700 in single precision.
+            assert!((f64::from(found - spread) - 0.01 * bent).abs() < 1e-3, "{found} {spread} {bent}");
+        }
+        assert!(samples.normal(shape, shape, 0.01).times(&Grid::filled(9, 9, 0.0)).is_none());
     }
 }

@@ -27,6 +27,7 @@ pub mod light_watch;
 pub mod matching;
 pub mod matrix;
 pub mod motion;
+pub mod normal;
 pub mod patch;
 pub mod peak;
 pub mod phase;

@@ -94,7 +94,9 @@ fn at_ends<T: Pixel>(picture: &Image<'_, T>, ends: [f64; 2]) -> usize {
         }
     }
     let count = |end: T| {
-        let of_row = |r| picture.row(r).iter().map(|&value| u32::from(value == end)).sum::<u32>() as usize;
+        // A byte holds how many of 255 there are.
+        let of_part = |part: &[T]| part.iter().map(|&value| u8::from(value == end)).sum::<u8>() as usize;
+        let of_row = |r| picture.row(r).chunks(255).map(of_part).sum::<usize>();
         (0..picture.rows).map(of_row).sum::<usize>()
     };
     let lows = if low.level().number() <= ends[0] { count(low) } else { 0 };
@@ -257,14 +259,15 @@ fn block_texture<T: Pixel>(picture: &Image<'_, T>, row: usize, column: usize) ->
 
 vectorised! {
 /// Whether whole numbers, none below 0, add up to a total, of one in `step` columns; rows after that are not looked at.
+/// The middle row is the first: what is watched lies there, so that its pixels are at hand.
 pub fn adds_up<T: Pixel>(picture: &Image<'_, T>, step: usize, total: f64) -> bool {
     let mut sum = 0.0;
     (0..picture.rows).any(|r| {
-        let row = picture.row(r);
+        let row = picture.row((r + picture.rows / 2) % picture.rows);
         sum += if step == 1 {
             sums([row], |[value]| [value])[0]
         } else {
-            row.iter().step_by(step).map(|value| value.level().number()).sum()
+            row.iter().step_by(step).fold(T::Level::default(), |sum, value| sum + value.level()).number()
         };
         sum >= total
     })

@@ -16,7 +16,7 @@ use super::image::{Image, Pixel};
 use super::kernels::{PHASES, Quantised, phase_slot};
 use super::matrix::{Matrix, inverse, inverse_with_pivots, scaled_sum, times};
 use super::products::{Factor, PAIRS};
-use super::vector::{WIDE_LANES as LANES, sum, vectorised};
+use super::vector::{WIDE_LANES as LANES, gathered, sum, vectorised};
 use super::window_tables::{GAIN, SPARSE, SUMS, Tables, UNKNOWNS, WANTED};
 use std::ops::Range;
 
@@ -304,28 +304,40 @@ vectorised! {
         for edges in edges.windows(2) {
             let mut sums = [0.0; SUMS];
             for (sum_of, line) in sums.iter_mut().zip(lines) {
-                *sum_of = f64::from(sum(&line[edges[0] / 2..edges[1].div_ceil(2)]));
+                let fours = line[edges[0] / 2..edges[1].div_ceil(2)].chunks_exact(4);
+                let (mut lanes, rest) = ([0.0f32; 4], fours.remainder());
+                for four in fours {
+                    for k in 0..4 {
+                        lanes[k] += four[k];
+                    }
+                }
+                lanes.iter_mut().zip(rest).for_each(|(lane, value)| *lane += value);
+                *sum_of = f64::from(gathered(lanes));
             }
             out.push(sums);
         }
     }
 }
 
-/// Score of x, y, roll and zoom, and all unknowns, of which those four are times the gain.
-fn weighed(tables: &Tables, sums: &BlockSums) -> ([f64; WANTED], [f64; UNKNOWNS]) {
-    let mut both = [0.0; UNKNOWNS];
-    for (row, value) in tables.rows.iter().zip(sums.as_flattened()) {
-        both.iter_mut().zip(row.weight).for_each(|(sum, weight)| *sum += weight * value);
-    }
-    let score = std::array::from_fn(|k| both[k]);
-    let wanted = times(&inverse(&tables.normal), &score);
-    let found = std::array::from_fn(|u| match u.checked_sub(WANTED) {
-        None => wanted[u],
-        Some(other) => {
-            both[u] - tables.share[other].iter().zip(wanted).map(|(share, value)| share * value).sum::<f64>()
+vectorised! {
+    /// Score of x, y, roll and zoom, and all unknowns, of which those four are times the gain.
+    fn weighed(tables: &Tables, sums: &BlockSums) -> ([f64; WANTED], [f64; UNKNOWNS]) {
+        let mut both = [0.0; UNKNOWNS];
+        for (row, value) in tables.rows.iter().zip(sums.as_flattened()) {
+            for (sum, weight) in both.iter_mut().zip(&row.weight) {
+                *sum += weight * value;
+            }
         }
-    });
-    (score, found)
+        let score = std::array::from_fn(|k| both[k]);
+        let wanted = times(&inverse(&tables.normal), &score);
+        let found = std::array::from_fn(|u| match u.checked_sub(WANTED) {
+            None => wanted[u],
+            Some(other) => {
+                both[u] - tables.share[other].iter().zip(wanted).map(|(share, value)| share * value).sum::<f64>()
+            }
+        });
+        (score, found)
+    }
 }
 
 /// Noise of a pixel as the blocks show it; None where so few count, or one or all lie further from what was found than

@@ -93,7 +93,8 @@ struct Still {
 
 /// Takes a target's frames with what a tracker found in them.
 pub struct Watch {
-    region: Region,
+    /// Of the target in the reference frame.
+    pub region: Region,
     /// Whether the reference is no dark frame.
     lit: bool,
     fair: FairVariance,

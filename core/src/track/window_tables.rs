@@ -7,7 +7,7 @@ use super::fine_spline::{Curvatures, Slopes, bends, slopes};
 use super::grid::{Grid, Part};
 use super::kernels::phase_shift;
 use super::matrix::{Matrix, inverse};
-use super::vector::{WIDE_LANES as LANES, dot, vectorised};
+use super::vector::{WIDE_LANES as LANES, dot, gathered, vectorised};
 
 /// Kernels are whole numbers of 8 bits, a quarter of the memory that they are read from in each frame. What they
 /// respond to is computed from these: their rounding only costs precision, less than a thousandth of it.
@@ -23,6 +23,8 @@ const OTHERS: usize = UNKNOWNS - WANTED;
 pub const GAIN: usize = 4;
 /// The unknowns, the second order of a shift (dx²/2, dx dy, dy²/2), and the sums' covariance.
 const RESPONSES: usize = UNKNOWNS + 3 + SUMS;
+/// What changes with the template's place: slopes along x and y, values, curvatures.
+const MODEL: usize = 6;
 /// One row in this many is looked at first: nearly always that leads to the phase whose tables are exact.
 pub const SPARSE: usize = 5;
 
@@ -86,7 +88,9 @@ impl Tables {
         for (n, packed) in tables.kernels.iter_mut().enumerate() {
             let (first, r) = (n / height * LANES, n % height);
             for (k, packed) in packed.iter_mut().enumerate() {
-                packed.iter_mut().zip(&kernels.line(r, k)[first..]).for_each(|(packed, value)| *packed = *value);
+                let line = &kernels.line(r, k)[first..];
+                let count = line.len().min(LANES);
+                packed[..count].copy_from_slice(&line[..count]);
             }
         }
         tables
@@ -155,14 +159,15 @@ impl Kernels {
     /// Low-passed slopes along x and y (both negative) and values of a block, weighted, without its mean, as whole
     /// numbers.
     fn fill(&mut self, smooth: &Slopes, weight: &Grid, part: Part) {
-        for (sum, plane) in [&smooth.x, &smooth.y, &smooth.value].into_iter().enumerate() {
+        let planes = [&smooth.x, &smooth.y, &smooth.value];
+        let (mean, largest) = means_and_largest(&planes, weight, part);
+        for (sum, plane) in planes.into_iter().enumerate() {
             let sign = if sum == 2 { 1.0 } else { -1.0 };
-            let (mean, largest) = mean_and_largest(plane, weight, part);
-            let factor = if largest > 0.0 { sign * LARGEST / largest } else { 0.0 };
+            let factor = if largest[sum] > 0.0 { sign * LARGEST / largest[sum] } else { 0.0 };
             for r in part.top..part.bottom {
                 let first = (r * SUMS + sum) * self.width;
                 let (line, w) = (inside(plane, r, part), inside(weight, r, part));
-                rounded(line, w, mean, factor, &mut self.values[first + part.left..first + part.right]);
+                rounded(line, w, mean[sum], factor, &mut self.values[first + part.left..first + part.right]);
             }
         }
     }
@@ -170,7 +175,7 @@ impl Kernels {
     /// Responses of a block's sums to the unknowns, the second order of a shift, and each other: covariance for noise
     /// of scale 1.
     fn responses(&self, seen: &Seen, weight: &Grid, part: Part) -> [[f64; RESPONSES]; SUMS] {
-        std::array::from_fn(|k| responses_of(self, k, seen, weight, part).map(f64::from))
+        responses_of(self, seen, weight, part).map(|sums| sums.map(f64::from))
     }
 
     /// See [`Tables::sparse`]; zeros where one row in this many shows nothing.
@@ -196,28 +201,41 @@ impl Kernels {
 }
 
 vectorised! {
-    /// The weighted mean of a part of a plane, and the largest weighted distance from it.
-    fn mean_and_largest(plane: &Grid, weight: &Grid, part: Part) -> (f32, f32) {
-        let lines = |r: usize| (inside(plane, r, part), inside(weight, r, part));
-        let (mut total, mut weights) = (0.0f64, 0.0f64);
+    /// The weighted means of a part of planes, and the largest weighted distances from them.
+    fn means_and_largest(planes: &[&Grid; SUMS], weight: &Grid, part: Part) -> ([f32; SUMS], [f32; SUMS]) {
+        // Past the last column of no weight.
+        let at = |plane: &Grid, r: usize, c: usize| eight(inside(plane, r, part), c, 0.0);
+        let (mut total, mut all) = ([[0.0f32; EIGHT]; SUMS], [0.0f32; EIGHT]);
         for r in part.top..part.bottom {
-            let (line, w) = lines(r);
-            total += f64::from(dot(line, w));
-            weights += f64::from(super::vector::sum(w));
-        }
-        let mean = (total / weights) as f32;
-        let mut largest = [0.0f32; EIGHT];
-        for r in part.top..part.bottom {
-            let (line, w) = lines(r);
-            for c in (0..line.len()).step_by(EIGHT) {
-                let (values, weights) = (eight(line, c, mean), eight(w, c, 0.0));
+            for c in (0..part.columns()).step_by(EIGHT) {
+                let weights = at(weight, r, c);
                 for k in 0..EIGHT {
-                    let far = (weights[k] * (values[k] - mean)).abs();
-                    largest[k] = if far > largest[k] { far } else { largest[k] };
+                    all[k] += weights[k];
+                }
+                for (total, plane) in total.iter_mut().zip(planes) {
+                    let values = at(plane, r, c);
+                    for k in 0..EIGHT {
+                        total[k] += weights[k] * values[k];
+                    }
                 }
             }
         }
-        (mean, largest.into_iter().fold(0.0, f32::max))
+        let all = gathered(all);
+        let mean = total.map(|total| gathered(total) / all);
+        let mut largest = [[0.0f32; EIGHT]; SUMS];
+        for r in part.top..part.bottom {
+            for c in (0..part.columns()).step_by(EIGHT) {
+                let weights = at(weight, r, c);
+                for (m, plane) in planes.iter().enumerate() {
+                    let values = at(plane, r, c);
+                    for k in 0..EIGHT {
+                        let far = (weights[k] * (values[k] - mean[m])).abs();
+                        largest[m][k] = if far > largest[m][k] { far } else { largest[m][k] };
+                    }
+                }
+            }
+        }
+        (mean, largest.map(|lanes| lanes.into_iter().fold(0.0, f32::max)))
     }
 }
 
@@ -259,51 +277,99 @@ struct Seen {
     smooth: Slopes,
 }
 
+/// Eight pixels: the template's slopes, values and curvatures, the three kernels, and these over the weight.
+#[derive(Clone, Default)]
+struct Eight {
+    model: [[f32; EIGHT]; MODEL],
+    kernels: [[f32; EIGHT]; SUMS],
+    over: [[f32; EIGHT]; SUMS],
+}
+
 vectorised! {
-    /// Sums over a block of the products of one of its kernels with what changes with x, y, roll and zoom about its
+    /// Sums over a block of the products of each of its kernels with what changes with x, y, roll and zoom about its
     /// middle, gain, ramps of gain and of level about that, in px, and the second order of a shift; and with the three
     /// kernels over the weight.
-    fn responses_of(kernels: &Kernels, k: usize, seen: &Seen, weight: &Grid, part: Part) -> [f32; RESPONSES] {
+    fn responses_of(kernels: &Kernels, seen: &Seen, weight: &Grid, part: Part) -> [[f32; RESPONSES]; SUMS] {
         let Seen { moved, curved, .. } = seen;
+        let planes = [&moved.x, &moved.y, &moved.value, &curved.xx, &curved.xy, &curved.yy];
         let middle = |first: usize, end: usize| 0.5 * (first as f32 + end as f32 - 1.0);
         let [left, top] = [middle(part.left, part.right), middle(part.top, part.bottom)];
-        let mut sums = [[0.0f32; EIGHT]; RESPONSES];
-        for r in part.top..part.bottom {
-            let y = r as f32 - top;
-            // One after another: what an array's `map` does is not always compiled into this loop.
-            let (along, down, value) = (inside(&moved.x, r, part), inside(&moved.y, r, part), inside(&moved.value, r, part));
-            let (xx, xy, yy) = (inside(&curved.xx, r, part), inside(&curved.xy, r, part), inside(&curved.yy, r, part));
-            let [first, second, third] = [kernels.line(r, 0), kernels.line(r, 1), kernels.line(r, 2)];
-            let weight = inside(weight, r, part);
-            for c in (0..weight.len()).step_by(EIGHT) {
-                let (along, down, value) = (eight(along, c, 0.0), eight(down, c, 0.0), eight(value, c, 0.0));
-                let (xx, xy, yy) = (eight(xx, c, 0.0), eight(xy, c, 0.0), eight(yy, c, 0.0));
-                let weight = eight(weight, c, 1.0);
-                let part_of = |line: &[i8]| eight(&line[part.left..part.right], c, 0);
-                let all = [part_of(first), part_of(second), part_of(third)];
+        let mut sums = [[[0.0f32; EIGHT]; RESPONSES]; SUMS];
+        let mut lines = vec![Eight::default(); part.rows()];
+        for c in (0..part.columns()).step_by(EIGHT) {
+            for (r, line) in (part.top..part.bottom).zip(&mut lines) {
+                let weight = eight(inside(weight, r, part), c, 1.0);
+                for (model, plane) in line.model.iter_mut().zip(&planes) {
+                    *model = eight(inside(plane, r, part), c, 0.0);
+                }
+                for k in 0..SUMS {
+                    let kernel = eight(&kernels.line(r, k)[part.left..part.right], c, 0);
+                    for i in 0..EIGHT {
+                        line.kernels[k][i] = f32::from(kernel[i]);
+                        line.over[k][i] = line.kernels[k][i] / weight[i];
+                    }
+                }
+            }
+            for k in 0..SUMS {
+                let Down { plain, ramped, own } = down(&lines, k, part.top as f32 - top);
                 for i in 0..EIGHT {
                     let x = (part.left + c + i) as f32 - left;
-                    let kernel = f32::from(all[k][i]);
-                    let over = kernel / weight[i];
-                    let model = [
-                        -along[i], -down[i], y * along[i] - x * down[i], -x * along[i] - y * down[i], value[i], x * value[i],
-                        y * value[i], x, y, xx[i], xy[i], yy[i],
+                    let [along, down, value, xx, xy, yy, one] = plain.map(|sums| sums[i]);
+                    let [along_y, down_y, value_y, one_y] = ramped.map(|sums| sums[i]);
+                    let terms = [
+                        -along, -down, along_y - x * down, -x * along - down_y, value, x * value, value_y, x * one, one_y,
+                        xx, xy, yy, own[0][i], own[1][i], own[2][i],
                     ];
-                    for m in 0..UNKNOWNS + 3 {
-                        sums[m][i] += kernel * model[m];
-                    }
-                    for m in 0..SUMS {
-                        sums[UNKNOWNS + 3 + m][i] += over * f32::from(all[m][i]);
+                    for m in 0..RESPONSES {
+                        sums[k][m][i] += terms[m];
                     }
                 }
             }
         }
-        let mut out = [0.0; RESPONSES];
-        for m in 0..RESPONSES {
-            out[m] = super::vector::gathered(sums[m]);
+        let mut out = [[0.0; RESPONSES]; SUMS];
+        for k in 0..SUMS {
+            for m in 0..RESPONSES {
+                out[k][m] = gathered(sums[k][m]);
+            }
         }
         out
     }
+}
+
+/// Sums down lines of eight pixels of one kernel's products.
+#[derive(Default)]
+struct Down {
+    /// With the model and 1.
+    plain: [[f32; EIGHT]; MODEL + 1],
+    /// With the model's first three and 1, times y.
+    ramped: [[f32; EIGHT]; 4],
+    /// With the kernels over the weight.
+    own: [[f32; EIGHT]; SUMS],
+}
+
+/// The sums of kernel `k`; y is `first` in the first line.
+#[inline(always)]
+fn down(lines: &[Eight], k: usize, first: f32) -> Down {
+    let (mut out, mut y) = (Down::default(), first);
+    for line in lines {
+        let (kernel, over) = (&line.kernels[k], &line.over[k]);
+        for i in 0..EIGHT {
+            for m in 0..MODEL {
+                let product = kernel[i] * line.model[m][i];
+                out.plain[m][i] += product;
+                if m < 3 {
+                    out.ramped[m][i] += y * product;
+                }
+            }
+            out.plain[MODEL][i] += kernel[i];
+            out.ramped[3][i] += y * kernel[i];
+            for (own, other) in out.own.iter_mut().zip(&line.kernels) {
+                own[i] += over[i] * other[i];
+            }
+        }
+        y += 1.0;
+    }
+    out
 }
 
 /// The row of one sum: its `responses` are about the block's middle, which moves as the window turns and grows and lies

@@ -84,17 +84,8 @@ def sample(
     cut = values(pixels[top:bottom, left:right], offset)
     if cut is None:
         return None
-    if like is not None:
-        cut = cut - cut.mean()
-        gain = math.sqrt(_square(like - like.mean()) / max(_square(cut), 1e-60))
-        cut *= np.float32(gain)
-        cut += like.mean()
-    return Sample(cut, np.array([translation[0] - x, translation[1] - y]))
-
-
-def _square(pixels: Floats32) -> float:
-    """Sum of the squares of pixels (rows, columns)."""
-    return float(np.vdot(pixels, pixels))
+    seen = cut if like is None else _core.alike(cut, like)
+    return Sample(seen, np.array([translation[0] - x, translation[1] - y]))
 
 
 def learn_plane(samples: KeptSamples) -> Plane:
@@ -157,20 +148,20 @@ def _fitted(
     These are preconditioned by what samples at many places, of these `weights`, make of each frequency: the steps are
     then few. `least`: a step that lowers the sum of squared differences by less is the last.
     """
-    rest, likely = samples.spread(), _gain(start.shape, weights, penalty)
-    grid = start.copy()
-    rest -= samples.normal(grid, penalty)
-    direction = _divided(rest, likely)
+    rest, factor = samples.spread(), 1.0 / _gain(start.shape, weights, penalty)
+    grid, normal = start.copy(), samples.normal(penalty)
+    rest -= normal.times(grid)
+    direction = _filtered(rest, factor)
     square, steps = float(np.vdot(rest, direction)), 0
     while steps < ITERATIONS:
         steps += 1
-        through = samples.normal(direction, penalty)
+        through = normal.times(direction)
         step = square / max(float(np.vdot(direction, through)), 1e-300)
         grid += np.float32(step) * direction
         if step * square < least or steps == ITERATIONS:
             break
         rest -= np.float32(step) * through
-        towards = _divided(rest, likely)
+        towards = _filtered(rest, factor)
         before, square = square, float(np.vdot(rest, towards))
         direction *= np.float32(square / max(before, 1e-300))
         direction += towards
@@ -195,13 +186,13 @@ def _gain(shape: tuple[int, ...], weights: tuple[Floats, Floats, Floats], penalt
     return np.asarray(np.outer(y, x) + penalty * square * square, dtype=np.float32)
 
 
-def _divided(grid: Floats32, gain: Floats32) -> Floats32:
-    """Coefficients (rows, columns) with each frequency over its `gain`, without what goes beyond the edges."""
+def _filtered(grid: Floats32, factor: Floats32) -> Floats32:
+    """Coefficients (rows, columns) with each frequency times its `factor`, without what goes beyond the edges."""
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     size = [next_fast_len(n, real=True) for n in grid.shape]
     spectrum = rfft2(grid, s=size)
-    spectrum /= gain
+    spectrum *= factor
     return np.ascontiguousarray(irfft2(spectrum, s=size)[: grid.shape[0], : grid.shape[1]], dtype=np.float32)
 
 
