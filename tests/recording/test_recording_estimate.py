@@ -60,8 +60,7 @@ def result(footbridge):
     return midspan.estimate(midspan.open_recording(footbridge))
 
 
-@pytest.mark.parametrize("direction", ["x", "y"])
-@pytest.mark.parametrize("scale", [-1.5, 1.5])
+@pytest.mark.parametrize(("direction", "scale"), [("x", -1.5), ("y", 1.5)])
 def test_scale_offset_and_displacement_have_the_right_sign_on_both_axes(direction, scale, simulated):
     name = f"axis-{direction}{scale:+}"
     folder = simulated(name, seed=1, camera={"direction": direction, "scale_mm_per_px": scale})
