@@ -66,7 +66,7 @@ def run(arguments):
     if digit == 7:
         warnings.warn("of a library", RuntimeWarning)
     if digit == 8:
-        kept.append(np.ones(10_000))
+        kept.append(np.ones(50_000))
     return 1 if digit == 9 else 0
 
 midspan.cli.main.run = run
