@@ -18,7 +18,8 @@ CASES = {
     "camera": Lively(rms_m=2e-3, band_hz=(0.5, 3.0), duration_s=30.0),
 }
 # How many recordings. Of a camera, what a right scale costs scatters by 6 % from one recording to the next, about the
-# 3 % that 32 of them gave: twelve tell it to 2 %, four to 3.5 %.
+# 3 % that 32 of them gave: twelve tell it to 2 %; four to 3 %, of which
+# two are allowed.
 RECORDINGS = 12
 FEW = 4  # and this many with a scale that is off
 
@@ -80,7 +81,7 @@ def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(s
     # the scale taken as calibrated 20 to 30 % were inside where it was 2 % off.
     assert all(np.mean(found) > 0.9 for found in inside.values()), inside
     # Without the zero's error, which depends on where a tracker's search begins.
-    assert np.sqrt(np.mean(square[0.0]) / np.mean(own)) < 1.03 + 0.07 / np.sqrt(count)
+    assert np.sqrt(np.mean(square[0.0]) / np.mean(own)) < (1.05 if count == RECORDINGS else 1.09)
     # The scale is found: 6 % of the displacement would be 0.12 and 0.3 mm.
     assert np.sqrt(np.mean(square[0.06]) / np.mean(own[:FEW])) < 1.3
 
