@@ -18,8 +18,8 @@ CASES = {
     "camera": Lively(rms_m=2e-3, band_hz=(0.5, 3.0), duration_s=30.0),
 }
 # How many recordings. Of a camera, what a right scale costs scatters by 6 % from one recording to the next, about the
-# 3 % that 32 of them gave: twelve tell it to 2 %; four to 3 %, of which
-# two are allowed.
+# 3 % that 32 of them gave: twelve tell it to 2 %; four to 3 %,
+# of which two are allowed.
 RECORDINGS = 12
 FEW = 4  # and this many with a scale that is off
 
