@@ -25,7 +25,7 @@ check: $(DEV)
 	$(BIN)/lint-imports
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
-# What `make test` shows, again with more seeds, sizes and sensors, and the papers' claims: half an hour.
+# What `make test` shows, again with more seeds, sizes and sensors, and the papers' claims that take minutes.
 slow: $(DEV)
 	sh tools/servers.sh
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
