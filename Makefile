@@ -5,9 +5,11 @@ BIN    := $(VENV)/bin
 # What running midspan needs, and besides it what its checks need.
 STAMP  := $(VENV)/.ready
 DEV    := $(VENV)/.ready-for-tests
+# Two processes of tests share the cores: no threads of the libraries besides.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
 
-.PHONY: demo test check docs bench live faults fuzz wheel lock audit clean setup
+.PHONY: demo test check docs bench live faults fuzz slow wheel lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -21,7 +23,12 @@ check: $(DEV)
 	$(BIN)/ruff check src tests benchmarks examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+# What `make test` shows, again with more seeds, sizes and sensors, and the papers' claims that take minutes.
+slow: $(DEV)
+	sh tools/servers.sh
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 # The documentation as a site in site/; a link that leads nowhere fails.
 docs: $(DEV)

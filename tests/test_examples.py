@@ -1,4 +1,4 @@
-"""The numbered examples run as they are, in an empty folder, and print something."""
+"""The numbered examples run, shortened and as they are, in an empty folder, and print something."""
 
 import os
 import subprocess
@@ -7,6 +7,18 @@ from pathlib import Path
 
 import pytest
 
+# Simulated recordings of 25 s and one draw are enough to see that everything is found and printed.
+BRIEFLY = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+from midspan.simulate.scenarios.table import SCENARIOS
+for name, one in SCENARIOS.items():
+    SCENARIOS[name] = replace(one, duration_s=min(one.duration_s, 25.0))
+sys.argv = sys.argv[1:]
+source = Path(sys.argv[0]).read_text(encoding="utf-8").replace("SEEDS = 5", "SEEDS = 1")
+exec(compile(source, sys.argv[0], "exec"), {"__name__": "__main__"})
+"""
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9]*.py"))
 
 
@@ -15,10 +27,11 @@ def test_examples_are_numbered_without_gaps():
     assert len(EXAMPLES) >= 3
 
 
+@pytest.mark.parametrize("how", [("-c", BRIEFLY), pytest.param((), marks=pytest.mark.slow)], ids=["briefly", "whole"])
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs_without_warnings_and_leaves_nothing_behind(path, tmp_path):
+def test_example_runs_without_warnings_and_leaves_nothing_behind(path, how, tmp_path):
     done = subprocess.run(
-        [sys.executable, "-W", "error", str(path)],
+        [sys.executable, "-W", "error", *how, str(path)],
         cwd=tmp_path,
         env={**os.environ, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8"},
         capture_output=True,

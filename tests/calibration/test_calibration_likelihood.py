@@ -12,8 +12,9 @@ from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.calibration.time_offset import curvature, scan
 from midspan.calibration.whitening import BIAS_WALK_RATIO, NO_SLOW_ERROR, SETTLING, integrated
 from midspan.simulate.motion.motion import Sines
+from repeats import slow
 
-SCALE, OFFSET_S, RECORDS = 1.3e-3, -0.07, 96
+SCALE, OFFSET_S = 1.3e-3, -0.07
 
 
 def record(seed: int) -> Pair:
@@ -32,22 +33,24 @@ def record(seed: int) -> Pair:
     )
 
 
-def test_scale_and_offset_scatter_by_their_standard_deviations():
-    found = [calibrate_scale(record(seed), 0.15) for seed in range(RECORDS)]
+@pytest.mark.parametrize("draws", [24, *slow(96)])
+def test_scale_and_offset_scatter_by_their_standard_deviations(draws):
+    found = [calibrate_scale(record(seed), 0.15) for seed in range(draws)]
     scale = [(one.scale.value_m_per_px - SCALE) / np.sqrt(one.scale.variance) for one in found]
     offset = [(one.search.offset.value_s - OFFSET_S) / np.sqrt(one.search.offset.variance) for one in found]
     for z in (np.array(scale), np.array(offset)):
-        # 96 draws: the rms of z is known to ± 7 %, its mean to ± 0.1.
-        assert 0.85 < np.sqrt(np.mean(z**2)) < 1.2
-        assert abs(np.mean(z)) < 0.3
+        # 96 draws: the rms of z is known to ± 7 %, its mean to ± 0.1; 24 draws: to the double.
+        scatter = np.sqrt(96 / draws)
+        assert 1.0 - 0.15 * scatter < np.sqrt(np.mean(z**2)) < 1.0 + 0.2 * scatter
+        assert abs(np.mean(z)) < 0.3 * scatter
 
 
 def test_what_was_fitted_is_never_that_of_another_noise():
     pair = record(5)
     fit = best_corner(pair, OFFSET_S)
     likeliest_slow_error(pair, fit)
-    for slow in (NO_SLOW_ERROR, (4.0, 0.5), (400.0, 0.5)):
-        changed = pair.changed(slow=slow)
+    for error in (NO_SLOW_ERROR, (4.0, 0.5), (400.0, 0.5)):
+        changed = pair.changed(slow=error)
         for corner in (*pair.recent[0].fits, fit.corner, 1.1 * fit.corner):
             kept, fresh = (evaluate(one, OFFSET_S, corner).likelihood for one in (changed, replace(changed)))
             assert kept == fresh

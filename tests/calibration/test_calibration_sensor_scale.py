@@ -8,8 +8,7 @@ from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
 from midspan.calibration.sensor_scale import calibrate_sensor_scale
 from midspan.errors import UntrustedError
-
-SEEDS = 64
+from repeats import slow
 
 
 def read(motion, seed, *, factor=1.0, noise_m=1e-4, offset_s=0.0, rate_hz=10.0):
@@ -23,25 +22,31 @@ def deviation(found, factor):
 
 
 @pytest.mark.parametrize(
-    ("factor", "rate_hz", "one_clock"), [(25.4, 5.0, True), (-1.0, 10.0, False), (-0.37, 1.0, True)]
+    ("factor", "rate_hz", "one_clock", "draws"),
+    [
+        (25.4, 5.0, True, 16),
+        (-1.0, 10.0, False, 16),
+        *slow((25.4, 5.0, True, 64), (-1.0, 10.0, False, 64), (-0.37, 1.0, True, 64)),
+    ],
 )
-def test_the_scale_is_right_and_its_deviation_covers(factor, rate_hz, one_clock):
+def test_the_scale_is_right_and_its_deviation_covers(factor, rate_hz, one_clock, draws):
     offset_s = 0.0 if one_clock else OFFSET
     found = [
         calibrate_sensor_scale(
             read(broadband(s), 900 + s, factor=factor, rate_hz=rate_hz, offset_s=offset_s), 0.15, one_clock=one_clock
         )
-        for s in range(SEEDS)
+        for s in range(draws)
     ]
     z = np.array([deviation(f, factor) for f in found])
-    # 64 draws: the rms of z is known to ± 9 %, its mean to ± 0.13.
-    assert 0.8 < np.sqrt(np.mean(z**2)) < 1.25
-    assert abs(np.mean(z)) < 0.4
+    # 64 draws: the rms of z is known to ± 9 %, its mean to ± 0.13; 16 draws: to the double.
+    scatter = 8.0 / np.sqrt(draws)
+    assert 1.0 - 0.2 * scatter < np.sqrt(np.mean(z**2)) < 1.0 + 0.25 * scatter
+    assert abs(np.mean(z)) < 0.4 * scatter
     # Noise and accelerometer noise are reported in true metres, whatever the readings' unit.
     assert np.sqrt(np.mean([f.variance_factor for f in found])) == pytest.approx(1e-4, rel=0.1)
     if not one_clock:
         late = np.array([(f.offset.value_s - OFFSET) / np.sqrt(f.offset.variance) for f in found])
-        assert 0.8 < np.sqrt(np.mean(late**2)) < 1.25
+        assert 1.0 - 0.2 * scatter < np.sqrt(np.mean(late**2)) < 1.0 + 0.25 * scatter
 
 
 def test_the_deviation_is_that_of_a_regression_on_the_true_motion():

@@ -11,6 +11,7 @@ import pytest
 from lens_cases import write_pictures
 from midspan.cli.main import COMMANDS, run
 from recording_edits import append, error_mm, read_columns, set_keys
+from repeats import slow
 
 FORMATS = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 RESULT_COLUMNS = "time_s,displacement_mm,displacement_std_mm,velocity_mm_s,source,status"
@@ -73,6 +74,8 @@ def site(footbridge, target):
 
 # `papers` runs for long: tests/papers/test_papers_claims.py has the same three tests of it.
 NAMES = [name for name in COMMANDS if name not in ("demo", "papers")]
+LONG = ("lens", "run")
+QUICK = [name for name in NAMES if name not in LONG]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -81,14 +84,14 @@ def test_json_is_one_document_on_standard_output_and_nothing_else(name, footbrid
     assert isinstance(one_document(capsys.readouterr().out), dict)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*QUICK, *slow(*LONG)])
 def test_quiet_says_nothing(name, footbridge, done, tmp_path, capsys):
     assert run([*calls(footbridge, done, tmp_path)[name], "--quiet"]) == 0
     said = capsys.readouterr()
     assert (said.out, said.err) == ("", "")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*QUICK, *slow(*LONG)])
 def test_without_options_a_command_speaks_to_people(name, footbridge, done, tmp_path, capsys):
     assert run(calls(footbridge, done, tmp_path)[name]) == 0
     assert len(capsys.readouterr().out) > 20

@@ -127,7 +127,6 @@ def test_the_five_papers_are_named_with_trackers_methods_and_settings_that_exist
     assert all(paper["command"] in shown for paper in papers)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("paper", [one for one in PAPERS if one.sensors == ("camera",)], ids=lambda paper: paper.name)
 def test_the_commands_of_the_camera_papers_run(paper, footbridge: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     folder = shutil.copytree(footbridge, tmp_path / "site")

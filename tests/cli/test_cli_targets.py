@@ -11,6 +11,7 @@ from midspan.cli.main import run
 from midspan.report.lens import draw_lens
 from midspan.sources.camera.lens import LensRequest, lens_from_pictures
 from midspan.vision.checkerboard import Board
+from repeats import slow
 
 RESULTS = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 
@@ -65,7 +66,7 @@ def test_a_track_does_not_replace_a_file_that_midspan_did_not_write(suffix, else
     )
 
 
-@pytest.mark.parametrize("suffix", RESULTS)
+@pytest.mark.parametrize("suffix", [*RESULTS[:3], *slow(*RESULTS[3:])])
 def test_an_estimate_replaces_its_own_result_and_an_empty_file_only(suffix, recording, tmp_path, capsys):
     target = tmp_path / f"r{suffix}"
     target.write_bytes(b"mine")

@@ -18,12 +18,12 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
 from midspan.records import Arrival, Channel, Estimate, Event, Readings, Source, Tick, joined
 from midspan.simulate.motion.motion import random_motion
+from repeats import slow
 
 NOISE_A, NOISE_M, BIAS = 2e-3, 1e-4, 0.03
 RATE_HZ, LEVEL_HZ, LENGTH_S = 100.0, 30.0, 45.0
 # Readings in one arrival.
 BLOCK = {ACCELEROMETER: 10, "level": 3}
-SEEDS = range(1, 7)
 
 
 @cache
@@ -156,11 +156,12 @@ MAX_ERROR_M = 0.05
 UNREPORTED = 0.25 / LENGTH_S
 
 
+@pytest.mark.parametrize("seeds", [2, *slow(6)])
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_is_an_event_and_the_band_holds_its_error(name):
+def test_a_fault_is_an_event_and_the_band_holds_its_error(name, seeds):
     spoil, kinds = CASES[name]
     ratios = []
-    for seed in SEEDS:
+    for seed in range(1, seeds + 1):
         streams = spoil(recorded(seed))
         rows, events, health = run(streams)
         assert {event.kind for event in events} >= kinds
@@ -171,16 +172,16 @@ def test_a_fault_is_an_event_and_the_band_holds_its_error(name):
         assert np.max(np.abs(error)) < MAX_ERROR_M
         ratios.append(np.abs(error) / np.sqrt(rows.variance_m2))
     # 95 % of the rows of all seeds lie within 1.96 sigma. Errors last for as long as the motion's slowest part: six
-    # times 45 s are some 200 independent ones, which scatter by 1.5 %.
+    # times 45 s are some 200 independent ones, which scatter by 1.5 %, fewer by more.
     ratio = np.concatenate(ratios)
-    assert np.mean(ratio < 1.96) >= 0.93
+    assert np.mean(ratio < 1.96) >= 0.95 - 0.02 * np.sqrt(6 / seeds)
     if "clock" in kinds:
         assert np.mean(ratio > 5.0) < UNREPORTED
     else:
         assert np.max(ratio) < 5.0
 
 
-@pytest.mark.parametrize("step_s", [-60.0, -3.0, 60.0])
+@pytest.mark.parametrize("step_s", [-3.0, 60.0, *slow(-60.0)])
 @pytest.mark.parametrize("names", [(ACCELEROMETER,), ("level",), (ACCELEROMETER, "level")], ids="+".join)
 def test_a_clock_that_is_set_for_good_costs_seconds_and_the_point_goes_on(names, step_s):
     ratios = []

@@ -10,8 +10,9 @@ SEEDS = range(1000, 1040)
 LENGTH_S, FIRST_S = 10.0, 0.504
 
 
-@pytest.mark.parametrize("zero_ns", [None, round(FIRST_S * 1e9)])
-@pytest.mark.parametrize("which", [[0], [1], [0, 1], [1, 2]])
+@pytest.mark.parametrize(
+    ("which", "zero_ns"), [([0], None), ([1], round(FIRST_S * 1e9)), ([0, 1], round(FIRST_S * 1e9)), ([1, 2], None)]
+)
 def test_outliers_among_the_first_are_reported_and_the_band_holds(which, zero_ns):
     inside = []
     for seed in SEEDS:

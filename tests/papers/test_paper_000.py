@@ -15,6 +15,7 @@ from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
 from midspan.vision.tracker import open_tracker, tracker_settings
 from plain_phase import active_pixels, double_integral, filtered, least_squares, phase_variation
+from repeats import slow
 
 CUT = {
     "indoor": FilmSettings(10.0, 10.0, ("sine", "sweep")),
@@ -189,7 +190,7 @@ def test_a_calibration_that_is_given_teaches_the_same_tracker(recorded, printed)
     assert np.array_equal(given.active_pixels.x, own.active_pixels.x)
 
 
-@pytest.mark.parametrize("name", CUT)
+@pytest.mark.parametrize("name", ["footbridge-phase", *slow("indoor", "outdoor")])
 def test_the_order_of_the_pixel_sets_is_that_of_figure_14_and_tables_4_and_6(printed, name):
     selected, amplitude, whole = (printed(name, active_pixels=kind) for kind in ("correlation", "amplitude", "all"))
     axis = "xy".index(selected[1].direction)

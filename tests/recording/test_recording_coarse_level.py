@@ -30,7 +30,7 @@ def estimated(folder):
         return None, str(refused)
 
 
-@pytest.mark.parametrize("keys", [{}, {"estimate_offset": True}, {"estimate_scale": True, "estimate_offset": True}])
+@pytest.mark.parametrize("keys", [{}, {"estimate_scale": True, "estimate_offset": True}])
 def test_a_level_of_coarse_steps(keys, tmp_path):
     for seed in range(3):
         truth = write(tmp_path, seed, 0.4)

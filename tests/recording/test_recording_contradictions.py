@@ -17,6 +17,7 @@ from midspan.errors import UntrustedError
 from midspan.notices import Severity
 from midspan.recording.estimate import refuse_unsettled
 from midspan.records import Event
+from repeats import slow
 
 TONES_HZ, SHARE = np.array([0.7, 1.9, 4.1]), np.array([0.6, 0.3, 0.1])
 SLOW_HZ = np.array([0.25])
@@ -69,7 +70,7 @@ def held(result, error_mm, least=0.88):
     assert not [line for line in result.warnings if line.severity is Severity.SERIOUS]
 
 
-@pytest.mark.parametrize("late_s", [1.5, 2.0])
+@pytest.mark.parametrize("late_s", [1.5, *slow(2.0)])
 def test_a_step_of_the_clock_beyond_what_is_corrected_is_refused_and_named(late_s, tmp_path, capsys):
     site = Structure(1, 5.6, SLOW_HZ)
     value = site.noisy_mm(STAMPS + np.where(STAMPS > 30.0, late_s, 0.0))
@@ -80,7 +81,7 @@ def test_a_step_of_the_clock_beyond_what_is_corrected_is_refused_and_named(late_
     assert "Cut the recording where the clock steps" in said
 
 
-@pytest.mark.parametrize("late_s", [0.2, 1.0])
+@pytest.mark.parametrize("late_s", [1.0, *slow(0.2)])
 def test_a_step_that_is_corrected_leaves_its_deviation_in_the_band(late_s, tmp_path):
     site = Structure(2, 5.6, SLOW_HZ)
     value = site.noisy_mm(STAMPS + np.where(STAMPS > 30.0, late_s, 0.0))
@@ -97,7 +98,7 @@ def test_two_steps_of_a_clock_soon_after_each_other_are_corrected(tmp_path):
     held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
-@pytest.mark.parametrize("share", [0.3, 0.4])
+@pytest.mark.parametrize("share", [0.4, *slow(0.3)])
 def test_a_crowd_of_outliers_to_one_side_is_named_and_left_out(share, tmp_path):
     site = Structure(2)
     value = site.noisy_mm(STAMPS)
@@ -107,8 +108,14 @@ def test_a_crowd_of_outliers_to_one_side_is_named_and_left_out(share, tmp_path):
     held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
-@pytest.mark.parametrize("share", [0.15, 0.25, 0.35])
-@pytest.mark.parametrize("seed", [31, 32, 33])
+@pytest.mark.parametrize(
+    ("seed", "share"),
+    [
+        (31, 0.35),
+        (32, 0.15),
+        *slow((31, 0.15), (31, 0.25), (32, 0.25), (32, 0.35), (33, 0.15), (33, 0.25), (33, 0.35)),
+    ],
+)
 def test_outliers_anywhere_cost_no_more_than_the_values_that_they_replace(seed, share, tmp_path):
     # Some of them agree by chance with each other, or nearly with the motion.
     site = Structure(seed)
@@ -128,8 +135,14 @@ def test_outliers_anywhere_cost_no_more_than_the_values_that_they_replace(seed, 
     assert np.std(error) < 1.6 * np.std(without)
 
 
-@pytest.mark.parametrize("method", ["lag", "kalman"])
-@pytest.mark.parametrize("wrong", [[0], [0, 2, 7], [0, 3, 5]])
+@pytest.mark.parametrize(
+    ("wrong", "method"),
+    [
+        ([0], "lag"),
+        ([0, 2, 7], "kalman"),
+        *slow(([0], "kalman"), ([0, 2, 7], "lag"), ([0, 3, 5], "kalman"), ([0, 3, 5], "lag")),
+    ],
+)
 def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_may_be(wrong, method, tmp_path):
     for seed in (41, 42, 43, 44):
         site = Structure(seed, 4.0)
@@ -142,7 +155,7 @@ def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_ma
 
 
 @pytest.mark.parametrize(("first", "last", "off_mm"), [(0, 6, 15.0), (0, 8, 15.0), (6, 21, 5.0), (0, 15, np.nan)])
-@pytest.mark.parametrize("seed", [51, 52])
+@pytest.mark.parametrize("seed", [51, *slow(52)])
 def test_first_values_that_are_wrong_do_not_make_the_zero_of_the_record(first, last, off_mm, seed, tmp_path):
     # nan: each of them is anywhere. All rows were off by the offset at a stated 0.1 mm.
     site = Structure(seed)
@@ -164,7 +177,7 @@ def off_for_a_while(site, seed):
     return site.noisy_mm(STAMPS) + np.where((STAMPS > 30.0) & (STAMPS < 34.0), 8.0, 0.0)
 
 
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("seed", [21, *slow(22, 23)])
 @pytest.mark.parametrize("fault", [noisy_for_a_while, off_for_a_while])
 def test_a_sensor_that_is_noisy_or_off_its_place_for_a_while_is_no_crowd_of_outliers(fault, seed, tmp_path):
     site = Structure(seed)
@@ -173,7 +186,7 @@ def test_a_sensor_that_is_noisy_or_off_its_place_for_a_while_is_no_crowd_of_outl
     assert not [event for event in result.events if "left out" in event.text]
 
 
-@pytest.mark.parametrize("seed", [24, 25])
+@pytest.mark.parametrize("seed", [24, *slow(25)])
 def test_good_values_are_kept_where_the_accelerometer_is_noisy_for_a_while(seed, tmp_path):
     site = Structure(seed)
     folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
@@ -186,8 +199,7 @@ def test_good_values_are_kept_where_the_accelerometer_is_noisy_for_a_while(seed,
     assert np.max(np.abs(result.displacement_mm - site.moved_mm(result.time_s))) < 1.5
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman"])
-@pytest.mark.parametrize("step_s", [0.3, 1.0, 10.0])
+@pytest.mark.parametrize(("step_s", "method"), [(0.3, "smoother"), (1.0, "kalman"), (10.0, "smoother")])
 def test_an_accelerometers_clock_that_steps_forward_is_named_by_its_gap(step_s, method, tmp_path, capsys):
     site = Structure(26)
     folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
@@ -210,7 +222,7 @@ def test_samples_that_are_missing_are_no_step_of_a_clock(gap_s, tmp_path):
     held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
-@pytest.mark.parametrize("seed", [28, 29])
+@pytest.mark.parametrize("seed", [28, *slow(29)])
 def test_a_causal_method_that_followed_most_of_very_many_outliers_is_refused(seed, tmp_path, capsys):
     site = Structure(seed)
     wrong = site.rng.uniform(size=len(STAMPS)) < 0.45

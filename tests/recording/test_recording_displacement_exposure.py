@@ -6,6 +6,7 @@ import pytest
 import midspan
 from midspan.calibration.whitening import integrated
 from recording_edits import set_keys, write_displacement
+from repeats import slow
 
 EXPOSURE_S, NOISE_MM = 0.09, 0.1
 
@@ -39,7 +40,7 @@ def too_strong(folder, times):
     np.savetxt(folder / "a.csv", rows, "%.9f", ",", header="time_s,value", comments="")
 
 
-@pytest.mark.parametrize("declared", [False, True])
+@pytest.mark.parametrize("declared", [False, *slow(True)])
 def test_the_band_holds_beside_a_sensor_that_averages(declared, tmp_path):
     for seed in range(2):
         moved = write(tmp_path, seed, EXPOSURE_S)
@@ -55,7 +56,7 @@ def test_the_band_holds_beside_a_sensor_that_averages(declared, tmp_path):
         assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
 
 
-@pytest.mark.parametrize("declared", [False, True])
+@pytest.mark.parametrize("declared", [True, *slow(False)])
 def test_an_average_over_a_period_of_the_motion(declared, tmp_path):
     # 0.36 s are 1.04 periods of the fastest mode, of which 4 % are left, turned round.
     for seed in range(2):

@@ -7,6 +7,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 import midspan
 from midspan.errors import DataError
 from midspan.records import Status
+from repeats import slow
 
 SIDE, RATE_HZ, PX_PER_MM = 150, 30.0, 0.5
 SIZE_MM, TURN, PHASE = np.array([6.0, 2.0, 3.0]), 2.0 * np.pi * np.array([0.8, 2.1, 0.3]), np.array([0.7, 1.0, 0.0])
@@ -40,8 +41,9 @@ def recording(folder, time_s, frames):
     return folder
 
 
-@pytest.mark.parametrize("tracker", ["registration", "features"])
-@pytest.mark.parametrize("part", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize(
+    ("part", "tracker"), [(0.3, "registration"), (0.5, "features"), (0.7, "registration"), *slow((0.7, "features"))]
+)
 def test_torn_frames_are_not_measured_and_those_after_them_are(part, tracker, tmp_path):
     # The lower part of the picture stands still for a second, as where packets of a camera are lost.
     time_s = np.arange(0.0, 5.0, 1.0 / RATE_HZ)
@@ -80,7 +82,7 @@ def test_torn_frames_are_bridged_by_the_accelerometer(tmp_path):
     assert np.max(result.displacement_std_mm) < 0.3
 
 
-@pytest.mark.parametrize(("start_s", "first"), [(-1.21, 37), (-0.45, 0), (0.4, 0)])
+@pytest.mark.parametrize(("start_s", "first"), [(-1.21, 37), (-0.45, 0), *slow((0.4, 0))])
 def test_the_zero_is_the_films_first_frame_unless_it_begins_long_before_the_acceleration(start_s, first, tmp_path):
     time_s = start_s + np.arange(0.0, 20.0, 1.0 / RATE_HZ)
     result = midspan.estimate(recording(tmp_path, time_s, film(time_s)))

@@ -5,6 +5,7 @@ import pytest
 
 import midspan
 from recording_edits import set_keys
+from repeats import slow
 
 RATE_HZ, LENGTH_S, SCALE_MM_PX, CANVAS = 10.0, 40.0, -2.0, 96
 GRAVITY_M_S2 = 9.80665
@@ -65,7 +66,7 @@ def error_mm(result, truth):
     return float(np.sqrt(np.mean((result.displacement_mm - truth(result.time_s)) ** 2)))
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman"])
+@pytest.mark.parametrize("method", ["kalman", *slow("smoother")])
 def test_an_exposure_that_was_not_declared(method, tmp_path):
     truth = write(tmp_path, 1, exposure_s=0.06)
     result = held(tmp_path, truth, method=method)

@@ -1,6 +1,7 @@
 """A given calibration whose scale is off: the causal methods state it in the band, and find it from the motion."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,14 +11,16 @@ from lively_recordings import Lively, write
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.records import Channel, Measured, SampleKind, Samples, Source
+from repeats import slow
 
 CASES = {
     "displacement": Lively(rms_m=5e-3, band_hz=(0.5, 3.0), duration_s=40.0),
     "camera": Lively(rms_m=2e-3, band_hz=(0.5, 3.0), duration_s=30.0),
 }
 # How many recordings. Of a camera, what a right scale costs scatters by 6 % from one recording to the next, about the
-# 3 % that 32 of them gave: twelve tell it to 2 %.
-RECORDINGS = {"displacement": 12, "camera": 12}
+# 3 % that 32 of them gave: twelve tell it to 2 %; four to 3 %,
+# of which two are allowed.
+RECORDINGS = 12
 FEW = 4  # and this many with a scale that is off
 
 
@@ -34,25 +37,34 @@ def off_by(folder, tree, sensor, share):
     return midspan.load_calibration(folder / "given.json")
 
 
-@pytest.fixture(scope="module", params=sorted(CASES))
-def cases(request, tmp_path_factory):
-    """Sensor, and the case, folder and calibration of each seed."""
-    sensor, found = request.param, []
-    for seed in range(RECORDINGS[sensor]):
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Case, folder and calibration of a sensor and a seed, made once."""
+
+    @cache
+    def made(sensor, seed):
         case = Lively(**{**{k: getattr(CASES[sensor], k) for k in ("rms_m", "band_hz", "duration_s")}, "seed": seed})
         folder = write(tmp_path_factory.mktemp("given") / str(seed), case, sensor)
         if sensor == "displacement":
             (folder / "right.csv").write_bytes((folder / "accel.csv").read_bytes())
         tree = json.loads(midspan.calibrate(folder).save(folder / "own.json").read_text(encoding="utf-8"))
-        found.append((case, folder, tree))
-    return sensor, found
+        return case, folder, tree
+
+    return made
 
 
-@pytest.mark.parametrize("method", ["kalman", "lag"])
-def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(cases, method):
-    sensor, recordings = cases
+@pytest.mark.parametrize(
+    ("sensor", "method", "count"),
+    [
+        ("camera", "kalman", FEW),
+        ("displacement", "lag", FEW),
+        *slow(*((sensor, method, RECORDINGS) for sensor in CASES for method in ("kalman", "lag"))),
+    ],
+)
+def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(sensor, method, count, recorded):
     inside, square, own = {}, {}, []
-    for number, (case, folder, tree) in enumerate(recordings):
+    for number in range(count):
+        case, folder, tree = recorded(sensor, number)
         for share in (0.0, 0.02, 0.06) if number < FEW else (0.0,):
             result = midspan.estimate(folder, off_by(folder, tree, sensor, share), method=method)
             true_mm = case.from_zero_mm if sensor == "camera" else lambda s, case=case: 1e3 * case.motion(s)
@@ -69,7 +81,7 @@ def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(c
     # the scale taken as calibrated 20 to 30 % were inside where it was 2 % off.
     assert all(np.mean(found) > 0.9 for found in inside.values()), inside
     # Without the zero's error, which depends on where a tracker's search begins.
-    assert np.sqrt(np.mean(square[0.0]) / np.mean(own)) < 1.05
+    assert np.sqrt(np.mean(square[0.0]) / np.mean(own)) < (1.05 if count == RECORDINGS else 1.09)
     # The scale is found: 6 % of the displacement would be 0.12 and 0.3 mm.
     assert np.sqrt(np.mean(square[0.06]) / np.mean(own[:FEW])) < 1.3
 

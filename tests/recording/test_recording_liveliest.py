@@ -9,6 +9,7 @@ import pytest
 import midspan
 from lively_recordings import SCALE_MM_PER_PX, Lively, write
 from recording_edits import set_keys
+from repeats import slow
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Late(Lively):
         return super().motion(at_s) * np.sin(0.5 * np.pi * ahead) ** 4
 
 
-@pytest.mark.parametrize("sensor", ["camera", "displacement"])
+@pytest.mark.parametrize("sensor", ["displacement", *slow("camera")])
 def test_a_recording_that_begins_at_rest_is_calibrated_later(sensor, tmp_path):
     case = Late(duration_s=140.0, rms_m=3e-3, noise_m=0.05e-3)
     folder = write(tmp_path / "site", case, sensor)

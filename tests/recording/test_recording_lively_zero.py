@@ -8,6 +8,7 @@ import pytest
 import midspan
 from lively_recordings import Lively, write
 from midspan.settings.stored.calibration import load_calibration
+from repeats import slow
 
 EVERY_METHOD = ("smoother", "kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir")
 
@@ -34,9 +35,7 @@ def errors_of_zero(case, folder, sensor, methods):
     ("rate_hz", "methods"),
     [
         (50.0, EVERY_METHOD),
-        (100.0, ("smoother", "kalman", "lag")),
-        (200.0, ("smoother", "kalman")),
-        (500.0, ("smoother",)),
+        *slow((100.0, ("smoother", "kalman", "lag")), (200.0, ("smoother", "kalman")), (500.0, ("smoother",))),
     ],
 )
 def test_a_radars_zero_is_its_first_frames_own_also_between_samples(rate_hz, methods, tmp_path):
@@ -52,7 +51,7 @@ def test_a_radars_zero_is_its_first_frames_own_also_between_samples(rate_hz, met
         assert np.sqrt(np.mean(np.square(shares))) < 1.6, (method, shares)
 
 
-@pytest.mark.parametrize("sensor", ["camera", "infrared"])
+@pytest.mark.parametrize("sensor", ["camera", *slow("infrared")])
 def test_the_zero_of_pictures_is_the_first_ones_also_between_samples(sensor, tmp_path):
     shares = [
         errors_of_zero(first_frame_between_samples(50.0, seed, 10.0), tmp_path / str(seed), sensor, ("smoother",))
@@ -82,7 +81,7 @@ def bias_and_mean(case, folder, sensor):
     return found["bias_m_s2"] - case.bias_m_s2, found["bias_std_m_s2"], mean - case.bias_m_s2
 
 
-@pytest.mark.parametrize("duration_s", [25.0, 8.0])
+@pytest.mark.parametrize("duration_s", [8.0, *slow(25.0)])
 def test_the_calibrated_bias_is_the_sensors_and_not_the_motions(duration_s, tmp_path):
     cases = [Lively(seed=seed, first_s=0.5, duration_s=duration_s) for seed in range(12)]
     error, std, mean = np.transpose([bias_and_mean(c, tmp_path / str(c.seed), "displacement") for c in cases])

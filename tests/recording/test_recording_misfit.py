@@ -7,6 +7,7 @@ import midspan
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.fit import Pair, evaluate
 from recording_edits import set_keys, write_displacement
+from repeats import slow
 
 
 def write(folder, seed, inclined_deg=0.0, length_s=60.0):
@@ -30,7 +31,7 @@ def write(folder, seed, inclined_deg=0.0, length_s=60.0):
     return time, 1e3 * moved[0]
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman"])
+@pytest.mark.parametrize("method", ["kalman", *slow("smoother")])
 def test_cross_motion_of_an_inclined_accelerometer_widens_the_band(method, tmp_path):
     inside = []
     for seed in range(3):

@@ -10,6 +10,7 @@ from midspan.errors import UntrustedError
 from midspan.records import Floats, Status
 from midspan.simulate.radar.signal import Reflector
 from radar_recordings import PLATE, Case, true_mm, write
+from repeats import slow
 
 WALL = Reflector(3.4, 700.0, ratio=1 / 1.27, azimuth_rad=0.2)
 LEAVES_S = 17.0
@@ -54,7 +55,7 @@ def test_a_parked_car_that_drives_off_is_left_out_and_the_wall_goes_on(tmp_path)
     assert np.all(result.estimate.status == Status.TRACKING)
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman"])
+@pytest.mark.parametrize("method", ["kalman", *slow("smoother")])
 def test_an_only_target_that_drives_off_leaves_no_result(method, tmp_path) -> None:
     # Acceleration and radar contradict each other smoothly; it may as well be the accelerometer that is wrong.
     folder = write(tmp_path, Case((CAR, PLATE), seed=2))
@@ -62,7 +63,7 @@ def test_an_only_target_that_drives_off_leaves_no_result(method, tmp_path) -> No
         estimated(folder, method=method)
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman", "fir"])
+@pytest.mark.parametrize("method", ["kalman", "fir", *slow("smoother")])
 def test_rows_that_nothing_carries_are_coasting_and_their_band_holds(method, tmp_path) -> None:
     hidden = Reflector(3.4, 900.0, ratio=1 / 1.27, blocked=((16.5, 21.5),))
     folder = write(tmp_path, Case((hidden, PLATE), seed=3))

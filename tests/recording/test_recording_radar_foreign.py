@@ -8,6 +8,7 @@ import pytest
 
 import midspan
 from midspan.simulate.motion.motion import random_motion
+from repeats import slow
 
 CARRIER_HZ, FACTOR = 77.7e9, 1.3
 
@@ -48,7 +49,7 @@ def given(known, wall, **changed):
     return midspan.load_calibration(wall / "given.json")
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir"])
+@pytest.mark.parametrize("method", ["smoother", "kalman", "fir", *slow("lag", "adaptive-kalman", "two-stage-fir")])
 def test_a_foreign_factor_or_clock_is_refused_by_every_method_and_the_right_one_is_not_reported(wall, known, method):
     recording = midspan.open_recording(wall)
     for changed, words in (

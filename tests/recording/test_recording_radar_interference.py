@@ -9,6 +9,7 @@ import pytest
 import midspan
 from midspan.errors import UntrustedError
 from midspan.papers.scenes import write_scene
+from repeats import slow
 
 CARRIER_HZ, LIGHT_M_S, RATE_HZ, BIN_M = 77e9, 299_792_458.0, 100.0, 0.2
 # Of the target relative to its amplitude of 1: a frame's phase errs by 0.022 rad, 7 µm.
@@ -106,7 +107,7 @@ def three(tmp_path_factory):
     return found
 
 
-@pytest.mark.parametrize("method", ["smoother", "kalman", "lag", "fir"])
+@pytest.mark.parametrize("method", ["kalman", "fir", *slow("smoother", "lag")])
 def test_the_zero_is_what_all_frames_say_of_the_first_one(three, method):
     off, std, zero_mm = [], [], []
     for folder, true_mm, calibration in three:
@@ -126,7 +127,7 @@ def test_the_zero_is_what_all_frames_say_of_the_first_one(three, method):
     assert np.sqrt(np.mean([np.mean(one) ** 2 for one in off])) < 2.3 * max(zero_mm)
 
 
-@pytest.mark.parametrize("seed", [0, 6])
+@pytest.mark.parametrize("seed", [0, *slow(6)])
 def test_a_fixed_target_is_not_taken_for_one_that_moves(tmp_path, seed):
     # With three targets found (0) and with two (6); the wall stands at 7.46 m, tree and fence move.
     write_scene("002-bridge", tmp_path / "bridge", seed=seed)

@@ -9,6 +9,7 @@ from midspan.radar.chirp import RangeAxis
 from midspan.radar.frames import RadarFrames, without_holes
 from midspan.radar.target import find_targets
 from midspan.simulate.motion.motion import random_motion
+from repeats import slow
 
 PERIOD_S, CYCLE_M = 0.01, 299_792_458.0 / (2 * 78e9)
 
@@ -35,7 +36,7 @@ def frames(seed: int, *, channels: int, lost: float, frame_count: int = 2000) ->
     return RadarFrames(stamps, np.where(valid[..., None], z, 0.0).astype(np.complex64), valid), samples
 
 
-@pytest.mark.parametrize("channels", [1, 2])
+@pytest.mark.parametrize("channels", [2, *slow(1)])
 def test_lost_frames_move_neither_clock_nor_factor(channels: int) -> None:
     # Held frames were late by a frame's period times their share: 0.4 ms at 5 %, ten deviations and more.
     axis = RangeAxis(0.05 * np.arange(24), 78e9, 0.0)

@@ -10,6 +10,7 @@ from lively_recordings import SENSORS, Lively, write
 from midspan.cli.main import run
 from midspan.settings.plausible import SENSITIVITY
 from recording_edits import append, read_columns, set_keys
+from repeats import slow
 
 STD = 0.02
 SCALES = {"camera": "scale_mm_per_px", "infrared": "scale_mm_per_px", "radar": "conversion_factor"}
@@ -21,7 +22,7 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module", params=sorted(CASES))
+@pytest.fixture(scope="module", params=["camera", "displacement", "radar", *slow("infrared")])
 def known(request, tmp_path_factory):
     """Sensor, folder, and the calibrations without and with a given tolerance."""
     sensor = request.param

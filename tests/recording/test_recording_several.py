@@ -141,8 +141,7 @@ def test_the_calibration_of_two_serves_a_recording_of_either(site):
     assert np.max(np.abs(difference)) < 4.0 * np.max(own.displacement_std_mm)
 
 
-@pytest.mark.parametrize("kind", ["displacement", "camera"])
-@pytest.mark.parametrize("moving", ["one", "other"])
+@pytest.mark.parametrize(("kind", "moving"), [("displacement", "one"), ("camera", "other")])
 def test_one_of_two_that_moves_by_itself_is_named_and_the_rows_keep_the_level(kind, moving, tmp_path):
     named = pair(kind)
     named[moving] = replace(named[moving], moved=(15.0, 5e-3))

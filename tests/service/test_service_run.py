@@ -119,7 +119,6 @@ def until(condition, seconds=300.0):
     raise TimeoutError
 
 
-@pytest.mark.slow
 def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
     web = free_port()
     (tmp_path / "SITE.toml").write_text(SITE.format(broker=broker, web=web))
@@ -208,7 +207,6 @@ def check_messages(seen, table):
     assert json.loads(seen[f"{root}/p/summary"][-1])["unit"] == "mm"
 
 
-@pytest.mark.slow
 def test_frames_of_a_network_camera_have_the_senders_stamps(rtsp, monkeypatch):
     # On a busy machine the sender's own reports disagree by milliseconds for longer than a camera's would.
     monkeypatch.setattr("midspan.sources.live.camera.REPORT_S", 300.0)
