@@ -15,6 +15,7 @@ import numpy as np
 from midspan import Acceleration, Displacement
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings
+from midspan.papers.printed.adaptive import MET_NOISE, MET_USED, ROW_X, PrintedFilter
 
 RATE_HZ, SLOW_HZ, LENGTH_S = 100.0, 10.0, 1200.0
 NOISE_A, NOISE_D = 5e-3, 0.5e-3  # m/s² a sample, m
@@ -45,10 +46,17 @@ def estimated(bias, *, literal):
 
     As printed it is the estimated noise variance; the guarded form's innovations hold the prediction's variance too.
     """
-    found = run_method("adaptive-kalman", *at_rest(bias), MethodSettings(literal=literal, forgetting=0.98))
-    error = found.estimate.displacement_m[len(found.estimate.displacement_m) // 2 :]
-    variance = found.variance_m2 if literal else found.innovation.variance_m2
-    return variance / NOISE_D**2, 1e3 * np.sqrt(np.mean(error**2))
+    acceleration, displacement = at_rest(bias)
+    if literal:
+        settings = MethodSettings(literal=True, forgetting=0.98)
+        printed = PrintedFilter(settings, int(acceleration.time_ns[0]), step_s=1.0 / RATE_HZ, speed_m_s=0.0)
+        printed.wait(displacement)
+        rows, met = printed.push(acceleration)
+        moved, variance = rows[:, ROW_X], met[met[:, MET_USED] > 0.0, MET_NOISE]
+    else:
+        found = run_method("adaptive-kalman", acceleration, displacement, MethodSettings(forgetting=0.98))
+        moved, variance = found.estimate.displacement_m, found.innovation.variance_m2
+    return variance / NOISE_D**2, 1e3 * np.sqrt(np.mean(moved[len(moved) // 2 :] ** 2))
 
 
 courses = {}

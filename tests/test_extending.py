@@ -21,6 +21,7 @@ from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, Method, Pass
 from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.on_series import MethodRows
 from midspan.records import (
     Arrival,
     Channel,
@@ -116,7 +117,7 @@ def test_a_method_is_a_file_and_a_row(tmp_path, monkeypatch):
     class Nearest:
         """The last displacement before each sample, a millimetre off."""
 
-        delay_samples, notes, state = 0, (), ()
+        delay_samples, state = 0, ()
 
         def __init__(self, settings, usual):
             self.time_ns, self.value_m = np.empty(0, dtype=np.int64), np.empty(0)
@@ -130,7 +131,7 @@ def test_a_method_is_a_file_and_a_row(tmp_path, monkeypatch):
         def rows(self, time_ns):
             place = np.searchsorted(self.time_ns, time_ns, side="right") - 1
             value = self.value_m[np.maximum(place, 0)] + 1e-3
-            return value, np.zeros(len(value)), place >= 0
+            return MethodRows(value, np.zeros(len(value)), place >= 0)
 
         def predict(self, time_ns):
             return None

@@ -71,9 +71,10 @@ def test_rows_that_nothing_carries_are_coasting_and_their_band_holds(method, tmp
     std, status = result.displacement_std_mm, result.estimate.status
     unseen = (result.time_s > 16.6) & (result.time_s < 21.4)
     assert np.all(status[unseen] != Status.TRACKING)
-    # The acceleration alone carries them: a tenth of a millimetre after a second, by the accelerometer's noise.
-    assert np.all(np.diff(std[unseen]) > -1e-3)
-    assert std[unseen][-1] > 0.3
+    # The acceleration alone carries them: a tenth of a millimetre after a second, by the accelerometer's noise; `fir`
+    # comes later, and its rows know what is seen after it.
+    assert method == "fir" or np.all(np.diff(std[unseen]) > -1e-3)
+    assert method == "fir" or std[unseen][-1] > 0.3
     assert np.all(np.abs(error) < 5.0 * std)
     # The level after it is a new one, and said to be.
     assert "new datum" in {event.kind for event in result.events}

@@ -17,7 +17,7 @@ from midspan.papers.published import PAPER_KEYS
 @click.option("--method", default="kalman", show_default=True, help="One of `midspan methods` but smoother.")
 @click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
 @click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
-@click.option("--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="End after so many s of it.")
+@click.option("--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="End after this many s of it.")
 @common_options
 def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Play a recording through a live point into a store: the rows are those of `estimate` with the same method."""

@@ -34,6 +34,16 @@ FIRST_NS = np.iinfo(np.int64).min
 
 
 @dataclass(frozen=True, slots=True)
+class MethodRows:
+    """What a method has at samples (n,): displacement (m), velocity (m/s), whether there are any; what it reports."""
+
+    displacement_m: Floats
+    velocity_m_s: Floats
+    known: Mask
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Usual:
     """What is usual of both series: the steps between samples and between displacements, s, the rms speed, m/s."""
 
@@ -88,11 +98,6 @@ class SeriesMethod(Protocol):
         """Samples after a row that it needs."""
         ...
 
-    @property
-    def notes(self) -> tuple[tuple[str, str], ...]:
-        """What to know of the rows: kinds of events and their sentences."""
-        ...
-
     def wait(self, met: Displacement) -> None:
         """Take displacements that are finite and later than the last sample, in time order."""
         ...
@@ -101,8 +106,8 @@ class SeriesMethod(Protocol):
         """Take further samples."""
         ...
 
-    def rows(self, time_ns: Nanoseconds) -> tuple[Floats, Floats, Mask]:
-        """Displacement (m), velocity (m/s) and whether there are any, (n,) at samples; what is before is forgotten."""
+    def rows(self, time_ns: Nanoseconds) -> MethodRows:
+        """The rows at samples (n,), in order; what is before them is forgotten."""
         ...
 
     def predict(self, time_ns: int) -> tuple[float, float] | None:
@@ -111,9 +116,8 @@ class SeriesMethod(Protocol):
 
 
 MakeMethod = Callable[[MethodSettings, Usual], SeriesMethod]
-# Of the estimator; the last sample's stamp; whether the methods' notes were given out; of each axis that of the
-# method and the newest displacement that it took, ns.
-OnSeriesState = tuple[State, int, bool, tuple[tuple[Any, int] | None, ...]]
+# Of the estimator; the last sample's stamp; of each axis that of the method, and the newest displacement that it took.
+OnSeriesState = tuple[State, int, tuple[tuple[Any, int] | None, ...]]
 
 
 class OnSeries:
@@ -144,7 +148,6 @@ class OnSeries:
             np.array([one.axis == axis and one.sensor in sensors for one in settings.channels])
             for axis in range(len(methods))
         ]
-        self._reported = False
 
     @property
     def settings(self) -> EstimatorSettings:
@@ -192,11 +195,11 @@ class OnSeries:
             None if method is None else (method.state, newest_ns)
             for method, newest_ns in zip(self._methods, self._newest_ns, strict=True)
         )
-        return self._inner.state, self._last_ns, self._reported, own
+        return self._inner.state, self._last_ns, own
 
     def restore(self, state: OnSeriesState) -> None:
         """Go on from a state of a stream with the same settings."""
-        inner, self._last_ns, self._reported, own = state
+        inner, self._last_ns, own = state
         self._inner.restore(inner)
         for axis, (method, kept) in enumerate(zip(self._methods, own, strict=True)):
             if method is not None and kept is not None:
@@ -220,16 +223,13 @@ class OnSeries:
         for axis, method in enumerate(self._methods):
             if method is None:
                 continue
-            one = estimates[axis]
-            displacement, velocity, known = method.rows(one.time_ns)
-            apart = np.where(known, displacement - one.displacement_m, 0.0)
+            one, own = estimates[axis], method.rows(estimates[axis].time_ns)
+            apart = np.where(own.known, own.displacement_m - one.displacement_m, 0.0)
             estimates[axis] = replace(
                 one,
-                displacement_m=np.where(known, displacement, one.displacement_m),
+                displacement_m=np.where(own.known, own.displacement_m, one.displacement_m),
                 variance_m2=one.variance_m2 + apart**2,
-                velocity_m_s=np.where(known, velocity, one.velocity_m_s),
+                velocity_m_s=np.where(own.known, own.velocity_m_s, one.velocity_m_s),
             )
-            if not self._reported:
-                events += [Event(int(one.time_ns[0]), kind, text, axis) for kind, text in method.notes]
-        self._reported = True
+            events += [replace(event, axis=axis) for event in own.events]
         return replace(rows, estimates=tuple(estimates), events=tuple(events))

@@ -30,6 +30,7 @@ REGION = Region(68, 68, 64, 64)
 FRAME_RATE = Fraction(30000, 3 * 1001)  # every third frame of 29.97 Hz, as both papers take them
 CAMERA = Camera(exposure_s=0.008, full_well_e=5000.0, read_noise_e=8.0)
 TIME_OFFSET_S = 0.037
+MAX_OFFSET_S = 0.15  # the clocks are known to be less than a third of a period of the fastest motion, 2.1 Hz, apart
 LEAD_S = 1.0
 CALIBRATION = "calibration"  # the name of the span that the scale factor is estimated in
 
@@ -349,7 +350,7 @@ def _settings(film: Film) -> str:
         "name": film.scene.title,
         "accelerometer": {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"},
         "camera": camera,
-        "calibration": {"window_s": [0.0, film.spans[CALIBRATION][1]]},
+        "calibration": {"window_s": [0.0, film.spans[CALIBRATION][1]], "max_offset_s": MAX_OFFSET_S},
         "reference": {"file": "truth.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"},
     }
     return tomli_w.dumps(sections)

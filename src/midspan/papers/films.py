@@ -34,9 +34,8 @@ from midspan.settings.stored.calibration import Calibration
 from midspan.vision.tracker import open_tracker, tracker_settings
 
 # What the printed calibration is given: its band reaches from 0.3 Hz to a tenth of the camera's 29.97 frames a second,
-# of which every third is used (AMKF paper, sections 3.1.1 and 4.1). The clocks are known to be less than a third of a
-# period of the fastest calibration's tone, 2.1 Hz, apart.
-CALIBRATED: dict[str, Any] = {"band_hz": (0.3, 2.997), "max_offset_s": 0.15}
+# of which every third is used (AMKF paper, sections 3.1.1 and 4.1).
+CALIBRATED: dict[str, Any] = {"band_hz": (0.3, 2.997)}
 HALF_SAMPLE_S = 0.5 / ACCELEROMETER.rate_hz
 
 

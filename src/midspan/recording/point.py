@@ -184,9 +184,8 @@ def measuring_point(
         more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
     table.by_first_terms()
-    section = recording.accelerometer
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
-    table.gain(stds, estimated=section.estimate_scale)
+    table.gain(stds, estimated=recording.accelerometer.estimate_scale)
     offsets_ns = clock_offsets_ns(main, tracked_cameras)
     settings = estimator_settings(table, sides, tracked_cameras, sensors)
     if method.follows_noise:

@@ -105,9 +105,7 @@ def replay(
         point = asked.point(sides, tracked_cameras, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
-        radars = {view.sensor: view.radar.info for view in recording.views if KINDS[view.kind].brings is RangeFrame}
-        body, settings = json.dumps(calibration.with_even_clocks().to_dict()), settings_json(recording.settings, radars)
-        number = store.add_calibration(name, first_ns, body, settings, accept=False)
+        number = _add_calibration(store, name, first_ns, recording, calibration)
         motion_m = point.estimator.settings.motion[0][0]
         offsets_ns = clock_offsets_ns(sides[0], tracked_cameras)
         journal = Journal(name, offsets_ns, axes=axes, calibration=number, motion_m=motion_m)
@@ -131,6 +129,13 @@ def replay(
     progress(1, 1, "replaying")
     late = (None, None) if pace is None else (Latency.of(pace.of_samples_s), Latency.of(pace.of_frames_s))
     return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings), *late)
+
+
+def _add_calibration(store: Store, name: str, first_ns: int, recording: Recording, calibration: Calibration) -> int:
+    """Keep the calibration with the recording's settings, not accepted yet; returns its number."""
+    radars = {view.sensor: view.radar.info for view in recording.views if KINDS[view.kind].brings is RangeFrame}
+    body, settings = json.dumps(calibration.with_even_clocks().to_dict()), settings_json(recording.settings, radars)
+    return store.add_calibration(name, first_ns, body, settings, accept=False)
 
 
 def check_method(recording: Recording, method: str) -> None:

@@ -16,10 +16,9 @@ from midspan import _core
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.entry import MAX_M
 from midspan.fusion.estimator import State, restore
-from midspan.fusion.on_series import Held, Usual
+from midspan.fusion.on_series import Held, MethodRows, Usual
 from midspan.fusion.streams import MethodSettings
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Nanoseconds, part, seconds
-from midspan.signals.health import Mask
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, part, seconds
 
 # This many frames may wait for the samples that cover them; older ones are dropped.
 MAX_WAITING = 65536
@@ -96,6 +95,16 @@ class PrintedFilter:
         return self._core.predict((time_ns - self.origin_ns) / NANOSECONDS)
 
 
+# Estimated noise over that of the start beyond which it runs away.
+RUN_AWAY = 10.0
+AS_PRINTED = (
+    "fusion.literal: the rows are those of the filter exactly as printed, without bias, gate and limits. Its own "
+    "covariance does not hold its error: the band is the guarded filter's and what the two differ by."
+)
+GROWN = (
+    "fusion.literal: the estimated noise grew to {:.3g} times that of the start: it runs away, most often under a bias "
+    "of the accelerometer. Leave fusion.literal out."
+)
 NOTHING = Displacement(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.uint8))
 
 
@@ -103,19 +112,15 @@ class AdaptiveRows:
     """The filter as a method over a series, counted from its first displacement."""
 
     delay_samples = 0
-    notes = (
-        (
-            "literal",
-            "fusion.literal: the rows are those of the filter exactly as printed, without bias, gate and limits. Its "
-            "own covariance does not hold its error: the band is the guarded filter's and what the two differ by.",
-        ),
-    )
 
     def __init__(self, settings: MethodSettings, usual: Usual) -> None:
         """See `fusion.on_series`."""
         self._settings, self._usual = settings, usual
         self._filter: PrintedFilter | None = None
         self._level_m, self._early, self._held = np.nan, NOTHING, Held(2)
+        # Stamps of the frames that wait. Variance R of the start: NaN before it, infinite once its growth is an event.
+        self._frames_ns, self._start_m2 = NOTHING.time_ns, np.nan
+        self._events: tuple[Event, ...] = ()
 
     def wait(self, met: Displacement) -> None:
         """Take displacements that are later than the last sample; those before the first sample do not count."""
@@ -125,6 +130,7 @@ class AdaptiveRows:
             return
         if np.isnan(self._level_m) and len(met.time_ns):
             self._level_m = float(met.value_m[0])
+        self._frames_ns = np.append(self._frames_ns, met.time_ns)
         self._filter.wait(replace(met, value_m=met.value_m - self._level_m))
 
     def push(self, acceleration: Acceleration) -> None:
@@ -132,18 +138,32 @@ class AdaptiveRows:
         if self._filter is None:
             self._filter = self._begun(int(acceleration.time_ns[0]))
             self.wait(part(self._early, self._early.time_ns >= acceleration.time_ns[0]))
-        rows, _ = self._filter.push(acceleration)
+        rows, met = self._filter.push(acceleration)
+        self._watch(met)
         self._held.add(acceleration.time_ns, rows[:, ROW_X], rows[:, ROW_VELOCITY])
 
-    def rows(self, time_ns: Nanoseconds) -> tuple[Floats, Floats, Mask]:
-        """Displacement (m), velocity (m/s) and whether they are finite, (n,); beyond that the filter ran away."""
+    def rows(self, time_ns: Nanoseconds) -> MethodRows:
+        """The rows at samples (n,), as far as they are finite: beyond that the filter ran away."""
         place, known = self._held.at(time_ns)
         found = np.full((2, len(time_ns)), np.nan)
         for row, column in zip(found, self._held.columns, strict=True):
             row[known] = column[place[known]]
         self._held.drop_first(int(place[-1]))
         displacement = found[0] + np.nan_to_num(self._level_m)
-        return displacement, found[1], (np.abs(displacement) <= MAX_M) & np.isfinite(found[1])
+        events, self._events = self._events, ()
+        known = (np.abs(displacement) <= MAX_M) & np.isfinite(found[1])
+        return MethodRows(displacement, found[1], known, events)
+
+    def _watch(self, met: Floats) -> None:
+        """Report with the first frame what the rows are, and once that R has grown far beyond that of the start."""
+        stamps, self._frames_ns = self._frames_ns[: len(met)], self._frames_ns[len(met) :]
+        used = met[:, MET_USED] > 0.0
+        for time_ns, noise_m2 in zip(stamps[used].tolist(), met[used, MET_NOISE].tolist(), strict=True):
+            if np.isnan(self._start_m2):
+                self._start_m2, self._events = noise_m2, (Event(time_ns, "literal", AS_PRINTED),)
+            elif noise_m2 > RUN_AWAY**2 * self._start_m2:
+                grown, self._start_m2 = np.sqrt(noise_m2 / self._start_m2), np.inf
+                self._events += (Event(time_ns, "literal", GROWN.format(grown)),)
 
     def predict(self, time_ns: int) -> tuple[float, float] | None:
         """Of `PrintedFilter`, counted as the series is."""
@@ -158,11 +178,11 @@ class AdaptiveRows:
         one, early = self._filter, self._early
         waiting = early.time_ns, early.value_m, early.variance_m2, early.source
         own = None if one is None else (one.state, one.origin_ns)
-        return own, self._level_m, waiting, self._held.state
+        return own, self._level_m, waiting, self._held.state, self._frames_ns, self._start_m2, self._events
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        own, self._level_m, waiting, self._held.state = state
+        own, self._level_m, waiting, self._held.state, self._frames_ns, self._start_m2, self._events = state
         self._early, self._filter = Displacement(*waiting), None
         if own is not None:
             self._filter = self._begun(own[1])

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from midspan.fusion.methods import SPLINE_FRAMES
-from midspan.fusion.on_series import FIRST_NS, Held
+from midspan.fusion.on_series import FIRST_NS, Held, MethodRows
 from midspan.papers.printed.resample import filtered_at, local_spline, spline_reach
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Nanoseconds, seconds
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, seconds
 from midspan.signals.health import Mask
 
 # A step of the acceleration outside these shares of the usual one is a gap.
@@ -104,12 +104,7 @@ class FirRows:
         self.branches, self.delay_samples = branches, branches.delay_samples
         self._samples, self._knots = Held(1, branches.before_samples), Held(1)
         # The first sample, which seconds count from, and the newest displacement.
-        self._origin_ns, self._newest_ns = FIRST_NS, FIRST_NS
-
-    @property
-    def notes(self) -> tuple[tuple[str, str], ...]:
-        """What to know of the rows: kinds of events and their sentences."""
-        return tuple(("rate", text) for text in self.branches.warnings)
+        self._origin_ns, self._newest_ns, self._reported = FIRST_NS, FIRST_NS, False
 
     def wait(self, met: Displacement) -> None:
         """Take displacements that are later than the last sample."""
@@ -125,15 +120,17 @@ class FirRows:
             self._origin_ns = int(acceleration.time_ns[0])
         self._samples.add(acceleration.time_ns, acceleration.value_m_s2 - self.branches.bias_m_s2)
 
-    def rows(self, time_ns: Nanoseconds) -> tuple[Floats, Floats, Mask]:
-        """Displacement (m), velocity (m/s) and whether there are any, (n,) at samples."""
+    def rows(self, time_ns: Nanoseconds) -> MethodRows:
+        """The rows at samples (n,); with the first ones comes what is wrong with the rates."""
         place, known = self._samples.at(time_ns)
         around = self.branches.margin + 1
         first = max(int(place[0]) - around, 0)
         found, full = self._filtered(slice(first, int(place[-1]) + around))
         place = np.minimum(place - first, len(full) - 1)
         self._forget(int(time_ns[-1]))
-        return found[0, place], found[1, place], known & full[place]
+        warnings, self._reported = () if self._reported else self.branches.warnings, True
+        events = tuple(Event(int(time_ns[0]), "rate", text) for text in warnings)
+        return MethodRows(found[0, place], found[1, place], known & full[place], events)
 
     def predict(self, time_ns: int) -> None:
         """The estimator predicts."""
@@ -141,11 +138,11 @@ class FirRows:
     @property
     def state(self) -> tuple[Any, ...]:
         """All that has an effect on what comes later."""
-        return self._samples.state, self._knots.state, self._origin_ns, self._newest_ns
+        return self._samples.state, self._knots.state, self._origin_ns, self._newest_ns, self._reported
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        self._samples.state, self._knots.state, self._origin_ns, self._newest_ns = state
+        self._samples.state, self._knots.state, self._origin_ns, self._newest_ns, self._reported = state
 
     def _filtered(self, window: slice) -> tuple[Floats, Mask]:
         """Displacement and velocity (2, n) of samples, and which have full windows among them."""
