@@ -50,9 +50,18 @@ def test_a_site_as_documented(tmp_path, monkeypatch):
     assert without_secrets(point.sources["camera"]) == "rtsp://127.0.0.1:8554/cam"
 
 
+def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
+    printed = SITE.replace('method = "lag"', 'method = "two-stage-fir"\nliteral = true')
+    recording = loaded(tmp_path, monkeypatch, printed).points[0].recording
+    assert (recording.fusion.method, recording.fusion.literal) == ("two-stage-fir", True)
+    # Trackers and calibration are as printed, too, as by --literal.
+    assert recording.calibration.literal
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (('method = "lag"', 'method = "lag"\nliteral = true'), r"literal = true needs the method of a paper"),
         (('name = "quarter-span"', 'name = "a b"'), r"point 'a b': name = 'a b': must be 1 to 64 letters"),
         (('method = "lag"', 'method = "smoother"'), r"point 'quarter-span': method = 'smoother'"),
         (('source = "mqtt:bridge/acc1"', 'source = "ftp://x"'), r"accelerometer.source: must be one of mqtt:"),

@@ -59,6 +59,17 @@ def test_the_rows_are_those_of_estimate(bridge, tmp_path, method, literal):
     store.close()
 
 
+def test_in_real_time_rows_are_as_late_as_frames_come(bridge, tmp_path):
+    recording, calibration = bridge
+    store = open_store(tmp_path)
+    done = replay(recording, store, name="p", calibration=calibration, speed=4.0, length_s=6.0)
+    store.close()
+    # Samples wait for the next frame, which may be of an instant before theirs: 0.1 s at 10 Hz, four times as fast.
+    assert 0.01 < done.from_frame.median_s < 0.1
+    assert 0.005 < done.from_sample.median_s <= done.from_frame.of_95_s
+    assert done.rows < 650
+
+
 class Interrupted(BaseException):
     """Somebody pressed Ctrl-C."""
 

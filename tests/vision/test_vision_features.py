@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -223,6 +224,7 @@ def test_a_region_without_texture_or_with_too_few_features_is_refused(scene, mak
         ("max_features", 3),
         ("threshold", -1.0),
         ("threshold", math.nan),
+        ("threshold_dn2", -1.0),
         ("octaves", 5),
         ("epsilon_px", 0.0),
         ("search_px", 1.0),
@@ -236,6 +238,27 @@ def test_a_region_without_texture_or_with_too_few_features_is_refused(scene, mak
 def test_settings_outside_their_range_are_refused_by_name(key, value):
     with pytest.raises(UsageError, match=key):
         FeatureSettings(**{key: value})
+
+
+def test_a_threshold_in_grey_levels_keeps_the_blobs_that_are_as_strong_whatever_the_contrast(reference):
+    def strongest(scale, least):
+        pixels = np.clip(128.0 + scale * (reference.pixels - reference.pixels.mean()), 0, 255).astype(np.float32)
+        return len(tracker(replace(reference, pixels=pixels), threshold=0.0, threshold_dn2=least).features)
+
+    whole, least = strongest(1.0, 0.0), 120.0
+    some = strongest(1.0, least)
+    assert 6 < some < 0.7 * whole
+    # The determinant goes with the square of the contrast, and so does the threshold that keeps the same blobs.
+    assert strongest(0.5, 0.25 * least) == pytest.approx(some, abs=1)
+    with pytest.raises(UsageError, match="at least 6 features"):
+        strongest(0.5, 1e4 * least)
+
+
+def test_as_printed_a_match_must_be_clearer_than_the_second_nearest():
+    assert FeatureSettings(literal=True).least_ratio == 0.6
+    assert FeatureSettings(technique="existing").least_ratio == 0.65
+    assert FeatureSettings().least_ratio is None
+    assert FeatureSettings(literal=True, ratio=0.9).least_ratio == 0.9
 
 
 def test_a_missing_contrib_module_is_named_with_what_to_install(reference, monkeypatch):

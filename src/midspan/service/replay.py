@@ -93,8 +93,7 @@ def replay(
             f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
             "another name (--point), or another store (-o)."
         )
-    given = calibration is not None
-    tracking = None
+    given, tracking = calibration is not None, None
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
@@ -106,8 +105,7 @@ def replay(
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
         number = _add_calibration(store, name, first_ns, recording, calibration)
-        motion_m = point.estimator.settings.motion[0][0]
-        offsets_ns = clock_offsets_ns(sides[0], tracked_cameras)
+        offsets_ns, motion_m = clock_offsets_ns(sides[0], tracked_cameras), point.estimator.settings.motion[0][0]
         journal = Journal(name, offsets_ns, axes=axes, calibration=number, motion_m=motion_m)
         pace = None if speed is None else Pace(speed, offsets_ns, wait)
         player = Player(point, journal, store, pace)
@@ -119,8 +117,7 @@ def replay(
                 done_s = (player.newest_ns - first_ns) / NANOSECONDS
                 progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
             player.finish()
-        except BaseException:
-            # The store had nothing as new of this point.
+        except BaseException:  # the store had nothing as new of this point
             store.forget_since(name, player.oldest_ns, number)
             raise
         store.accept(name, number)
