@@ -70,7 +70,10 @@ CHIRP = Experiment(
                 "the resolution is the printed one within 1 %": "resolution, off by % < 1.0",
             },
             unit="",
-            because="Slope, samples and rate of Table 1 make 2.77 GHz: 5.41 cm and 13.8 m; printed are 0.9 of these.",
+            because=(
+                "Slope, samples and rate of Table 1 make 2.77 GHz: 5.41 cm and 13.8 m. Printed is 0.9 f_s c / (2 S) / "
+                "255 = 4.89 cm: the usable band of the ADC, 0.9 of its rate, over the 255 steps between 256 points."
+            ),
         ),
     ),
 )

@@ -134,9 +134,9 @@ STOREY = Experiment(
             },
             errors=True,
             because=(
-                "Excitations 3 and 5 alias to 0.9 and 1.3 Hz, which Lee's low-pass already takes off; the "
-                "anti-aliasing stage then only adds the noise of each frame, and the trapezoidal rule is 7 % wrong "
-                "at 10.3 Hz."
+                "Excitations 3 and 5 alias to 0.9 and 1.3 Hz, which Lee's low-pass already takes off. What the "
+                "anti-aliasing stage leaves there is the trapezoidal rule's error, 1.7 % of the tone at 5.1 Hz and 7 % "
+                "at 10.3 Hz, aliased: with a fifth of the frames' noise it still errs twice as much."
             ),
         ),
         Entry(

@@ -260,9 +260,10 @@ def by_range(
 
     finger_s: from when to when something warm is in front of the target; matches are counted apart there.
     """
-    limits = {
+    limits: dict[str, Limits | None] = {
         "FOV": field_range(known.frames),
         "ROI": region_range(known.frames, INFRARED_ROI),
+        "ROI of each frame": None,
         "optimised": surface.best,
     }
     warm = (one.at_s >= finger_s[0]) & (one.at_s < finger_s[1])
@@ -284,10 +285,13 @@ def by_range(
     return found, counts
 
 
-def _tracked(one: Filmed, limits: Limits) -> list[PixelTranslation]:
-    """The track in grey levels, all lost where the range shows the target too few."""
+def _tracked(one: Filmed, limits: Limits | None) -> list[PixelTranslation]:
+    """The track in grey levels, all lost where the range shows the target too few; limits: None: each frame's own."""
     try:
-        grey = in_grey(one.frames, limits)
+        if limits is None:
+            grey = [in_grey([frame], region_range([frame], INFRARED_ROI))[0] for frame in one.frames]
+        else:
+            grey = in_grey(one.frames, limits)
         return one.followed(open_tracker("features", grey[0], INFRARED_ROI, IN_GREY), grey, printed=True)
     except UsageError:
         return [lost(frame.time_ns) for frame in one.frames]

@@ -128,8 +128,17 @@ def _view(range_m: float, bin_m: float, factor: float, *others: Reflector) -> Ra
 _RADAR_FREE = (
     "amplitudes (31 to 51.6 mm at 0.3 and 0.5 Hz, above 15.5 mm at 1 Hz), clutter, noise of the receiver, clocks"
 )
-_TEST = _in_turn((sine(0.02, 1.0), sine(0.04, 0.3), sine(0.04, 0.5), random(0.3, 3.0, 0.01)), 10.0)
+_EXCITATIONS = {
+    "1 Hz": sine(0.02, 1.0), "0.3 Hz": sine(0.04, 0.3), "0.5 Hz": sine(0.04, 0.5), "recorded": random(0.3, 3.0, 0.01)
+}  # fmt: skip
+_TEST = _in_turn(tuple(_EXCITATIONS.values()), 10.0)
 _WALK = _in_turn((random(0.3, 4.0, 0.7e-3), random(0.3, 3.0, 0.7e-3), random(0.3, 3.0, 1e-3)), 13.0)
+_PARTS = tuple(Reflector(r, 900.0, 1.0, a) for r, a in ((31.0, 0.2), (34.5, -0.2), (38.0, 0.1), (42.0, -0.1)))
+_LABORATORY = {
+    "002-wall": ("wall at 1.318 m", _view(1.318, SHORT_RANGE.bin_m, 1.0)),
+    "002-building": ("building at 48 m", _view(48.0, LONG_RANGE.bin_m, 1.0, *_PARTS)),
+    "002-angled": ("model at 2.0543 m, factor 1.2748", _view(2.0543, SHORT_RANGE.bin_m, 1.2748)),
+}
 
 
 def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
@@ -147,7 +156,6 @@ def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
 
 _TREE = Reflector(4.1, 2200.0, 1.0, 0.3, own=random_motion((0.2, 1.5), 0.4e-3, rng=np.random.default_rng(6)))
 _FENCE = Reflector(5.6, 1500.0, 0.9, -0.3, own=random_motion((0.5, 3.0), 0.2e-3, rng=np.random.default_rng(7)))
-_PARTS = tuple(Reflector(r, 900.0, 1.0, a) for r, a in ((31.0, 0.2), (34.5, -0.2), (38.0, 0.1), (42.0, -0.1)))
 
 # A cup of hot and one of cold water at the edges, and a finger that crosses the target from 23.5 s to 27 s.
 _CUPS = (
@@ -223,9 +231,17 @@ PUBLISHED: dict[str, Scenario] = {
     "003-bridge-1": _footbridge(1, _crossing((2.46, 2.56))),
     "003-bridge-2": _footbridge(2, _crossing((1.50, 1.62))),
     "003-bridge-3": _footbridge(3, _tones((0.8e-3, 1.2e-3, 0.6e-3, 0.5e-3), (2.0, 2.102, 2.224, 2.51), 50.0)),
-    "002-wall": _radar("wall at 1.318 m, four excitations in turn", _view(1.318, SHORT_RANGE.bin_m, 1.0)),
-    "002-building": _radar("building at 48 m, four excitations", _view(48.0, LONG_RANGE.bin_m, 1.0, *_PARTS)),
-    "002-angled": _radar("model at 2.0543 m, factor 1.2748", _view(2.0543, SHORT_RANGE.bin_m, 1.2748)),
+    **{
+        name: scenario
+        for key, (line, view) in _LABORATORY.items()
+        for name, scenario in (
+            (key, _radar(f"{line}, four excitations in turn", view)),
+            *(
+                (f"{key}-{k}", _radar(f"{line}, {word} alone", view, _in_turn((one,), 40.0)))
+                for k, (word, one) in enumerate(_EXCITATIONS.items(), start=1)
+            ),
+        )
+    },
     "002-bridge": _radar(
         "footbridge at 7.4605 m, two stronger targets", _view(7.4605, SHORT_RANGE.bin_m, 1.0, _TREE, _FENCE), _WALK
     ),

@@ -39,14 +39,20 @@ def experiments(papers: Iterable[str]) -> list[Experiment]:
 def repeat(
     wanted: Sequence[Experiment], *, quick: bool, seeds: Sequence[int], progress: Progress, processes: int = 1
 ) -> list[Outcome]:
-    """Run the experiments with each seed; rows are judged on the mean. processes: how many run at the same time."""
-    runs = [(one, measure) for one in wanted for measure in (one.measure, one.cleaner) if measure is not None]
-    jobs = [(f"{one.paper} {one.name}", measure, Effort(seed, quick)) for one, measure in runs for seed in seeds]
+    """Run the experiments with each seed; rows are judged on the mean. processes: how many run at the same time.
+
+    With less noise each runs with the first seed alone.
+    """
+    jobs: list[Job] = []
+    for one in wanted:
+        name = f"{one.paper} {one.name}"
+        jobs += [(name, one.measure, Effort(seed, quick)) for seed in seeds]
+        jobs += [(name, one.cleaner, Effort(seeds[0], quick))] if one.cleaner is not None else []
     found = iter(_measured(jobs, progress, processes))
     outcomes = []
     for one in wanted:
         own = [next(found) for _ in seeds]
-        cleaner = [next(found) for _ in seeds if one.cleaner is not None]
+        cleaner = [next(found)] if one.cleaner is not None else []
         outcomes.append(Outcome(one, tuple(judged(one, own, cleaner)), own[0].curves))
     return outcomes
 
