@@ -65,7 +65,7 @@ def test_the_command_over_all_papers_and_its_claims(chosen, tmp_path, monkeypatc
     entries = [(one.paper, entry.where) for one in experiments(MODULES) for entry in one.entries]
     assert [(row["paper"], row["where"]) for row in reported] == entries
     assert all(row["why"] for row in reported)
-    assert page.read_text(encoding="utf-8").count("does not hold") == sum(
+    assert page.read_text(encoding="utf-8").count("| does not hold: ") == sum(
         row["verdict"] == Verdict.FAILS.value for row in reported
     )
     assert all((tmp_path / "images" / name).exists() for name in ("paper_003_fig16a.png", "paper_003_fig27c.png"))
@@ -89,6 +89,17 @@ def test_the_command_over_all_papers_and_its_claims(chosen, tmp_path, monkeypatc
             found[key], factors[key] = mean.verdict.value, mean.factor
     assert {key: found[key] for key in wanted} == wanted
     assert not {key: factor for key, factor in factors.items() if factor is not None and factor < 1.0}
+
+
+def test_a_row_shows_what_less_noise_gives_and_is_judged_without_it():
+    entry = Entry("T", "w", "p", ("a",), ("b",), {"c": "b < 0.5 · a"}, errors=True)
+    noisy, clean = Measured({"a": 3.0, "b": 1.0}), Measured({"a": 0.3, "b": 0.2})
+    experiment = Experiment("000", "x", lambda effort: noisy, (entry,), cleaner=lambda effort: clean)
+    (outcome,) = repeat([experiment], quick=True, seeds=(0, 1), progress=unheard)
+    (row,) = outcome.rows
+    assert row.verdict is Verdict.HOLDS
+    assert row.with_less_noise == "a 0.3 mm; ours b 0.2 mm; does not hold"
+    assert row.to_dict()["with_less_noise"] == row.with_less_noise
 
 
 def test_a_claim_is_an_inequality_that_must_hold_in_every_case():

@@ -131,7 +131,7 @@ def estimator_settings(
     # What else is in the bin of a radar's best target makes an error of its phase at the zero, m: it does not average
     # out while the structure is where it was.
     known = [one for _, one in known_sensors(sides[0])][:1]
-    bent_m = known[0].used[0].bent_m if not tracked_cameras and known and known[0].kind == Source.RADAR.word else 0.0
+    bent_m = known[0].bent_m if not tracked_cameras and known and known[0].kind == Source.RADAR.word else 0.0
     return EstimatorSettings(
         channels=tuple(table.channels),
         axes=len(sides),

@@ -69,6 +69,13 @@ class RadarCalibration:
         """The target that gives the zero."""
         return self.used[0]
 
+    @property
+    def bent_m(self) -> float:
+        """Standard deviation, m, of the zero's error that does not average out: by what else is in the best target's
+        bin; as printed the least error E, which is all that is known of it.
+        """
+        return self.best.noise_m if self.literal else self.best.bent_m
+
     def without_gain(self, gain: float, std: float) -> "RadarCalibration":
         """The same in metres: the factors were estimated from an accelerometer of this gain and relative deviation."""
 
