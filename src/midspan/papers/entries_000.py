@@ -14,7 +14,7 @@ from midspan.papers.filming import PAPER_SCENES
 CHOSEN = (
     "amplitudes (40 mm sines, which must wrap at 3 m and must not at 63 m; 4 mm on the bridge), texture, exposure, "
     "clock offset; noise by which the printed trackers err as published (bound of a frame 0.023 px indoors, 0.014 px "
-    "outdoors, 0.025 px on the bridge), and less, as of a consumer camera (0.0046 px near, 0.0035 px far); a ratio of "
+    "outdoors, 0.018 px on the bridge), and less, as of a consumer camera (0.0046 px near, 0.0035 px far); a ratio of "
     "0.6 of the nearest descriptors, MATLAB's default; q = 0.02 m/s² with the mean of two samples; the calibration "
     "lasts 50 s as in the paper, with --quick 30 s"
 )
