@@ -360,5 +360,5 @@ def test_wrong_settings_are_reported(wrong):
 
 
 def test_a_band_beyond_the_accelerometers_rate_is_refused():
-    with pytest.raises(UsageError, match="below half the rate"):
+    with pytest.raises(UsageError, match=r"fusion\.transition_hz must be below half"):
         two_stage.design(MethodSettings(transition_hz=(10.0, 60.0)), USUAL)

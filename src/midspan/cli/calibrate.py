@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path())
 @click.option("-o", "--output", type=click.Path(), help="File to write; left out: calibration.json in the recording.")
 @click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
-@click.option("--literal", is_flag=True, help="Scale factor and clock offset of a camera as the papers print them.")
+@click.option("--literal", is_flag=True, help="Scale factors and a camera's clock offset as the papers print them.")
 @click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
 @common_options
 def command(recording: str, output: str | None, quiet: bool, as_json: bool, **options: Any) -> None:

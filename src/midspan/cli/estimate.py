@@ -170,11 +170,15 @@ def open_with(
     """
     from midspan.checks import option
     from midspan.fusion.methods import METHODS
+    from midspan.recording.kinds import has_printed
     from midspan.recording.streams.recording import open_with_cameras
     from midspan.vision.tracker import TRACKERS
 
     overrides: dict[str, dict[str, Any]] = {}
     if paper is not None:
+        given = {"--tracker": tracker, "--method": method}
+        if chosen_too := [name for name, value in given.items() if value is not None]:
+            raise click.UsageError(f"--paper sets tracker and method; leave {' and '.join(chosen_too)} out.")
         return as_in_paper(paper, recording)
     chosen: dict[str, Any] = {} if tracker is None else {"tracker": option("--tracker", tracker, TRACKERS)}
     if method is not None:
@@ -182,6 +186,9 @@ def open_with(
     if literal and fused:
         overrides["fusion"] = overrides.get("fusion", {}) | {"literal": True}
     opened = open_with_cameras(recording, chosen, **overrides)
+    if literal and not fused and has_printed(opened):
+        # A radar's targets and factors as printed belong to a method as printed.
+        opened = open_with_cameras(recording, chosen, fusion={"literal": True, "method": "fir"})
     if literal:
         opened = type(opened)(opened.file, opened.settings.calibrated_as_printed())
     if tracker is not None and not opened.cameras:
@@ -196,6 +203,9 @@ def as_in_paper(key: str, recording: str) -> "Recording":
     from midspan.settings.kinds import CAMERAS
 
     paper, plain = next(one for one in PAPERS if one.key == key), open_recording(recording)
+    if not any(plain.has(kind) for kind in paper.sensors):
+        needed = " or ".join(f"[{kind}]" for kind in paper.sensors)
+        raise click.UsageError(f"--paper {key}: {plain.file} has no {needed}, which this paper measures with.")
     tracked = {"tracker": paper.tracker} if paper.tracker else {}
     sections = {name: paper.of_section(name) | tracked for name in CAMERAS if plain.has(name)}
     fusion = {"method": paper.method, "literal": True, **paper.of_section("fusion")}

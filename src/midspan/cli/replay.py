@@ -1,5 +1,7 @@
 """`midspan replay RECORDING`."""
 
+import shutil
+from pathlib import Path
 from typing import Any
 
 import click
@@ -14,7 +16,7 @@ from midspan.papers.published import PAPER_KEYS
 @click.option("--point", help="Name of the point; left out: the recording's name.")
 @click.option("--speed", type=click.FloatRange(0.0, 1e6, min_open=True), help="Times real time; left out: no waiting.")
 @click.option("-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration; left out: calibrate.")
-@click.option("--method", default="kalman", show_default=True, help="One of `midspan methods` but smoother.")
+@click.option("--method", help="One of `midspan methods` but smoother.  [default: kalman]")
 @click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
 @click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
 @click.option("--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="End after this many s of it.")
@@ -29,12 +31,13 @@ def command(recording: str, store: str, quiet: bool, as_json: bool, **options: A
     from midspan.settings.stored.calibration import load_calibration
     from midspan.store.store import open_store
 
-    option("method", options["method"], LIVE)
-    opened = open_with(recording, None, options["method"], options["literal"], paper=options["paper"])
-    method = opened.settings.fusion.method if options["paper"] else options["method"]
+    method = None if options["paper"] else option("method", options["method"] or "kalman", LIVE)
+    opened = open_with(recording, None, options["method"] or method, options["literal"], paper=options["paper"])
+    method = method or opened.settings.fusion.method
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     name = point_called(options["point"], opened)
     check_store(store)
+    is_new = "://" not in store and not Path(store).exists()
     kept = open_store(store, points=[name])
     try:
         done = replay(
@@ -47,8 +50,12 @@ def command(recording: str, store: str, quiet: bool, as_json: bool, **options: A
             length_s=options["length_s"],
             progress=console.progress,
         )
-    finally:
+    except BaseException:
         kept.close()
+        if is_new:
+            shutil.rmtree(store, ignore_errors=True)
+        raise
+    kept.close()
     console.done()
     console.table([("point", name), ("rows", f"{done.rows} of {done.length_s:.1f} s"), ("store", store)])
     late = {"sample": done.from_sample, "frame": done.from_frame}

@@ -48,7 +48,7 @@ from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS, require_alone
-from midspan.recording.messages import no_overlap, refuse_rejections, require_same_cameras, uncalibrated
+from midspan.recording.messages import no_overlap, refuse_rejections, require_same_sensors, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
 from midspan.recording.run import Blocks, Outcome, run, used_when
@@ -109,10 +109,7 @@ def estimate(
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
-        require_same_cameras(recording, calibration)
-        for view in recording.views:
-            if view.kind in ROWS:
-                ROWS[view.kind].known(view, calibration)
+        require_same_sensors(recording, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
 
 

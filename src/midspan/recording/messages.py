@@ -25,11 +25,12 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]
     return [Notice("part-left-out", text.format(name)) for name in missing]
 
 
-def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
-    """UsageError for a calibration of other cameras, of another axis, or of a radar in another way."""
-    for view in (view for view in recording.views if view.kind in ROWS and ROWS[view.kind].printed):
-        if (made := calibration.of_sensor(view.own, view.companions)) is not None:
-            require_same_way(made, recording.settings.fusion.literal)
+def require_same_sensors(recording: Recording, calibration: Calibration) -> None:
+    """UsageError for a calibration of other sensors, of another axis, or of a radar in another way."""
+    for view in (view for view in recording.views if view.kind in ROWS):
+        known = ROWS[view.kind].known(view, calibration)
+        if ROWS[view.kind].printed:
+            require_same_way(known, recording.settings.fusion.literal)
     views = recording.cameras
     if views and not any(calibration.of_sensor(view.own, view.companions) for view in views):
         raise UsageError(

@@ -16,7 +16,7 @@ from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
 from midspan.errors import DataError
 from midspan.progress import silent
 from midspan.recording.estimate import Asked
-from midspan.recording.messages import require_same_cameras
+from midspan.recording.messages import require_same_sensors
 from midspan.recording.point import clock_offsets_ns
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import open_recording
@@ -82,7 +82,7 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     """
     recording = open_recording(folder)
     method = recording.settings.fusion.method
-    require_same_cameras(recording, calibration)
+    require_same_sensors(recording, calibration)
     asked = Asked(recording, calibration, method, given=True)
     sides = asked.sides
     tracked_cameras = open_tracked_cameras(sides, None, silent)

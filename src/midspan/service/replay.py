@@ -18,7 +18,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import Asked
 from midspan.recording.kinds import require_alone
-from midspan.recording.messages import require_same_cameras
+from midspan.recording.messages import require_same_sensors
 from midspan.recording.point import clock_offsets_ns
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
@@ -97,7 +97,7 @@ def replay(
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
-        require_same_cameras(recording, calibration)
+        require_same_sensors(recording, calibration)
         asked = Asked(recording, calibration, method, given)
         sides = asked.sides
         tracked_cameras = open_tracked_cameras(sides, tracking, progress)

@@ -21,6 +21,7 @@ A bias shows: what is known of it is taken off.
 
 import numpy as np
 
+from midspan.checks import refuse
 from midspan.fusion.methods import MIN_HALF_WINDOW
 from midspan.fusion.on_series import Usual
 from midspan.fusion.streams import MethodSettings
@@ -59,6 +60,10 @@ def design(settings: MethodSettings, usual: Usual) -> Branches:
     half_s = PRINTED_HALF_S if settings.cut_off_hz is None else CUT_OFF_PERIODS / settings.cut_off_hz
     half = settings.half_window or max(round(half_s / usual.step_s), MIN_HALF_WINDOW)
     cut_off_hz = settings.cut_off_hz or CUT_OFF_PERIODS / (half * usual.step_s)
+    if cut_off_hz >= 0.5 / usual.step_s:
+        raise refuse(
+            "fusion.cut_off_hz", f"below half the accelerometer's rate ({0.5 / usual.step_s:g} Hz)", cut_off_hz
+        )
     low, high = window_filters(half, cut_off_weight(cut_off_hz, settings.accuracy, usual.step_s), usual.step_s)
     return Branches(low, high, usual.step_s, usual.frame_s, settings.spline_frames, bias_m_s2=settings.kalman.bias)
 

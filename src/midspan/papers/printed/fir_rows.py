@@ -123,6 +123,8 @@ class FirRows:
     def rows(self, time_ns: Nanoseconds) -> MethodRows:
         """The rows at samples (n,); with the first ones comes what is wrong with the rates."""
         place, known = self._samples.at(time_ns)
+        if not known.any():
+            return MethodRows(np.zeros(len(time_ns)), np.zeros(len(time_ns)), known)
         around = self.branches.margin + 1
         first = max(int(place[0]) - around, 0)
         found, full = self._filtered(slice(first, int(place[-1]) + around))

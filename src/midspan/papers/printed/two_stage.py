@@ -9,6 +9,7 @@ two-stage fusion of high-sampled acceleration and temporally aliased low-sampled
 and 2.3. The double integral is the trapezoidal rule's.
 """
 
+from midspan.checks import refuse
 from midspan.fusion.on_series import Usual
 from midspan.fusion.streams import MethodSettings
 from midspan.papers.printed.filters import Transition, complement, equiripple_low_pass, equiripple_of_length
@@ -34,6 +35,10 @@ def design(settings: MethodSettings, usual: Usual) -> Branches:
     Raises UsageError where the band reaches half the accelerometer's rate.
     """
     rate_hz, nyquist_hz, band = 1.0 / usual.step_s, 0.5 / usual.frame_s, Transition(*settings.transition_hz)
+    if band.stop_hz >= 0.5 * rate_hz:
+        raise refuse(
+            "fusion.transition_hz", f"below half the accelerometer's rate ({0.5 * rate_hz:g} Hz)", band.stop_hz
+        )
     low = _low_pass(band, rate_hz, settings.taps)
     high, removed, warnings = integrating(complement(low), usual.step_s), None, list[str]()
     # A few parts in a million: rates estimated from stamps are not exact.
