@@ -25,6 +25,8 @@ from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSens
 from plain_filters import regularised_filters
 
 STEP_S, INNER = 0.01, slice(800, -800)
+# A sample between two displacements.
+CUT_NS = 40_050_000_000
 USUAL = Usual(STEP_S, 0.1, 0.01)
 FIR = MethodSettings(KalmanSettings(bias=0.02), cut_off_hz=1.0)
 MAKE = {"fir": (fir.fir, FIR), "two-stage-fir": (two_stage.two_stage_fir, MethodSettings())}
@@ -340,6 +342,26 @@ def test_any_cutting_gives_the_same_rows_also_with_gaps_and_after_a_restart(name
         other = pushed(name, acceleration, displacement, np.random.default_rng(seed))
         for column in ("time_ns", "displacement_m", "variance_m2", "velocity_m_s", "status"):
             np.testing.assert_array_equal(getattr(other, column), getattr(whole, column))
+
+
+@pytest.mark.parametrize("name", MAKE)
+def test_a_displacement_that_comes_with_or_after_its_sample_is_left_out(name):
+    acceleration, displacement, _, _ = beam(8)
+    make, settings = MAKE[name]
+    rows = []
+    for late in (False, True):
+        sources = sources_of(displacement)
+        usual = usual_of(acceleration, displacement)
+        estimator = OnSeries(settings.kalman.estimator(sources), [make(settings, usual)], ["displacement"])
+        estimator.push(measured(part(displacement, displacement.time_ns <= CUT_NS), sources))
+        own = estimator.push(samples(part(acceleration, acceleration.time_ns <= CUT_NS)))
+        if late:
+            wrong = replace(part(displacement, slice(1)), time_ns=np.array([CUT_NS]), value_m=np.array([1.0]))
+            estimator.push(measured(wrong, sources))
+        estimator.push(measured(part(displacement, displacement.time_ns > CUT_NS), sources))
+        own += estimator.push(samples(part(acceleration, acceleration.time_ns > CUT_NS)))
+        rows.append(joined([one.estimates[0] for one in [*own, *estimator.finish()] if one.estimates]))
+    np.testing.assert_array_equal(rows[1].displacement_m, rows[0].displacement_m)
 
 
 @pytest.mark.parametrize(
