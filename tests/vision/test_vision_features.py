@@ -255,10 +255,10 @@ def test_a_threshold_in_grey_levels_keeps_the_blobs_that_are_as_strong_whatever_
 
 
 def test_as_printed_a_match_must_be_clearer_than_the_second_nearest():
-    assert FeatureSettings(literal=True).least_ratio == 0.6
-    assert FeatureSettings(technique="existing").least_ratio == 0.65
-    assert FeatureSettings().least_ratio is None
-    assert FeatureSettings(literal=True, ratio=0.9).least_ratio == 0.9
+    assert FeatureSettings(literal=True).max_ratio == 0.6
+    assert FeatureSettings(technique="existing").max_ratio == 0.65
+    assert FeatureSettings().max_ratio is None
+    assert FeatureSettings(literal=True, ratio=0.9).max_ratio == 0.9
 
 
 def test_a_missing_contrib_module_is_named_with_what_to_install(reference, monkeypatch):

@@ -1,6 +1,7 @@
 """`midspan papers [--only KEY]`."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.errors import MidspanError
 from midspan.papers.published import PAPERS
 
 if TYPE_CHECKING:
@@ -69,7 +71,7 @@ def _latencies(keys: list[str], console: Console) -> dict[str, str]:
     found = {}
     for number, paper in enumerate(one for one in PAPERS if one.key in keys):
         console.progress(number, len(keys), f"{paper.key} in real time")
-        with TemporaryDirectory() as place:
+        with TemporaryDirectory() as place, suppress(MidspanError):
             opened = as_in_paper(paper.key, str(write_scene(paper.scene, Path(place) / "recording")))
             calibration, store = calibrate(opened), open_store(Path(place) / "store", points=["latency"])
             method = opened.settings.fusion.method
@@ -77,9 +79,9 @@ def _latencies(keys: list[str], console: Console) -> dict[str, str]:
                 opened, store, name="latency", calibration=calibration, method=method, speed=1.0, length_s=LATENCY_S
             )
             store.close()
-        if done.from_sample is not None and done.from_frame is not None:
-            sample, frame = (f"{1e3 * one.median_s:.3g} ms" for one in (done.from_sample, done.from_frame))
-            found[paper.key] = f"{frame} from frame to row, {sample} from sample to row (medians)"
+            if done.from_sample is not None and done.from_frame is not None:
+                sample, frame = (f"{1e3 * one.median_s:.3g} ms" for one in (done.from_sample, done.from_frame))
+                found[paper.key] = f"{frame} from frame to row, {sample} from sample to row (medians)"
     return found
 
 

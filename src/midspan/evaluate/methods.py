@@ -89,7 +89,7 @@ def run_all(
     # The frames are tracked in the first run; what the methods take is measured without it.
     estimate(recording, calibration, tracking=tracking, given=given, progress=progress)
     forms = [(method, False) for method in METHODS]
-    forms += [(method, True) for method, row in METHODS.items() if row.literal and not has_printed(recording)]
+    forms += [(method, True) for method, row in METHODS.items() if row.guarded and not has_printed(recording)]
     for method, literal in forms:
         begun_s = time.perf_counter()
         try:

@@ -24,6 +24,7 @@ from midspan.records import (
     Measured,
     Nanoseconds,
     Samples,
+    part,
 )
 from midspan.signals.health import Mask
 
@@ -124,7 +125,7 @@ class OnSeries:
     """The estimator as a stream whose rows are those of a method along each axis that has one.
 
     The method takes the first target of its sensors that is seen at an instant, as the papers have one, counted from
-    the zero of the sensor's first frame.
+    the first frame of the first sensor; that of another one lies where the estimator has its zero.
     """
 
     def __init__(
@@ -186,7 +187,20 @@ class OnSeries:
         method = self._methods[one.axis]
         # Where no samples come, holding the last one would lead away.
         own = None if method is None or np.isnan(expected[0]) else method.predict(time_ns)
-        return expected if own is None else (one.units_per_m * own[0], one.units_per_m**2 * own[1])
+        if own is None:
+            return expected
+        return one.units_per_m * (own[0] + self._zero_m(channel, time_ns)), one.units_per_m**2 * own[1]
+
+    def _zero_m(self, channel: int, time_ns: int) -> float:
+        """The zero of a channel relative to that of the first one along its axis, as the estimator has it; m."""
+        channels = self.settings.channels
+        if np.isfinite(channels[channel].zero_std_m):
+            return 0.0
+        first = next(number for number, one in enumerate(channels) if one.axis == channels[channel].axis)
+        expected_m, first_m = (
+            self._inner.predict(number, time_ns)[0] / channels[number].units_per_m for number in (channel, first)
+        )
+        return expected_m - first_m
 
     @property
     def state(self) -> OnSeriesState:
@@ -214,7 +228,10 @@ class OnSeries:
         taken = taken[first]
         units = np.array([one.units_per_m for one in channels])[record.channel[taken]]
         source = np.array([one.source for one in channels], dtype=np.uint8)[record.channel[taken]]
-        return Displacement(stamps, record.value[taken] / units, record.variance[taken] / units**2, source)
+        pairs = zip(record.channel[taken].tolist(), stamps.tolist(), strict=True)
+        value = record.value[taken] / units - np.array([self._zero_m(*pair) for pair in pairs])
+        found = Displacement(stamps, value, record.variance[taken] / units**2, source)
+        return part(found, np.isfinite(value))
 
     def _replaced(self, rows: Rows) -> Rows:
         if not rows.estimates or not len(rows.estimates[0].time_ns):

@@ -60,9 +60,9 @@ def usual_of(acceleration: Acceleration, displacement: Displacement) -> Usual:
     measured = part(displacement, usable)
     measured = part(measured, np.argsort(measured.time_ns, kind="stable"))
     step_s, speed_m_s = _step_s(acceleration.time_ns), 0.0
-    if len(measured.time_ns) < 2:
+    main = part(measured, measured.source == np.bincount(measured.source, minlength=1).argmax())
+    if len(main.time_ns) < 2:
         return Usual(step_s, step_s, speed_m_s)
-    main = part(measured, measured.source == np.bincount(measured.source).argmax())
     step, moved_m = np.diff(seconds(main.time_ns, 0)), np.diff(main.value_m)
     if (step > 0.0).any():
         speed_m_s = float(np.sqrt(np.mean((moved_m[step > 0.0] / step[step > 0.0]) ** 2)))

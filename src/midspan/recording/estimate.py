@@ -47,7 +47,7 @@ from midspan.fusion.streams import MethodSettings
 from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.kinds import ROWS, require_alone
+from midspan.recording.kinds import ROWS
 from midspan.recording.messages import no_overlap, refuse_rejections, require_same_sensors, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.result import Result
@@ -102,7 +102,6 @@ def estimate(
     recording = opened(recording)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    require_alone(recording)
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given

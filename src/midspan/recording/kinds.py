@@ -205,12 +205,3 @@ ROWS = {
 def has_printed(recording: Recording) -> bool:
     """Whether a recording has a sensor whose calibration and stage are others with fusion.literal."""
     return any(row.printed and recording.has(kind) for kind, row in ROWS.items())
-
-
-def require_alone(recording: Recording) -> None:
-    """UsageError where a sensor that is as printed is not alone."""
-    if recording.settings.fusion.literal and has_printed(recording) and len(recording.sensors) > 1:
-        raise UsageError(
-            f"{recording.file}: fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave "
-            "[camera], [infrared] and [displacement] out, or leave fusion.literal out."
-        )

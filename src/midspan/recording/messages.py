@@ -26,7 +26,9 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]
 
 
 def require_same_sensors(recording: Recording, calibration: Calibration) -> None:
-    """UsageError for a calibration of other sensors, of another axis, or of a radar in another way."""
+    """UsageError for a calibration of other sensors, of another axis, or of a radar in another way; DataError where the
+    streams do not overlap.
+    """
     for view in (view for view in recording.views if view.kind in ROWS):
         known = ROWS[view.kind].known(view, calibration)
         if ROWS[view.kind].printed:

@@ -51,7 +51,7 @@ class Opened:
     """A point on live records: the engine's point, what keeps its records, and the numbers of the records pushed.
 
     regions: of each camera, the smallest that holds all its targets, px; bins: of each radar's targets. delay_s: by how
-    much a row comes later than its sample, s.
+    much a row comes later than its sample at most, s.
     """
 
     point: Point
@@ -94,7 +94,8 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
         for tracked_camera in tracked_cameras
     }
     bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}
-    delay_s = point.estimator.lag_samples * interval_s(recording.acceleration.time_ns)
+    # A lagged row comes up to a quarter of the lag later than that.
+    delay_s = 1.25 * point.estimator.lag_samples * interval_s(recording.acceleration.time_ns)
     found = Opened(point, journal, {}, {}, regions, bins, delay_s)
     if push:
         for stream, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S):

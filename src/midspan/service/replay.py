@@ -17,13 +17,12 @@ from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import Asked
-from midspan.recording.kinds import require_alone
 from midspan.recording.messages import require_same_sensors
 from midspan.recording.point import clock_offsets_ns
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import open_tracked_cameras
-from midspan.records import NANOSECONDS, Arrival, Complete, RangeFrame, Readings
+from midspan.records import NANOSECONDS, Arrival, Complete, Event, RangeFrame, Readings
 from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
 from midspan.service.stored_recording import FIRST_NS, LAST_NS
@@ -87,12 +86,7 @@ def replay(
     """
     check_method(recording, method)
     name = point_called(name, recording)
-    newest_ns = store.newest_ns(name, "rows")
-    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
-        raise UsageError(
-            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
-            "another name (--point), or another store (-o)."
-        )
+    _require_new(store, name, recording)
     given, tracking = calibration is not None, None
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
@@ -104,6 +98,8 @@ def replay(
         point = asked.point(sides, tracked_cameras, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
+        whole_s = min((last_ns - first_ns) / NANOSECONDS, np.inf if length_s is None else length_s)
+        last_ns = last_ns if length_s is None else first_ns + round(whole_s * NANOSECONDS)
         number = _add_calibration(store, name, first_ns, recording, calibration)
         offsets_ns, motion_m = clock_offsets_ns(sides[0], tracked_cameras), point.estimator.settings.motion[0][0]
         journal = Journal(name, offsets_ns, axes=axes, calibration=number, motion_m=motion_m)
@@ -111,11 +107,11 @@ def replay(
         player = Player(point, journal, store, pace)
         try:
             for _, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S if speed is None else SENT_S):
-                if length_s is not None and player.newest_ns - first_ns > length_s * NANOSECONDS:
+                if length_s is not None and player.newest_ns > last_ns:
                     break
                 player.push(record)
                 done_s = (player.newest_ns - first_ns) / NANOSECONDS
-                progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
+                progress(max(int(done_s), 0), max(int(whole_s), 1), "replaying")
             player.finish()
         except BaseException:  # the store had nothing as new of this point
             store.forget_since(name, player.oldest_ns, number)
@@ -125,7 +121,17 @@ def replay(
             tracked_camera.tracking.close()
     progress(1, 1, "replaying")
     late = (None, None) if pace is None else (Latency.of(pace.of_samples_s), Latency.of(pace.of_frames_s))
-    return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings), *late)
+    return Replayed(player.rows, whole_s, tuple(calibration.warnings), *late)
+
+
+def _require_new(store: Store, name: str, recording: Recording) -> None:
+    """UsageError where the store has rows of the point that are as new as the recording."""
+    newest_ns = store.newest_ns(name, "rows")
+    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
+        raise UsageError(
+            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
+            "another name (--point), or another store (-o)."
+        )
 
 
 def _add_calibration(store: Store, name: str, first_ns: int, recording: Recording, calibration: Calibration) -> int:
@@ -140,7 +146,6 @@ def check_method(recording: Recording, method: str) -> None:
     option("method", method, LIVE)
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
-    require_alone(recording)
 
 
 class Player:
@@ -156,7 +161,7 @@ class Player:
         self._held: list[Chunk] = []
         # What was written begins here.
         self.oldest_ns = LAST_NS
-        self.newest_ns, self.rows = 0, 0
+        self.newest_ns, self.rows = FIRST_NS, 0
 
     def push(self, record: Arrival | Complete) -> None:
         """One record; what came before a new block of readings is written."""
@@ -223,7 +228,7 @@ class Pace:
         left_s = -self._late_s(newest_ns)
         if left_s > 0:
             self._wait(left_s)
-        if not isinstance(record.record, Readings):
+        if not isinstance(record.record, Readings | Event):
             self._frames_ns.append(newest_ns)
 
     def given(self, outputs: Sequence[Output]) -> None:
@@ -233,9 +238,8 @@ class Pace:
                 continue
             stamps = output.estimates[0].time_ns
             self.of_samples_s += [self._late_s(stamp) for stamp in stamps.tolist()]
-            met = [stamp for stamp in self._frames_ns if stamp <= stamps[-1]]
-            self._frames_ns = self._frames_ns[len(met) :]
-            self.of_frames_s += [self._late_s(stamp) for stamp in met]
+            self.of_frames_s += [self._late_s(stamp) for stamp in self._frames_ns if stamp <= stamps[-1]]
+            self._frames_ns = [stamp for stamp in self._frames_ns if stamp > stamps[-1]]
 
     def _late_s(self, time_ns: int) -> float:
         """By how much more the clock has gone on than the records."""

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, SerializationInfo, model_serializer,
 
 from midspan.calibration.camera.view import PrintedSteps
 from midspan.checks import RATE_HZ
-from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_TAPS, SPLINE_FRAMES, no_literal_form
+from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_HALF_WINDOW, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import IsNumber, Listed, Section, Time, known, limited, second_is_larger
 from midspan.settings.kinds import ACCELEROMETER, KINDS, sensors_of
@@ -95,14 +95,14 @@ class FusionSettings(Section):
     start_velocity_mm_s: Annotated[float, IsNumber, limited(0.0, 1e9, "mm/s")] | None = Field(
         None, description="standard deviation of its first velocity, mm/s; left out: three times the rms speed"
     )
-    half_window: Annotated[int, IsNumber, Field(ge=8, le=1_000_000)] | None = Field(
-        None, description="`fir` as printed: samples on each side of a row; left out: 0.5 s, or by cut_off_hz"
+    half_window: Annotated[int, IsNumber, Field(ge=MIN_HALF_WINDOW, le=1_000_000)] | None = Field(
+        None, description="`fir`: samples on each side of a row; left out: 0.5 s, or by cut_off_hz"
     )
     cut_off_hz: Annotated[float, IsNumber, limited(1e-6, RATE_HZ.high, "Hz")] | None = Field(
-        None, description="`fir` as printed: from where the acceleration counts, Hz; left out: 1.5 / half_window in s"
+        None, description="`fir`: from where the acceleration counts, Hz; left out: 1.5 / half_window in s"
     )
     accuracy: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
-        0.97, description="`fir` as printed: share of the amplitude at cut_off_hz that the acceleration gives"
+        0.97, description="`fir`: share of the amplitude at cut_off_hz that the acceleration gives"
     )
     transition_hz: Annotated[tuple[Frequency, Frequency], AfterValidator(_is_a_transition)] = Field(
         (0.5, 1.0),
@@ -211,6 +211,11 @@ class RecordingSettings(Section):
                     f"[[{kind}]] must be one section with fusion.literal; received {len(listed)}. A printed method "
                     f"takes one sensor of each kind: leave one [{kind}], or fusion.literal out"
                 )
+        if self.fusion.literal and self.radars and len(self.sensors) > 1:
+            raise ValueError(
+                "fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave [camera], "
+                "[infrared] and [displacement] out, or leave fusion.literal out"
+            )
         return self
 
     @model_serializer(mode="wrap")

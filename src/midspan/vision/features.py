@@ -90,7 +90,7 @@ class FeatureSettings:
                 raise refuse(name, rule, value)
 
     @property
-    def least_ratio(self) -> float | None:
+    def max_ratio(self) -> float | None:
         """Which ratio a match may have; None: any."""
         printed = EXISTING_RATIO if self.technique == "existing" else LITERAL_RATIO if self.literal else None
         return printed if self.ratio is None else self.ratio
@@ -154,7 +154,7 @@ class FeatureTracker(Tracker):
         self._detector = _detector(reference.pixels, region, settings, self._offset)
         self._features = self._reference_features()
         xy, descriptor, kind = self._features.xy, self._features.descriptor, self._features.kind
-        self._matcher = _core.FeatureMatcher(xy, descriptor, kind, settings.least_ratio)
+        self._matcher = _core.FeatureMatcher(xy, descriptor, kind, settings.max_ratio)
         self._state = Motion()
 
     @property

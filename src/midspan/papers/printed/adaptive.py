@@ -18,7 +18,7 @@ from midspan.fusion.entry import MAX_M
 from midspan.fusion.estimator import State, restore
 from midspan.fusion.on_series import Held, MethodRows, Usual
 from midspan.fusion.streams import MethodSettings
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, part, seconds
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, joined, part, seconds
 
 # This many frames may wait for the samples that cover them; older ones are dropped.
 MAX_WAITING = 65536
@@ -125,8 +125,9 @@ class AdaptiveRows:
     def wait(self, met: Displacement) -> None:
         """Take displacements that are later than the last sample; those before the first sample do not count."""
         if self._filter is None:
-            # The last one may be that of the first sample's instant.
-            self._early = met
+            # Some may be of the first samples' instants, which the guard held.
+            early = joined([self._early, met])
+            self._early = part(early, slice(-max(MAX_WAITING, len(met.time_ns)), None))
             return
         if np.isnan(self._level_m) and len(met.time_ns):
             self._level_m = float(met.value_m[0])

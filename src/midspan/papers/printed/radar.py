@@ -34,7 +34,7 @@ from midspan.records import (
 )
 
 TURN = 2.0 * math.pi
-# So many frames that never arrived are predicted through at most.
+# Through more frames than this that never arrived the phase is not predicted: it counts anew.
 MAX_MISSING = 10_000
 # A phase that goes on at half a cycle a frame for this long, s, has lost cycles: no structure moves so.
 RUN_AWAY_S = 2.0
@@ -112,7 +112,8 @@ class PrintedRadar(RadarSensor):
         self._waiting = self._waiting[len(due) :]
         events: list[Event] = []
         found = tuple(self._unwrapped(one, events) for one in due)
-        first = max(int(np.searchsorted(self._time_ns, self._last_ns, side="right")) - 1, 0)
+        oldest_ns = max(self._last_ns, int(samples.time_ns[-1]) - MAX_MISSING * self._period_ns)
+        first = max(int(np.searchsorted(self._time_ns, oldest_ns, side="right")) - 1, 0)
         self._time_ns, self._felt = self._time_ns[first:], self._felt[first:]
         if not found:
             return None
@@ -124,8 +125,10 @@ class PrintedRadar(RadarSensor):
 
     def _unwrapped(self, one: PhaseMeasurement, events: list[Event]) -> PhaseMeasurement:
         """A frame's phase, counted from the first of two on end that were received, which must not wrap."""
+        steps = max(round((one.time_ns - self._last_ns) / self._period_ns), 1)
+        if steps > MAX_MISSING:
+            self._last = math.nan
         seen, before, last = math.isfinite(one.phase_rad), self._before, self._last
-        steps = min(max(round((one.time_ns - self._last_ns) / self._period_ns), 1), MAX_MISSING)
         if math.isnan(last) or (math.isnan(before) and not (seen and steps == 1)):
             before = math.nan
             phase = self._zero = one.phase_rad
