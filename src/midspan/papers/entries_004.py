@@ -11,7 +11,7 @@ from midspan.papers.filming import PAPER_SCENES
 
 CHOSEN = (
     "amplitudes within the largest displacements that the paper names, texture, exposure, clock offset; noise by which "
-    "the printed techniques err as published (bound of a frame 0.023 px at 3 m, 0.005 px at 52 m, 0.018 px on the "
+    "the printed techniques err as published (bound of a frame 0.023 px at 3 m, 0.005 px at 52 m, 0.014 px on the "
     "bridge), and less, as of a consumer camera (0.0046 px near, 0.0035 px far); a ratio of 0.6 of the nearest "
     "descriptors, MATLAB's default; the calibration lasts 50 s, with --quick 30 s; the known size is as wrong as the "
     "paper's was"
