@@ -145,6 +145,7 @@ class OnSeries:
             else Estimator(settings, log=log, max_waiting=max_waiting)
         )
         self._methods, self._newest_ns, self._last_ns = list(methods), [FIRST_NS] * len(methods), FIRST_NS
+        self._has_zero = np.array([np.isfinite(one.zero_std_m) for one in settings.channels])
         self._taken = [
             np.array([one.axis == axis and one.sensor in sensors for one in settings.channels])
             for axis in range(len(methods))
@@ -194,7 +195,7 @@ class OnSeries:
     def _zero_m(self, channel: int, time_ns: int) -> float:
         """The zero of a channel relative to that of the first one along its axis, as the estimator has it; m."""
         channels = self.settings.channels
-        if np.isfinite(channels[channel].zero_std_m):
+        if self._has_zero[channel]:
             return 0.0
         first = next(number for number, one in enumerate(channels) if one.axis == channels[channel].axis)
         expected_m, first_m = (
@@ -228,8 +229,9 @@ class OnSeries:
         taken = taken[first]
         units = np.array([one.units_per_m for one in channels])[record.channel[taken]]
         source = np.array([one.source for one in channels], dtype=np.uint8)[record.channel[taken]]
-        pairs = zip(record.channel[taken].tolist(), stamps.tolist(), strict=True)
-        value = record.value[taken] / units - np.array([self._zero_m(*pair) for pair in pairs])
+        value = record.value[taken] / units
+        for k in np.flatnonzero(~self._has_zero[record.channel[taken]]):
+            value[k] -= self._zero_m(int(record.channel[taken[k]]), int(stamps[k]))
         found = Displacement(stamps, value, record.variance[taken] / units**2, source)
         return part(found, np.isfinite(value))
 

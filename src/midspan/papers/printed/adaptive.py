@@ -159,6 +159,8 @@ class AdaptiveRows:
         """Report with the first frame what the rows are, and once that R has grown far beyond that of the start."""
         stamps, self._frames_ns = self._frames_ns[: len(met)], self._frames_ns[len(met) :]
         used = met[:, MET_USED] > 0.0
+        if not np.isnan(self._start_m2) and not (met[used, MET_NOISE] > RUN_AWAY**2 * self._start_m2).any():
+            return
         for time_ns, noise_m2 in zip(stamps[used].tolist(), met[used, MET_NOISE].tolist(), strict=True):
             if np.isnan(self._start_m2):
                 self._start_m2, self._events = noise_m2, (Event(time_ns, "literal", AS_PRINTED),)
