@@ -165,7 +165,7 @@ def speeds(scene: Scene) -> None:
     reference, image = (CAMERA.expose(scene.render(d, -d), rng=rng) for d in (0.0, 0.02))
     tracker = RegistrationTracker(Frame(0, reference), region, RegistrationSettings(learn_frames=0))
     tracker.push(Frame(1, image), NEAR)
-    kernel = rate(lambda: tracker._core.look(image, tracker._offset, (0.0, 0.0, 0.0, 0.0), 0.0), 1000)
+    kernel = rate(lambda: tracker.core.look(image, (0.0, 0.0)), 1000)
     rows: list[list[object]] = [["from pixels to a pose", kernel]]
     goal("from pixels to a pose", kernel, 30_000, unit="regions/s", at_least=True)
     places = [(0.8 * np.sin(k / 3), 0.5 * np.cos(k / 4)) for k in range(40)]

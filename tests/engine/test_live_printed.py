@@ -60,3 +60,10 @@ def test_a_row_comes_after_the_stated_delay_and_at_most_a_quarter_more(method, t
     # Blocks of samples that are pushed hold up to a second.
     assert min(late_s) >= result.delay_s - 1e-9
     assert np.median(late_s) <= 1.25 * result.delay_s + step_s
+
+
+def test_a_filter_that_is_longer_than_the_record_says_that_the_rows_are_the_estimators(tmp_path):
+    folder = CASES["lossless"](tmp_path / "site")
+    set_keys(folder, "fusion", method="fir", literal=True, half_window=100_000)
+    result = midspan.estimate(folder)
+    assert sum("no row of its own" in one.text for one in result.warnings) == 1

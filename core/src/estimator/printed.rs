@@ -7,11 +7,6 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Memory of the error beyond the noise: 20 frames.
-const MEMORY: f64 = 0.95;
-/// Frames in which the band does not take G off: while the start is settling, it is many times the noise's.
-const SETTLING_FRAMES: f64 = 10.0;
-
 /// A symmetric covariance of displacement and velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Covariance {
@@ -36,7 +31,7 @@ impl Covariance {
     }
 }
 
-/// A frame: time (s), displacement (m), declared variance (m², not finite: ignored), code of its source.
+/// A frame: time (s), displacement (m), declared variance (m², not finite: ignored).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
     /// When, s.
@@ -45,8 +40,6 @@ pub struct Frame {
     pub value_m: f64,
     /// Declared variance, m².
     pub variance_m2: f64,
-    /// Code of its source.
-    pub source: u8,
 }
 
 /// How R is estimated.
@@ -86,14 +79,8 @@ pub struct Printed {
     pub input: f64,
     /// The noise variance R of a frame, m².
     pub noise: f64,
-    /// Running mean of the innovation's square beyond the declared noise, m².
-    pub beyond: f64,
     /// How many frames were used.
     pub count: f64,
-    /// When the last one was, s.
-    pub accepted_s: f64,
-    /// Code of its source.
-    pub source: u8,
     /// Variance of the acceleration of the last interval.
     pub input_noise: f64,
 }
@@ -112,25 +99,8 @@ pub struct Start {
 pub struct PrintedRow {
     /// Displacement, m.
     pub x: f64,
-    /// Its variance, m².
-    pub variance: f64,
     /// Velocity, m/s.
     pub v: f64,
-    /// When the last frame was used, s.
-    pub accepted_s: f64,
-    /// Code of its source.
-    pub source: u8,
-}
-
-/// What a frame met.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PrintedMet {
-    /// The innovation, m.
-    pub innovation: f64,
-    /// Its variance, m².
-    pub total: f64,
-    /// The noise variance R, m².
-    pub noise: f64,
 }
 
 /// Effect of the state and of the acceleration's noise at the interval's start on the state now: W1 and W2.
@@ -144,7 +114,7 @@ struct Carried {
 impl Printed {
     /// At the first sample, from which times count; until the first frame nothing is known of the position that the
     /// printed start puts to zero.
-    pub fn new(bias: f64, velocity_std: f64, displacement_std: f64) -> Self {
+    pub fn new(bias: f64, velocity_std: f64) -> Self {
         Self {
             x: 0.0,
             v: 0.0,
@@ -153,10 +123,7 @@ impl Printed {
             time_s: 0.0,
             input: 0.0,
             noise: 0.0,
-            beyond: displacement_std * displacement_std,
             count: 0.0,
-            accepted_s: f64::NEG_INFINITY,
-            source: 0,
             input_noise: 0.0,
         }
     }
@@ -175,15 +142,15 @@ impl Printed {
         self.v += dt * a;
     }
 
-    /// Runs over samples (time in s, acceleration, noise density), with frames in time order; met: of each frame, None
-    /// where it was not used. Returns how many frames are done.
+    /// Runs over samples (time in s, acceleration, noise density), with frames in time order; noises: R of each frame,
+    /// None where it was not used. Returns how many frames are done.
     pub fn run(
         &mut self,
         samples: impl Iterator<Item = [f64; 3]>,
         frames: &[Frame],
         learning: Learning,
         rows: &mut Vec<PrintedRow>,
-        met: &mut [Option<PrintedMet>],
+        noises: &mut [Option<f64>],
     ) -> usize {
         let mut j = 0;
         for [end_s, value, density] in samples {
@@ -197,19 +164,13 @@ impl Printed {
                 j += 1;
             }
             if frames.get(j).is_some_and(|one| one.at_s <= end_s) {
-                j = self.take_frames(frames, j, met, (end_s, q), learning);
+                j = self.take_frames(frames, j, noises, (end_s, q), learning);
             } else {
                 self.hold(dt, self.input);
                 self.p = self.p.moved(dt, q);
             }
             (self.time_s, self.input, self.input_noise) = (end_s, value - self.bias, q);
-            rows.push(PrintedRow {
-                x: self.x,
-                variance: self.p.x.max(0.0) + self.beyond.max(0.0),
-                v: self.v,
-                accepted_s: self.accepted_s,
-                source: self.source,
-            });
+            rows.push(PrintedRow { x: self.x, v: self.v });
         }
         j
     }
@@ -222,7 +183,7 @@ impl Printed {
         &mut self,
         frames: &[Frame],
         mut j: usize,
-        met: &mut [Option<PrintedMet>],
+        noises: &mut [Option<f64>],
         (end_s, q): (f64, f64),
         learning: Learning,
     ) -> usize {
@@ -247,15 +208,15 @@ impl Printed {
                 self.p = g;
                 return j;
             };
-            if let Some(out) = met.get_mut(j) {
+            if let Some(out) = noises.get_mut(j) {
                 *out = Some(self.take(frame, g, &mut carried, learning));
             }
             j += 1;
         }
     }
 
-    /// Takes a frame; g: the covariance before it.
-    fn take(&mut self, frame: &Frame, g: Covariance, carried: &mut Carried, learning: Learning) -> PrintedMet {
+    /// Takes a frame; g: the covariance before it. Returns R.
+    fn take(&mut self, frame: &Frame, g: Covariance, carried: &mut Carried, learning: Learning) -> f64 {
         let eta = frame.value_m - self.x;
         self.count += 1.0;
         let mut r = self.noise;
@@ -267,22 +228,7 @@ impl Printed {
         self.x += k[0] * eta;
         self.v += k[1] * eta;
         carried.update(k, r);
-        self.follow_beyond(eta, g.x.max(0.0), frame.variance_m2);
-        (self.accepted_s, self.source) = (frame.at_s, frame.source);
-        PrintedMet { innovation: eta, total: g.x.max(0.0) + r.max(0.0), noise: r }
-    }
-
-    /// Follows how far innovations exceed what G and the declared noise explain.
-    ///
-    /// The mean of all so far until the memory is full: what the first frame finds is the start's own error. While the
-    /// start settles, the variance G is too wide to be taken off.
-    fn follow_beyond(&mut self, eta: f64, g: f64, declared: f64) {
-        let mut beyond = eta * eta - declared - g;
-        if self.count <= SETTLING_FRAMES {
-            beyond = beyond.max(-declared);
-        }
-        let kept = MEMORY.min(1.0 - 1.0 / self.count);
-        self.beyond = kept * self.beyond + (1.0 - kept) * beyond;
+        r
     }
 
     /// Displacement and variance at a time after the last sample, before a frame there: equations 7 and 8. Infinite

@@ -30,6 +30,11 @@ from midspan.signals.health import Mask
 
 # Samples that wait for the estimator's first rows at most.
 MAX_HELD = 65536
+# Of a record that no row of the method is in.
+NO_ROWS = (
+    "the method has no row of its own here: what it needs around a row is longer than the record, or never without a "
+    "gap. The rows are the estimator's."
+)
 # Before every stamp.
 FIRST_NS = np.iinfo(np.int64).min
 
@@ -40,7 +45,7 @@ class MethodRows:
 
     displacement_m: Floats
     velocity_m_s: Floats
-    known: Mask
+    valid: Mask
     events: tuple[Event, ...] = ()
 
 
@@ -53,7 +58,7 @@ class Usual:
     speed_m_s: float
 
 
-class Held:
+class SampleBuffer:
     """Columns (n,) at stamps (n,) that are kept until they are not needed any more, `MAX_HELD` and `more` at most."""
 
     def __init__(self, columns: int, more: int = 0) -> None:
@@ -117,8 +122,9 @@ class SeriesMethod(Protocol):
 
 
 MakeMethod = Callable[[MethodSettings, Usual], SeriesMethod]
-# Of the estimator; the last sample's stamp; of each axis that of the method, and the newest displacement that it took.
-OnSeriesState = tuple[State, int, tuple[tuple[Any, int] | None, ...]]
+# Of the estimator; the last sample's stamp; of each axis that of the method, the newest displacement that it took, and
+# whether it has given a row.
+OnSeriesState = tuple[State, int, tuple[tuple[Any, int, bool] | None, ...]]
 
 
 class OnSeries:
@@ -145,6 +151,7 @@ class OnSeries:
             else Estimator(settings, log=log, max_waiting=max_waiting)
         )
         self._methods, self._newest_ns, self._last_ns = list(methods), [FIRST_NS] * len(methods), FIRST_NS
+        self._gave = [False] * len(methods)
         self._has_zero = np.array([np.isfinite(one.zero_std_m) for one in settings.channels])
         self._taken = [
             np.array([one.axis == axis and one.sensor in sensors for one in settings.channels])
@@ -180,7 +187,13 @@ class OnSeries:
 
     def finish(self) -> list[Rows]:
         """The rows that are held back still."""
-        return [self._replaced(rows) for rows in self._inner.finish()]
+        found = [self._replaced(rows) for rows in self._inner.finish()]
+        missing = [axis for axis, method in enumerate(self._methods) if method is not None and not self._gave[axis]]
+        if found and missing:
+            ends_ns = [min(self._last_ns, self._newest_ns[axis]) for axis in missing]
+            events = (Event(at, "literal", NO_ROWS, axis=axis) for at, axis in zip(ends_ns, missing, strict=True))
+            found[-1] = replace(found[-1], events=(*found[-1].events, *events))
+        return found
 
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that."""
@@ -207,8 +220,8 @@ class OnSeries:
     def state(self) -> OnSeriesState:
         """All that is remembered besides the log."""
         own = tuple(
-            None if method is None else (method.state, newest_ns)
-            for method, newest_ns in zip(self._methods, self._newest_ns, strict=True)
+            None if method is None else (method.state, newest_ns, gave)
+            for method, newest_ns, gave in zip(self._methods, self._newest_ns, self._gave, strict=True)
         )
         return self._inner.state, self._last_ns, own
 
@@ -218,7 +231,7 @@ class OnSeries:
         self._inner.restore(inner)
         for axis, (method, kept) in enumerate(zip(self._methods, own, strict=True)):
             if method is not None and kept is not None:
-                method.state, self._newest_ns[axis] = kept
+                method.state, self._newest_ns[axis], self._gave[axis] = kept
 
     def _series(self, record: Measured, axis: int) -> Displacement:
         """What the method takes of measurements, in m."""
@@ -243,12 +256,13 @@ class OnSeries:
             if method is None:
                 continue
             one, own = estimates[axis], method.rows(estimates[axis].time_ns)
-            apart = np.where(own.known, own.displacement_m - one.displacement_m, 0.0)
+            self._gave[axis] |= bool(own.valid.any())
+            apart = np.where(own.valid, own.displacement_m - one.displacement_m, 0.0)
             estimates[axis] = replace(
                 one,
-                displacement_m=np.where(own.known, own.displacement_m, one.displacement_m),
+                displacement_m=np.where(own.valid, own.displacement_m, one.displacement_m),
                 variance_m2=one.variance_m2 + apart**2,
-                velocity_m_s=np.where(own.known, own.velocity_m_s, one.velocity_m_s),
+                velocity_m_s=np.where(own.valid, own.velocity_m_s, one.velocity_m_s),
             )
             events += [replace(event, axis=axis) for event in own.events]
         return replace(rows, estimates=tuple(estimates), events=tuple(events))

@@ -16,16 +16,12 @@ from midspan import _core
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.entry import MAX_M
 from midspan.fusion.estimator import State, restore
-from midspan.fusion.on_series import Held, MethodRows, Usual
+from midspan.fusion.on_series import MethodRows, SampleBuffer, Usual
 from midspan.fusion.streams import MethodSettings
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, joined, part, seconds
 
 # This many frames may wait for the samples that cover them; older ones are dropped.
 MAX_WAITING = 65536
-# Columns of what is given of each sample: displacement, its variance, velocity; time (s) and source of the last frame.
-ROW_X, ROW_VARIANCE, ROW_VELOCITY, ROW_ACCEPTED, ROW_SOURCE = range(5)
-# And of each frame: the innovation, its variance, the noise R, and whether it was used.
-MET_INNOVATION, MET_TOTAL, MET_NOISE, MET_USED = range(4)
 
 
 class PrintedFilter:
@@ -48,7 +44,6 @@ class PrintedFilter:
             # The printed equations know no bias: what is known of it is taken off the acceleration, gravity above all.
             bias=kalman.bias,
             velocity_std=kalman.velocity_std if start_velocity is None else start_velocity,
-            displacement_std=kalman.displacement_std,
             beta=settings.forgetting,
             first_frames=float(settings.first_frames),
             mean_input=settings.input_rule == "mean",
@@ -72,20 +67,19 @@ class PrintedFilter:
             seconds(met.time_ns, self.origin_ns),
             np.ascontiguousarray(met.value_m, dtype=np.float64),
             np.ascontiguousarray(met.variance_m2, dtype=np.float64),
-            np.ascontiguousarray(met.source, dtype=np.uint8),
         )
 
-    def push(self, acceleration: Acceleration) -> tuple[Floats, Floats]:
-        """Rows (n, 5) of the samples, and of the frames that they cover what they met (m, 4), see the column names."""
+    def push(self, acceleration: Acceleration) -> tuple[Floats, Floats, Floats]:
+        """Displacement (m) and velocity (m/s) at samples (n,); R (m²) of covered frames (m,), NaN of unused ones."""
         density = acceleration.noise_density
         if self.settings.input_noise_m_s2 is not None:
             density = np.full(len(density), self.settings.input_noise_m_s2**2 * self._step_s)
-        rows, met = self._core.push(
+        displacement, velocity, noise = self._core.push(
             seconds(acceleration.time_ns, self.origin_ns),
             np.ascontiguousarray(acceleration.value_m_s2, dtype=np.float64),
             np.ascontiguousarray(density, dtype=np.float64),
         )
-        return np.column_stack(rows), np.column_stack(met)
+        return displacement, velocity, noise
 
     def predict(self, time_ns: int) -> tuple[float, float]:
         """Displacement (m) and variance (m²) at a time after the last sample, before a frame there: equations 7 and 8.
@@ -117,7 +111,7 @@ class AdaptiveRows:
         """See `fusion.on_series`."""
         self._settings, self._usual = settings, usual
         self._filter: PrintedFilter | None = None
-        self._level_m, self._early, self._held = np.nan, NOTHING, Held(2)
+        self._level_m, self._early, self._rows = np.nan, NOTHING, SampleBuffer(2)
         # Stamps of the frames that wait. Variance R of the start: NaN before it, infinite once its growth is an event.
         self._frames_ns, self._start_m2 = NOTHING.time_ns, np.nan
         self._events: tuple[Event, ...] = ()
@@ -139,34 +133,34 @@ class AdaptiveRows:
         if self._filter is None:
             self._filter = self._begun(int(acceleration.time_ns[0]))
             self.wait(part(self._early, self._early.time_ns >= acceleration.time_ns[0]))
-        rows, met = self._filter.push(acceleration)
-        self._watch(met)
-        self._held.add(acceleration.time_ns, rows[:, ROW_X], rows[:, ROW_VELOCITY])
+        displacement, velocity, noise = self._filter.push(acceleration)
+        self._watch(noise)
+        self._rows.add(acceleration.time_ns, displacement, velocity)
 
     def rows(self, time_ns: Nanoseconds) -> MethodRows:
         """The rows at samples (n,), as far as they are finite: beyond that the filter ran away."""
-        place, known = self._held.at(time_ns)
+        place, kept = self._rows.at(time_ns)
         found = np.full((2, len(time_ns)), np.nan)
-        for row, column in zip(found, self._held.columns, strict=True):
-            row[known] = column[place[known]]
-        self._held.drop_first(int(place[-1]))
+        for row, column in zip(found, self._rows.columns, strict=True):
+            row[kept] = column[place[kept]]
+        self._rows.drop_first(int(place[-1]))
         displacement = found[0] + np.nan_to_num(self._level_m)
         events, self._events = self._events, ()
-        known = (np.abs(displacement) <= MAX_M) & np.isfinite(found[1])
-        return MethodRows(displacement, found[1], known, events)
+        valid = (np.abs(displacement) <= MAX_M) & np.isfinite(found[1])
+        return MethodRows(displacement, found[1], valid, events)
 
-    def _watch(self, met: Floats) -> None:
+    def _watch(self, noise_m2: Floats) -> None:
         """Report with the first frame what the rows are, and once that R has grown far beyond that of the start."""
-        stamps, self._frames_ns = self._frames_ns[: len(met)], self._frames_ns[len(met) :]
-        used = met[:, MET_USED] > 0.0
-        if not np.isnan(self._start_m2) and not (met[used, MET_NOISE] > RUN_AWAY**2 * self._start_m2).any():
-            return
-        for time_ns, noise_m2 in zip(stamps[used].tolist(), met[used, MET_NOISE].tolist(), strict=True):
-            if np.isnan(self._start_m2):
-                self._start_m2, self._events = noise_m2, (Event(time_ns, "literal", AS_PRINTED),)
-            elif noise_m2 > RUN_AWAY**2 * self._start_m2:
-                grown, self._start_m2 = np.sqrt(noise_m2 / self._start_m2), np.inf
-                self._events += (Event(time_ns, "literal", GROWN.format(grown)),)
+        stamps, self._frames_ns = self._frames_ns[: len(noise_m2)], self._frames_ns[len(noise_m2) :]
+        used = np.isfinite(noise_m2)
+        if np.isnan(self._start_m2) and used.any():
+            first = int(np.argmax(used))
+            self._start_m2, self._events = float(noise_m2[first]), (Event(int(stamps[first]), "literal", AS_PRINTED),)
+        beyond = noise_m2 > RUN_AWAY**2 * self._start_m2
+        if beyond.any():
+            first = int(np.argmax(beyond))
+            grown, self._start_m2 = np.sqrt(noise_m2[first] / self._start_m2), np.inf
+            self._events += (Event(int(stamps[first]), "literal", GROWN.format(grown)),)
 
     def predict(self, time_ns: int) -> tuple[float, float] | None:
         """Of `PrintedFilter`, counted as the series is."""
@@ -181,11 +175,11 @@ class AdaptiveRows:
         one, early = self._filter, self._early
         waiting = early.time_ns, early.value_m, early.variance_m2, early.source
         own = None if one is None else (one.state, one.origin_ns)
-        return own, self._level_m, waiting, self._held.state, self._frames_ns, self._start_m2, self._events
+        return own, self._level_m, waiting, self._rows.state, self._frames_ns, self._start_m2, self._events
 
     @state.setter
     def state(self, state: tuple[Any, ...]) -> None:
-        own, self._level_m, waiting, self._held.state, self._frames_ns, self._start_m2, self._events = state
+        own, self._level_m, waiting, self._rows.state, self._frames_ns, self._start_m2, self._events = state
         self._early, self._filter = Displacement(*waiting), None
         if own is not None:
             self._filter = self._begun(own[1])

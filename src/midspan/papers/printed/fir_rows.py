@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from midspan.fusion.methods import SPLINE_FRAMES
-from midspan.fusion.on_series import FIRST_NS, Held, MethodRows
+from midspan.fusion.on_series import FIRST_NS, MethodRows, SampleBuffer
 from midspan.papers.printed.resample import filtered_at, local_spline, spline_reach
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Floats, Nanoseconds, seconds
 from midspan.signals.health import Mask
@@ -102,7 +102,7 @@ class FirRows:
 
     def __init__(self, branches: Branches) -> None:
         self.branches, self.delay_samples = branches, branches.delay_samples
-        self._samples, self._knots = Held(1, branches.before_samples), Held(1)
+        self._samples, self._knots = SampleBuffer(1, branches.before_samples), SampleBuffer(1)
         # The first sample, which seconds count from, and the newest displacement.
         self._origin_ns, self._newest_ns, self._reported = FIRST_NS, FIRST_NS, False
 
@@ -122,9 +122,9 @@ class FirRows:
 
     def rows(self, time_ns: Nanoseconds) -> MethodRows:
         """The rows at samples (n,); with the first ones comes what is wrong with the rates."""
-        place, known = self._samples.at(time_ns)
-        if not known.any():
-            return MethodRows(np.zeros(len(time_ns)), np.zeros(len(time_ns)), known)
+        place, kept = self._samples.at(time_ns)
+        if not kept.any():
+            return MethodRows(np.zeros(len(time_ns)), np.zeros(len(time_ns)), kept)
         around = self.branches.margin + 1
         first = max(int(place[0]) - around, 0)
         found, full = self._filtered(slice(first, int(place[-1]) + around))
@@ -132,7 +132,7 @@ class FirRows:
         self._forget(int(time_ns[-1]))
         warnings, self._reported = () if self._reported else self.branches.warnings, True
         events = tuple(Event(int(time_ns[0]), "rate", text) for text in warnings)
-        return MethodRows(found[0, place], found[1, place], known & full[place], events)
+        return MethodRows(found[0, place], found[1, place], kept & full[place], events)
 
     def predict(self, time_ns: int) -> None:
         """The estimator predicts."""
