@@ -15,7 +15,7 @@ import numpy as np
 from midspan import Acceleration, Displacement
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings
-from midspan.papers.printed.adaptive import MET_NOISE, MET_USED, ROW_X, PrintedFilter
+from midspan.papers.printed.adaptive import PrintedFilter
 
 RATE_HZ, SLOW_HZ, LENGTH_S = 100.0, 10.0, 1200.0
 NOISE_A, NOISE_D = 5e-3, 0.5e-3  # m/s² a sample, m
@@ -51,8 +51,8 @@ def estimated(bias, *, literal):
         settings = MethodSettings(literal=True, forgetting=0.98)
         printed = PrintedFilter(settings, int(acceleration.time_ns[0]), step_s=1.0 / RATE_HZ, speed_m_s=0.0)
         printed.wait(displacement)
-        rows, met = printed.push(acceleration)
-        moved, variance = rows[:, ROW_X], met[met[:, MET_USED] > 0.0, MET_NOISE]
+        moved, _, noise = printed.push(acceleration)
+        variance = noise[np.isfinite(noise)]
     else:
         found = run_method("adaptive-kalman", acceleration, displacement, MethodSettings(forgetting=0.98))
         moved, variance = found.estimate.displacement_m, found.innovation.variance_m2
