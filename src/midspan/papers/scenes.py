@@ -13,6 +13,7 @@ import numpy as np
 from midspan.errors import UsageError
 from midspan.papers.filming import FREE, PAPER_SCENES, FilmSettings, film, write_recording
 from midspan.papers.motions import ACCELEROMETER, CAMERA_HZ, Excitation, Later, Sweep, random, sine
+from midspan.records import Region
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.day.setup import CameraPlan, DaySetup
 from midspan.simulate.day.sky import Sky
@@ -24,6 +25,7 @@ from midspan.simulate.scenarios.stage import CameraSetup, Scenario
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.write import write
 from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.fisheye import Fisheye
 from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
 
 Drawn = Callable[[np.random.Generator], Motion]
@@ -200,6 +202,25 @@ def _lab(
     )
 
 
+# 2 m away at 0.945 mm/px is a focal length of 2116 px; the target lies 1030 px from the axis.
+_FISHEYE = Fisheye(
+    (2116.0, 2116.0, 1919.5, 1439.5),
+    (-0.02, 0.004, -0.001, 0.0),
+    (2880, 3840),
+    lit=Region(2806, 976, 128, 128),
+    roi=Region(2838, 1008, 64, 64),
+)
+_FISHEYE_LAB = Scenario(
+    line="001, vision camera as filmed: fisheye frames of 3840 × 2880 px, 1 Hz",
+    title="fisheye camera of the paper on vision and infrared",
+    duration_s=20.0,
+    motion=lambda rng: Window(sine(20e-3, 1.0)(20.0, rng), 0.5, 20.0, ramp_s=1.0),
+    accelerometer=ACCELEROMETER,
+    camera=CameraSetup(rate_hz=30.0, time_offset_s=0.05, scale_mm_per_px=-0.945, direction="x", fisheye=_FISHEYE),
+    free="amplitude, length, the lens, the target's place 1030 px from its axis, texture of 128 × 128 px in black "
+    "frames, noise, 0.05 s between the clocks",
+)
+
 # Cold air, a warm and a cold body at the edges, and the exhaust of a bus that passes in a second.
 _COLD = (
     WarmBody(0.0, 0.0, 18.0, 12.0, 24.0, 0.0, celsius=9.0),
@@ -260,6 +281,7 @@ PUBLISHED: dict[str, Scenario] = {
         rate_hz=10.0,
     ),
     "001-bridge": _COLD_BRIDGE,
+    "001-fisheye": _FISHEYE_LAB,
 }
 """Name → scenario; the first three digits are the paper's key."""
 

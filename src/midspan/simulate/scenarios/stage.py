@@ -12,6 +12,7 @@ from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSens
 from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.scene.camera import Camera, Light, View
 from midspan.simulate.scene.disturbances import Disturbance, Panel
+from midspan.simulate.scene.fisheye import Fisheye, bent_scene
 from midspan.simulate.scene.texture import textured_scene
 
 Span = tuple[float, float]  # start and end in s
@@ -24,6 +25,7 @@ class CameraSetup:
     `start_s` is the time of the first frame on the camera's clock; true time = that clock + `time_offset_s`.
     Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
     `targets` (name, region) are written as [[camera.target]]. `says_exposure`: whether the settings state the exposure.
+    `fisheye`: the lens, whose scene and frames take the place of `texture` and `size_px`.
     """
 
     rate_hz: float = 10.0
@@ -42,6 +44,7 @@ class CameraSetup:
     panels: Callable[[np.random.Generator], tuple[Panel, ...]] | None = None
     targets: tuple[tuple[str, Region], ...] = ()
     says_exposure: bool = True
+    fisheye: Fisheye | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,11 @@ class Stage:
     def view(self, setup: CameraSetup) -> View:
         """The camera looking at its scene."""
         rng_texture, rng_disturbances, rng_panels = self.rng_scene.spawn(3)
-        scene = textured_scene(setup.texture, setup.size_px, rng=rng_texture)
+        scene = (
+            textured_scene(setup.texture, setup.size_px, rng=rng_texture)
+            if setup.fisheye is None
+            else bent_scene(setup.fisheye, rng=rng_texture)
+        )
         return View(
             scene,
             setup.scale_mm_per_px * 1e-3,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from midspan.checks import option
-from midspan.records import Floats
+from midspan.records import Floats, Region
 from midspan.simulate.files.folder import (
     MARK,
     Progress,
@@ -117,9 +117,10 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
         np.zeros_like(pixels) if black else pixels
         for pixels, black in zip(film, within(true_times, setup.black), strict=True)
     )
+    lens = setup.fisheye
     write_video(
         folder / "camera.mkv",
-        frames,
+        frames if lens is None else map(lens.whole, frames),
         stamps_s=stamps,
         rate_hz=setup.rate_hz,
         done=lambda count: progress(count, len(stamps)),
@@ -127,11 +128,12 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
     if not exact_in_video(stamps):
         write_table(folder / "camera_times.csv", {"time_s": stamps}, decimals={"time_s": 9})
     x_px, y_px = cramer_rao_std_px(view.scene, view.camera)
+    region = Region(0, 0, view.scene.columns, view.scene.rows) if lens is None else lens.lit
     return {
         "scale_mm_per_px": setup.scale_mm_per_px,
         "time_offset_s": setup.time_offset_s,
         "cramer_rao_std_px": {"x": x_px, "y": y_px},
-        "cramer_rao_region": [0, 0, view.scene.columns, view.scene.rows],
+        "cramer_rao_region": [region.x, region.y, region.width, region.height],
     }
 
 
@@ -170,6 +172,8 @@ def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
         settings["every"] = setup.every
     if setup.camera.readout_s > 0:
         settings["readout_s"] = setup.camera.readout_s
+    if setup.fisheye is not None:
+        settings |= setup.fisheye.settings()
     if setup.targets:
         settings["target"] = [{"name": name, "roi": [r.x, r.y, r.width, r.height]} for name, r in setup.targets]
     return settings

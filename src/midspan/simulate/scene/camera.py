@@ -10,6 +10,7 @@ from midspan.checks import option, refuse
 from midspan.records import Floats, Region
 from midspan.simulate.motion.motion import Motion
 from midspan.simulate.scene.disturbances import Disturbance, Panel
+from midspan.simulate.scene.fisheye import BentScene
 from midspan.simulate.scene.scene import Image, Scene
 
 WHITE_DN = 255.0
@@ -88,7 +89,7 @@ class View:
     panels: parts of the picture at other distances; across: the motion along the other axis, at the same scale.
     """
 
-    scene: Scene
+    scene: Scene | BentScene
     scale_m_per_px: float
     direction: str = "y"
     camera: Camera = field(default_factory=Camera)
@@ -117,7 +118,7 @@ class View:
             yield self.camera.expose(self.mean_image(motion, float(stamp)), rng=rng)
 
 
-def cramer_rao_std_px(scene: Scene, camera: Camera, *, region: Region | None = None) -> tuple[float, float]:
+def cramer_rao_std_px(scene: Scene | BentScene, camera: Camera, *, region: Region | None = None) -> tuple[float, float]:
     """The least standard deviation (x, y) in px that an unbiased estimate of a translation from one frame can have.
 
     For a known template in `region` (all of the picture without one): F = Σ g gᵀ / σ² over the pixels, with g the
