@@ -17,6 +17,7 @@ from benchmarks.honest.lines import (
     passing,
     ringing,
 )
+from benchmarks.honest.oscillators import Oscillation, Signal
 from midspan.records import Floats
 
 LENGTH_S = 120.0
@@ -28,12 +29,14 @@ class Scene:
 
     motion: true displacement (m); felt: what the accelerometer is made to measure (m/s²); seen: what the slow sensor
     is made to measure (m); slow_s (n,): its true instants; white_m and error_m (n,): its white noise's standard
-    deviation and what it adds together with; keys: further lines of its section; wander_m: standard deviation of what a
-    slow error of the sensor adds in 10 s.
+    deviation and what it adds together with; keys: further lines of its section; drift_m: standard deviation of what a
+    slow error of the sensor adds in 10 s. ahead_s (n,): by how much its clock is ahead, besides the offset;
+    stamps_s (m,): the accelerometer's stamps; round_s: to which both clocks' stamps are rounded; range_m_s2: what the
+    accelerometer can measure; stretch_s: true times in which rows are also judged by themselves.
     """
 
     rng: np.random.Generator
-    motion: Lines
+    motion: Lines | Oscillation
     rate_hz: float
     slow_s: Floats
     noise_m_s2: float
@@ -43,22 +46,29 @@ class Scene:
     keys: str = ""
     gain: float = 1.0
     drift_m: float = 0.0
-    felt: Lines = field(init=False)
-    seen: Lines = field(init=False)
+    felt: Lines | Signal = field(init=False)
+    seen: Lines | Oscillation = field(init=False)
     white_m: Floats = field(init=False)
     error_m: Floats = field(init=False)
     added_m_s2: Floats = field(init=False)
     step_m: float = 1e-6
+    ahead_s: Floats = field(init=False)
+    stamps_s: Floats = field(init=False)
+    round_s: float = 1e-9
+    range_m_s2: float = np.inf
+    stretch_s: tuple[float, float] | None = None
     lost: "np.ndarray[tuple[int], np.dtype[np.bool_]]" = field(init=False)
 
     def __post_init__(self) -> None:
         self.moves(self.motion)
         self.white_m, self.error_m = np.full(len(self.slow_s), self.noise_m), np.zeros(len(self.slow_s))
         self.added_m_s2, self.lost = np.zeros(len(self.time_s)), np.zeros(len(self.slow_s), dtype=np.bool_)
+        self.ahead_s, self.stamps_s = np.zeros(len(self.slow_s)), self.time_s
 
-    def moves(self, motion: Lines) -> None:
+    def moves(self, motion: Lines | Oscillation) -> None:
         """Give it another motion."""
-        self.motion, self.felt, self.seen = motion, acceleration(motion), motion
+        self.motion, self.seen = motion, motion
+        self.felt = motion.acceleration if isinstance(motion, Oscillation) else acceleration(motion)
 
     @property
     def time_s(self) -> Floats:
@@ -68,7 +78,8 @@ class Scene:
     def acceleration(self) -> Floats:
         """What the accelerometer writes, m/s²."""
         noise = self.rng.normal(0, self.noise_m_s2, len(self.time_s))
-        return np.asarray(self.felt.at(self.time_s) + 0.05 + self.added_m_s2 + noise)
+        value = self.felt.at(self.time_s) + 0.05 + self.added_m_s2 + noise
+        return np.clip(value, -self.range_m_s2, self.range_m_s2)
 
 
 def scene(rng: np.random.Generator, *, band_hz: tuple[float, float] = (0.4, 4.5)) -> Scene:
@@ -88,16 +99,22 @@ def scene(rng: np.random.Generator, *, band_hz: tuple[float, float] = (0.4, 4.5)
 
 def write(made: Scene, folder: Path) -> None:
     """Write accel.csv, slow.csv and recording.toml."""
-    table = np.column_stack((made.time_s, made.acceleration()))
+    table = np.column_stack((rounded(made.stamps_s, made.round_s), made.acceleration()))
     np.savetxt(folder / "accel.csv", table, "%.9f", ",", header="time_s,accel", comments="")
     value = made.seen.at(made.slow_s) + made.error_m + made.rng.normal(size=len(made.slow_s)) * made.white_m
     value = np.round(value / made.step_m) * made.step_m
-    rows = np.column_stack((made.slow_s - made.offset_s, 1e3 * value))[~made.lost]
+    stamps = rounded(made.slow_s - made.offset_s + made.ahead_s, made.round_s)
+    rows = np.column_stack((stamps, 1e3 * value))[~made.lost]
     np.savetxt(folder / "slow.csv", rows, "%.9f", ",", header="time_s,height", comments="")
     (folder / "recording.toml").write_text(
         '[accelerometer]\nfile = "accel.csv"\ntime = "time_s"\nvalue = "accel"\nunit = "m/s^2"\n'
         f'[displacement]\nfile = "slow.csv"\ntime = "time_s"\nvalue = "height"\nunit = "mm"\n{made.keys}'
     )
+
+
+def rounded(time_s: Floats, step_s: float) -> Floats:
+    """Stamps (n,) as a clock writes them that counts steps."""
+    return np.round(time_s / step_s) * step_s
 
 
 # ---- kinds that obey the model

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.honest import displacement, frames
+from benchmarks.honest import camera_outdoors, displacement, displacement_outdoors, frames, radar_outdoors
 from benchmarks.honest.lines import Lines
+from benchmarks.honest.oscillators import Oscillation
+from benchmarks.honest.station import Station
 from midspan.records import Floats
 
 RADAR_FACTORS = (1.0, 1.8)
@@ -19,19 +21,29 @@ RADAR_FACTORS = (1.0, 1.8)
 class Truth:
     """What is true of a recording: the motion (m), the instant of its zero, scale and offset (NaN: not compared).
 
-    wander_mm: standard deviation of what a slow error of the sensor adds in 10 s.
+    zero_s: NaN where the sensor's own zero is the motion's; drift_mm: standard deviation of what a slow error of the
+    sensor adds in 10 s; clock: stamps (m,) of the accelerometer and their true instants (m,), where these differ;
+    free_zero: whether the zero is a convention, so that a result is compared without its mean; stretch_s: true times
+    whose rows are also judged by themselves.
     """
 
-    motion: Lines
+    motion: Lines | Oscillation
     zero_s: float
     scale: float
     offset_s: float
     drift_mm: float = 0.0
+    clock: tuple[Floats, Floats] | None = None
+    free_zero: bool = False
+    stretch_s: tuple[float, float] | None = None
+
+    def true_s(self, time_s: Floats) -> Floats:
+        """True instants (n,) of times on the accelerometer's clock."""
+        return time_s if self.clock is None else np.interp(time_s, *self.clock)
 
     def displacement_mm(self, time_s: Floats) -> Floats:
-        """True displacement (n,) from the zero."""
+        """True displacement (n,) from the zero at times on the accelerometer's clock."""
         zero = 0.0 if np.isnan(self.zero_s) else self.motion.at(np.array([self.zero_s]))[0]
-        return np.asarray(1e3 * (self.motion.at(time_s) - zero))
+        return np.asarray(1e3 * (self.motion.at(self.true_s(time_s)) - zero))
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,7 @@ class Kind:
     """A kind of recording.
 
     count: recordings of a full run; make: writes one into a folder; cause: pattern of the messages that name what is
-    wrong, None where nothing is.
+    wrong, None where nothing is; outdoors: whether it is one of the troubles of an outdoor installation.
     """
 
     family: str
@@ -47,6 +59,7 @@ class Kind:
     count: int
     make: Callable[[np.random.Generator, Path], Truth]
     cause: str | None = None
+    outdoors: bool = False
 
     @property
     def label(self) -> str:
@@ -87,6 +100,50 @@ def _range(change: frames.Change, rng: np.random.Generator, folder: Path) -> Tru
     return Truth(made.motion, float(made.true_s[0]), made.scale, made.offset_s)
 
 
+def _slow_outdoors(change: displacement.Change, rng: np.random.Generator, folder: Path) -> Truth:
+    outdoors = displacement_outdoors
+    made = outdoors.gnss(rng) if change in outdoors.OF_GNSS else outdoors.installation(rng)
+    change(made)
+    displacement.write(made, folder)
+    clock = None if np.array_equal(made.stamps_s, made.time_s) else (made.stamps_s, made.time_s)
+    scale = np.nan if change in outdoors.WITHOUT_SCALE else 1.0
+    drift_mm = 1e3 * made.drift_m
+    return Truth(made.motion, np.nan, scale, np.nan, drift_mm, clock, stretch_s=made.stretch_s)
+
+
+def _truth(made: Station, scale: float) -> Truth:
+    offset = made.offset_s if made.has_offset else np.nan
+    scale = scale if made.has_scale else np.nan
+    return Truth(made.motion, float(made.true_s[0]), scale, offset, free_zero=not made.has_zero)
+
+
+def _camera_outdoors(change: camera_outdoors.Change, rng: np.random.Generator, folder: Path) -> Truth:
+    made = camera_outdoors.installation(rng)
+    change(made)
+    camera_outdoors.write_camera(made, folder)
+    return _truth(made, 1e3 * made.scale)
+
+
+def _highrise(rng: np.random.Generator, folder: Path) -> Truth:
+    made = camera_outdoors.highrise(rng)
+    camera_outdoors.write_camera(made, folder)
+    return _truth(made, 1e3 * made.scale)
+
+
+def _infrared_outdoors(change: camera_outdoors.Change, rng: np.random.Generator, folder: Path) -> Truth:
+    made = camera_outdoors.installation(rng, size_px=camera_outdoors.INFRARED_PX)
+    change(made)
+    camera_outdoors.write_infrared(made, folder)
+    return _truth(made, 1e3 * made.scale)
+
+
+def _radar_outdoors(change: radar_outdoors.Change, rng: np.random.Generator, folder: Path) -> Truth:
+    made = radar_outdoors.installation(rng)
+    change(made)
+    radar_outdoors.write(made, folder)
+    return _truth(made, made.scale)
+
+
 def _displacements(changes: dict[displacement.Change, str | None], count: int) -> tuple[Kind, ...]:
     return tuple(
         Kind("displacement", change.__name__, count, partial(_slow, change), cause) for change, cause in changes.items()
@@ -108,6 +165,83 @@ def _radar(change: frames.Change, count: int, cause: str | None = None) -> Kind:
 AXIS = "axis|align|direction|cross|turned"
 TILT = "tilt|gravity|lean"
 LOGGER = "low-pass|filter|logger|delay|clock"
+CLOCK = "clock|time must increase"
+HUM = "anti-alias|aliased|machine|narrow|line at"
+WRONG = r"(?!)"  # matches nothing: such a recording is good enough, and every refusal is wrong
+NODDING = "mast|nod|tilt of the camera|camera (tilts|leans|moves|sways)|slow error|error of its own"
+ZOOM = "focus|zoom|breath|magnif|depth|distance"
+AIR = "haze|shimmer|air|slow error|error of its own"
+OUTDOORS_COUNT = 6
+# No record shows a slow error as slow as itself, nor the delay of a logger.
+UNSEEN = ("displacement-multipath", "displacement-logger")
+
+
+def _name(change: Callable[..., None]) -> str:
+    # A name that Python has itself ends with an underscore.
+    return change.__name__.rstrip("_")
+
+
+def _outdoors(
+    family: str, make: Callable[..., Truth], changes: dict[Callable[..., None], str | None]
+) -> tuple[Kind, ...]:
+    return tuple(
+        Kind(family, _name(change), OUTDOORS_COUNT, partial(make, change), cause, outdoors=True)
+        for change, cause in changes.items()
+    )
+
+
+OUTDOORS: tuple[Kind, ...] = (
+    *_outdoors(
+        "displacement",
+        _slow_outdoors,
+        {
+            displacement_outdoors.calm: None,
+            displacement_outdoors.float_: "jump|float|shift|outlier|displacement differs",
+            displacement_outdoors.clockstep: CLOCK,
+            displacement_outdoors.accstep: CLOCK,
+            displacement_outdoors.accdrift: CLOCK,
+            displacement_outdoors.backlater: CLOCK,
+            displacement_outdoors.rounding: WRONG,
+            displacement_outdoors.hum: HUM,
+            displacement_outdoors.backlash: "backlash|hysteresis|play|friction|stick",
+            displacement_outdoors.level: "resol|quanti|steps of|rounded",
+            displacement_outdoors.multipath: "slow error|multipath",
+            displacement_outdoors.clip: "clip|range|satur",
+        },
+    ),
+    *_outdoors(
+        "camera",
+        _camera_outdoors,
+        {
+            camera_outdoors.calm: None,
+            camera_outdoors.mast: NODDING,
+            camera_outdoors.breathe: ZOOM,
+            camera_outdoors.grow: ZOOM,
+            camera_outdoors.haze: AIR,
+            camera_outdoors.railing: "reson|railing|mount",
+            camera_outdoors.rolling: "rolling|read-?out|shutter",
+            camera_outdoors.clockstep: CLOCK,
+            camera_outdoors.hum: HUM,
+        },
+    ),
+    Kind("camera", "highrise", OUTDOORS_COUNT, _highrise, "too little|noise|noisy|quiet", outdoors=True),
+    *_outdoors(
+        "infrared",
+        _infrared_outdoors,
+        {camera_outdoors.calm: None, camera_outdoors.reflection: "reflect|haze|slow error|error of its own"},
+    ),
+    *_outdoors(
+        "radar",
+        _radar_outdoors,
+        {
+            radar_outdoors.calm: None,
+            radar_outdoors.jam: "interfer|jam",
+            radar_outdoors.jitter: "jitter|irregular|stamps",
+            radar_outdoors.clockstep: CLOCK,
+            radar_outdoors.hum: HUM,
+        },
+    ),
+)
 KINDS: tuple[Kind, ...] = (
     *_displacements(dict.fromkeys(displacement.OBEYING, None), 15),
     *_displacements(
@@ -137,4 +271,5 @@ KINDS: tuple[Kind, ...] = (
     _radar(frames.own, 4, "own|target|on its own"),
     _infrared(frames.plain, 8),
     _infrared(frames.pattern, 8, "pattern"),
+    *OUTDOORS,
 )
