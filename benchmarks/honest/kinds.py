@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +24,8 @@ class Truth:
     zero_s: NaN where the sensor's own zero is the motion's; drift_mm: standard deviation of what a slow error of the
     sensor adds in 10 s; clock: stamps (m,) of the accelerometer and their true instants (m,), where these differ;
     free_zero: whether the zero is a convention, so that a result is compared without its mean; stretch_s: true times
-    whose rows are also judged by themselves.
+    whose rows are also judged by themselves; frames_s (n,): instants of a radar's frames, of which the zero is that of
+    the first one used: the last one before the first row.
     """
 
     motion: Lines | Oscillation
@@ -35,6 +36,7 @@ class Truth:
     clock: tuple[Floats, Floats] | None = None
     free_zero: bool = False
     stretch_s: tuple[float, float] | None = None
+    frames_s: Floats | None = None
 
     def true_s(self, time_s: Floats) -> Floats:
         """True instants (n,) of times on the accelerometer's clock."""
@@ -42,8 +44,12 @@ class Truth:
 
     def displacement_mm(self, time_s: Floats) -> Floats:
         """True displacement (n,) from the zero at times on the accelerometer's clock."""
-        zero = 0.0 if np.isnan(self.zero_s) else self.motion.at(np.array([self.zero_s]))[0]
-        return np.asarray(1e3 * (self.motion.at(self.true_s(time_s)) - zero))
+        true_s, zero_s = self.true_s(time_s), self.zero_s
+        if self.frames_s is not None:
+            # A clock offset as calibrated is right to a millisecond.
+            zero_s = self.frames_s[max(int(np.searchsorted(self.frames_s, true_s[0] + 1e-3)) - 1, 0)]
+        zero = 0.0 if np.isnan(zero_s) else self.motion.at(np.array([zero_s]))[0]
+        return np.asarray(1e3 * (self.motion.at(true_s) - zero))
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,7 @@ def _radar_outdoors(change: radar_outdoors.Change, rng: np.random.Generator, fol
     made = radar_outdoors.installation(rng)
     change(made)
     radar_outdoors.write(made, folder)
-    return _truth(made, made.scale)
+    return replace(_truth(made, made.scale), frames_s=made.taken_s)
 
 
 def _displacements(changes: dict[displacement.Change, str | None], count: int) -> tuple[Kind, ...]:

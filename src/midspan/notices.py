@@ -20,11 +20,12 @@ _CODES = {
         "slow-error", "stamps-corrected", "tilt", "window-moved",
     ),
     Severity.WARNING: (
-        "acceleration-wrong", "accelerometer-noisy", "accelerometer-resonates", "clock-differs", "clock-uncertain",
-        "coasting", "file-damaged", "frames-blurred", "frozen", "gain-corrected", "lens", "light-changed", "literal",
-        "logger-low-pass", "lost", "misfit", "motion-not-shared", "outliers", "part-left-out", "radar-data",
-        "radar-target", "radar-zero", "region-exposure", "region-texture", "samples-bridged", "scale-uncertain",
-        "slow-motion", "thermal", "uncoded", "video-compressed", "zero-shifted", "zero-uncertain",
+        "acceleration-wrong", "accelerometer-line", "accelerometer-noisy", "accelerometer-resonates",
+        "clock-differs", "clock-uncertain", "coasting", "file-damaged", "frames-blurred", "frozen",
+        "gain-corrected", "lens", "light-changed", "literal", "logger-low-pass", "lost", "misfit",
+        "motion-not-shared", "outliers", "part-left-out", "radar-data", "radar-target", "radar-zero",
+        "region-exposure", "region-texture", "samples-bridged", "scale-uncertain", "slow-motion", "thermal",
+        "uncoded", "video-compressed", "zero-shifted", "zero-uncertain",
     ),
     Severity.SERIOUS: (
         "calibration-foreign", "rate-too-low", "scale-implausible", "unit-doubtful",

@@ -355,3 +355,15 @@ def test_a_lone_spike_is_bridged_and_an_impact_is_not():
     np.testing.assert_array_equal(np.flatnonzero(prepared.missing), [1000, 3000, 3001])
     assert "3 samples" in prepared.warnings[0]
     assert "are spikes far beyond all others" in prepared.warnings[0]
+
+
+def test_a_doubtful_span_raises_the_noise_there_alone_for_every_cutting():
+    value, span = channel(), (int(TIME_NS[1000]), int(TIME_NS[1500]), 1e-4)
+    figures = replace(usual_figures(value, 100.0), name=NAME, noise_density=DENSITY)
+    settings_ = GuardSettings(100.0, (figures,), doubtful=(span,))
+    whole, _ = run(Guard(settings_), TIME_NS, value)
+    cut, _ = run(Guard(settings_), TIME_NS, value, cuts=(1, 700, 1200, 1201))
+    inside = (whole.time_ns >= span[0]) & (whole.time_ns <= span[1])
+    expected = np.where(inside, DENSITY + 1e-4, DENSITY)
+    assert np.allclose(whole.noise_density[:, 0], expected, rtol=1e-12)
+    assert np.array_equal(cut.noise_density, whole.noise_density)

@@ -28,6 +28,7 @@ from midspan.calibration.whitening import (
 )
 from midspan.records import NANOSECONDS, Floats, InputNoise, Nanoseconds
 from midspan.signals.health import mean_square
+from midspan.signals.lines import Line
 
 # Fewer usable measurements than these tell no scale.
 MIN_FRAMES = 20
@@ -82,6 +83,7 @@ class Pair:
     logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
     bias_drifts: whether the accelerometer's bias drifts at one rate, which is taken out: it is no noise.
     level: relative level (n,) of the accelerometer's noise at the samples, of mean 1, where that changes; None: one.
+    lines: narrow ones of the acceleration that are no motion.
     """
 
     samples: Floats
@@ -98,6 +100,7 @@ class Pair:
     cross: tuple[Floats, Floats] | None = None
     bias_drifts: bool = False
     level: Floats | None = None
+    lines: tuple[Line, ...] = ()
 
     @cached_property
     def rate_hz(self) -> float:

@@ -14,6 +14,7 @@ from midspan.calibration.fit import Fit, Pair, aligned, corner_std
 from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.notices import Notice
 from midspan.records import Floats
+from midspan.signals.lines import beside_lines
 
 # Bands of the spectrum hold this many ordinates at least: the mean of one is right to a quarter. Of an accelerometer's
 # they are this many at most.
@@ -88,7 +89,8 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     than it is.
     """
     narrow = narrow_motion(pair, fit)
-    if not exceeds_own_noise(pair, fit):
+    if pair.lines or not exceeds_own_noise(pair, fit):
+        # What is left of lines of the acceleration is noise of it.
         return narrow
     # An error over seconds (haze), where it is far likelier than the noise that the accelerometer would need instead.
     likelihood, std = likeliest_slow_error(pair.changed(ratio=fit.ratio), fit)
@@ -143,7 +145,8 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     count = min(int(SLOW_HZ / (pair.rate_hz / n)), len(power))
     slow = np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
     strong = sorted({*index[power[index] > enough], *slow}, key=lambda k: -power[k])[:MAX_ORDINATES]
-    return np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
+    hertz = np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
+    return hertz[beside_lines(hertz, pair.lines)]
 
 
 def _wave(time_s: Floats, shape: Callable[[Floats], Floats], hertz: float) -> Floats:

@@ -9,6 +9,7 @@ from midspan.checks import positive, refuse
 from midspan.engine.axis import AxisFigures, AxisLimits, AxisMemory, Bridged, bridge, passed
 from midspan.engine.stream import FIRST_NS, STEPS
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds, Readings, SampleKind, Samples, joined, part
+from midspan.signals.acceleration import span_density
 from midspan.signals.health import GAP_STEPS, LONG_SHARE, Mask
 
 MEASURED = int(SampleKind.MEASURED)
@@ -19,11 +20,14 @@ class GuardSettings:
     """rate_hz of the samples, the usual figures of each axis, and for how long (s) samples are held back at most.
 
     hold_s: a hole that lasts longer is bridged by the mean, as one of which nothing is known; longer waits for its end.
+    doubtful: first and last stamp (ns) of spans, and the noise density, (m/s²)²/Hz, that the first axis has there in
+    addition.
     """
 
     rate_hz: float
     axes: tuple[AxisFigures, ...]
     hold_s: float = 1.0
+    doubtful: tuple[tuple[int, int, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +123,7 @@ class Guard:
                 return None
             noise[:, k] = found[1]
             memories.append(found[0])
+        noise[:, 0] += span_density(time_ns, self.settings.doubtful)
         self.state = GuardState(int(time_ns[-1]), False, state.stamps, tuple(memories), state.decided)
         value, density = record.value / self._gain, (noise + self._noise) / self._gain**2
         return Samples(time_ns, value, density, np.full(len(time_ns), MEASURED, dtype=np.uint8))
@@ -181,6 +186,7 @@ class Guard:
                 unseen = axis.unseen(float(step_s[k])) if gap[k] else 0.0
                 unmoved = axis.unmoved(float(step_s[k])) if broken[k] else 0.0
                 extra[k, number] = max(extra[k, number], unseen, unmoved)
+        extra[:, 0] += span_density(stamps.time_ns[:count], self.settings.doubtful)
         kind = np.where(
             np.any([axis.bridged[:count] for axis in decided], axis=0), SampleKind.BRIDGED, SampleKind.MEASURED
         )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from midspan.radar.alignment import Integrals
 from midspan.records import Floats
 from midspan.signals.health import runs
+from midspan.signals.lines import Line, beside_lines
 
 # Edges of the bands, Hz; the accelerometer alone is asked from the third edge on.
 EDGES_HZ = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
@@ -42,7 +43,8 @@ class Shown:
 
     frame_s (n,): on the accelerometer's clock; value_m, variance_m2 (targets, n): displacement, NaN where not seen;
     steps (targets, n): frames at which a target's zero is a new one;
-    relative_std, lasting_m (targets,): of the factors, and error of what else is in the bins.
+    relative_std, lasting_m (targets,): of the factors, and error of what else is in the bins; lines: of the
+    acceleration, where it tells nothing.
     """
 
     frame_s: Floats
@@ -51,6 +53,7 @@ class Shown:
     steps: NDArray[np.bool_]
     relative_std: Floats
     lasting_m: Floats
+    lines: tuple[Line, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +177,8 @@ def _alone(shown: Shown, target: int, integrals: Integrals, frequency: Floats) -
         return np.zeros(len(frequency)), silent, frequency
     hz = np.asarray(np.fft.rfftfreq(len(rest), period)[1:], dtype=np.float64)
     found, expected = _power(rest, period) / _transfer(hz, shown), _unexplained(shown, target, integrals, hz)
-    lasting = float(shown.lasting_m[target] ** 2)
+    lasting, beside = float(shown.lasting_m[target] ** 2), beside_lines(hz, shown.lines)
+    found, expected = found * beside, expected * beside
     power, limits, at = _excess(found, expected, (len(rest), period, lasting), frequency)
     heard = np.arange(len(frequency)) >= 2
     return np.where(heard, power, 0.0), np.where(heard, limits, np.inf), at

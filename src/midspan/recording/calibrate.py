@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.lines import LinesFound, lines_text
 from midspan.calibration.scale import uncertain_scale
 from midspan.calibration.sensors.fit import Bias, SensorFit
 from midspan.engine.axis import AxisFigures, usual_figures
@@ -66,6 +67,25 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
 
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
+    """The calibration and the tracking, without lines of the acceleration that a sensor does not show."""
+    try:
+        return _calibrated(recording, progress)
+    except LinesFound as error:
+        if recording.lines:
+            raise
+        lines, sensor = error.lines, error.sensor
+    try:
+        found, tracking = _calibrated(recording.without_lines(lines), progress)
+    except UntrustedError:
+        # Where the sensors do not agree with a line, what moves at its frequency is given up.
+        if all(line.taken_out for line in lines):
+            raise
+        lines = tuple(replace(line, taken_out=True) for line in lines)
+        found, tracking = _calibrated(recording.without_lines(lines), progress)
+    return replace(found, lines=lines, warnings=(lines_text(lines, sensor), *found.warnings)), tracking
+
+
+def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
     seen = calibrate_cameras(recording, progress) if recording.cameras else ()
     fits = [one.parts[0] for one in seen] + [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
     warnings = [*recording.channel_warnings, *(line for one in seen for line in one.warnings)]

@@ -8,6 +8,7 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
+from midspan.calibration.lines import Shown, require_no_lines
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import NoAgreementError, UntrustedError
@@ -16,7 +17,7 @@ from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
-from midspan.records import Source
+from midspan.records import Source, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.sources.thermal.temperatures import AGC_NOTE
@@ -178,11 +179,13 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
     Raises UntrustedError where no target can be calibrated along the main axis.
     """
     tracking.until(window_ends(recording)[1] - recording.late_ns)
-    across = recording.across
+    across, seen = recording.across, seen_targets(recording, tracking)
+    if not recording.lines and recording.settings.calibration.printed(recording.settings.first_camera) is None:
+        track, origin_ns = seen[0].rows, int(recording.prepared.time_ns[0])
+        shown = Shown(seconds(track.time_ns + recording.late_ns, origin_ns), track.along(recording.axis)[0])
+        require_no_lines(recording.prepared.rows(origin_ns, slice(None)), shown, recording.sensor)
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
-    parts = fit_camera(
-        views, seen_targets(recording, tracking), tracking.warnings, "" if across is None else across.axis
-    )
+    parts = fit_camera(views, seen, tracking.warnings, "" if across is None else across.axis)
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
 

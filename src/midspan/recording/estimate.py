@@ -107,6 +107,7 @@ def estimate(
     given = (calibration is not None and tracking is None) if given is None else given
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
+    recording = recording.without_lines(calibration.lines)
     with naming(recording):
         require_same_sensors(recording, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
@@ -469,6 +470,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         *found.warnings,
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
+        *(line for view, _ in known_sensors(first.sides[0]) if view.sensor in radars for line in view.radar_notices),
         *(renamed(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
         *unmeasured_ends(recording.acceleration.time_ns, first.outcome.measured, main),
         *shares(found.innovations[0], main),

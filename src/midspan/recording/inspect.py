@@ -47,7 +47,7 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
         Frame: lambda view: frames_tree(
             view.frames, every_frame, progress, thermal=isinstance(view.own.settings, InfraredSettings)
         ),
-        RangeFrame: lambda view: radar_tree(view.radar, every_frame, progress),
+        RangeFrame: lambda view: radar_tree(view.radar_file, every_frame, progress),
         Readings: lambda view: series_tree(view.displacement, "m"),
     }
     for view in recording.views:

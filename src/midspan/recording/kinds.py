@@ -5,16 +5,17 @@ their own.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from midspan.calibration.displacement.learn import Given
 from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
+from midspan.calibration.lines import Shown, require_no_lines
 from midspan.calibration.noise import USUAL_GAIN_STD
 from midspan.calibration.radar.calibrate import RadarFit, fit_radar
-from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened
+from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened, shown_by_strongest
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration
@@ -28,7 +29,7 @@ from midspan.progress import Progress
 from midspan.radar.frames import collected
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, window_ends, within_window
-from midspan.records import NANOSECONDS, Channel, Estimate, Measured, Source
+from midspan.records import NANOSECONDS, Channel, Estimate, Measured, Source, seconds
 from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import inside
@@ -93,9 +94,12 @@ def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
     assert section is not None
     wanted_m = section.target_range_m
     if view.settings.fusion.literal:
-        fit: RadarFit = named(PRINTED_FIT)(window, view.prepared, info, target_range_m=wanted_m)
-        return fit
-    return fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
+        printed: RadarFit = named(PRINTED_FIT)(window, view.prepared, info, target_range_m=wanted_m)
+        return printed
+    if not view.lines:
+        require_no_lines(window.samples, shown_by_strongest(window, info, wanted_m), view.sensor)
+    fit = fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
+    return replace(fit, warnings=(*view.radar_notices, *fit.warnings))
 
 
 def _known(view: Recording, calibration: Calibration) -> Any:
@@ -122,6 +126,10 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
     assert section is not None
     require_overlap(view.prepared.time_ns, series.time_ns, "displacement")
     series = within_window(view, series)
+    if not view.lines and not view.settings.fusion.literal:
+        origin_ns = int(view.prepared.time_ns[0])
+        shown = Shown(seconds(series.time_ns, origin_ns), series.value)
+        require_no_lines(view.prepared.rows(origin_ns, slice(None)), shown, view.sensor)
     given = section.noise_std
     return fit_displacement(
         Given(

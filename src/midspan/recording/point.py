@@ -27,6 +27,7 @@ from midspan.recording.tracked import Side, TrackedCamera, known_sensors, offset
 from midspan.records import NANOSECONDS, ClockOffset, RangeFrame, Source, Status
 from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
+from midspan.signals.lines import unresolved
 from midspan.signals.stamps import frames_used
 
 # What stands in `papers`, above this room: the rule of two cameras.
@@ -148,6 +149,13 @@ def estimator_settings(
     )
 
 
+def guard_of(sides: Sequence[Side], rate_hz: float) -> Guard:
+    """The guard of the accelerometer's axes, which knows where lines that are taken out are not resolved."""
+    usual = tuple(figures(side, rate_hz) for side in sides if side.recording.fused)
+    main = sides[0]
+    return Guard(GuardSettings(rate_hz, usual, doubtful=unresolved(main.prepared.time_ns, main.recording.lines)))
+
+
 def measuring_point(
     sides: Sequence[Side],
     tracked_cameras: Sequence[TrackedCamera],
@@ -194,7 +202,7 @@ def measuring_point(
     for name in sensors:
         merge.push(ClockOffset(name, offsets_ns[name], FIRST_NS))
     rate_hz = 1.0 / interval_s(main.recording.acceleration.time_ns)
-    guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in sides if side.recording.fused)))
+    guard = guard_of(sides, rate_hz)
     unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if not side.recording.fused]
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(tracked_cameras) > 1
     switch: Switch | None = named(SWITCH)(recording, tracked_cameras) if one_at_a_time else None

@@ -78,6 +78,11 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     if (axis := calibration.sensor_axis) is not None:
         cross = np.sqrt(axis.noise_density(recording.prepared) * recording.prepared.rate_hz)
         calibration = replace(calibration, noise_std_m_s2=float(np.hypot(calibration.noise_std_m_s2, cross)))
+    if calibration.lines != recording.lines:
+        # What is not taken out is noise.
+        more = sum(line.density for line in calibration.lines if line.taken_out)
+        more = np.sqrt(more * recording.prepared.rate_hz)
+        calibration = replace(calibration, noise_std_m_s2=float(np.hypot(calibration.noise_std_m_s2, more)))
     recording = recording.along(axis)
     camera = calibration.first_camera
     prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)

@@ -90,6 +90,7 @@ def replay(
     given, tracking = calibration is not None, None
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
+    recording = recording.without_lines(calibration.lines)
     with naming(recording):
         require_same_sensors(recording, calibration)
         asked = Asked(recording, calibration, method, given)

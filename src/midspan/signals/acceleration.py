@@ -27,6 +27,7 @@ from midspan.signals.health import (
     unknown_density,
     with_crests,
 )
+from midspan.signals.lines import Line, unresolved
 from midspan.signals.stamps import inside, shown
 
 # Standard gravity, m/s².
@@ -50,7 +51,8 @@ class PreparedAcceleration:
 
     time_ns, value_m_s2 (n,); bridging_density (n,): extra noise density in (m/s²)²/Hz of the interval that ends at each
     sample, above zero where something had to be bridged; missing (n,): samples that carry no measurement.
-    cross_m_s2 (n, k): acceleration along the accelerometer's other axes where these were recorded.
+    cross_m_s2 (n, k): acceleration along the accelerometer's other axes where these were recorded. lines: narrow ones
+    that are no motion.
     """
 
     time_ns: Nanoseconds
@@ -61,6 +63,7 @@ class PreparedAcceleration:
     events: tuple[Event, ...]
     warnings: tuple[Notice, ...]
     cross_m_s2: Floats | None = None
+    lines: tuple[Line, ...] = ()
 
     def with_noise(self, density: float, motion_s: float = 0.0) -> Acceleration:
         """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds, and
@@ -86,6 +89,11 @@ class PreparedAcceleration:
             np.concatenate((self.value_m_s2, value))[order],
             np.concatenate((noise, np.tile(noise[long + 1], 2)))[order],
         )
+
+    def of_lines(self, lines: tuple[Line, ...]) -> "PreparedAcceleration":
+        """The same of an acceleration that had these lines; with noise where one that is taken out is not resolved."""
+        density = self.bridging_density + span_density(self.time_ns, unresolved(self.time_ns, lines))
+        return replace(self, bridging_density=density, lines=lines) if lines else self
 
     def mean_square(self) -> Floats:
         """Mean square (n,) of the motion's acceleration over the half second up to each sample, m²/s⁴."""
@@ -126,6 +134,14 @@ class PreparedAcceleration:
         if self.cross_m_s2 is None:
             return self
         return replace(self, value_m_s2=along(self.value_m_s2, self.cross_m_s2, components), cross_m_s2=None)
+
+
+def span_density(time_ns: Nanoseconds, spans: Sequence[tuple[int, int, float]]) -> Floats:
+    """Noise density (n,) at stamps (n,) that spans from one stamp (ns) to another add up to."""
+    density = np.zeros(len(time_ns))
+    for first, last, more in spans:
+        density[inside(time_ns, first, last)] += more
+    return density
 
 
 def along(main: Floats, cross: Floats, components: Sequence[float] | Floats) -> Floats:

@@ -127,7 +127,7 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
     samples, outside = in_band(view.prepared.rows(first, window), view.band_hz)
     level, cross = view.prepared.level(window), view.prepared.cross_rows(window)
     ratio = None if view.scale is None else 1.0 / view.scale.value_m_per_px
-    return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross)
+    return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross, lines=view.prepared.lines)
 
 
 def scale_of(view: View, pair: Pair) -> ScaleCalibration:

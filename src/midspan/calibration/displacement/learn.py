@@ -124,7 +124,15 @@ class _Overlap:
         rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
         samples, level = prepared.rows(self.first_ns, window), prepared.level(window)
         cross = prepared.cross_rows(window)
-        return Pair(samples, rows, 1.0, self.given.exposure_s or 0.0, level_m_s2=level, cross=cross)
+        return Pair(
+            samples,
+            rows,
+            1.0,
+            self.given.exposure_s or 0.0,
+            level_m_s2=level,
+            cross=cross,
+            lines=self.given.prepared.lines,
+        )
 
 
 def clock_rate(given: Given) -> ClockRate | None:

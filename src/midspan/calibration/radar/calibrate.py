@@ -77,7 +77,7 @@ def fit_radar(
     whole = without_holes(frames)
     targets, offset = _chosen(found, most_targets, target_range_m)
     seen = [series_of(frames, item.target, info, samples) for item in targets if item.used]
-    targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples)
+    targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples, prepared.lines)
     best = next(item.target for item in targets if item.used)
     series = series_of(frames, best, info, samples)
     # A second way to clock offset, factor and noise levels of the best target.
@@ -229,7 +229,13 @@ def radar_pair(
     typical = float(np.median(variance[np.isfinite(variance)]))
     thin = slice(None, None, max(1, -(-len(whole.time_ns) // MAX_ROWS)))
     rows = measured_rows(whole.time_ns[thin], series.range_change_m[thin], variance[thin] / typical, 0)
-    return Pair(samples, rows, level_m_s2=prepared.level(window), cross=prepared.cross_rows(window))
+    return Pair(
+        samples,
+        rows,
+        level_m_s2=prepared.level(window),
+        cross=prepared.cross_rows(window),
+        lines=prepared.lines,
+    )
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:

@@ -11,18 +11,23 @@ from midspan.radar.measurement import TargetSeries
 from midspan.radar.own_motion import OwnMotions, Shown, own_motions
 from midspan.radar.target import Target
 from midspan.records import Floats
+from midspan.signals.lines import Line
 
 # Motions that are reported: from this on, m, and from this share of one frame's noise on.
 REPORTED_M, REPORTED_SHARE = 1e-5, 0.3
 
 
 def judged(
-    targets: tuple[RadarTarget, ...], series: Sequence[TargetSeries], frame_s: Floats, samples: Floats
+    targets: tuple[RadarTarget, ...],
+    series: Sequence[TargetSeries],
+    frame_s: Floats,
+    samples: Floats,
+    lines: Sequence[Line] = (),
 ) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
     """The targets with their own motions, those left out whose motion others do without, and a sentence on each.
 
     series: of each target in use, on even frames at frame_s (n,) on the accelerometer's clock, s; samples (m, 2): its
-    times (s) and accelerations (m/s²).
+    times (s) and accelerations (m/s²); lines: of these that are no motion.
     """
     used = [item.target for item in targets if item.used]
     steps = np.zeros((len(used), len(frame_s)), dtype=np.bool_)
@@ -36,6 +41,7 @@ def judged(
             steps,
             np.array([target.relative_std for target in used]),
             np.array([target.bent_m for target in used]),
+            tuple(lines),
         ),
         samples,
     )

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.lines import Shown
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
+from midspan.radar.channels import noise_variance
 from midspan.radar.chirp import RadarInfo
-from midspan.radar.following import at_place
+from midspan.radar.following import at_place, peaks
 from midspan.radar.frames import RadarFrames, samples_of, together, without_holes
 from midspan.radar.target import Target, find_targets
 from midspan.records import NANOSECONDS, Floats
@@ -145,6 +147,35 @@ def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_off
     return find_targets(
         whole.phasors, time_s, samples=samples, axis=info.axis, max_offset_s=max_offset_s, valid=whole.valid
     )
+
+
+def shown_by_strongest(window: OpenedWindow, info: RadarInfo, range_m: float | None) -> Shown:
+    """Second differences from frame to frame of the range, m, at the strongest peak or the one nearest to `range_m`.
+
+    They need no unwrapping, for which the acceleration would have to be right.
+    """
+    frames = window.frames
+    if (place := strongest_place(frames, info, range_m)) is None:
+        return Shown(np.empty(0), np.empty(0))
+    z = np.where(frames.valid, at_place(frames.phasors, place), np.nan)
+    turned = np.nansum(z[1:] * np.conj(z[:-1]), axis=1)
+    second = np.angle(turned[1:] * np.conj(turned[:-1])) / info.axis.phase_per_m(info.axis.range_at(place))
+    steps_s = np.diff(frames.time_ns) / NANOSECONDS
+    lag_s = float(np.median(steps_s))
+    even = np.maximum(np.abs(steps_s[1:] - lag_s), np.abs(steps_s[:-1] - lag_s)) < 0.5 * lag_s
+    known = even & (np.abs(turned[1:]) > 0.0) & (np.abs(turned[:-1]) > 0.0)
+    return Shown(frames.time_ns[1:-1] / NANOSECONDS, np.where(known, second, np.nan), lag_s)
+
+
+def strongest_place(frames: RadarFrames, info: RadarInfo, range_m: float | None) -> float | None:
+    """Fractional bin of the strongest peak, or of the one nearest to `range_m`; None where there is none."""
+    bins = peaks(frames.phasors, noise_variance(frames.phasors))
+    if not bins:
+        return None
+    ranges_m = np.array([info.axis.range_at(place) for place in bins])
+    if range_m is not None and np.isfinite(ranges_m).all():
+        return bins[int(np.argmin(np.abs(ranges_m - range_m)))]
+    return max(bins, key=lambda place: float(np.mean(np.abs(at_place(frames.phasors, place)) ** 2)))
 
 
 def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:

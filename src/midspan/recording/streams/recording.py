@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.clock_jumps import LARGEST_S
 from midspan.calibration.direction import Direction
+from midspan.calibration.radar.clock_steps import ClockStep, lateness_ns, steps_text
 from midspan.checks import path_of
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.notebook import table
 from midspan.notices import Notice
+from midspan.recording.streams.radar_clock import steps_of
 from midspan.records import NANOSECONDS, Nanoseconds, RangeFrame, Readings, TimeSeries
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.kinds import CAMERAS, KINDS
@@ -21,12 +24,13 @@ from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
 from midspan.signals.acceleration import PreparedAcceleration, prepare_acceleration, still, with_cross
+from midspan.signals.lines import Line, without_lines
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.radar.formats import open_radar
-from midspan.sources.radar.radar_source import RadarRequest, RadarSource
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, Restamped
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.temperatures import ThermalRequest
 from midspan.vision.frame_source import FrameSource
@@ -58,6 +62,8 @@ class Recording:
         self._own: Sensor | None = None
         # Of the accelerometer with several axes: the one that the acceleration is along, once it is calibrated.
         self._axis: Direction | None = None
+        # Narrow lines that are taken out of the acceleration.
+        self.lines: tuple[Line, ...] = ()
         # A camera that is dark before this instant is used from it on.
         self.sees_from_ns: int | None = None
         # About so much is to be added to the stamps of a view's frames for them to be on the accelerometer's clock, s.
@@ -171,7 +177,7 @@ class Recording:
     def _with(self, changed: dict[str, Any], **marks: Any) -> "Recording":
         """The recording with other settings, and what it is a view of."""
         view = Recording(self.file, self.settings.model_copy(update=changed))
-        vars(view).update(marks)
+        vars(view).update({"lines": self.lines} | marks)
         return view
 
     def seeing(self, first_ns: int, last_ns: int, from_ns: int) -> "Recording":
@@ -219,7 +225,8 @@ class Recording:
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
         camera = self.settings.camera.model_copy(update={"direction": axis})
         changed = {"accelerometer": sensor, "cameras": (camera,), "reference": None}
-        return self._with(changed, _whole=self, _own=self.own, late_s=self.late_s)
+        # Lines were found along the main axis alone.
+        return self._with(changed, _whole=self, _own=self.own, late_s=self.late_s, lines=())
 
     @property
     def fused(self) -> bool:
@@ -252,6 +259,7 @@ class Recording:
         if self._alongside is not None:
             return self._alongside.acceleration
         main = self._series("accelerometer", self.accelerometer, "acceleration")
+        main = replace(main, value=without_lines(main.time_ns, main.value, self.lines))
         if self._axis is None:
             return main
         every = self._with_cross(main)
@@ -265,8 +273,14 @@ class Recording:
         if self._alongside is not None:
             return self._alongside.prepared
         if self._axis is None and self.accelerometer.cross_values:
-            return self._with_cross(self.acceleration)
-        return prepare_acceleration(self.acceleration, f"accelerometer ({self.accelerometer.file})")
+            return self._with_cross(self.acceleration).of_lines(self.lines)
+        return prepare_acceleration(self.acceleration, f"accelerometer ({self.accelerometer.file})").of_lines(
+            self.lines
+        )
+
+    def without_lines(self, lines: tuple[Line, ...]) -> "Recording":
+        """The same without narrow lines of the acceleration that are no motion; itself where these are out of it."""
+        return self if lines == self.lines else self._with({}, lines=lines)
 
     def _with_cross(self, main: TimeSeries) -> PreparedAcceleration:
         """The main axis and the others, each bridged as its own."""
@@ -353,7 +367,29 @@ class Recording:
 
     @cached_property
     def radar(self) -> RadarSource:
-        """The radar's frames."""
+        """The radar's frames, stamped by one clock where the file's was set and the motion tells it."""
+        if not self.radar_steps:
+            return self.radar_file
+        time_ns = self.radar_file.times_ns()
+        return Restamped(self.radar_file, time_ns + lateness_ns(self.radar_steps, len(time_ns)))
+
+    @property
+    def radar_notices(self) -> tuple[Notice, ...]:
+        """What there is to report of the radar's clock."""
+        return steps_text(self.radar_steps, self.radar_file.times_ns(), self.sensor)
+
+    @cached_property
+    def radar_steps(self) -> tuple[ClockStep, ...]:
+        """Steps of the radar's clock; none for methods as printed."""
+        section = self.settings.radar
+        if section is None or self.settings.accelerometer is None or self.settings.fusion.literal:
+            return ()
+        reach_s = self.settings.calibration.max_offset_s + LARGEST_S
+        return steps_of(self.radar_file, self.prepared, section.target_range_m, reach_s)
+
+    @cached_property
+    def radar_file(self) -> RadarSource:
+        """The radar's frames as the file has them."""
         radar, key = self._section("radar")
         request = RadarRequest(
             config=None if radar.config is None else self.path(radar.config, f"{key}.config"),

@@ -27,6 +27,7 @@ from midspan.settings.kinds import KINDS, sensors_of
 from midspan.settings.messages import explain
 from midspan.settings.recording import Sensor
 from midspan.settings.stored import sections
+from midspan.signals.lines import Line
 from midspan.trees import TreeError, read_json
 from midspan.writing import write_whole
 
@@ -55,7 +56,8 @@ class Calibration:
     accelerometer's, None where only one was recorded. across: the same along the second image axis, with
     camera.direction = "xy"; where that has no accelerometer, the noise is the motion's own acceleration. left_out: the
     second axis "x" or "y" where nothing could be estimated of it, else empty. usual: what is usual of the acceleration,
-    None where the file does not tell it. diagnostics: what the estimates rest on, for the report; not stored in the
+    None where the file does not tell it. lines: narrow ones of the acceleration that are no motion; noise and all else
+    are those without them. diagnostics: what the estimates rest on, for the report; not stored in the
     file.
     """
 
@@ -80,6 +82,7 @@ class Calibration:
     slope: float = 0.0
     sensor_axis: Direction | None = None
     usual: AxisFigures | None = None
+    lines: tuple[Line, ...] = ()
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
 
     def __repr__(self) -> str:

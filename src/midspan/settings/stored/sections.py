@@ -33,6 +33,7 @@ from midspan.settings.fields import (
     region_is_positive,
     second_is_larger,
 )
+from midspan.signals.lines import Line
 from midspan.vision.lens import Lens
 
 MM = 1e3
@@ -128,6 +129,8 @@ def _plain(value: Any) -> Any:
             return [_plain(one) for one in (value.tolist() if isinstance(value, np.ndarray) else value)]
         case AxisFigures():
             return StoredUsual.tree(value)
+        case Line():
+            return StoredLine.tree(value)
         case Background():
             return StoredBackground.tree(value)
         case Lens():
@@ -152,6 +155,15 @@ class StoredUsual(Stored):
     moved_m: Std
 
 
+class StoredLine(Stored):
+    """A narrow line of the acceleration that is no motion."""
+
+    low_hz: Std
+    high_hz: Std
+    std_m_s2: Std
+    taken_out: bool = True
+
+
 class StoredAccelerometer(Stored):
     """Noise and bias of the accelerometer, and its gain relative to a displacement sensor."""
 
@@ -171,6 +183,7 @@ class StoredAccelerometer(Stored):
     direction: Annotated[tuple[Component, ...], Field(max_length=2)] = ()
     direction_std: tuple[Std, ...] = ()
     usual: StoredUsual | None = None
+    lines: tuple[StoredLine, ...] = ()
 
     @model_validator(mode="after")
     def _has_pairs(self) -> "StoredAccelerometer":
@@ -181,7 +194,8 @@ class StoredAccelerometer(Stored):
     def values(self, record: type) -> dict[str, Any]:
         """The fields of a `Calibration` that are the accelerometer's."""
         usual = self.usual and AxisFigures(**self.usual.values(AxisFigures))
-        return super().values(record) | {"usual": usual}
+        lines = tuple(Line(**one.values(Line)) for one in self.lines)
+        return super().values(record) | {"usual": usual, "lines": lines}
 
 
 class StoredTarget(Stored):

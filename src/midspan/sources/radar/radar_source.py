@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -95,6 +95,35 @@ class RadarSource(ABC):
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         for block in self._profiles(start, stop):
             yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
+
+
+class Restamped(RadarSource):
+    """Another source with the steps of its clock taken out of the stamps."""
+
+    def __init__(self, source: RadarSource, time_ns: Nanoseconds) -> None:
+        super().__init__(source._path, source._request)
+        self._source, self._time_ns, self.file_kind = source, time_ns, source.file_kind
+
+    @property
+    def info(self) -> RadarInfo:
+        """As of the source."""
+        return self._source.info
+
+    def times_ns(self) -> Nanoseconds:
+        """The stamps (frames,) as they are corrected."""
+        return self._time_ns
+
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
+        return self._stamped(self._source._profiles(start, stop), start)
+
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
+        return self._stamped(self._source._slow_time(bins, start, stop), start)
+
+    def _stamped(self, blocks: Iterator[RangeFrames], start: int) -> Iterator[RangeFrames]:
+        done = slice(start, None).indices(len(self._time_ns))[0]
+        for block in blocks:
+            yield replace(block, time_ns=self._time_ns[done : done + len(block.time_ns)])
+            done += len(block.time_ns)
 
 
 def without_interference(

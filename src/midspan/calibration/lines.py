@@ -1,0 +1,190 @@
+"""Narrow lines of the acceleration that a slower sensor does not show: of a machine, not of the structure.
+
+An accelerometer without an anti-alias filter shows a machine near a multiple of its rate as a slow vibration. Both
+spectra are compared ordinate by ordinate: a motion is in both, times one factor. Where the accelerometer has a peak of
+which the sensor shows next to nothing, while it shows motion at other frequencies, no motion made it. Powers alone are
+compared, so that clocks that are apart and a factor that is not known do not matter. Above half the sensor's rate
+nothing is compared: lines stay in the noise there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import UntrustedError
+from midspan.notices import Notice
+from midspan.records import Floats
+from midspan.signals.health import runs
+from midspan.signals.lines import Line
+
+# Lines are looked for from where accelerometers drift, Hz, up to where a strong one (0.1 m/s²) moves by 25 micrometres.
+SLOWEST_HZ, FASTEST_HZ = 0.15, 10.0
+# Ordinates on either side within this, Hz, tell what is usual next to one.
+BESIDE_HZ = 1.0
+# White noise has an ordinate that counts as a peak with this probability; what belongs to a peak is this many times as
+# strong as usual.
+PEAK_BY_CHANCE, BELONGS = 1e-4, 3.0
+# Noise of mean power N takes four fifths off a motion of power E where it has 0.3 E by itself, in one of a million
+# ordinates at this ratio of E to N. The lowest quarter of ordinates, means of three, has this share of N on average.
+ABOVE_NOISE, LOWEST, SHARE_OF_LOWEST = 50.0, 0.25, 0.4
+# The sensor shows a motion where it has at least the first share of the power that the accelerometer tells (and no more
+# than the inverse), and does not show it with less than the second: noise and neighbouring motion are in it as well.
+SHOWN, NOT_SHOWN = 0.6, 0.2
+# Of what both hold, at least this share must be motion by this rule: else nothing tells the factor between them.
+MOSTLY = 0.5
+# A line is taken out where motion has no more than this share of the power in its band: it is lost with it.
+MAX_MOTION = 0.02
+# A sensor that averages or follows late shows fast motion less: one that shows all of it at a frequency shows a fifth
+# of the power at twice that one at the earliest (a mean over an exposure).
+REACH = 2.0
+# A wider band is no line, Hz; a line that swings has skirts of so many ordinates on either side at most.
+MAX_WIDTH_HZ, MAX_BESIDE = 1.0, 10
+# Shorter records, or fewer ordinates, do not resolve lines; of longer ones the beginning tells them, s.
+MIN_S, MAX_S, MIN_ORDINATES = 20.0, 120.0, 32
+
+
+class LinesFound(UntrustedError):
+    """The acceleration holds lines that a sensor does not show; the record is to be calibrated without them."""
+
+    def __init__(self, lines: tuple[Line, ...], sensor: str) -> None:
+        super().__init__(str(lines_text(lines, sensor)))
+        self.lines, self.sensor = lines, sensor
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a sensor shows: value (n,) at time_s (n,), NaN where it was not measured.
+
+    lag_s: of the second differences that the values are of the displacement, 0: they are the displacement itself.
+    """
+
+    time_s: Floats
+    value: Floats
+    lag_s: float = 0.0
+
+    def per_displacement(self, hertz: Floats) -> Floats:
+        """Size (k,) of what a displacement of 1 makes of the values at frequencies (k,)."""
+        return 4.0 * np.sin(np.pi * hertz * self.lag_s) ** 2 if self.lag_s else np.ones(len(hertz))
+
+
+def require_no_lines(samples: Floats, shown: Shown, sensor: str) -> None:
+    """LinesFound where samples (n, 2 or more) hold lines that a sensor does not show."""
+    if lines := unconfirmed_lines(samples, shown):
+        raise LinesFound(lines, sensor)
+
+
+def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
+    """Lines of samples (n, 2 or more: time in s, acceleration) that a sensor does not show."""
+    if len(shown.time_s) < 2:
+        return ()
+    begin, end = (f(samples[edge, 0], shown.time_s[edge]) for f, edge in ((max, 0), (min, -1)))
+    end = min(end, begin + MAX_S)
+    if end - begin < MIN_S:
+        return ()
+    every_hz, every = _spectrum(samples, (begin, end))
+    moved_m2 = every / (2.0 * np.pi * every_hz) ** 4
+    frames_hz = 1.0 / float(np.median(np.diff(shown.time_s)))
+    heard = (every_hz > SLOWEST_HZ) & (every_hz < min(FASTEST_HZ, 0.5 * frames_hz))
+    if np.count_nonzero(heard) < MIN_ORDINATES:
+        return ()
+    hertz, power, felt = every_hz[heard], every[heard], moved_m2[heard]
+    # What moves faster than half the sensor's rate shows at these frequencies as well.
+    folds = [abs(k * frames_hz + side * hertz) for k in (1, 2) for side in (-1.0, 1.0)]
+    aliases = np.sum([np.interp(one, every_hz, moved_m2, right=0.0) for one in folds], axis=0)
+    moved = _shown_power(shown, (begin, end), hertz)
+    noise = float(np.mean(np.sort(moved)[: int(LOWEST * len(moved))])) / SHARE_OF_LOWEST
+    ratio = moved / np.maximum(felt, 1e-300)
+    weight = np.where(moved > ABOVE_NOISE * noise, np.sqrt(ratio) * power, 0.0)
+    factor = _weighted_median(ratio, weight)
+    moves = (weight > 0.0) & (ratio > SHOWN * factor) & (ratio < factor / SHOWN)
+    if not np.sum(weight[moves]) > MOSTLY * np.sum(weight):
+        return ()
+    alone = power * np.clip(1.0 - ratio / factor, 0.0, 1.0)
+    peak, belongs = _peaks(alone, hertz)
+    would_show = factor * felt > ABOVE_NOISE * (noise + factor * aliases)
+    absent = belongs & would_show & (ratio < NOT_SHOWN * factor) & (hertz < REACH * np.max(hertz[moves]))
+    inside = np.zeros(len(hertz), dtype=np.bool_)
+    for first, stop in runs(absent):
+        if first > 0 and peak[first:stop].any():
+            low, high = _reach((int(first), int(stop)), ratio > SHOWN * factor)
+            inside[low : high + 1] = True
+    # Both signs of the frequency; a Hann window spreads each ordinate over 1.5.
+    return tuple(
+        Line(
+            float(hertz[first]),
+            float(hertz[stop - 1]),
+            float(np.sqrt(2.0 * np.sum(alone[first:stop]) / 1.5)),
+            taken_out=bool(np.sum((power - alone)[first:stop]) < MAX_MOTION * np.sum(power[first:stop])),
+        )
+        for first, stop in runs(inside)
+        if hertz[stop - 1] - hertz[first] < MAX_WIDTH_HZ
+    )
+
+
+def _spectrum(samples: Floats, span_s: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Frequencies (k,) above 0 and the power of the acceleration there, behind a Hann window, as mean of three."""
+    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
+    even_s = np.arange(*span_s, 1.0 / rate)
+    value, window = np.interp(even_s, samples[:, 0], samples[:, 1]), np.hanning(len(even_s))
+    power = np.abs(np.fft.rfft(window * (value - np.mean(value))) / np.sum(window)) ** 2
+    return np.asarray(np.fft.rfftfreq(len(even_s), 1.0 / rate)[1:], dtype=np.float64), _three(power)[1:]
+
+
+def _reach(stands_out: tuple[int, int], moves: NDArray[np.bool_]) -> tuple[int, int]:
+    """Ordinates between which a line lies: it reaches beyond those that stand out, as far as nothing moves there, and
+    by no more than these are.
+    """
+    first, stop = stands_out
+    most = min(stop - first, MAX_BESIDE)
+    low = next((k for k in range(first - 1, first - most - 1, -1) if moves[k]), first - most)
+    high = next((k for k in range(stop, stop + most) if moves[k]), stop + most - 1)
+    return max(low, 0), min(high, len(moves) - 1)
+
+
+def _peaks(power: Floats, hertz: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ordinates (k,) are peaks of a power, and which belong to one."""
+    from scipy.ndimage import median_filter
+
+    beside = 2 * int(BESIDE_HZ / (hertz[1] - hertz[0])) + 1
+    usual = median_filter(power, min(beside, len(power)), mode="nearest") / np.log(2.0)
+    return power > usual * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
+
+
+def _three(power: Floats) -> Floats:
+    """The mean (k,) of each ordinate and its neighbours."""
+    return np.asarray(np.convolve(np.pad(power, 1, "edge"), np.ones(3) / 3.0, "valid"))
+
+
+def _shown_power(shown: Shown, span_s: tuple[float, float], hertz: Floats) -> Floats:
+    """Power (k,) of the displacement that a sensor shows at neighbouring frequencies (k,), as mean of three."""
+    begin, end = span_s
+    used = np.isfinite(shown.value) & (shown.time_s >= begin) & (shown.time_s <= end)
+    time_s, value = shown.time_s[used], shown.value[used]
+    weight = np.sin(np.pi * (time_s - begin) / (end - begin)) ** 2
+    weight /= np.sum(weight)
+    left = weight * (value - np.sum(weight * value))
+    power = np.array([abs(np.exp(-2j * np.pi * f * time_s) @ left) ** 2 for f in hertz])
+    power /= np.maximum(shown.per_displacement(hertz), 1e-12) ** 2
+    return _three(power)
+
+
+def _weighted_median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+_TAKEN_OUT = "It is taken out of the acceleration; live it is not, and the band is wider for it."
+_LEFT_IN = "The structure moves there too, so that it is not taken out, and the band holds it as noise."
+
+
+def lines_text(lines: tuple[Line, ...], sensor: str) -> Notice:
+    """The sentence on lines that were taken out."""
+    listed = ", ".join(f"{line.middle_hz:.3g} Hz ({1e3 * line.std_m_s2:.2g} mm/s² rms)" for line in lines)
+    text = (
+        f"accelerometer: a narrow line at {listed} that the {sensor} does not show: a machine near a multiple of its "
+        "rate and no anti-alias filter, or a part of the mounting that vibrates. "
+        f"{_TAKEN_OUT if all(line.taken_out for line in lines) else _LEFT_IN} Use a logger with an anti-alias filter."
+    )
+    return Notice("accelerometer-line", text)
