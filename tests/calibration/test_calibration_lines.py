@@ -79,7 +79,7 @@ def test_a_sensor_of_something_else_tells_no_lines():
     assert unconfirmed_lines(felt(moving(1), hum()), seen(moving(2))) == ()
 
 
-def test_taking_a_line_out_leaves_motion_beside_it():
+def test_taking_a_line_out_leaves_other_motion():
     motion = tones(2, (2e-3, 1.0), (1e-3, 2.2))
     true = motion.acceleration(TIME_S)
     left = without_lines(TIME_NS, true + hum(), [Line(0.3, 0.5, 0.08)]) - true

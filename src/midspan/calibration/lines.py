@@ -21,11 +21,11 @@ from midspan.signals.lines import Line
 # Lines are looked for from where accelerometers drift, Hz, up to where a strong one (0.1 m/s²) moves by 25 micrometres.
 SLOWEST_HZ, FASTEST_HZ = 0.15, 10.0
 # Ordinates on either side within this, Hz, tell what is usual next to one.
-BESIDE_HZ = 1.0
+AROUND_HZ = 1.0
 # White noise has an ordinate that counts as a peak with this probability; what belongs to a peak is this many times as
 # strong as usual.
 PEAK_BY_CHANCE, BELONGS = 1e-4, 3.0
-# Noise of mean power N takes four fifths off a motion of power E where it has 0.3 E by itself, in one of a million
+# Noise of mean power N takes four fifths off a motion of power E where it is 0.3 E on its own, in one of a million
 # ordinates at this ratio of E to N. The lowest quarter of ordinates, means of three, has this share of N on average.
 ABOVE_NOISE, LOWEST, SHARE_OF_LOWEST = 50.0, 0.25, 0.4
 # The sensor shows a motion where it has at least the first share of the power that the accelerometer tells (and no more
@@ -38,8 +38,8 @@ MAX_MOTION = 0.02
 # A sensor that averages or follows late shows fast motion less: one that shows all of it at a frequency shows a fifth
 # of the power at twice that one at the earliest (a mean over an exposure).
 REACH = 2.0
-# A wider band is no line, Hz; a line that swings has skirts of so many ordinates on either side at most.
-MAX_WIDTH_HZ, MAX_BESIDE = 1.0, 10
+# A wider band is no line, Hz; a line that swings has skirts of at most this many ordinates on either side.
+MAX_WIDTH_HZ, MAX_SKIRT = 1.0, 10
 # Shorter records, or fewer ordinates, do not resolve lines; of longer ones the beginning tells them, s.
 MIN_S, MAX_S, MIN_ORDINATES = 20.0, 120.0, 32
 
@@ -74,35 +74,35 @@ def require_no_lines(samples: Floats, shown: Shown, sensor: str) -> None:
         raise LinesFound(lines, sensor)
 
 
+@dataclass(frozen=True, slots=True)
+class _Spectra:
+    """Powers (k,) at frequencies (k,), Hz, that both sensors hear.
+
+    felt: of the acceleration; would_move: of the displacement that it is; aliases: of that of faster motion which the
+    sensor shows at these frequencies as well; moved: of what the sensor shows, in its own unit.
+    """
+
+    hertz: Floats
+    felt: Floats
+    would_move: Floats
+    aliases: Floats
+    moved: Floats
+
+
 def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
     """Lines of samples (n, 2 or more: time in s, acceleration) that a sensor does not show."""
-    if len(shown.time_s) < 2:
+    if (both := _spectra(samples, shown)) is None:
         return ()
-    begin, end = (f(samples[edge, 0], shown.time_s[edge]) for f, edge in ((max, 0), (min, -1)))
-    end = min(end, begin + MAX_S)
-    if end - begin < MIN_S:
-        return ()
-    every_hz, every = _spectrum(samples, (begin, end))
-    moved_m2 = every / (2.0 * np.pi * every_hz) ** 4
-    frames_hz = 1.0 / float(np.median(np.diff(shown.time_s)))
-    heard = (every_hz > SLOWEST_HZ) & (every_hz < min(FASTEST_HZ, 0.5 * frames_hz))
-    if np.count_nonzero(heard) < MIN_ORDINATES:
-        return ()
-    hertz, power, felt = every_hz[heard], every[heard], moved_m2[heard]
-    # What moves faster than half the sensor's rate shows at these frequencies as well.
-    folds = [abs(k * frames_hz + side * hertz) for k in (1, 2) for side in (-1.0, 1.0)]
-    aliases = np.sum([np.interp(one, every_hz, moved_m2, right=0.0) for one in folds], axis=0)
-    moved = _shown_power(shown, (begin, end), hertz)
-    noise = float(np.mean(np.sort(moved)[: int(LOWEST * len(moved))])) / SHARE_OF_LOWEST
-    ratio = moved / np.maximum(felt, 1e-300)
-    weight = np.where(moved > ABOVE_NOISE * noise, np.sqrt(ratio) * power, 0.0)
+    hertz, felt, ratio = both.hertz, both.felt, both.moved / np.maximum(both.would_move, 1e-300)
+    noise = float(np.mean(np.sort(both.moved)[: int(LOWEST * len(hertz))])) / SHARE_OF_LOWEST
+    weight = np.where(both.moved > ABOVE_NOISE * noise, np.sqrt(ratio) * felt, 0.0)
     factor = _weighted_median(ratio, weight)
     moves = (weight > 0.0) & (ratio > SHOWN * factor) & (ratio < factor / SHOWN)
     if not np.sum(weight[moves]) > MOSTLY * np.sum(weight):
         return ()
-    alone = power * np.clip(1.0 - ratio / factor, 0.0, 1.0)
+    alone = felt * np.clip(1.0 - ratio / factor, 0.0, 1.0)
     peak, belongs = _peaks(alone, hertz)
-    would_show = factor * felt > ABOVE_NOISE * (noise + factor * aliases)
+    would_show = factor * both.would_move > ABOVE_NOISE * (noise + factor * both.aliases)
     absent = belongs & would_show & (ratio < NOT_SHOWN * factor) & (hertz < REACH * np.max(hertz[moves]))
     inside = np.zeros(len(hertz), dtype=np.bool_)
     for first, stop in runs(absent):
@@ -115,11 +115,31 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
             float(hertz[first]),
             float(hertz[stop - 1]),
             float(np.sqrt(2.0 * np.sum(alone[first:stop]) / 1.5)),
-            taken_out=bool(np.sum((power - alone)[first:stop]) < MAX_MOTION * np.sum(power[first:stop])),
+            taken_out=bool(np.sum((felt - alone)[first:stop]) < MAX_MOTION * np.sum(felt[first:stop])),
         )
         for first, stop in runs(inside)
         if hertz[stop - 1] - hertz[first] < MAX_WIDTH_HZ
     )
+
+
+def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
+    """The spectra of the time that both share; None where that is too short."""
+    if len(shown.time_s) < 2:
+        return None
+    begin, end = max(samples[0, 0], shown.time_s[0]), min(samples[-1, 0], shown.time_s[-1])
+    end = min(end, begin + MAX_S)
+    if end - begin < MIN_S:
+        return None
+    every_hz, every = _spectrum(samples, (begin, end))
+    would_move = every / (2.0 * np.pi * every_hz) ** 4
+    frames_hz = 1.0 / float(np.median(np.diff(shown.time_s)))
+    heard = (every_hz > SLOWEST_HZ) & (every_hz < min(FASTEST_HZ, 0.5 * frames_hz))
+    if np.count_nonzero(heard) < MIN_ORDINATES:
+        return None
+    hertz = every_hz[heard]
+    folds = [np.abs(k * frames_hz + side * hertz) for k in (1, 2) for side in (-1.0, 1.0)]
+    aliases = np.sum([np.interp(one, every_hz, would_move, right=0.0) for one in folds], axis=0)
+    return _Spectra(hertz, every[heard], would_move[heard], aliases, _shown_power(shown, (begin, end), hertz))
 
 
 def _spectrum(samples: Floats, span_s: tuple[float, float]) -> tuple[Floats, Floats]:
@@ -136,7 +156,7 @@ def _reach(stands_out: tuple[int, int], moves: NDArray[np.bool_]) -> tuple[int, 
     by no more than these are.
     """
     first, stop = stands_out
-    most = min(stop - first, MAX_BESIDE)
+    most = min(stop - first, MAX_SKIRT)
     low = next((k for k in range(first - 1, first - most - 1, -1) if moves[k]), first - most)
     high = next((k for k in range(stop, stop + most) if moves[k]), stop + most - 1)
     return max(low, 0), min(high, len(moves) - 1)
@@ -146,8 +166,8 @@ def _peaks(power: Floats, hertz: Floats) -> tuple[NDArray[np.bool_], NDArray[np.
     """Which ordinates (k,) are peaks of a power, and which belong to one."""
     from scipy.ndimage import median_filter
 
-    beside = 2 * int(BESIDE_HZ / (hertz[1] - hertz[0])) + 1
-    usual = median_filter(power, min(beside, len(power)), mode="nearest") / np.log(2.0)
+    around = 2 * int(AROUND_HZ / (hertz[1] - hertz[0])) + 1
+    usual = median_filter(power, min(around, len(power)), mode="nearest") / np.log(2.0)
     return power > usual * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
 
 

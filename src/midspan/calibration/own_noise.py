@@ -14,7 +14,7 @@ from midspan.calibration.fit import Fit, Pair, aligned, corner_std
 from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.notices import Notice
 from midspan.records import Floats
-from midspan.signals.lines import beside_lines
+from midspan.signals.lines import away_from_lines
 
 # Bands of the spectrum hold this many ordinates at least: the mean of one is right to a quarter. Of an accelerometer's
 # they are this many at most.
@@ -146,7 +146,7 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     slow = np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
     strong = sorted({*index[power[index] > enough], *slow}, key=lambda k: -power[k])[:MAX_ORDINATES]
     hertz = np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
-    return hertz[beside_lines(hertz, pair.lines)]
+    return hertz[away_from_lines(hertz, pair.lines)]
 
 
 def _wave(time_s: Floats, shape: Callable[[Floats], Floats], hertz: float) -> Floats:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from midspan.radar.alignment import Integrals
 from midspan.records import Floats
 from midspan.signals.health import runs
-from midspan.signals.lines import Line, beside_lines
+from midspan.signals.lines import Line, away_from_lines
 
 # Edges of the bands, Hz; the accelerometer alone is asked from the third edge on.
 EDGES_HZ = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
@@ -177,8 +177,8 @@ def _alone(shown: Shown, target: int, integrals: Integrals, frequency: Floats) -
         return np.zeros(len(frequency)), silent, frequency
     hz = np.asarray(np.fft.rfftfreq(len(rest), period)[1:], dtype=np.float64)
     found, expected = _power(rest, period) / _transfer(hz, shown), _unexplained(shown, target, integrals, hz)
-    lasting, beside = float(shown.lasting_m[target] ** 2), beside_lines(hz, shown.lines)
-    found, expected = found * beside, expected * beside
+    lasting, away = float(shown.lasting_m[target] ** 2), away_from_lines(hz, shown.lines)
+    found, expected = found * away, expected * away
     power, limits, at = _excess(found, expected, (len(rest), period, lasting), frequency)
     heard = np.arange(len(frequency)) >= 2
     return np.where(heard, power, 0.0), np.where(heard, limits, np.inf), at

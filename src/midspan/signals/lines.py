@@ -56,7 +56,7 @@ class Line:
         return 1.0 / self.width_hz
 
     def near(self, hertz: Floats) -> NDArray[np.bool_]:
-        """Which frequencies (k,) lie in its band, or no farther beside it than that is wide."""
+        """Which frequencies (k,) lie in its band, or no farther from it than that is wide."""
         return np.asarray((hertz > self.low_hz - self.width_hz) & (hertz < self.high_hz + self.width_hz))
 
 
@@ -86,13 +86,13 @@ def without_lines(time_ns: Nanoseconds, value: Floats, lines: Sequence[Line]) ->
     return np.asarray(value - np.interp(time_s, even_s, content))
 
 
-def beside_lines(hertz: Floats, lines: Sequence[Line]) -> NDArray[np.bool_]:
+def away_from_lines(hertz: Floats, lines: Sequence[Line]) -> NDArray[np.bool_]:
     """Which frequencies (k,) are not near any line."""
     return np.asarray(~np.any([line.near(hertz) for line in lines], axis=0)) if lines else np.ones(len(hertz), bool)
 
 
 def _share(hertz: Floats, line: Line) -> Floats:
-    """The share (k,) of each frequency that is taken out: 1 inside the band, falling to 0 beside it."""
+    """The share (k,) of each frequency that is taken out: 1 inside the band, falling to 0 on either side."""
     fading = FADING * line.width_hz
-    beside = np.maximum(line.low_hz - hertz, hertz - line.high_hz)
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(beside / fading, 0.0, 1.0)))
+    distance = np.maximum(line.low_hz - hertz, hertz - line.high_hz)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(distance / fading, 0.0, 1.0)))

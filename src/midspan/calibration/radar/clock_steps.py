@@ -20,7 +20,7 @@ IRREGULAR, MAX_INTERVALS = 0.5, 20
 # Frames on either side are compared for this long at least and at most, s.
 MIN_SIDE_S, MAX_SIDE_S = 5.0, 30.0
 # The clock was set where the offset changes by what the interval says, within this many standard deviations and a
-# half of a millisecond, by which frames jitter, and by so many deviations from none at all.
+# half of a millisecond, by which frames jitter, and by this many deviations from none at all.
 AGREES, CERTAIN, JITTER_S = 4.0, 8.0, 5e-4
 
 
