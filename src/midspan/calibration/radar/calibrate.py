@@ -12,6 +12,7 @@ from midspan.calibration.fit import Pair, measured_rows
 from midspan.calibration.frequency_response import Kind, kinds_of
 from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
 from midspan.calibration.radar.clock import Seen, clock_skew
+from midspan.calibration.radar.jitter import JITTER, frames_jitter
 from midspan.calibration.radar.own_motion import judged
 from midspan.calibration.radar.window import OpenedWindow, clearly_seen, found_targets, refuse_farther
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
@@ -92,6 +93,9 @@ def fit_radar(
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
     targets, contradicted = _contradicted(targets, search)
+    if sum(item.used for item in targets) == 1 and frames_jitter(search.pair, search.fit):
+        # Several targets are compared with each other, at the same instants.
+        moving = [JITTER]
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
