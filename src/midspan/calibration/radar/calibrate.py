@@ -92,10 +92,7 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
-    targets, contradicted = _contradicted(targets, search)
-    if sum(item.used for item in targets) == 1 and frames_jitter(search.pair, search.fit):
-        # Several targets are compared with each other, at the same instants.
-        moving = [JITTER]
+    targets, contradicted = _contradicted(targets, search, moving)
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
@@ -107,7 +104,7 @@ def fit_radar(
     )
     coloured = misfit(search.pair, search.fit)
     about = (*response.texts(search.fit.motion_hz), *_warnings(calibration), *coloured.text("radar"))
-    warnings = (*info.warnings, *window.reported, *hidden, *moving, *contradicted, *about)
+    warnings = (*info.warnings, *window.reported, *hidden, *contradicted, *about)
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
@@ -269,13 +266,18 @@ def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -
 
 
 def _contradicted(
-    targets: tuple[RadarTarget, ...], search: OffsetSearch
+    targets: tuple[RadarTarget, ...], search: OffsetSearch, moving: list[Notice]
 ) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
-    """The targets with what the accelerometer contradicts in their deviations, and sentences on it."""
+    """The targets with what the accelerometer contradicts in their deviations, and sentences on it.
+
+    moving: sentences on targets that move on their own; several are compared with each other, at the same instants.
+    """
+    if sum(item.used for item in targets) == 1 and frames_jitter(search.pair, search.fit):
+        moving = [JITTER]
     targets, of_factor = _widened(targets, search)
     _refuse_short(targets)
     targets, of_motion = _with_slow_motion(targets, search)
-    return targets, [*of_factor, *of_motion]
+    return targets, [*moving, *of_factor, *of_motion]
 
 
 def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
