@@ -6,6 +6,7 @@ from calibration_cases import broadband, tones
 
 import midspan
 from midspan.calibration.lines import Shown, unconfirmed_lines
+from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS
 from midspan.settings.stored.calibration import calibration_from_dict
 from midspan.signals.lines import Line, without_lines
@@ -146,3 +147,12 @@ def test_a_stored_calibration_keeps_its_lines_and_rows_are_the_same(tmp_path):
 def test_a_recording_without_a_line_has_none(tmp_path):
     recorded(tmp_path, 0.0)
     assert midspan.calibrate(tmp_path).lines == ()
+
+
+def test_where_a_line_stays_in_as_live_the_band_holds_it(tmp_path, monkeypatch):
+    motion = recorded(tmp_path, hum())
+    calibration = midspan.calibrate(tmp_path)
+    monkeypatch.setattr(Recording, "without_lines", lambda recording, lines: recording)
+    error, std = errors(midspan.estimate(tmp_path, calibration=calibration, method="kalman"), motion)
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.93
+    assert np.max(np.abs(error) / std) < 5.0

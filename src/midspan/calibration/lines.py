@@ -196,7 +196,7 @@ def _weighted_median(values: Floats, weight: Floats) -> float:
 
 
 _TAKEN_OUT = "It is taken out of the acceleration; live it is not, and the band is wider for it."
-_LEFT_IN = "The structure moves there too, so that it is not taken out, and the band holds it as noise."
+_LEFT_IN = "Where the structure moves there too it is not taken out, and the band holds it as noise."
 
 
 def lines_text(lines: tuple[Line, ...], sensor: str) -> Notice:
@@ -204,7 +204,8 @@ def lines_text(lines: tuple[Line, ...], sensor: str) -> Notice:
     listed = ", ".join(f"{line.middle_hz:.3g} Hz ({1e3 * line.std_m_s2:.2g} mm/s² rms)" for line in lines)
     text = (
         f"accelerometer: a narrow line at {listed} that the {sensor} does not show: a machine near a multiple of its "
-        "rate and no anti-alias filter, or a part of the mounting that vibrates. "
-        f"{_TAKEN_OUT if all(line.taken_out for line in lines) else _LEFT_IN} Use a logger with an anti-alias filter."
+        "rate and no anti-alias filter, a part of the mounting that vibrates, or motion across an inclined axis. "
+        f"{_TAKEN_OUT if all(line.taken_out for line in lines) else _LEFT_IN} Use a logger with an anti-alias filter; "
+        "check mounting and axis."
     )
     return Notice("accelerometer-line", text)
