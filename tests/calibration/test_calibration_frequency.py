@@ -8,6 +8,7 @@ from midspan.calibration.fit import Pair, best_corner, with_corner_doubt
 from midspan.calibration.frequency_response import Kind
 from midspan.calibration.own_noise import contradiction
 from midspan.calibration.scale import calibrate_scale
+from midspan.calibration.whitening import integrated
 from midspan.signals.acceleration import GRAVITY_M_S2
 from repeats import slow
 
@@ -158,3 +159,32 @@ def test_the_noise_of_the_accelerometer_does_not_enlarge_the_scale(times):
     # The mean of six has a deviation of 0.4, and none is beyond four of its own.
     assert abs(np.mean(off)) < 1.5
     assert np.max(np.abs(off)) < 4.0
+
+
+@pytest.mark.parametrize(("hertz", "damping"), [(6.0, 0.05), (6.4, 0.027)])
+def test_a_railing_below_the_accelerometer_is_one_shape(hertz, damping):
+    def railing(s):
+        # The absolute acceleration of a mass on a spring and damper, over that of its foot.
+        r = s / (2 * np.pi * hertz)
+        return (1.0 + 2.0 * damping * r) / (1.0 + 2.0 * damping * r + r * r)
+
+    found = calibrate_scale(observed(1, logger=railing, frames_hz=8.0), 0.1)
+    # An exposure, a lean and a low-pass together made up for it, with a scale that was 5 to 21 deviations off.
+    assert set(found.response.known) == {Kind.RESONANCE, Kind.LAG}
+    assert 1.0 / (2 * np.pi * np.sqrt(found.response.resonance_s2)) == pytest.approx(hertz, rel=0.01)
+    assert abs(of_scale(found)) < 3.0
+    assert abs(found.scale.value_m_per_px / SCALE - 1.0) < 1e-3
+    texts = " ".join(str(one) for one in found.response.texts(found.search.fit.motion_hz))
+    assert "railing" in texts
+    assert "low-pass" not in texts
+
+
+def test_an_acceleration_between_its_samples_is_not_weaker():
+    # Straight lines between 100 samples a second weaken 8 Hz by (2π 8/100)²/12 = 2 %, cubics by its square: 0.1 %.
+    time, hertz = np.arange(0.0, 10.0, 0.01), 8.0
+    path = integrated(np.column_stack((time, np.sin(2 * np.pi * hertz * time), np.ones(len(time)))))
+    at = np.arange(1.0, 9.0, 0.0137)
+    turn = 2 * np.pi * hertz * at
+    assert np.sin(turn) @ path.shaken(at, 0) / np.sum(np.sin(turn) ** 2) == pytest.approx(1.0, abs=3e-3)
+    slope = np.cos(turn) @ path.shaken(at, 1) / np.sum(np.cos(turn) ** 2)
+    assert slope / (2 * np.pi * hertz) == pytest.approx(1.0, abs=0.05)

@@ -1,23 +1,27 @@
 """What makes the ratio of translation and acceleration depend on frequency: removed where it shows, else in σ.
 
-A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Five terms make it a smooth
-function of frequency:
+A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Four shapes make it a
+smooth function of frequency:
 
     exposure T        p = s · mean of D over T         falls with the frequency's square, later as a sinc
-    resonance 1/c     p = s (D + c D'')                falls with the frequency's square
+    resonance c, q    p = s (D + c D'' + q D''')       falls with the frequency's square
     lean gκ           u = D + gκ ∬u                    rises, most at low frequencies
     logger q, r       u = D + q D''' − r D''           delay and ratio rise with the frequency's square
 
-The exposure is the camera's; only its mean over the frame's interval is without doubt. A tower leans by κ radians for
-each metre that it moves, so that gravity takes gκ u from the acceleration of its horizontal axis. A logger's low-pass
-delays fast motion more than slow motion, whose delay is a clock offset, and may weaken it. Where leaning and a droop r
-explain equally well why the ratio rises, both are in σ. A bracket or railing below the accelerometer that resonates
-far above the motion, at 1/(2π √c) Hz, makes it feel fast motion too strongly: whether that or an exposure is why the
-ratio falls is decided by likelihood, one shape at a time.
+The exposure is the camera's, or its rows are read one after the other; only its mean over the frame's interval is
+without doubt. A tower leans by κ radians for each metre that it moves, so that gravity takes gκ u from the acceleration
+of its horizontal axis. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock offset, and
+may weaken it. A bracket or railing below the accelerometer that resonates at ω = 1/√c with a damping ratio ζ makes it
+feel fast motion too strongly: inverted, its transmissibility is 1 − r² / (1 + 2jζ r) = 1 − r² + 2jζ r³ + … with
+r = frequency over resonance, so that q = −2ζ c^(3/2) (A. K. Chopra, Dynamics of structures, section 3.6).
 
-Each is a row of TERMS, and one more column of the regression of the whitened translation (see `whitening`): likelihood,
-step towards the most likely value and covariance come from one run of the filter. ∬u is that of the translation over
-the ratio.
+They are compared as whole shapes by likelihood: the best is taken, and another on top only where that gains as clearly
+again. How far the ratio would be another with a shape that is nearly as likely, and what a further one changes, is
+in σ.
+
+Each number of a shape is a row of TERMS, and one more column of the regression of the whitened translation (see
+`whitening`): likelihood, step towards the most likely value and covariance come from one run of the filter. ∬u is that
+of the translation over the ratio.
 
 A sensor of first order is the rival of one that averages: both weaken fast motion, and the first delays it too.
 
@@ -29,7 +33,7 @@ that does not distinguish them shows no exposure: an accelerometer that errs in 
 attitude that follows, a lever arm) leaves the same slope.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
@@ -56,6 +60,12 @@ VERTICAL_M_S2 = 9.0
 # Gain in the logarithm of the likelihood from which a kind counts as found: chance alone reaches it in one of two
 # thousand. One that gains less is in the deviations.
 MIN_GAIN = 6.0
+# Shapes in one record at most: of each sensor one.
+MAX_SHAPES = 2
+# Damping ratio of a bracket or railing at most; bolted steel has 0.02 to 0.07 (Chopra, table 11.2.1).
+MAX_DAMPING = 0.3
+# What is less likely by this (logarithm) is excluded: one in a million.
+EXCLUDED = 14.0
 # Parts of the record by which the scatter of a coefficient is judged: each several periods of the slowest motion.
 PARTS = 12
 # The resonance (Hz) that does what an exposure (s) does, but for the frequency's fourth power: (f π T)²/6 = f²/f_r².
@@ -127,21 +137,31 @@ TERMS = {
         lambda pair, change: 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE,
     ),
     Kind.LAG: Term(
-        lambda pair, _, time_s: pair.responses[0].derivative(time_s, 3),
+        lambda pair, _, time_s: pair.responses[0].shaken(time_s, 1),
         lambda pair, change, _: _logged(pair, 0.0, change),
         lambda pair, change: True,
     ),
     Kind.DROOP: Term(
-        lambda pair, _, time_s: -pair.responses[0].derivative(time_s, 2),
+        lambda pair, _, time_s: -pair.responses[0].shaken(time_s, 0),
         lambda pair, change, _: _logged(pair, -change, 0.0),
         lambda pair, change: pair.logger[0] - change < 0.0,
     ),
     Kind.RESONANCE: Term(
-        lambda pair, _, time_s: pair.responses[0].derivative(time_s, 2),
+        lambda pair, _, time_s: pair.responses[0].shaken(time_s, 0),
         lambda pair, change, _: _logged(pair, change, 0.0),
         lambda pair, change: 0.0 < pair.logger[0] + change < (2.0 * np.pi * MIN_RESONANCE_HZ) ** -2,
     ),
 }
+# What is compared, each as a whole.
+SHAPES = (
+    (Kind.EXPOSURE,),
+    (Kind.LEAN,),
+    (Kind.LAG,),
+    (Kind.DROOP,),
+    (Kind.LAG, Kind.DROOP),
+    (Kind.RESONANCE,),
+    (Kind.RESONANCE, Kind.LAG),
+)
 # They make the ratio fall with the frequency's square, as a sensor of first order does.
 FALLING = (Kind.EXPOSURE, Kind.RESONANCE)
 # One of each at most: one number with two signs; two that differ in the fourth power of the frequency only.
@@ -172,26 +192,35 @@ class FrequencyResponse:
     relative_std: float = 0.0
     offset_variance: float = 0.0
 
+    @property
+    def accelerometer_errs(self) -> bool:
+        """Whether what was found stays in the acceleration: a low-pass or a resonance cannot be undone there."""
+        return bool({Kind.LAG, Kind.DROOP, Kind.RESONANCE} & {*self.known})
+
     def texts(self, motion_hz: float) -> Iterator[Notice]:
         """A sentence for each kind that was found, or is open; motion_hz: middle frequency of the motion."""
         square = (2.0 * np.pi * motion_hz) ** 2
-        falls = "camera: fast motion comes out smaller than slow motion, as with an exposure of"
+        falls = "camera: fast motion comes out smaller than slow motion, as with an exposure or a read-out of rows of"
         open_text = (
             "the motion does not tell which: the scale factor lies between the two, and the error band holds both"
         )
         if Kind.EXPOSURE in self.known:
             yield Notice(
                 "exposure",
-                f"{falls} {1e3 * self.exposure_s:.2g} ms, which was not declared, or with an accelerometer whose "
-                f"mounting resonates near {RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz. It is taken for an "
-                "exposure, and the error band holds the other as far as the motion does not exclude it; declare "
-                "exposure_s.",
+                f"{falls} {1e3 * self.exposure_s:.2g} ms, which was not declared. It is taken off; declare exposure_s "
+                "or readout_s (rolling shutter)."
+                + (
+                    " The error band holds that it may be an accelerometer whose mounting resonates near "
+                    f"{RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz instead."
+                    if self.other_m > 0.0
+                    else ""
+                ),
             )
         if self.open_s > 0.0:
             yield Notice(
                 "exposure",
                 f"{falls} {1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs "
-                f"with its motion or its mounting resonates, and {open_text}; declare exposure_s.",
+                f"with its motion or its mounting resonates, and {open_text}; declare exposure_s or readout_s.",
             )
         if self.open_resonance_hz > 0.0:
             yield Notice(
@@ -217,9 +246,9 @@ class FrequencyResponse:
                 f"accelerometer: it feels motion of {motion_hz:.2g} Hz by {100.0 * self.resonance_s2 * square:.2g} "
                 "% too strongly and slower motion less so, as on a bracket or railing that resonates near "
                 f"{1.0 / (2.0 * np.pi * np.sqrt(self.resonance_s2)):.2g} Hz. The scale factor is without it; the "
-                "error band is wider.",
+                "error band holds it. Mount it on the structure itself.",
             )
-        if Kind.LAG in self.known:
+        if Kind.LAG in self.known and Kind.RESONANCE not in self.known:
             yield Notice(
                 "logger-low-pass",
                 f"accelerometer: its delay changes with frequency, by {-1e3 * self.lag_s3 * square:+.2g} ms from 0 to "
@@ -350,68 +379,96 @@ def with_response(
     """The pair without what of `kinds` shows in it; known: those that it is without already; most_open: how well the
     ratio is known together with a kind that is found, relative.
 
-    One is taken where it gains MIN_GAIN; the lag first, then the one that gains most. An exposure and a resonance must
-    also be likelier than a first-order response by as much.
+    The likeliest shape is taken where it gains MIN_GAIN for each of its columns, and once more where that gains as much
+    on top. An exposure and a resonance must also be likelier than a first-order response by as much.
     """
     pair, fit = _settled(pair, fit, known)
     explained = Explained(pair, list(known))
-    while len(explained.known) < len(kinds):
-        found, columns = explained.known, _Columns(pair, fit)
-        left = [
-            kind
-            for kind in kinds
-            if kind not in found and not any(kind in alike and alike & {*found} for alike in ALIKE)
-        ]
-        without = columns.regressed(found).likelihood
-        tried = {kind: columns.regressed((*found, kind)) for kind in left}
-        able = _able(pair, tried, without, most_open)
+    for _ in range(MAX_SHAPES):
+        able = _able(pair, fit, kinds, explained.known, most_open)
         if not able:
             break
-        best = max(able, key=lambda kind: (kind is Kind.LAG, tried[kind].likelihood))
-        # An exposure and a resonance are one column as long as neither is in the pair; the exposure is the usual one.
-        alike = [kind for kind in able if kind is best or {kind, best} in ALIKE]
-        settled = [([*found, kind], *_settled(pair, fit, [*found, kind])) for kind in alike]
-        possible = [one for one in settled if all(TERMS[kind].possible(one[1], 0.0) for kind in one[0])]
-        if not possible:
-            break
-        taken, other, refitted = max(
-            possible, key=lambda one: one[2].likelihood - (MIN_GAIN if Kind.RESONANCE in one[0] else 0.0)
-        )
-        # By how much (s², as T²/24) there is more of an exposure or a resonance.
-        falls = (other.exposure_s**2 - pair.exposure_s**2) / 24.0 + max(other.logger[0], 0.0) - max(pair.logger[0], 0.0)
-        bare = replace(
-            other, exposure_s=pair.exposure_s, logger=(min(other.logger[0], pair.logger[0]), other.logger[1])
-        )
-        if falls > 0.0 and not lead_over_first_order(other, bare, refitted, falls) > MIN_GAIN:
-            kinds = [kind for kind in kinds if kind not in FALLING or kind in found]
-            explained = replace(explained, open_s2=falls, open_change=refitted.ratio / fit.ratio - 1.0)
+        best = max(able, key=_evidence)
+        falls, bare = _more_falling(pair, best.pair)
+        if {*best.more} & {*FALLING} and not lead_over_first_order(best.pair, bare, best.fit, falls) > MIN_GAIN:
+            kinds = [kind for kind in kinds if kind not in FALLING or kind in explained.known]
+            explained = replace(explained, open_s2=falls, open_change=best.fit.ratio / fit.ratio - 1.0)
             continue
-        pair, fit = other, refitted
-        apart = _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)])
-        explained = replace(explained, pair=pair, known=taken, doubt=float(np.hypot(explained.doubt, apart)))
+        doubts = [explained.doubt, _doubt(best, able)]
+        if explained.known:
+            # One shape usually is the cause; what another does to the ratio may be a flaw of the first one.
+            doubts.append(best.fit.ratio / fit.ratio - 1.0)
+        pair, fit = best.pair, best.fit
+        taken = [*explained.known, *best.more]
+        explained = replace(explained, pair=pair, known=taken, doubt=float(np.linalg.norm(doubts)))
     return explained
 
 
-def _able(pair: Pair, tried: Mapping[Kind, Regression], without: float, most_open: float) -> list[Kind]:
-    """Which of the kinds tried explain the translation clearly better than a likelihood without, and may be."""
-    able = [
-        kind
-        for kind, one in tried.items()
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A shape: the kinds that it adds, and the pair without them with its fit."""
+
+    more: tuple[Kind, ...]
+    pair: Pair
+    fit: Fit
+
+
+def _evidence(one: _Candidate) -> float:
+    # Each number that is fitted costs; an exposure is more usual than a resonance.
+    return one.fit.likelihood - MIN_GAIN * (len(one.more) + (Kind.RESONANCE in one.more))
+
+
+def _able(pair: Pair, fit: Fit, kinds: Sequence[Kind], found: Sequence[Kind], most_open: float) -> list[_Candidate]:
+    """The shapes that explain the translation clearly better than those found already do, and may be."""
+    columns = _Columns(pair, fit)
+    tried = {more: columns.regressed((*found, *more)) for more in _shapes(kinds, found)}
+    without = columns.regressed(found).likelihood
+    # What explains far more is of an impossible size: a drift, say, which a resonance only resembles.
+    most = max((one.likelihood for one in tried.values()), default=-np.inf) - MIN_GAIN
+    able = []
+    for more, one in tried.items():
         # Errors that are no white noise gain by chance in proportion to their own scatter.
-        if one.likelihood - without > MIN_GAIN * one.scatter
-        and one.of(RESPONSE)[1] < most_open
-        and TERMS[kind].possible(pair, one.of(FIRST + kind)[0])
-    ]
-    most = max((one.likelihood for one in tried.values()), default=-np.inf)
-    if Kind.RESONANCE in able and tried[Kind.RESONANCE].likelihood < most - MIN_GAIN:
-        # What explains far more is of an impossible size: a drift, say, which a resonance only resembles.
-        able.remove(Kind.RESONANCE)
+        gains = one.likelihood - without > MIN_GAIN * len(more) * one.scatter
+        likely = Kind.RESONANCE not in more or one.likelihood >= most
+        possible = all(TERMS[kind].possible(pair, one.of(FIRST + kind)[0]) for kind in more)
+        if not (gains and likely and possible and one.of(RESPONSE)[1] < most_open):
+            continue
+        candidate = _Candidate(more, *_settled(pair, fit, (*found, *more)))
+        if _physical(candidate.pair, (*found, *more)):
+            able.append(candidate)
     return able
 
 
-def _doubt(best: Regression, others: Sequence[Regression]) -> float:
-    odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
-    apart = [other.coefficients[0] / best.coefficients[0] - 1.0 for other in others]
+def _shapes(kinds: Sequence[Kind], found: Sequence[Kind]) -> list[tuple[Kind, ...]]:
+    """What each shape adds to the kinds found: those whose kinds may be there, and do not exclude each other."""
+    shapes = []
+    for shape in SHAPES:
+        more = tuple(kind for kind in shape if kind not in found)
+        excluded = any(kind in alike and alike & {*found} for kind in more for alike in ALIKE)
+        if more and {*more} <= {*kinds} and not excluded and more not in shapes:
+            shapes.append(more)
+    return shapes
+
+
+def _physical(pair: Pair, known: Sequence[Kind]) -> bool:
+    """Whether what is taken out of a pair may be: of each kind, and the damping of a resonance."""
+    square, cube = pair.logger
+    damped = Kind.RESONANCE not in known or -2.0 * MAX_DAMPING * max(square, 0.0) ** 1.5 <= cube <= 0.0
+    return damped and all(TERMS[kind].possible(pair, 0.0) for kind in known)
+
+
+def _more_falling(pair: Pair, other: Pair) -> tuple[float, Pair]:
+    """By how much (s², as T²/24) another pair has more of an exposure or a resonance, and that pair without it."""
+    exposed = (other.exposure_s**2 - pair.exposure_s**2) / 24.0
+    falls = exposed + max(other.logger[0], 0.0) - max(pair.logger[0], 0.0)
+    logger = (min(other.logger[0], pair.logger[0]), other.logger[1])
+    return falls, replace(other, exposure_s=pair.exposure_s, logger=logger)
+
+
+def _doubt(best: _Candidate, others: Sequence[_Candidate]) -> float:
+    """How far (relative, rms) the ratio would be another with the other shapes, each by its odds against the best."""
+    odds = [np.exp(min(_evidence(other) - _evidence(best), 0.0)) for other in others]
+    apart = [other.fit.ratio / best.fit.ratio - 1.0 for other in others]
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
 
 
@@ -510,7 +567,9 @@ def _other_m(pair: Pair, fit: Fit, known: Sequence[Kind], declared_s: float) -> 
     square = (pair.exposure_s**2 - declared_s**2) / 24.0
     resonant = _logged(pair.changed(exposure_s=declared_s), square, 0.0)
     exposed, other = (best_corner(one, fit.offset_s, fit.corner).likelihood for one in (pair, resonant))
-    odds = np.exp(np.clip(other - exposed, -50.0, 50.0))
+    if other < exposed - EXCLUDED:
+        return 0.0
+    odds = np.exp(min(other - exposed, EXCLUDED))
     return _exposed_m(pair, fit, square) * float(np.sqrt(odds / (1.0 + odds)))
 
 

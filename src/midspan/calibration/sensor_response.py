@@ -145,6 +145,6 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
     frequency_hz = after.motion_hz
     square = (2.0 * np.pi * frequency_hz) ** 2
     path, time_s = pair.responses[0], pair.samples[:, 0]
-    taken_m = float(np.std(droop * path.derivative(time_s, 2) + lag * path.derivative(time_s, 3)))
+    taken_m = float(np.std(droop * path.shaken(time_s, 0) + lag * path.shaken(time_s, 1)))
     figures = (frequency_hz, -lag * square, min(-droop * square, 1.0), after.offset_s, taken_m)
     return LowPass(*figures, stands_out=cause is not None)

@@ -11,6 +11,7 @@ from midspan.calibration.camera.disagreement import agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
+from midspan.calibration.frequency_response import FrequencyResponse
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.own_noise import contradiction, strange_noise
 from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of_no_camera, start_noise
@@ -261,7 +262,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     coloured = misfit(search.pair, search.fit)
     warnings += _zero_warnings(start_m)
     if apart_m > 0.0:
-        warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m)))
+        warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m, found.response)))
     else:
         causes = "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns"
         warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
@@ -294,12 +295,15 @@ def _zero_warnings(start_m: float) -> list[Notice]:
     return [Notice("zero-uncertain", text)] if start_m > 0.0 else []
 
 
-def _contradiction_text(apart_m: float) -> str:
+def _contradiction_text(apart_m: float, response: FrequencyResponse) -> str:
+    differs = f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
+    if response.accelerometer_errs:
+        # With what was found taken out they do not contradict each other.
+        return f"camera: it and the accelerometer {differs}The reason is what the accelerometer was found to err by."
     return (
         "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
-        f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
-        "Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that it shows "
-        "as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
+        f"{differs}Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that "
+        "it shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
     )
 
 
