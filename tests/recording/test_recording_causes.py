@@ -129,3 +129,19 @@ def test_values_that_are_left_out_in_great_number_are_said(tmp_path):
         lines[row] = f"{stamp},{rng.normal(0.0, 40.0):.6f}"
     (tmp_path / "d.csv").write_text("\n".join(lines) + "\n")
     assert "contradict the acceleration" in said(tmp_path)
+
+
+def test_play_is_named_with_its_width_and_is_in_the_band(tmp_path):
+    # Of 2 mm rms. It was called an average over 0.1 s, or a low-pass in the logger.
+    write(tmp_path, "play", 0.5)
+    result = midspan.estimate(tmp_path)
+    play = [str(line) for line in result.warnings if line.code == "play"]
+    assert len(play) == 1
+    width_mm = float(play[0].split("(backlash) of ")[1].split(" mm")[0])
+    assert width_mm == pytest.approx(0.5, rel=0.15)
+    assert not {"exposure", "logger-low-pass"} & {line.code for line in result.warnings}
+    time, moved, _ = swaying(np.random.default_rng(0))
+    error = result.displacement_mm - 2.0 * np.interp(result.time_s, time, moved)
+    error -= np.mean(error)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+    assert np.mean(result.displacement_std_mm) < 3.0 * np.std(error)

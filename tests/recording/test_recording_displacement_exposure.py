@@ -123,6 +123,17 @@ def test_it_is_exact_for_fast_motion_too(tmp_path):
                 assert np.max(np.abs(error) / result.displacement_std_mm) < 5.0
 
 
+def test_a_shape_that_the_motion_excludes_is_not_in_the_band(tmp_path):
+    # Over 0.25 s of a mode at 2.9 Hz: a mounting would have to resonate at 3.1 Hz.
+    moved = write(tmp_path, 1, 0.25, rate_hz=3.7)
+    result = midspan.estimate(tmp_path)
+    error = result.displacement_mm - moved(result.time_s)
+    assert any("averages over" in line and "resonates" not in line for line in result.warnings)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+    # All that the average takes was in every row, 0.6 mm.
+    assert np.mean(result.displacement_std_mm) < 3.0 * np.std(error)
+
+
 def test_zero_declares_that_it_does_not_average(tmp_path):
     write(tmp_path, 0, EXPOSURE_S)
     set_keys(tmp_path, "displacement", exposure_s=0.0)

@@ -382,7 +382,7 @@ def with_response(
     The likeliest shape is taken where it gains MIN_GAIN for each of its columns, and once more where that gains as much
     on top. An exposure and a resonance must also be likelier than a first-order response by as much.
     """
-    pair, fit = _settled(pair, fit, known)
+    pair, fit = settled(pair, fit, known)
     explained = Explained(pair, list(known))
     for _ in range(MAX_SHAPES):
         able = _able(pair, fit, kinds, explained.known, most_open)
@@ -433,7 +433,7 @@ def _able(pair: Pair, fit: Fit, kinds: Sequence[Kind], found: Sequence[Kind], mo
         possible = all(TERMS[kind].possible(pair, one.of(FIRST + kind)[0]) for kind in more)
         if not (gains and likely and possible and one.of(RESPONSE)[1] < most_open):
             continue
-        candidate = _Candidate(more, *_settled(pair, fit, (*found, *more)))
+        candidate = _Candidate(more, *settled(pair, fit, (*found, *more)))
         if _physical(candidate.pair, (*found, *more)):
             able.append(candidate)
     return able
@@ -472,7 +472,8 @@ def _doubt(best: _Candidate, others: Sequence[_Candidate]) -> float:
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
 
 
-def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
+def settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
+    """The pair without the most likely values of some kinds, and its fit, near that of the pair with them."""
     most_s = MAX_LATE / pair.rate_hz
     for _ in range(STEPS if known else 0):
         columns = _Columns(pair, fit)

@@ -22,7 +22,7 @@ from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
 from midspan.calibration.scale import MIN_GAIN as MIN_AGREEMENT
-from midspan.calibration.sensor_response import Exposed, LowPass, find_exposure, find_low_pass
+from midspan.calibration.sensor_response import Exposed, LowPass, Play, find_exposure, find_low_pass
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
 from midspan.checks import instance
@@ -90,7 +90,8 @@ class NoiseCalibration:
     make; where it is large the motion tells no scale. gain: of the accelerometer relative to the sensor, where it was
     estimated, and its relative standard deviation, else 0. slow_std_m, slow_time_s: standard deviation and correlation
     time of the sensor's slow error; 0: its noise is white. unseen_m: how far the sensor may drift, and step, without
-    that showing, see `SlowError`. exposure_s: time over which the sensor averages, as given or found. direction: of the
+    that showing, see `SlowError`. exposure_s: time over which the sensor averages, as given or found; exposure_doubt,
+    open_exposure_s, play: as of `Exposed`. direction: of the
     sensor's axis, None where the accelerometer's other axes were not recorded. warnings: sentences. low_pass: of the
     accelerometer's logger, where one shows: the offset is then that of slow motion. late_m: what clocks that differ,
     and are taken for one, make of the displacement, rms.
@@ -112,7 +113,9 @@ class NoiseCalibration:
     slow_time_s: float = np.inf
     unseen_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
+    exposure_doubt: float = 1.0
     open_exposure_s: float = 0.0
+    play: Play | None = None
     direction: Direction | None = None
     warnings: tuple[Notice, ...] = ()
     low_pass: LowPass | None = None
@@ -163,7 +166,9 @@ def calibrate_noise(
         scale_std=float(np.hypot(estimated.scale_std, used.spread)),
         low_pass=low_pass,
         unseen_m=slow.unseen,
+        exposure_doubt=used.doubt,
         open_exposure_s=used.open_s,
+        play=used.play,
     )
     assert estimated.findings is not None
     if slow.pair.rows is not free.rows or slow.pair.level is not None:

@@ -6,22 +6,27 @@ offset, and what it takes away altogether looks like noise of the sensor.
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
+from midspan import _core
 from midspan.calibration.agreement import at_rate, misfit, straightened
-from midspan.calibration.causes import Cause, named_cause
-from midspan.calibration.fit import Fit, Pair, best_corner, refine
+from midspan.calibration.causes import PLAYS, Cause, Comparison, named_cause
+from midspan.calibration.fit import Fit, Pair, best_corner, likelihood_of, refine
 from midspan.calibration.frequency_response import (
+    EXCLUDED,
     MAX_LATE,
     MIN_GAIN,
     Kind,
     exposure_shows,
     lead_over_first_order,
+    settled,
     with_response,
 )
 from midspan.calibration.minimum import global_minimum
+from midspan.calibration.time_offset import first_part
+from midspan.records import Floats
 
 # The exposure is found to this share of the longest one; number of exposures that are tried first.
 TOLERANCE, TRIED = 0.001, 11
@@ -32,16 +37,28 @@ STEP, ROUNDS = 0.05, 3
 
 
 @dataclass(frozen=True, slots=True)
+class Play:
+    """Play (backlash) in the joint of a displacement sensor: its width, and what it makes of the displacement, rms."""
+
+    width_m: float
+    taken_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Exposed:
     """The pair with the exposure found, and its fit; spread: what the exposure's error makes of a gain, relative.
 
-    open_s: an exposure that explains the readings no better than other causes do: it is not in the pair.
+    doubt: of what the exposure makes of the displacement, the share (rms) that is uncertain. open_s: an exposure that
+    explains the readings no better than other causes do; play: what explains them clearly better than any exposure.
+    Neither is in the pair.
     """
 
     pair: Pair
     fit: Fit
     spread: float = 0.0
+    doubt: float = 1.0
     open_s: float = 0.0
+    play: Play | None = None
 
 
 def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
@@ -50,7 +67,8 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
     An exposure is taken where it gains more likelihood, with any gain, than a parameter without effect would (as in
     `fit.with_input_noise`), explains the readings better than any delay and any first-order response, and explains
     more than it leaves. It is no longer than the interval of the measurements.
-    Where none is taken those that the motion does not exclude make the gain uncertain. offset_cost: as of
+    Where none is taken those that the motion does not exclude make the gain uncertain. Play in a joint, and a mounting
+    of the accelerometer that resonates, are its rivals. offset_cost: as of
     `lead_over_first_order`.
     """
     longest_s, free = 1.0 / pair.rate_hz, pair.changed(ratio=None)
@@ -75,21 +93,64 @@ def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
         even = (free, fit) if straight is None else (at_rate(free, fit.offset_s, straight[1]), straight[0])
         shows = exposure_shows(*even)
     bare, square = replace(free, exposure_s=0.0), (share * longest_s) ** 2 / 24.0
+    # The rivals are compared on the first part of the record, for time, each at its best clock offset.
+    part = first_part(bare)
+    exposed = _refined(part.changed(exposure_s=share * longest_s), fit).likelihood if shows else 0.0
+    stuck, play = likeliest_play(part, fit) if shows else (none, None)
+    if play is not None and stuck.likelihood - exposed > MIN_GAIN:
+        return Exposed(pair, fit, abs(stuck.ratio - none.ratio), play=play)
     if not (shows and lead_over_first_order(found, bare, best, square, offset_cost=offset_cost) > MIN_GAIN):
         # What the motion does not exclude, the gain may be off by: over all exposures, each by its likelihood.
         tried = [fitted(float(one)) for one in np.linspace(0.0, 1.0, TRIED)]
         weights = np.exp([one.likelihood - best.likelihood for one in tried])
         away = np.array([one.ratio - none.ratio for one in tried])
         spread = float(np.sqrt(np.average(away**2, weights=weights)))
-        return Exposed(pair, fit, spread, share * longest_s if shows else 0.0)
+        return Exposed(pair, fit, spread, open_s=share * longest_s if shows else 0.0)
     step, spread = STEP * share, 0.0
     for _ in range(ROUNDS):
         below, above = fitted(share - step), fitted(share + step)
         curved = (2.0 * best.likelihood - below.likelihood - above.likelihood) / step**2
         std = min(1.0 / float(np.sqrt(max(curved, 1e-300))), share)
         spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
+    # A mounting that resonates may do the same.
+    resonant = settled(part, best_corner(part, fit.offset_s, fit.corner), (Kind.RESONANCE, Kind.LAG))[1].likelihood
+    rivals = [resonant - exposed, stuck.likelihood - exposed]
+    odds = sum(float(np.exp(min(lead, EXCLUDED))) for lead in rivals if lead > -EXCLUDED)
+    # What an exposure makes goes with its square.
+    doubt = float(np.hypot(np.sqrt(odds / (1.0 + odds)), 2.0 * std / share))
     pair = pair.changed(exposure_s=share * longest_s)
-    return Exposed(pair, best_corner(pair, fit.offset_s, fit.corner), spread)
+    return Exposed(pair, best_corner(pair, fit.offset_s, fit.corner), spread, doubt)
+
+
+def likeliest_play(pair: Pair, fit: Fit) -> tuple[Fit, Play]:
+    """The most likely play in the joint of a displacement sensor, near the clock offset of a fit, and that fit.
+
+    The readings are taken to follow the acceleration's displacement, without slow motion, with a play.
+    """
+    compared = Comparison.of(pair, len(pair.rows))
+    path = compared.path()
+    even = np.arange(compared.start_s, float(pair.rows[-1, 0]) + fit.offset_s + 1.0, 1.0 / pair.sample_rate_hz)
+    moved, time_s = path(even), pair.rows[:, 0] + fit.offset_s
+    behind = partial(_behind, even, moved, time_s)
+
+    def fitted(width_m: float) -> Fit:
+        rows = pair.rows.copy()
+        rows[:, 1] -= behind(width_m)
+        return _refined(pair.changed(rows=rows), fit)
+
+    fits = {width: fitted(width) for width in (float(share * np.std(moved)) for share in PLAYS)}
+    width_m = max(fits, key=lambda width: likelihood_of(fits[width]))
+    return fits[width_m], Play(width_m, float(np.std(behind(width_m))))
+
+
+def _refined(pair: Pair, fit: Fit) -> Fit:
+    """The most likely fit of a pair near that of another."""
+    return refine(pair, best_corner(pair, fit.offset_s, fit.corner), MAX_LATE / pair.rate_hz)
+
+
+def _behind(even_s: Floats, moved_m: Floats, time_s: Floats, width_m: float) -> Floats:
+    """By how much (n,), m, what follows a displacement with a play is behind it at times (n,)."""
+    return np.interp(time_s, even_s, _core.follow_with_play(moved_m, width_m) - moved_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +202,8 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
         return None
     after = refine(without, best_corner(without, fit.offset_s), MAX_LATE / pair.rate_hz)
     if after.likelihood - before.likelihood < MIN_GAIN:
+        return None
+    if likeliest_play(first_part(free), before)[0].likelihood > _refined(first_part(without), after).likelihood:
         return None
     frequency_hz = after.motion_hz
     square = (2.0 * np.pi * frequency_hz) ** 2

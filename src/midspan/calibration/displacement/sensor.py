@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
+from midspan.calibration.causes import REMEDIES, Cause, cause_of_lateness, disagreement, named_cause
 from midspan.calibration.clock_rate import ClockRate
 from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
@@ -156,11 +156,10 @@ def with_offset(estimated: NoiseCalibration) -> NoiseCalibration:
 
     late_m: what it makes of the displacement where it may be a logger's delay.
     """
-    assert estimated.findings is not None
     text = (
         f"displacement: its readings come as if its clock differs from the accelerometer's by "
         f"{1e3 * estimated.offset.value_s:+.4g} ± {1e3 * np.sqrt(estimated.offset.variance):.2g} ms; corrected. "
-        f"{cause_of_lateness(estimated.findings.pair, estimated.offset.value_s)}"
+        f"{_cause_of_lateness(estimated)}"
     )
     if estimated.late_m > 0.0:
         text += (
@@ -172,6 +171,13 @@ def with_offset(estimated: NoiseCalibration) -> NoiseCalibration:
         text += "displacement.estimate_offset = true asks for that; "
     text += "false says that both have one clock."
     return replace(estimated, warnings=(*estimated.warnings, Notice("clock-corrected", text)))
+
+
+def _cause_of_lateness(estimated: NoiseCalibration) -> str:
+    assert estimated.findings is not None
+    if estimated.play is not None and estimated.offset.value_s < 0.0:
+        return "Play in its joint makes them late. "
+    return cause_of_lateness(estimated.findings.pair, estimated.offset.value_s)
 
 
 def two_rates(rate: ClockRate) -> UntrustedError:
@@ -211,12 +217,14 @@ def _lost_m(given: Given, estimated: NoiseCalibration) -> float:
         # What it takes away altogether looks like noise of the sensor, of which no more is known than what is given.
         known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(estimated.factor)
         lost += [float(np.sqrt(max(estimated.variance_factor - known_m**2, 0.0))), estimated.low_pass.taken_m]
+    if estimated.play is not None:
+        lost.append(estimated.play.taken_m)
     exposure_s = estimated.exposure_s or estimated.open_exposure_s
     if given.exposure_s is None and exposure_s > 0.0:
-        # Taken out or not: an accelerometer that resonates on its mount, or errs with its motion, looks the same.
+        # An accelerometer that resonates on its mount, or errs with its motion, may look the same.
         shaken = given.prepared.with_noise(1.0)
         taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, given.series.time_ns, exposure_s)
-        lost.append(float(np.std(taken)))
+        lost.append(estimated.exposure_doubt * float(np.std(taken)))
     return float(np.linalg.norm(lost))
 
 
@@ -302,6 +310,13 @@ def _factor_warnings(estimated: NoiseCalibration) -> Iterator[Notice]:
 
 
 def _exposure_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice]:
+    if estimated.play is not None:
+        yield Notice(
+            "play",
+            f"displacement: it follows the motion as with play (backlash) of {1e3 * estimated.play.width_m:.2g} mm in "
+            f"its joint; the error band holds what that makes, {1e3 * estimated.play.taken_m:.2g} mm rms. "
+            f"{REMEDIES[Cause.PLAY]}",
+        )
     found_s = estimated.exposure_s or estimated.open_exposure_s
     if given.exposure_s is not None or not found_s > 0.0:
         return
@@ -309,10 +324,11 @@ def _exposure_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[No
         f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over {found_s:.3g}"
     )
     if estimated.exposure_s > 0.0:
+        resonance = ", or of an accelerometer that resonates on its mount" if estimated.exposure_doubt > 0.5 else ""
         yield Notice(
             "exposure",
-            f"{seems} s, of play in its joint, or of an accelerometer that resonates on its mount. The first is "
-            "corrected, and the error band holds it; displacement.exposure_s declares it.",
+            f"{seems} s{resonance}. {'The first' if resonance else 'That'} is corrected, and the error band holds its "
+            "doubt; displacement.exposure_s declares it.",
         )
     else:
         yield Notice(
