@@ -8,6 +8,7 @@ from calibration_cases import OFFSET, SCALE, beam_in_pixels, broadband, observed
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale, uncertain_scale
+from midspan.calibration.time_offset import search_offset
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.simulate.motion.motion import Pulse, Sum, Window, random_motion
 from repeats import slow
@@ -288,3 +289,12 @@ def test_two_places_with_lost_frames_are_found_and_taken_out(seed):
     assert np.sqrt(found.scale.variance) < 0.002 * SCALE
     assert abs(found.search.offset.value_s - OFFSET) < 2e-3
     assert [text.split(" ms ")[0].split(": ")[1] for text in found.warnings[:2]] == ["+300", "+200"]
+
+
+@pytest.mark.parametrize("step_m", [1.0, 1e-2])
+def test_readings_that_hardly_leave_one_step_end_no_search_of_the_offset(step_m):
+    # A ratio of nothing was divided by. The motion is of 3 mm rms: all readings are 0, or nearly all.
+    pair = observed(broadband(0), 0, scale=1.0)
+    rows = pair.rows.copy()
+    rows[:, 1] = step_m * np.round(rows[:, 1] / step_m)
+    assert np.isfinite(search_offset(Pair(pair.samples, rows), 0.2).fit.ratio)

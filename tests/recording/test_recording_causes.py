@@ -144,4 +144,5 @@ def test_play_is_named_with_its_width_and_is_in_the_band(tmp_path):
     error = result.displacement_mm - 2.0 * np.interp(result.time_s, time, moved)
     error -= np.mean(error)
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
-    assert np.mean(result.displacement_std_mm) < 3.0 * np.std(error)
+    # All that the play makes, 0.21 mm rms, was in every row; its delay and gain are corrected.
+    assert np.mean(result.displacement_std_mm) < 0.2

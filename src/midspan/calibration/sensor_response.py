@@ -38,7 +38,9 @@ STEP, ROUNDS = 0.05, 3
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """Play (backlash) in the joint of a displacement sensor: its width, and what it makes of the displacement, rms."""
+    """Play (backlash) in the joint of a displacement sensor: its width, and what it makes of the displacement but for
+    a gain and a delay, rms.
+    """
 
     width_m: float
     taken_m: float
@@ -140,7 +142,11 @@ def likeliest_play(pair: Pair, fit: Fit) -> tuple[Fit, Play]:
 
     fits = {width: fitted(width) for width in (float(share * np.std(moved)) for share in PLAYS)}
     width_m = max(fits, key=lambda width: likelihood_of(fits[width]))
-    return fits[width_m], Play(width_m, float(np.std(behind(width_m))))
+    # A gain and a clock offset, which are fitted as well, make the rest of it.
+    shared = np.column_stack([np.interp(time_s, even, one) for one in (moved, np.gradient(moved))])
+    taken = behind(width_m)
+    taken = taken - shared @ np.linalg.lstsq(shared, taken, rcond=None)[0]
+    return fits[width_m], Play(width_m, float(np.std(taken)))
 
 
 def _refined(pair: Pair, fit: Fit) -> Fit:
