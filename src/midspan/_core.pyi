@@ -29,7 +29,7 @@ def whiten(
     rows: Floats,
     values: Floats,
     density: float,
-    slow: tuple[float, float] | None = None,
+    slow: tuple[float, float, float] | None = None,
     longer: Floats | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats, float]: ...
 def integrate(time_s: Floats, value: Floats) -> Floats: ...

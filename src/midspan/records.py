@@ -300,8 +300,8 @@ class Channel:
     zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
     the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s:
     age of the last accepted measurement from which on rows are marked so. interval_s: its usual interval between
-    measurements; 0: unknown. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
-    (first-order Gauss-Markov).
+    measurements; 0: unknown. slow_std_m, slow_time_s, slow_hz: standard deviation, the time in which it decays and
+    natural frequency of its sensor's slow error (0 Hz: first-order Gauss-Markov; else a damped oscillator).
     """
 
     sensor: str
@@ -318,6 +318,7 @@ class Channel:
     interval_s: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
+    slow_hz: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

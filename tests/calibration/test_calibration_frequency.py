@@ -130,8 +130,8 @@ def test_a_shake_above_half_the_frame_rate_is_no_noise_of_the_accelerometer():
     found = calibrate_scale(observed(0, shake_hz=9.1), 0.1)
     plain = calibrate_scale(observed(0), 0.1)
     apart_m = abs(SCALE) * contradiction(found.search.pair, found.search.fit)
-    took_it = abs(SCALE) * found.noise.std
-    assert max(apart_m, took_it) > 0.5 * 2e-4 / np.sqrt(2.0)
+    took_it, own_m = (abs(SCALE) * one for one in (found.noise.std, found.own.std if found.own else 0.0))
+    assert max(apart_m, took_it, own_m) > 0.5 * 2e-4 / np.sqrt(2.0)
     assert contradiction(plain.search.pair, plain.search.fit) == 0.0
     assert not found.response.known
 

@@ -49,7 +49,7 @@ def test_what_was_fitted_is_never_that_of_another_noise():
     pair = record(5)
     fit = best_corner(pair, OFFSET_S)
     likeliest_slow_error(pair, fit)
-    for error in (NO_SLOW_ERROR, (4.0, 0.5), (400.0, 0.5)):
+    for error in (NO_SLOW_ERROR, (4.0, 0.5, 0.0), (400.0, 0.5, 0.0), (400.0, 0.5, 3.0)):
         changed = pair.changed(slow=error)
         for corner in (*pair.recent[0].fits, fit.corner, 1.1 * fit.corner):
             kept, fresh = (evaluate(one, OFFSET_S, corner).likelihood for one in (changed, replace(changed)))

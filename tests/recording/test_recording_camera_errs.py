@@ -58,10 +58,12 @@ def test_the_band_holds_a_mast_that_nods(hertz, px, tmp_path):
     truth = write(tmp_path, 1, nods(hertz, px))
     result = midspan.estimate(tmp_path)
     error = result.displacement_mm - truth(result.time_s)
-    # Nobody can tell which sensor errs: the whole of the mast's sway is in the band. It was 4 to 18 %.
+    # It was 4 to 18 %.
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
     assert np.median(result.displacement_std_mm) < 2.0 * px * MM_PER_PX
     assert "motion-not-shared" in {line.code for line in result.warnings}
+    # Besides the zero, which is that of a picture from a mast that stands somewhere, half of its sway is told apart.
+    assert np.std(error) < 0.5 * px * MM_PER_PX
 
 
 def test_air_that_shimmers_is_reported_and_in_the_band(tmp_path):
@@ -70,7 +72,7 @@ def test_air_that_shimmers_is_reported_and_in_the_band(tmp_path):
     error = result.displacement_mm - truth(result.time_s)
     # A slow error's size is known from a few of its correlation times only. It was 40 to 60 %.
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
-    assert REPORTED & {line.code for line in result.warnings}
+    assert "motion-not-shared" in {line.code for line in result.warnings}
 
 
 def test_a_camera_that_stands_still_is_not_said_to_err(tmp_path):

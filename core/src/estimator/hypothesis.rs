@@ -63,6 +63,8 @@ pub struct Mark {
     pub reference: f64,
     /// When it last measured, s.
     pub met_s: f64,
+    /// Up to when its sensor's slow error is carried, s; of the first channel that has it.
+    pub slow_s: f64,
     /// When a measurement was last accepted, s.
     pub accepted_s: f64,
     /// Variance of that, its reference's included, m².
@@ -177,7 +179,9 @@ impl Hypothesis {
         }
         for channel in &model.channels {
             if let Some(slow) = channel.slow {
-                p[(channel.reference, channel.reference)] = slow.variance_m2;
+                for place in [Some(slow.place), slow.velocity].into_iter().flatten() {
+                    p[(place, place)] = slow.variance_m2;
+                }
             }
         }
         let variances: Vec<f64> = settings.parameters.iter().map(|one| one.std * one.std).collect();
@@ -251,6 +255,7 @@ impl Mark {
             begun: false,
             reference: 0.0,
             met_s: begin.time_s - START_S,
+            slow_s: begin.time_s - START_S,
             accepted_s: f64::NEG_INFINITY,
             accepted_variance: 0.0,
             stepped: false,

@@ -10,9 +10,10 @@ use super::model::{ChannelModel, Model};
 use super::motion::{AxisMotion, Clock};
 use super::predict::predict_covariance;
 use super::row::Effect;
-use super::steps::scale_changed;
-use super::update::{move_reference, project, scale_state};
+use super::steps::{scale_changed, turn_changed};
+use super::update::{carry_slow, move_reference, project, scale_state};
 use super::waiting::Measurement;
+use super::way_back::Scaled;
 
 /// A zero of which nothing is known is taken to lie within this many times (in variance) what the first measurement is
 /// off, where it is asked whether that is an outlier.
@@ -95,15 +96,21 @@ impl Innovation {
     }
 }
 
-/// Before a channel's measurement: its zero begins with the first, and follows the reference, or its slow error goes
-/// on. Returns the factor by which that state was scaled.
+/// Before a channel's measurement: its zero begins with the first and follows the reference, its sensor's slow error
+/// goes on. Returns what was made of these states.
 ///
 /// An unknown zero is wide for the hypotheses' weights alone: the first measurement that is accepted begins it, see
 /// `update::begin_zero`.
-pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
+pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> Scaled {
     let (row, channel) = (scene.row, scene.channel);
-    let mark = &mut hyp.marks[row.channel];
     let (z, r) = (channel.zero, channel.reference);
+    let mut made = Scaled::NONE;
+    if let Some(slow) = &channel.slow {
+        let lapse_s = scene.at_s - std::mem::replace(&mut hyp.marks[slow.lead].slow_s, scene.at_s);
+        made.slow = carry_slow(&mut hyp.x, &mut hyp.p, slow, lapse_s);
+        turn_changed(&mut hyp.tests, slow, made.slow);
+    }
+    let mark = &mut hyp.marks[row.channel];
     if !mark.begun {
         match channel.zero_variance {
             Some(variance) => {
@@ -117,21 +124,12 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
             }
         }
     }
-    if let Some(slow) = channel.slow {
-        let factor = (-slow.rate_s * (scene.at_s - mark.met_s)).exp();
-        scale_state(&mut hyp.x, &mut hyp.p, r, factor);
-        scale_changed(&mut hyp.tests, r, factor);
-        hyp.p[(r, r)] += (1.0 - factor * factor) * slow.variance_m2;
-        return factor;
+    let was = std::mem::replace(&mut mark.reference, row.reference);
+    if was != row.reference {
+        made.reference = move_reference(&mut hyp.x, &mut hyp.p, r, was, row.reference);
+        scale_changed(&mut hyp.tests, r, made.reference);
     }
-    let was = mark.reference;
-    if was == row.reference {
-        return 1.0;
-    }
-    mark.reference = row.reference;
-    let factor = move_reference(&mut hyp.x, &mut hyp.p, r, was, row.reference);
-    scale_changed(&mut hyp.tests, r, factor);
-    factor
+    made
 }
 
 /// Where a sensor's clock has stepped, lets the difference between its time's displacement and this one's go on to

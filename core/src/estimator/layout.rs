@@ -27,8 +27,10 @@ pub enum State {
     Shift(usize),
     /// Error of the reference that a channel's frames are compared with, m.
     Reference(usize),
-    /// Slow error of a channel's sensor (first-order Gauss-Markov), m.
+    /// Slow error of a sensor along an axis by the first of its channels, in m of that one.
     Slow(usize),
+    /// Its velocity over its angular frequency, where it is an oscillator, m.
+    SlowVelocity(usize),
     /// Rotation about the sensor's foot, rad.
     #[cfg(test)]
     Tilt,
@@ -59,7 +61,13 @@ impl Layout {
         for (c, channel) in settings.channels.iter().enumerate() {
             layout.add(State::Zero(c), 0.0);
             layout.add(State::Shift(c), channel.zero_walk_m2_s);
-            layout.add(if channel.slow_std_m > 0.0 { State::Slow(c) } else { State::Reference(c) }, 0.0);
+            layout.add(State::Reference(c), 0.0);
+            if settings.slow_lead(c) == Some(c) {
+                layout.add(State::Slow(c), 0.0);
+                if channel.slow_hz > 0.0 {
+                    layout.add(State::SlowVelocity(c), 0.0);
+                }
+            }
         }
         layout
     }

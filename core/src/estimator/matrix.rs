@@ -1,5 +1,6 @@
 //! Small dense matrices of `f64` in one allocation.
 
+use super::slow::Turn;
 use serde::{Deserialize, Serialize};
 use std::ops::{Index, IndexMut};
 
@@ -80,6 +81,16 @@ impl Matrix {
         for j in 0..self.width {
             self[(i, j)] *= factor;
             self[(j, i)] *= factor;
+        }
+    }
+
+    /// Rows and columns `i` and `q` of a square matrix turned.
+    pub fn turn_both(&mut self, (i, q): (usize, usize), turn: Turn) {
+        for j in 0..self.width {
+            (self[(i, j)], self[(q, j)]) = turn.of(self[(i, j)], self[(q, j)]);
+        }
+        for j in 0..self.width {
+            (self[(j, i)], self[(j, q)]) = turn.of(self[(j, i)], self[(j, q)]);
         }
     }
 }

@@ -42,6 +42,7 @@ pub mod samples;
 pub mod second_pass;
 pub mod settings;
 pub mod situation;
+pub mod slow;
 pub mod smoother;
 pub mod start;
 pub mod state;

@@ -3,6 +3,7 @@
 use super::layout::{Layout, State};
 use super::row::Row;
 use super::settings::{Apart, NANOSECONDS, ParameterKind, Rates, Settings};
+use super::slow::SlowError;
 
 /// A channel with its row and the places of its states.
 #[derive(Clone, Debug)]
@@ -13,10 +14,10 @@ pub struct ChannelModel {
     pub zero: usize,
     /// Place of the shift of its zero.
     pub shift: usize,
-    /// Place of its reference's error, or of its slow error.
+    /// Place of its reference's error.
     pub reference: usize,
-    /// The slow error's variance (m²) and the rate (1/s) at which it forgets; None: it has a reference in that place.
-    pub slow: Option<Apart>,
+    /// The slow error of its sensor; None: there is none.
+    pub slow: Option<SlowError>,
     /// Variance of its zero at its first measurement, m²; None: unknown.
     pub zero_variance: Option<f64>,
     /// Number of its sensor.
@@ -125,14 +126,22 @@ impl Model {
 fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel {
     let channel = &settings.channels[c];
     let place = |name: State| layout.place(name).unwrap_or(0);
-    let slow = channel.slow_std_m > 0.0;
     ChannelModel {
         row: Row::of_displacement(c, settings, layout),
         zero: place(State::Zero(c)),
         shift: place(State::Shift(c)),
-        reference: place(if slow { State::Slow(c) } else { State::Reference(c) }),
-        slow: slow
-            .then(|| Apart { variance_m2: channel.slow_std_m * channel.slow_std_m, rate_s: 1.0 / channel.slow_time_s }),
+        reference: place(State::Reference(c)),
+        slow: settings.slow_lead(c).map(|lead| {
+            let first = &settings.channels[lead];
+            SlowError {
+                lead,
+                place: place(State::Slow(lead)),
+                velocity: layout.place(State::SlowVelocity(lead)),
+                variance_m2: first.slow_std_m * first.slow_std_m,
+                rate_s: 1.0 / first.slow_time_s,
+                omega: std::f64::consts::TAU * first.slow_hz,
+            }
+        }),
         zero_variance: channel.zero_known().then_some(channel.zero_std_m * channel.zero_std_m),
         sensor: channel.sensor,
         group: channel.sensor * settings.axes + channel.axis,

@@ -76,7 +76,10 @@ impl Row {
         add(State::Zero(c), g);
         add(State::Shift(c), g);
         add(State::Reference(c), g);
-        add(State::Slow(c), g);
+        if let Some(lead) = settings.slow_lead(c) {
+            // What nods turns all of a picture by as many pixels.
+            add(State::Slow(lead), settings.channels[lead].units_per_m);
+        }
         let effects = settings.parameters.iter().map(|one| effect(one.kind, one.channels.contains(&c))).collect();
         Self { entries, input: g * blur, velocity: 0.0, axis: a, units_per_m: g, effects }
     }

@@ -22,7 +22,7 @@ use super::start::{Beginning, START_S};
 use super::steps::SURE;
 use super::update::set_datum;
 use super::waiting::{Item, Measurement, Timed};
-use super::way_back::WayBack;
+use super::way_back::{Scaled, WayBack};
 use serde::{Deserialize, Serialize};
 
 /// The hypotheses, the motion's input and the clock, that a run changes and carries on.
@@ -353,7 +353,7 @@ fn judge_open(
     }
     let count = hyps.count();
     let best = hyps.best_mut();
-    let reference_scaled = meet_zero(best, scene);
+    let made = meet_zero(best, scene);
     follow_clock(best, scene);
     let mark = &best.marks[c];
     let usual = best.memory.burst.is_none() && mark.outliers == 0.0 && !mark.stepped && mark.doubt == Doubt::None;
@@ -362,7 +362,7 @@ fn judge_open(
         if innovation.within(GATE) && innovation.with_parameters <= VAGUE * innovation.noise {
             let total = take_good(best, scene, &innovation, work);
             if let Some(back) = back {
-                back.leave_record(scene.at_s, c, Some(total), (1.0, reference_scaled), work);
+                back.leave_record(scene.at_s, c, Some(total), made, work);
             }
             return !(scene.model.looks_for_steps() && find_step(best, scene, SURE));
         }
@@ -397,7 +397,7 @@ fn take_good(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work:
 #[inline]
 fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: Option<&mut WayBack>, work: &mut Work) {
     let c = scene.row.channel;
-    let reference_scaled = meet_zero(hyp, scene);
+    let made = meet_zero(hyp, scene);
     let followed = follow_clock(hyp, scene);
     let (total, scaled) =
         if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained && !hyp.marks[c].stepped {
@@ -409,6 +409,6 @@ fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: O
             (taken.total, taken.shift_scaled)
         };
     if let Some(back) = back {
-        back.leave_record(scene.at_s, c, total, (followed * scaled, reference_scaled), work);
+        back.leave_record(scene.at_s, c, total, Scaled { shift: followed * scaled, ..made }, work);
     }
 }

@@ -36,6 +36,8 @@ pub struct Channel {
     pub slow_std_m: f64,
     /// Correlation time of its slow error, s.
     pub slow_time_s: f64,
+    /// Natural frequency of its slow error, Hz; 0: it is no oscillator.
+    pub slow_hz: f64,
 }
 
 impl Channel {
@@ -160,6 +162,14 @@ impl Settings {
         let alike = |one: &&Channel| one.sensor == channel.sensor && one.axis == channel.axis;
         let targets = self.channels.iter().filter(alike).count();
         Apart { variance_m2: 2.0 * std_m * std_m * targets as f64, rate_s }
+    }
+
+    /// The first channel of those that share the slow error of channel `c`: of one sensor along one axis; None: it has
+    /// none.
+    pub fn slow_lead(&self, c: usize) -> Option<usize> {
+        let own = &self.channels[c];
+        let shares = |one: &Channel| one.sensor == own.sensor && one.axis == own.axis && one.slow_std_m > 0.0;
+        if shares(own) { self.channels.iter().position(shares) } else { None }
     }
 
     /// Whether all arrays are as long as there are axes, and all channels and axes exist.

@@ -178,12 +178,10 @@ impl Adjoint {
 
     /// Carries the adjoint back through an item.
     fn back_through(&mut self, way: &WayBack, place: usize, view: &Counted) {
-        let (channel, total, shift_scaled, reference_scaled) = match way.records[place].what {
+        let (channel, total, scaled) = match way.records[place].what {
             Recorded::Doubt => return,
             Recorded::Datum => return self.back_through_datum(view),
-            Recorded::Measured { channel, total, shift_scaled, reference_scaled } => {
-                (channel, total, shift_scaled, reference_scaled)
-            }
+            Recorded::Measured { channel, total, scaled } => (channel, total, scaled),
         };
         if let Some(total) = total {
             let stride = way.columns + way.size;
@@ -199,10 +197,23 @@ impl Adjoint {
             }
         }
         let (model, width) = (&view.model.channels[channel], self.width);
-        for (state, factor) in [(model.shift, shift_scaled), (model.reference, reference_scaled)] {
+        let mut scale = |state: usize, factor: f64| {
             if factor != 1.0 {
                 let row = self.rows[state * width..(state + 1) * width].as_flattened_mut();
                 row.iter_mut().for_each(|value| *value *= factor);
+            }
+        };
+        scale(model.shift, scaled.shift);
+        scale(model.reference, scaled.reference);
+        match model.slow.as_ref().map(|slow| (slow.place, slow.velocity)) {
+            None => {}
+            Some((place, None)) => scale(place, scaled.slow.left()),
+            Some((place, Some(velocity))) => {
+                let (back, rows, lanes) = (scaled.slow.back(), self.rows.as_flattened_mut(), width * LANES);
+                for k in 0..lanes {
+                    let (i, q) = (place * lanes + k, velocity * lanes + k);
+                    (rows[i], rows[q]) = back.of(rows[i], rows[q]);
+                }
             }
         }
     }

@@ -18,6 +18,7 @@ use super::model::{ChannelModel, Model};
 use super::row::Row;
 use super::settings::Rates;
 use super::situation::{LOG_2PI, met_within};
+use super::slow::{SlowError, Turn};
 use crate::track::vector::vectorised;
 use serde::{Deserialize, Serialize};
 
@@ -328,6 +329,20 @@ pub fn scale_changed(tests: &mut [StepTest], j: usize, factor: f64) {
         let state = test.state(j);
         for changed in &mut test.sums[state] {
             *changed *= factor;
+        }
+    }
+}
+
+/// The states of a slow error have been turned.
+pub fn turn_changed(tests: &mut [StepTest], slow: &SlowError, turn: Turn) {
+    let Some(velocity) = slow.velocity else { return scale_changed(tests, slow.place, turn.left()) };
+    for test in tests {
+        let (i, q) = (slow.place, velocity);
+        let either = test.changed[i] || test.changed[q];
+        (test.changed[i], test.changed[q]) = (either, either);
+        let (i, q) = (test.state(i), test.state(q));
+        for lane in 0..LANES {
+            (test.sums[i][lane], test.sums[q][lane]) = turn.of(test.sums[i][lane], test.sums[q][lane]);
         }
     }
 }

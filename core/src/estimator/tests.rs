@@ -35,6 +35,7 @@ pub fn channel() -> Channel {
         lost_s: 10.0,
         slow_std_m: 0.0,
         slow_time_s: f64::INFINITY,
+        slow_hz: 0.0,
     }
 }
 

@@ -3,6 +3,7 @@
 use super::layout::{Layout, State, motion_of};
 use super::matrix::Matrix;
 use super::row::Row;
+use super::slow::{SlowError, Turn};
 
 /// h' P h of a row; P h goes to `ph` (n,).
 #[inline]
@@ -88,6 +89,29 @@ pub fn scale_state(x: &mut Matrix, p: &mut Matrix, i: usize, factor: f64) {
         *value *= factor;
     }
     p.scale_both(i, factor);
+}
+
+/// A slow error goes on for some time: what is left of it, and as much new variance as keeps it alike.
+pub fn carry_slow(x: &mut Matrix, p: &mut Matrix, slow: &SlowError, lapse_s: f64) -> Turn {
+    let (i, turn) = (slow.place, slow.after(lapse_s));
+    let [new, both, other] = turn.added().map(|part| part * slow.variance_m2);
+    p[(i, i)] = match slow.velocity {
+        None => {
+            scale_state(x, p, i, turn.left());
+            p[(i, i)] + new
+        }
+        Some(q) => {
+            for column in 0..x.width() {
+                (x[(i, column)], x[(q, column)]) = turn.of(x[(i, column)], x[(q, column)]);
+            }
+            p.turn_both((i, q), turn);
+            p[(q, q)] += other;
+            p[(i, q)] += both;
+            p[(q, i)] += both;
+            p[(i, i)] + new
+        }
+    };
+    turn
 }
 
 /// Brings the reference's state `i` from one variance (m²) to another; returns the factor that it is scaled by.

@@ -6,6 +6,7 @@ use super::hypothesis::Hypothesis;
 use super::innovation::Work;
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
+use super::slow::Turn;
 use super::waiting::{Item, Timed};
 
 /// What an item did to the filter.
@@ -17,14 +18,29 @@ pub(super) struct Record {
     pub(super) what: Recorded,
 }
 
+/// What was made of a channel's states before its measurement.
+#[derive(Clone, Copy, Debug)]
+pub struct Scaled {
+    /// On the shift.
+    pub shift: f64,
+    /// On the reference.
+    pub reference: f64,
+    /// Of the slow error.
+    pub slow: Turn,
+}
+
+impl Scaled {
+    /// Nothing changes.
+    pub const NONE: Self = Self { shift: 1.0, reference: 1.0, slow: Turn::NONE };
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Recorded {
     Measured {
         channel: usize,
         /// The innovation's variance it was taken with, infinite where it began a zero; None: not at all.
         total: Option<f64>,
-        shift_scaled: f64,
-        reference_scaled: f64,
+        scaled: Scaled,
     },
     Datum,
     Doubt,
@@ -203,10 +219,10 @@ impl WayBack {
         }
     }
 
-    /// Adds a measurement; scaled: factors on the states of its shift and its reference.
+    /// Adds a measurement.
     #[inline]
-    pub fn leave_record(&mut self, at_s: f64, channel: usize, total: Option<f64>, scaled: (f64, f64), work: &Work) {
-        let what = Recorded::Measured { channel, total, shift_scaled: scaled.0, reference_scaled: scaled.1 };
+    pub fn leave_record(&mut self, at_s: f64, channel: usize, total: Option<f64>, scaled: Scaled, work: &Work) {
+        let what = Recorded::Measured { channel, total, scaled };
         self.records.push(Record { sample: self.time_s.len(), at_s, what });
         self.details.extend_from_slice(&work.e);
         self.details.extend_from_slice(&work.gain);

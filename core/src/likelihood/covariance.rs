@@ -2,26 +2,29 @@
 //! them.
 //!
 //! x' = v, v' = −b − w, b' = w_b, with white noise w of density S_a ((m/s²)²/Hz) and a random walk w_b of the bias; the
-//! slow error g is a first-order Gauss-Markov process (Gelb, Applied Optimal Estimation, 1974, section 4.5).
+//! slow error g is a first-order Gauss-Markov process or a damped oscillator, with its velocity h over its angular
+//! frequency ([`crate::estimator::slow`]).
 
-/// What a measurement makes of the states: the variance of its innovation, and the gain on x, v, b and g.
+use crate::estimator::slow::Turn;
+
+/// What a measurement makes of the states: the variance of its innovation, and the gain on x, v, b, g and h.
 pub struct Gain {
     /// Variance of the innovation.
     pub total: f64,
-    /// Gain on displacement, velocity, bias and slow error.
-    pub gain: [f64; 4],
+    /// Gain on displacement, velocity, bias, slow error and its velocity.
+    pub gain: [f64; 5],
 }
 
 /// A covariance that is predicted and updated from measurement to measurement.
 pub trait Covariance {
     /// Over `dt` seconds, with the density of the acceleration's noise and of the bias walk.
     fn predict(&mut self, dt: f64, density: f64, bias_walk: f64);
-    /// The slow error's share that is left after a time, and the variance that is new.
-    fn decay(&mut self, left: f64, new_variance: f64);
+    /// What is left of the slow error after a time, and the variance that is new.
+    fn decay(&mut self, turn: Turn, new: [f64; 3]);
     /// The gain of a measurement of this variance.
     fn gain(&self, variance: f64) -> Gain;
     /// A measurement of this variance with a gain that need not be its own (Joseph form).
-    fn update(&mut self, gain: &[f64; 4], variance: f64);
+    fn update(&mut self, gain: &[f64; 5], variance: f64);
     /// Variance of the displacement.
     fn displacement(&self) -> f64;
     /// Variance of the bias.
@@ -65,14 +68,14 @@ impl Covariance for Motion {
         };
     }
 
-    fn decay(&mut self, _left: f64, _new_variance: f64) {}
+    fn decay(&mut self, _turn: Turn, _new: [f64; 3]) {}
 
     fn gain(&self, variance: f64) -> Gain {
         let total = self.xx + variance;
-        Gain { total, gain: [self.xx / total, self.xv / total, self.xb / total, 0.0] }
+        Gain { total, gain: [self.xx / total, self.xv / total, self.xb / total, 0.0, 0.0] }
     }
 
-    fn update(&mut self, &[k0, k1, k2, _]: &[f64; 4], variance: f64) {
+    fn update(&mut self, &[k0, k1, k2, ..]: &[f64; 5], variance: f64) {
         let Self { xx, xv, xb, .. } = *self;
         let (rest, total) = (1.0 - k0, xx + variance);
         self.xx = rest * rest * xx + k0 * k0 * variance;
@@ -92,40 +95,48 @@ impl Covariance for Motion {
     }
 }
 
-/// The same together with a slow error of the measurements.
+/// The same together with a slow error of the measurements and its velocity.
 #[derive(Clone, Copy, Default)]
 pub struct WithSlowError {
     motion: Motion,
-    /// Covariance of x, v and b with the slow error, and the latter's variance.
-    slow: [f64; 4],
+    /// Covariances of x, v, b, g and h with the slow error, and of x, v and b with its velocity and that one's variance.
+    slow: [f64; 5],
+    other: [f64; 4],
 }
 
 impl WithSlowError {
-    /// Independent states: the motion's, and the variance of the slow error.
+    /// Independent states: the motion's, and the variance of the slow error and of its velocity.
     pub fn of(motion: Motion, slow_variance: f64) -> Self {
-        Self { motion, slow: [0.0, 0.0, 0.0, slow_variance] }
+        Self { motion, slow: [0.0, 0.0, 0.0, slow_variance, 0.0], other: [0.0, 0.0, 0.0, slow_variance] }
     }
 
-    /// P h for h = (1, 0, 0, 1).
-    fn along(&self) -> [f64; 4] {
-        let (m, s) = (&self.motion, &self.slow);
-        [m.xx + s[0], m.xv + s[1], m.xb + s[2], s[0] + s[3]]
+    /// P h for h = (1, 0, 0, 1, 0).
+    fn along(&self) -> [f64; 5] {
+        let (m, s, o) = (&self.motion, &self.slow, &self.other);
+        [m.xx + s[0], m.xv + s[1], m.xb + s[2], s[0] + s[3], o[0] + s[4]]
     }
 }
 
 impl Covariance for WithSlowError {
     fn predict(&mut self, dt: f64, density: f64, bias_walk: f64) {
         self.motion.predict(dt, density, bias_walk);
-        let [_, v, b, _] = self.slow;
-        self.slow[0] += dt * v - 0.5 * dt * dt * b;
-        self.slow[1] = v - dt * b;
+        for of in [&mut self.slow[..3], &mut self.other[..3]] {
+            of[0] += dt * of[1] - 0.5 * dt * dt * of[2];
+            of[1] -= dt * of[2];
+        }
     }
 
-    fn decay(&mut self, left: f64, new_variance: f64) {
-        for covariance in &mut self.slow {
-            *covariance *= left;
+    fn decay(&mut self, turn: Turn, new: [f64; 3]) {
+        for k in 0..3 {
+            (self.slow[k], self.other[k]) = turn.of(self.slow[k], self.other[k]);
         }
-        self.slow[3] = self.slow[3] * left + new_variance;
+        let (gg, gh, hh) = (self.slow[3], self.slow[4], self.other[3]);
+        let (first, second) = (turn.of(gg, gh), turn.of(gh, hh));
+        (self.slow[3], self.slow[4]) = turn.of(first.0, second.0);
+        self.other[3] = turn.of(first.1, second.1).1;
+        self.slow[3] += new[0];
+        self.slow[4] += new[1];
+        self.other[3] += new[2];
     }
 
     fn gain(&self, variance: f64) -> Gain {
@@ -134,7 +145,7 @@ impl Covariance for WithSlowError {
         Gain { total, gain: along.map(|one| one / total) }
     }
 
-    fn update(&mut self, k: &[f64; 4], variance: f64) {
+    fn update(&mut self, k: &[f64; 5], variance: f64) {
         // P − K (P h)' − (P h) K' + K (h' P h + R) K'.
         let along = self.along();
         let total = along[0] + along[3] + variance;
@@ -148,6 +159,9 @@ impl Covariance for WithSlowError {
         m.bb -= taken(2, 2);
         for (i, covariance) in self.slow.iter_mut().enumerate() {
             *covariance -= taken(i, 3);
+        }
+        for (covariance, i) in self.other.iter_mut().zip([0, 1, 2, 4]) {
+            *covariance -= taken(i, 4);
         }
     }
 
@@ -203,7 +217,7 @@ mod tests {
             for (dt, variance) in steps {
                 plain.predict(dt, density, 1e-3);
                 slow.predict(dt, density, 1e-3);
-                slow.decay(0.5, 0.0);
+                slow.decay(Turn::over(0.3, 0.4, 2.0), [0.0; 3]);
                 let (one, other) = (plain.gain(variance), slow.gain(variance));
                 plain.update(&one.gain, variance);
                 slow.update(&other.gain, variance);

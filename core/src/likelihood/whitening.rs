@@ -6,6 +6,7 @@
 //! (1968).
 
 use super::covariance::{Covariance, Motion, WithSlowError};
+use crate::estimator::slow::Turn;
 
 /// Before the first measurements everything is unknown: a variance far above any noise, in units of the noise variance.
 pub const DIFFUSE: f64 = 1e9;
@@ -22,8 +23,9 @@ pub struct Noise<'a> {
     pub pieces: &'a [[f64; 2]],
     /// Density of the acceleration's noise times s² in units of the noise variance, where the relative density is 1.
     pub density: f64,
-    /// Variance of the measurements' slow error in units of the noise variance, and its rate, 1/s; None: there is none.
-    pub slow: Option<[f64; 2]>,
+    /// Variance of the measurements' slow error in units of the noise variance, the rate (1/s) at which it forgets and
+    /// the angular frequency (rad/s) of an oscillator, else 0; None: there is none.
+    pub slow: Option<[f64; 3]>,
 }
 
 /// What a run leaves.
@@ -46,7 +48,7 @@ pub struct Innovations {
 pub fn whiten(noise: &Noise, rows: &[[f64; 2]], values: Vec<f64>, longer: &[f64]) -> Innovations {
     let motion = Motion::of([DIFFUSE; 3]);
     match noise.slow {
-        Some([variance, _]) => {
+        Some([variance, ..]) => {
             run(noise, rows, values, longer, (WithSlowError::of(motion, variance), WithSlowError::default()))
         }
         None => run(noise, rows, values, longer, (motion, Motion::default())),
@@ -79,18 +81,18 @@ fn run<C: Covariance>(
         reached = time_s;
         advance(time_s, &mut state, &mut of_input);
         columns.predict(lapse, longer.get(row.clone()).filter(|longer| !longer.is_empty()));
-        let left = noise.slow.map(|[slow_variance, rate]| {
-            let left = (-rate * lapse).exp();
-            state.decay(left, (1.0 - left * left) * slow_variance);
-            of_input.decay(left, 0.0);
-            left
+        let turn = noise.slow.map(|[slow_variance, rate, omega]| {
+            let turn = Turn::over(lapse, rate, omega);
+            state.decay(turn, turn.added().map(|part| part * slow_variance));
+            of_input.decay(turn, [0.0; 3]);
+            turn
         });
         let measured = state.gain(relative);
         variance.push(measured.total);
         input_part.push(of_input.displacement());
-        match left {
+        match turn {
             None => columns.update(&measured.gain, &mut values[row]),
-            Some(left) => columns.update_with_slow_error(&measured.gain, left, &mut values[row]),
+            Some(turn) => columns.update_with_slow_error(&measured.gain, turn, &mut values[row]),
         }
         state.update(&measured.gain, relative);
         of_input.update(&measured.gain, 0.0);
@@ -107,12 +109,13 @@ struct Columns {
     v: Vec<f64>,
     b: Vec<f64>,
     slow: Vec<f64>,
+    velocity: Vec<f64>,
 }
 
 impl Columns {
     fn at_rest(count: usize) -> Self {
-        let [x, v, b, slow] = [0; 4].map(|_| vec![0.0; count]);
-        Self { x, v, b, slow }
+        let [x, v, b, slow, velocity] = [0; 5].map(|_| vec![0.0; count]);
+        Self { x, v, b, slow, velocity }
     }
 
     /// Over `lapse` seconds, and in each column over `longer` (c,) more where it is given.
@@ -125,7 +128,7 @@ impl Columns {
     }
 
     /// A row of values becomes its innovations.
-    fn update(&mut self, gain: &[f64; 4], row: &mut [f64]) {
+    fn update(&mut self, gain: &[f64; 5], row: &mut [f64]) {
         for (((value, x), v), b) in row.iter_mut().zip(&mut self.x).zip(&mut self.v).zip(&mut self.b) {
             *value -= *x;
             *x += gain[0] * *value;
@@ -134,15 +137,16 @@ impl Columns {
         }
     }
 
-    /// The same with a slow error of which `left` is left.
-    fn update_with_slow_error(&mut self, gain: &[f64; 4], left: f64, row: &mut [f64]) {
-        for (value, slow) in row.iter_mut().zip(&mut self.slow) {
-            *slow *= left;
+    /// The same with a slow error that has turned.
+    fn update_with_slow_error(&mut self, gain: &[f64; 5], turn: Turn, row: &mut [f64]) {
+        for ((value, slow), velocity) in row.iter_mut().zip(&mut self.slow).zip(&mut self.velocity) {
+            (*slow, *velocity) = turn.of(*slow, *velocity);
             *value -= *slow;
         }
         self.update(gain, row);
-        for (value, slow) in row.iter().zip(&mut self.slow) {
+        for ((value, slow), velocity) in row.iter().zip(&mut self.slow).zip(&mut self.velocity) {
             *slow += gain[3] * value;
+            *velocity += gain[4] * value;
         }
     }
 }
@@ -198,7 +202,7 @@ mod tests {
                 .flat_map(|[t, _]| { let (a, b) = ((2.0 * t).sin(), (0.7 * t).cos()); [a, b, a + b] })
                 .collect();
             let pieces = [[0.5 * time, 1.0], [time, 3.0]];
-            let noise = Noise { pieces: &pieces, density, slow: slow.then_some([2.0, 0.3]) };
+            let noise = Noise { pieces: &pieces, density, slow: slow.then_some([2.0, 0.3, 1.7]) };
             let found = whiten(&noise, &rows, values, &[]);
             for row in found.values.chunks_exact(3) {
                 // The first innovations are as large as the values; rounding is that of sums of order one.

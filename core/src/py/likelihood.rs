@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 type Whitened<'py> =
     (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, f64);
 
-/// See [`whitening::whiten`]; `slow`: variance and rate, or None; `longer`: (m, c) or None.
+/// See [`whitening::whiten`]; `slow`: variance, rate and angular frequency, or None; `longer`: (m, c) or None.
 #[pyfunction]
 #[pyo3(signature = (pieces, rows, values, density, slow=None, longer=None))]
 fn whiten<'py>(
@@ -20,7 +20,7 @@ fn whiten<'py>(
     rows: PyReadonlyArray2<'py, f64>,
     values: PyReadonlyArray2<'py, f64>,
     density: f64,
-    slow: Option<[f64; 2]>,
+    slow: Option<[f64; 3]>,
     longer: Option<PyReadonlyArray2<'py, f64>>,
 ) -> PyResult<Whitened<'py>> {
     let (pieces, rows) = (pairs("pieces", &pieces)?, pairs("rows", &rows)?);

@@ -40,6 +40,7 @@ struct PyChannel {
     lost_s: f64,
     slow_std_m: f64,
     slow_time_s: f64,
+    slow_hz: f64,
 }
 
 #[derive(FromPyObject)]
@@ -102,6 +103,7 @@ impl PyChannel {
             lost_s: self.lost_s,
             slow_std_m: self.slow_std_m,
             slow_time_s: self.slow_time_s,
+            slow_hz: self.slow_hz,
         }
     }
 }

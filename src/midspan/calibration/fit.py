@@ -76,8 +76,8 @@ class Pair:
     level_m_s2: the mean acceleration, which the samples are without.
     motion_share: share of the accelerometer's noise, 0 to 1, that goes with the mean square of the motion (see
     `signals.health.mean_square`), of the mean over the record.
-    slow: variance of the slow error of the measurements (first-order Gauss-Markov) in units of their noise variance,
-    and its rate, 1/s.
+    slow: variance of the slow error of the measurements in units of their noise variance, the rate (1/s) at which it
+    forgets, and the angular frequency of an oscillator (0: first-order Gauss-Markov).
     cross: acceleration (n, k) of the accelerometer's other axes at the samples, without its means (k,), and these; None
     once the samples are along the sensor's axis (see `direction`).
     logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
@@ -94,7 +94,7 @@ class Pair:
     reference: float | None = None
     level_m_s2: float = 0.0
     motion_share: float = 0.0
-    slow: tuple[float, float] = NO_SLOW_ERROR
+    slow: tuple[float, float, float] = NO_SLOW_ERROR
     logger: tuple[float, float] = (0.0, 0.0)
     lean: float = 0.0
     cross: tuple[Floats, Floats] | None = None

@@ -46,7 +46,7 @@ def noise_floor(value: Floats) -> float:
     return float(np.min(means)) if len(means) else float("inf")
 
 
-def _own_density(pair: Pair) -> float:
+def most_density(pair: Pair) -> float:
     """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz: CHANCE is exceeded.
 
     The lowest of many bands lies below the noise by chance: the mean of a band's ordinates has a gamma distribution, of
@@ -75,7 +75,7 @@ def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
 
 def exceeds_own_noise(pair: Pair, fit: Fit) -> bool:
     """Whether the accelerometer's noise as estimated is certainly more than its readings have."""
-    estimated, most = pair.input_noise(fit.input_density).density, _own_density(pair)
+    estimated, most = pair.input_noise(fit.input_density).density, most_density(pair)
     if not 0.0 < most < estimated:
         return False
     # The density is as the fourth power of the corner frequency.
@@ -159,7 +159,7 @@ def strange_noise(pair: Pair, fit: Fit, sensor: str, causes: str) -> list[Notice
         return []
     implied, own = (
         float(np.sqrt(density * pair.sample_rate_hz))
-        for density in (pair.input_noise(fit.input_density).density, _own_density(pair))
+        for density in (pair.input_noise(fit.input_density).density, most_density(pair))
     )
     text = (
         f"accelerometer: it and the {sensor} differ as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where "

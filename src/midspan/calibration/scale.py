@@ -10,6 +10,7 @@ from midspan.calibration.clock_jumps import ClockJump, jumps_text, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
+from midspan.calibration.own_error import OwnError, find_own_error
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise
 from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyond, search_offset
 from midspan.calibration.whitening import SETTLING
@@ -111,7 +112,7 @@ class ScaleCalibration:
     noise: standard deviation of the translation, px; variance_factor: estimated variance over the tracker's own
     variance; input_noise: of the acceleration; search: what was tried, for the report; response: what depends on
     frequency, whose uncertainty is not in the scale factor's; warnings: sentences; direction: of the camera's axis,
-    None where no cross axes were recorded.
+    None where no cross axes were recorded; own: the camera's slow error, in the search's pair and fit.
     """
 
     scale: ScaleFactor
@@ -122,6 +123,7 @@ class ScaleCalibration:
     warnings: tuple[Notice, ...]
     response: FrequencyResponse = field(default_factory=FrequencyResponse)
     direction: Direction | None = None
+    own: OwnError | None = None
 
 
 def calibrate_scale(
@@ -137,12 +139,7 @@ def calibrate_scale(
     """
     instance("pair", pair, Pair, "a Pair of acceleration and translation")
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
-    if usable < MIN_FRAMES:
-        raise UntrustedError(
-            f"Only {usable} usable frames lie in the calibration window (frames within calibration.max_offset_s = "
-            f"{max_offset_s:g} s of its ends are left out); at least {MIN_FRAMES} are needed. Widen "
-            "calibration.window_s, lower calibration.max_offset_s, or check camera.roi if the target was lost."
-        )
+    _refuse_few(usable, max_offset_s)
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     # Relative variances near 1 keep the corner frequency what its name says, and the diffuse start above all noise.
     axis = turned(pair.changed(rows=pair.rows / np.array([1.0, 1.0, typical])), max_offset_s)
@@ -171,11 +168,11 @@ def calibrate_scale(
             _refuse_better(pair, _rival(pair, search, max_offset_s), max_offset_s, refuse, accepted=False)
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
-    search = axis.widened(search)
+    own = find_own_error(search.pair, search.fit, typical)
+    search = axis.widened(search if own is None else replace(search, pair=own.pair, fit=own.fit))
     fit = search.fit
-    value = 1.0 / fit.ratio
     return ScaleCalibration(
-        scale=ScaleFactor(value, (fit.relative_std * value) ** 2),
+        scale=ScaleFactor(1.0 / fit.ratio, (fit.relative_std / fit.ratio) ** 2),
         search=search,
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
@@ -183,7 +180,17 @@ def calibrate_scale(
         warnings=(*jumps_text(jumps), *_warnings(search, usable), *response.texts(fit.motion_hz)),
         response=response,
         direction=axis.direction,
+        own=own,
     )
+
+
+def _refuse_few(usable: int, max_offset_s: float) -> None:
+    if usable < MIN_FRAMES:
+        raise UntrustedError(
+            f"Only {usable} usable frames lie in the calibration window (frames within calibration.max_offset_s = "
+            f"{max_offset_s:g} s of its ends are left out); at least {MIN_FRAMES} are needed. Widen "
+            "calibration.window_s, lower calibration.max_offset_s, or check camera.roi if the target was lost."
+        )
 
 
 def with_frequency(

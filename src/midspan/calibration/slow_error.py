@@ -187,7 +187,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         # Measurements without any noise have no slow error that could be distinguished from it.
         return SlowError(white, fit)
     rate = sum(moment / lasting for moment, lasting in zip(moments, times, strict=True)) / sum(moments)
-    slow = pair.changed(slow=(sum(moments) / white_moment, float(rate)))
+    slow = pair.changed(slow=(sum(moments) / white_moment, float(rate), 0.0))
     found = best_corner(slow, fit.offset_s)
     if time_s is None:
         none = aligned(white, fit.offset_s).fit(fit.corner)
@@ -308,7 +308,7 @@ def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:
     size, corner = SMALLEST, fit.corner
     while size < LARGEST:
         with np.errstate(invalid="ignore"):
-            one = best_corner_here(here.of(white.changed(slow=(size * size, 1.0 / lasting_s))), corner)
+            one = best_corner_here(here.of(white.changed(slow=(size * size, 1.0 / lasting_s, 0.0))), corner)
         if not np.isfinite(one.likelihood):
             # Its covariance is lost in rounding.
             break

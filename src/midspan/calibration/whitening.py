@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 SETTLING = 3
 # The bias walk that belongs to an acceleration noise, (rad/s)².
 BIAS_WALK_RATIO = _core.BIAS_WALK_RATIO
-# Measurements without a slow error: its variance, and a rate (1/s) that has no effect then.
-NO_SLOW_ERROR = (0.0, 1.0)
+# Measurements without a slow error: its variance, a rate (1/s) and an angular frequency without effect then.
+NO_SLOW_ERROR = (0.0, 1.0, 0.0)
 # The mean over an exposure by ten points of Gauss and Legendre, in exposures from its middle: right to 1e-6 up to two
 # periods of a motion. Below this exposure its derivative is that at none.
 NODES, WEIGHTS = (part / 2.0 for part in np.polynomial.legendre.leggauss(10))
@@ -190,16 +190,15 @@ def whiten_columns(
     density: float,
     *,
     late_s: Floats | None = None,
-    slow: tuple[float, float] = NO_SLOW_ERROR,
+    slow: tuple[float, float, float] = NO_SLOW_ERROR,
     index: NDArray[np.int64] | None = None,
     open_bias: Floats | float = 0.0,
 ) -> Whitened:
     """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance through the filter.
 
     pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance; late_s
-    (m, c): where the lateness of a column's stamps changes, so does the time that its states move on; slow: variance of
-    the measurements' slow error in units of the noise variance, and its rate, 1/s; index (m,): of the measurements,
-    else counted; open_bias (c,): what levelling took from the bias.
+    (m, c): where the lateness of a column's stamps changes, so does the time that its states move on; slow: as of
+    `Pair`; index (m,): of the measurements, else counted; open_bias (c,): what levelling took from the bias.
     """
     longer = None if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
     coloured = slow if slow[0] > 0.0 else None

@@ -222,6 +222,9 @@ def camera_channels(
                 coasting_s=coasting_s,
                 lost_s=lost_s,
                 interval_s=step_s,
+                slow_std_m=camera.slow_std_m,
+                slow_time_s=camera.slow_time_s,
+                slow_hz=camera.slow_hz,
             )
             along[axis].append(table.add(channel))
     for numbers, camera in zip(along, calibrations, strict=True):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
-from midspan.calibration.agreement import misfit
+from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.camera.disagreement import agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
@@ -250,22 +250,25 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     apart_m = contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     # The noise of the reference frame is in all rows alike.
     start_m = TEMPLATE_NOISE * start_noise(search.pair, search.fit) * abs(found.scale.value_m_per_px)
+    own = found.own
+    slow_m = 0.0 if own is None else own.std * abs(found.scale.value_m_per_px)
+    if own is not None and not own.alone:
+        # Nothing tells whose error it is.
+        apart_m = float(np.hypot(apart_m, slow_m))
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
         exposure_s=found.response.exposure_s,
         apart_std_m=float(np.sqrt(apart_m**2 + tilt_m**2 + start_m**2 + found.response.other_m**2)),
+        slow_std_m=slow_m,
+        slow_time_s=np.inf if own is None else own.time_s,
+        slow_hz=0.0 if own is None else own.hertz,
     )
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
-    warnings += _zero_warnings(start_m)
-    if apart_m > 0.0:
-        warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m, found.response)))
-    else:
-        causes = "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns"
-        warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
+    warnings += [*_zero_warnings(start_m), *_apart_warnings(found, coloured, slow_m, apart_m)]
     best = seen[_best(camera.targets)]
     parts = {
         "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
@@ -285,6 +288,17 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         direction=found.direction,
         parts=parts,
     )
+
+
+def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float) -> list[Notice]:
+    """What camera and accelerometer differ by besides noise, in a sentence."""
+    if found.own is not None:
+        return [Notice("motion-not-shared", found.own.text("camera", slow_m))]
+    if apart_m > 0.0:
+        return [Notice("motion-not-shared", _contradiction_text(apart_m, found.response))]
+    causes = "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns"
+    search = found.search
+    return coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
 
 
 def _zero_warnings(start_m: float) -> list[Notice]:

@@ -64,9 +64,9 @@ class CameraCalibration:
     what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
     temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
     0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
-    where nothing tells which is wrong. name: where there are several sensors of a kind. literal: scale and offset are
-    as printed (`papers/printed/camera.py`). diagnostics: what the best target's values rest on, for the report; not
-    stored in the file.
+    where nothing tells which is wrong. slow_std_m, slow_time_s, slow_hz: of its slow error, see `records.Channel`.
+    name: where there are several sensors of a kind. literal: scale and offset are as printed (see
+    `papers/printed/camera.py`). diagnostics: what the best target's values rest on, for the report; not in the file.
     """
 
     scale: ScaleFactor
@@ -85,6 +85,9 @@ class CameraCalibration:
     temperature_range_c: tuple[float, float] | None = None
     exposure_s: float = 0.0
     apart_std_m: float = 0.0
+    slow_std_m: float = 0.0
+    slow_time_s: float = math.inf
+    slow_hz: float = 0.0
     name: str | None = None
     literal: bool = False
     diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)
@@ -125,6 +128,7 @@ class CameraCalibration:
             self,
             scale=metres(self.scale),
             phase_scale_m_per_rad=None if phase is None else phase / gain,
+            slow_std_m=self.slow_std_m / gain,
             targets=tuple(known),
             relative_scale_std=math.hypot(self.relative_std, std),
         )

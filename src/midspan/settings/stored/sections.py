@@ -239,6 +239,9 @@ class StoredScale(Stored):
     relative_scale_std: Std | None = None
     phase_scale_mm_per_rad: Factor | None = None
     apart_std_mm: Std = 0.0
+    slow_std_mm: Std = 0.0
+    slow_time_s: StdOrInf = math.inf
+    slow_hz: Std = 0.0
     noise_std_px: Noise = 0.02
     variance_factor: Ratio = 1.0
     targets: tuple[StoredTarget, ...] = ()

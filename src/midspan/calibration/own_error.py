@@ -1,0 +1,195 @@
+"""The slow error of a camera or radar: a mast that nods, a lens that breathes, air that shimmers over warm ground.
+
+A displacement sensor's white noise is unknown, so that `slow_error` asks how much likelier a slow error makes it. What
+looks from outside shows one otherwise: it differs from the accelerometer by more than the noise that both show alone.
+With the accelerometer's noise held at its own three explanations compete by their likelihood: none, a first-order
+Gauss-Markov process, and a damped oscillator, which is smooth (`core/src/estimator/slow.rs`). Whose it is, the
+correlation tells: p − s D goes with the translation p where that errs, with the integrated acceleration D where this
+does.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range
+from midspan.calibration.own_noise import exceeds_own_noise, most_density, narrow_motion
+from midspan.calibration.whitening import NO_SLOW_ERROR
+from midspan.records import Floats
+
+# What each unknown of a slow error must gain (logarithm of the likelihood) where something hints at one: by chance one
+# in two hundred does (half the chi-square of one degree of freedom).
+MIN_GAIN = 4.0
+# Starts: standard deviations in units of the white noise, times as shares of the record, peaks of the innovations'
+# spectrum that are tried and an ordinate's neighbours that are the same peak, and how many periods such a one lasts.
+SIZES, SHARES, PEAKS, NEAR, PERIODS = (3.0, 30.0), (0.01, 0.1), 3, 3, 5.0
+# Deviations in units of the white noise that are searched. An oscillation has one period and a half in the record at
+# least and loses all but a third in one radian at most; its time is searched up to this many records, where it is a
+# tone.
+SIZE_RANGE, MIN_PERIODS, MAX_RECORDS = (0.1, 1e4), 1.5, 100.0
+# A tracker's own variance is no less than this of a frame's noise (the noise levels of simulated cameras are 0.4 to 1).
+OWN_SHARE = 0.25
+# By how much (logarithm) a density or noise beyond its bound is less likely, by the square of the ratio's logarithm.
+BEYOND = 100.0
+# The logarithms of size, time, frequency and corner are found to this, in no more evaluations than these.
+TOLERANCE, MAX_EVALUATIONS = 0.02, 400
+# An error is one sensor's alone where by this many deviations more than half of it goes with that one.
+CERTAIN = 2.5
+# An oscillator that decays in less than this many periods is no sway to speak of.
+PERIODS_SEEN = 0.5
+# Powers at a frequency are means over this many ordinates.
+SMOOTHED = 9
+
+
+@dataclass(frozen=True, slots=True)
+class OwnError:
+    """A pair with the slow error of its measurements, and its fit.
+
+    alone: whether it goes with the measurements alone. Else the accelerometer may have it, and the band must hold it.
+    """
+
+    pair: Pair
+    fit: Fit
+    alone: bool
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the error, in the translation's unit."""
+        return float(np.sqrt(self.pair.slow[0] * self.fit.noise))
+
+    @property
+    def time_s(self) -> float:
+        """The time in which it decays, s."""
+        return 1.0 / self.pair.slow[1]
+
+    @property
+    def hertz(self) -> float:
+        """Natural frequency of an oscillator, Hz; 0: it is none."""
+        return self.pair.slow[2] / (2.0 * np.pi)
+
+    def text(self, sensor: str, std_m: float) -> str:
+        """A sentence on it; std_m: its standard deviation, m."""
+        size = f"by {1e3 * std_m:.2g} mm rms besides its noise"
+        course = (
+            f"errs slowly, {size}, over {self.time_s:.2g} s, as through hot air or a lens that breathes (autofocus)"
+        )
+        if self.hertz * self.time_s > PERIODS_SEEN:
+            course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
+        if self.alone:
+            return (
+                f"{sensor}: it {course}. The accelerometer feels none of it, and tells what of it is no displacement."
+            )
+        return (
+            f"{sensor}: it {course}, or the accelerometer shows what is none. Nothing tells which, and the error band "
+            "holds all of it; a second target, a gyroscope on the camera or a look at the mast would tell."
+        )
+
+
+def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None:
+    """The slow error of a camera or radar where it certainly has one and the accelerometer has not.
+
+    pair, fit: as calibrated without one; own_variance: what the measurements are said to vary by, of which OWN_SHARE
+    is noise for certain.
+    """
+    if not exceeds_own_noise(pair, fit) and narrow_motion(pair, fit) == 0.0:
+        return None
+    here = aligned(pair, fit.offset_s)
+    climb = _Climb(here, most_density(pair), OWN_SHARE * own_variance)
+    none = climb.best([np.log([fit.corner])])
+    starts = [[size, 1.0 / (share * climb.span_s)] for size in SIZES for share in SHARES]
+    slow = climb.best([np.log([none.corner, *one]) for one in starts])
+    starts = [[size, hertz / PERIODS, 2.0 * np.pi * hertz] for size in SIZES for hertz in _peaks(none, pair.rate_hz)]
+    starts += [[size, *2 * [1.0 / (share * climb.span_s)]] for size in SIZES for share in SHARES]
+    swings = climb.best([np.log([none.corner, *one]) for one in starts])
+    gains = [found.likelihood - none.likelihood - MIN_GAIN * (2.0 + k) for k, found in enumerate((slow, swings))]
+    share, std = _share(none)
+    if max(gains) < 0.0 or share + CERTAIN * std < 0.5:
+        return None
+    found = (slow, swings)[int(np.argmax(gains))]
+    return OwnError(pair.changed(slow=climb.slow[found.corner, found.likelihood]), found, share - CERTAIN * std > 0.5)
+
+
+class _Climb:
+    """The likeliest fit of a pair with noise levels within bounds, by the simplex method of Nelder and Mead.
+
+    Where it begins: logarithms of the corner frequency (rad/s), the slow error's deviation in units of the noise, the
+    rate at which it forgets (1/s) and its angular frequency (rad/s); without the last ones there is none.
+    """
+
+    def __init__(self, here: Aligned, most: float, least: float) -> None:
+        """most: of the acceleration's noise density, (m/s²)²/Hz; least: of the measurements' noise variance."""
+        self._here, self._most, self._least = here, most, least
+        rate_hz = here.pair.rate_hz
+        self.span_s = len(here.pair.rows) / rate_hz
+        self.slow: dict[tuple[float, float], tuple[float, float, float]] = {}
+        self._bounds = np.log(
+            [
+                corner_range(here.pair),
+                SIZE_RANGE,
+                (1.0 / self.span_s, 0.5 * rate_hz),
+                (2.0 * np.pi * MIN_PERIODS / self.span_s, np.pi * rate_hz),
+            ]
+        )
+
+    def best(self, starts: list[Floats]) -> Fit:
+        """The likeliest fit of those that the starts lead to."""
+        return max((self._climbed(start) for start in starts), key=lambda fit: fit.likelihood)
+
+    def _climbed(self, start: Floats) -> Fit:
+        from scipy.optimize import minimize
+
+        bounds = self._bounds[: len(start)].copy()
+        if len(start) == len(self._bounds):
+            bounds[2, 0] -= np.log(MAX_RECORDS)
+        start = np.clip(start, *bounds.T)
+        # The frequency is known better than half an octave.
+        simplex = np.vstack((start, start + np.diag([0.5, 0.5, 0.5, 0.1])[: len(start), : len(start)]))
+        options = {"xatol": TOLERANCE, "fatol": 0.1, "maxfev": MAX_EVALUATIONS, "initial_simplex": simplex}
+        found = minimize(self._cost, start, method="Nelder-Mead", options=options, bounds=bounds)
+        fit = self._fit(found.x)
+        self.slow[fit.corner, fit.likelihood] = _slow(found.x)
+        return fit
+
+    def _cost(self, at: Floats) -> float:
+        fit = self._fit(at)
+        beyond = [fit.input_density / self._most, self._least / fit.noise]
+        beyond += [np.exp(at[2] - at[3])] if len(at) == len(self._bounds) else []
+        cost = -fit.likelihood + BEYOND * sum(max(float(np.log(one)), 0.0) ** 2 for one in beyond)
+        return cost if np.isfinite(cost) else 1e300
+
+    def _fit(self, at: Floats) -> Fit:
+        with np.errstate(all="ignore"):
+            return self._here.of(self._here.pair.changed(slow=_slow(at))).fit(float(np.exp(at[0])))
+
+
+def _slow(at: Floats) -> tuple[float, float, float]:
+    """The slow error as of `Pair` at logarithms as of `_Climb`."""
+    if len(at) < len(NO_SLOW_ERROR):
+        return NO_SLOW_ERROR
+    size, rate, *omega = np.exp(at[1:]).tolist()
+    return size**2, rate, omega[0] if omega else 0.0
+
+
+def _peaks(fit: Fit, rate_hz: float) -> list[float]:
+    """Frequencies, Hz, of the strongest peaks of the innovations' spectrum."""
+    residual, found = fit.residual, list[int]()
+    power = np.abs(np.fft.rfft(np.hanning(len(residual)) * (residual - np.mean(residual))))[1:] ** 2
+    for k in np.argsort(-power):
+        if len(found) < PEAKS and all(abs(k - other) > NEAR for other in found):
+            found.append(int(k))
+    return [(k + 1) * rate_hz / len(residual) for k in found]
+
+
+def _share(fit: Fit) -> tuple[float, float]:
+    """How much of the innovations goes with the translation, the rest being the integrated acceleration's, and the
+    standard deviation of that.
+
+    The motion is in both, at random phases: what it adds to the product of error and translation has a variance of half
+    the product of their powers, by which frequencies are weighed. Its power is that of whichever has less.
+    """
+    w, root = fit.whitened, np.sqrt(fit.whitened.variance)
+    seen, felt = (np.fft.rfft(one / root)[1:] for one in (w.translation, fit.ratio * w.response))
+    motion = np.convolve(np.minimum(np.abs(seen) ** 2, np.abs(felt) ** 2), np.ones(SMOOTHED) / SMOOTHED, "same")
+    motion, left = np.maximum(motion, 1e-300), seen - felt
+    known = float(np.sum(np.abs(left) ** 2 / motion))
+    return float(np.sum(np.real(left * np.conj(seen)) / motion)) / known, float(np.sqrt(0.5 / known))

@@ -1,0 +1,64 @@
+"""The slow error of a camera: found where one is, by its size and frequency; none in clean records; whose it is."""
+
+import numpy as np
+import pytest
+from calibration_cases import SCALE, broadband, observed
+from scipy.linalg import expm
+
+from midspan.calibration.fit import Pair
+from midspan.calibration.scale import calibrate_scale
+
+
+def course(seed, time_s, *, rate, omega):
+    """An error (n,) of standard deviation 1: first-order Gauss-Markov, with omega a damped oscillator."""
+    rng = np.random.default_rng(seed)
+    dynamics = np.array([[0.0, omega], [-omega, -2.0 * rate]]) if omega else -rate * np.eye(2)
+    state, found = rng.normal(size=2), np.empty(len(time_s))
+    for k, lapse in enumerate(np.diff(time_s, prepend=time_s[0])):
+        step = expm(dynamics * lapse)
+        values, axes = np.linalg.eigh(np.eye(2) - step @ step.T)
+        state = step @ state + axes @ (np.sqrt(np.maximum(values, 0.0)) * rng.normal(size=2))
+        found[k] = state[0]
+    return found
+
+
+def erring(seed, size_px, **kind):
+    """Half a minute and more of a structure of 3 mm, seen with an error of so many px rms."""
+    pair = observed(broadband(seed), seed)
+    rows = pair.rows.copy()
+    error = course(seed, rows[:, 0], **kind)
+    rows[:, 1] += size_px * (error - error[0]) / np.std(error)
+    return Pair(pair.samples, rows)
+
+
+@pytest.mark.parametrize(("hertz", "lasts_s"), [(0.3, 20.0), (0.9, 4.0)])
+def test_a_mast_that_nods_is_found_by_its_frequency_and_size(hertz, lasts_s):
+    for seed in range(3):
+        found = calibrate_scale(erring(seed, 0.4, rate=1.0 / lasts_s, omega=2.0 * np.pi * hertz), 0.1)
+        assert found.own is not None
+        assert found.own.hertz == pytest.approx(hertz, rel=0.15)
+        # Some ten oscillations tell the size to a third.
+        assert found.own.std == pytest.approx(0.4, rel=0.5)
+        assert abs(found.scale.value_m_per_px / SCALE - 1.0) < 4.0 * np.sqrt(found.scale.variance) / abs(SCALE)
+
+
+def test_hot_air_is_found():
+    for seed in (1, 2, 3):
+        found = calibrate_scale(erring(seed, 0.4, rate=1.0 / 2.0, omega=0.0), 0.1)
+        assert found.own is not None
+        assert 0.2 < found.own.std < 0.8
+        assert 0.5 < found.own.time_s < 10.0
+
+
+def test_a_clean_camera_has_none():
+    assert all(calibrate_scale(observed(broadband(seed), seed), 0.1).own is None for seed in range(6))
+
+
+def test_a_line_of_the_accelerometer_is_not_the_cameras():
+    # An alias at 0.4 Hz of 1.2 mm rms of displacement, which no camera sees.
+    for seed in range(3):
+        pair = observed(broadband(seed), seed)
+        samples = pair.samples.copy()
+        samples[:, 1] += 1.7e-3 * (2.0 * np.pi * 0.4) ** 2 * np.sin(2.0 * np.pi * 0.4 * samples[:, 0])
+        found = calibrate_scale(Pair(samples, pair.rows), 0.1)
+        assert found.own is None or not found.own.alone
