@@ -91,7 +91,7 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     pair, fit: as calibrated without one; own_variance: what the measurements are said to vary by, of which OWN_SHARE
     is noise for certain.
     """
-    if pair.lines or not exceeds_own_noise(pair, fit) and narrow_motion(pair, fit) == 0.0:
+    if pair.lines or (not exceeds_own_noise(pair, fit) and narrow_motion(pair, fit) == 0.0):
         # An accelerometer with lines is known to err itself.
         return None
     here = aligned(pair, fit.offset_s)
