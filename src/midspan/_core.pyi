@@ -272,7 +272,7 @@ class LightReference:
 
 # Stamp (ns), x, y (px), variances (px²), quality, status, strength, variances of the reference (px²), why not looked
 # for.
-Row = tuple[int, float, float, float, float, float, int, float, float, float, int]
+Row = tuple[int, float, float, float, float, float, int, Sequence[float], float, float, float, int]
 AxisNumbers = tuple[int, int, float, float, float]
 
 TEMPLATE_NOISE: float

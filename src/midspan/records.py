@@ -180,7 +180,8 @@ class PixelTranslation:
     strength: good matches, of trackers without matches the quality in percent; 0 where lost. reference_variance_x_px2,
     reference_variance_y_px2: of the reference's own place, common to all frames that are compared with it; they are not
     part of `variance_x_px2`, `variance_y_px2`. events: what happened in this frame. unseen: why nothing was
-    looked for in it, "dark" or "frozen" (the picture before once more); else empty.
+    looked for in it, "dark" or "frozen" (the picture before once more); else empty. zoom, variance_zoom: by how much
+    the picture has grown about the target's middle; NaN: not measured.
     """
 
     time_ns: int
@@ -195,6 +196,8 @@ class PixelTranslation:
     reference_variance_y_px2: float = 0.0
     events: tuple[Event, ...] = ()
     unseen: str = ""
+    zoom: float = math.nan
+    variance_zoom: float = math.nan
 
     def later(self, by_ns: int) -> "PixelTranslation":
         """The same on a clock that shows so much more."""
@@ -204,9 +207,21 @@ class PixelTranslation:
         return replace(self, time_ns=self.time_ns + by_ns, events=events)
 
 
+def unzoomed(
+    seen: tuple[Floats, Floats], zoom: tuple[Floats, Floats], lever_px: Floats | float
+) -> tuple[Floats, Floats]:
+    """Translation (n,) in px and its variance without the picture's zoom z.
+
+    What moves by p, r px from the optical axis, is seen to move by (1 + z) p + r z. zoom: its values (n,) and their
+    variance; lever_px: r.
+    """
+    (place, variance), (z, of_zoom) = seen, zoom
+    return (place - lever_px * z) / (1.0 + z), variance + lever_px * lever_px * of_zoom
+
+
 @dataclass(frozen=True, slots=True)
 class PixelTrack:
-    """A block of pixel translations, one row a frame: arrays (n,); `status` holds `Status` codes."""
+    """A block of `PixelTranslation`s, one row a frame: arrays (n,); `status` holds `Status` codes."""
 
     time_ns: Nanoseconds
     x_px: Floats
@@ -215,12 +230,24 @@ class PixelTrack:
     variance_y_px2: Floats
     quality: Floats
     status: NDArray[np.uint8]
+    zoom: Floats
+    variance_zoom: Floats
 
     @classmethod
     def stack(cls, rows: list[PixelTranslation]) -> "PixelTrack":
         """The block of single translations in their order."""
         kinds = dict.fromkeys(cls.__slots__, np.float64) | {"time_ns": np.int64, "status": np.uint8}
         return cls(**{name: np.array([getattr(r, name) for r in rows], dtype=kind) for name, kind in kinds.items()})
+
+    def without_zoom(self, lever_px: tuple[float, float]) -> "PixelTrack":
+        """The rows without what the picture's zoom makes of them along x and y; a lever of 0: nothing."""
+        x, y = (
+            unzoomed((place, variance), (self.zoom, self.variance_zoom), arm) if arm else (place, variance)
+            for place, variance, arm in zip(
+                (self.x_px, self.y_px), (self.variance_x_px2, self.variance_y_px2), lever_px, strict=True
+            )
+        )
+        return replace(self, x_px=x[0], y_px=y[0], variance_x_px2=x[1], variance_y_px2=y[1])
 
     def along(self, direction: str) -> tuple[Floats, Floats]:
         """Translation and its variance (n,) along the image axis "x" or "y"."""

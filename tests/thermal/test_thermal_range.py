@@ -83,7 +83,7 @@ def test_without_any_range_that_keeps_the_target_the_result_is_refused(cups) -> 
         times = np.array([f.time_ns for f in shown])
         lost = np.full(len(shown), Status.LOST, dtype=np.uint8)
         assert track.x_px.size == 1
-        return PixelTrack(times, nan, nan, nan, nan, nan, lost)
+        return PixelTrack(times, nan, nan, nan, nan, nan, lost, nan, nan)
 
     with pytest.raises(UntrustedError, match="No temperature range"):
         optimise_range(frames, REGION, blind, Expected(moved[:, 1], "y", (0.3, 3.0)), 1)
@@ -112,4 +112,4 @@ def test_ranges_that_are_the_same_are_tracked_once() -> None:
 def _lost(_, frames):
     nan = np.full(len(frames), np.nan)
     times = np.array([f.time_ns for f in frames])
-    return PixelTrack(times, nan, nan, nan, nan, nan, np.full(len(frames), 2, dtype=np.uint8))
+    return PixelTrack(times, nan, nan, nan, nan, nan, np.full(len(frames), 2, dtype=np.uint8), nan, nan)

@@ -18,9 +18,9 @@ use pyo3::types::PyBytes;
 /// Changes with every change of what a chain remembers.
 const VERSION: u16 = 1;
 
-/// Stamp (ns), x, y (px), variances (px²), quality, code of the status, strength, variances of the reference (px²), and
-/// why nothing was looked for: 0 it was, 1 dark, 2 frozen.
-pub type PyRow = (i64, f64, f64, f64, f64, f64, u8, f64, f64, f64, u8);
+/// Stamp (ns), x, y (px), variances (px²), quality, code of the status, zoom and its variance, strength, variances of the
+/// reference (px²), and why nothing was looked for: 0 it was, 1 dark, 2 frozen.
+pub type PyRow = (i64, f64, f64, f64, f64, f64, u8, [f64; 2], f64, f64, f64, u8);
 /// Frames in which the target was seen, and known coarsely; mean variance (px²), mean (px) and square sum (px²).
 type PyAxisCounts = (u64, u64, f64, f64, f64);
 /// Frames; those blurred, sharper, saturated; largest share of saturated pixels; along x and y.
@@ -28,14 +28,14 @@ type PyCounts = (u64, u64, u64, u64, f64, PyAxisCounts, PyAxisCounts);
 
 /// A row for Python.
 pub fn py_row(row: &Row) -> PyRow {
-    let Translation { status, place: [x, y], variance, reference_variance, quality, strength } = row.translation;
+    let Translation { status, place: [x, y], variance, reference_variance, quality, strength, zoom } = row.translation;
     let unseen = match row.unseen {
         None => 0,
         Some(Unseen::Dark) => 1,
         Some(Unseen::Frozen) => 2,
     };
     let [[own_x, own_y], [more_x, more_y]] = [variance, reference_variance];
-    (row.time_ns, x, y, own_x, own_y, quality, status as u8, strength, more_x, more_y, unseen)
+    (row.time_ns, x, y, own_x, own_y, quality, status as u8, zoom, strength, more_x, more_y, unseen)
 }
 
 /// A Python `PixelTranslation`.
@@ -50,6 +50,8 @@ struct PyTranslation {
     strength: f64,
     reference_variance_x_px2: f64,
     reference_variance_y_px2: f64,
+    zoom: f64,
+    variance_zoom: f64,
 }
 
 impl TryFrom<PyTranslation> for Translation {
@@ -72,6 +74,7 @@ impl TryFrom<PyTranslation> for Translation {
             reference_variance: [one.reference_variance_x_px2, one.reference_variance_y_px2],
             quality: one.quality,
             strength: one.strength,
+            zoom: [one.zoom, one.variance_zoom],
         })
     }
 }
@@ -84,15 +87,15 @@ struct PyFrame<'py> {
 }
 
 /// Of a row that is packed.
-const PACKED_BYTES: usize = 74;
+const PACKED_BYTES: usize = 90;
 
 /// A row's numbers one after another, as they lie in memory.
 fn pack(row: PyRow, out: &mut Vec<u8>) {
-    let (time_ns, x, y, own_x, own_y, quality, status, strength, more_x, more_y, unseen) = row;
+    let (time_ns, x, y, own_x, own_y, quality, status, zoom, strength, more_x, more_y, unseen) = row;
     out.extend(time_ns.to_ne_bytes());
     [x, y, own_x, own_y, quality].iter().for_each(|value| out.extend(value.to_ne_bytes()));
     out.push(status);
-    [strength, more_x, more_y].iter().for_each(|value| out.extend(value.to_ne_bytes()));
+    [zoom[0], zoom[1], strength, more_x, more_y].iter().for_each(|value| out.extend(value.to_ne_bytes()));
     out.push(unseen);
 }
 

@@ -168,6 +168,7 @@ impl Tracker {
             variance: [0, 1].map(|k| fix.variance[k] + self.given.floor_px2),
             quality: fix.share,
             strength: FULL_QUALITY * fix.share,
+            zoom: [zoom, fix.variance[3]],
             ..LOST
         }
     }

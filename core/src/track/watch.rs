@@ -37,6 +37,8 @@ pub struct Translation {
     pub quality: f64,
     /// Good matches, or the quality in percent.
     pub strength: f64,
+    /// By how much the picture has grown about the target's middle, and the variance of that; NaN: not measured.
+    pub zoom: [f64; 2],
 }
 
 /// Of a frame that does not show the target.
@@ -47,6 +49,7 @@ pub const LOST: Translation = Translation {
     reference_variance: [0.0; 2],
     quality: 0.0,
     strength: 0.0,
+    zoom: [f64::NAN; 2],
 };
 
 /// Why a target is not looked for in a frame.

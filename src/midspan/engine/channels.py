@@ -235,7 +235,9 @@ def camera_channels(
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
     directions = [camera.direction for camera in calibrations]
     rows = list(zip(*along, strict=True))
-    return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px)
+    levers = [[mapping.lever_px for mapping in camera.mappings()] for camera in calibrations]
+    arms = list(zip(*levers, strict=True))
+    return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px, levers_px=arms)
 
 
 def radar_chain(

@@ -158,7 +158,8 @@ class CameraResult:
         mapping, found = self.calibrations[axis].mappings()[target], self.targets[target]
         more_x, more_y = found.reference_px2.T
         x, y = found.track.variance_x_px2 - more_x, found.track.variance_y_px2 - more_y
-        single = mapping.displacement(replace(found.track, variance_x_px2=x, variance_y_px2=y))
+        levers = (mapping.lever_px, 0.0) if mapping.direction == "x" else (0.0, mapping.lever_px)
+        single = mapping.displacement(replace(found.track, variance_x_px2=x, variance_y_px2=y).without_zoom(levers))
         # The estimated factor is of single frames; what the reference makes is not among them.
         shared = mapping.scale_m_per_px**2 * (more_x, more_y)["xy".index(mapping.direction)]
         return replace(single, variance_m2=single.variance_m2 + shared)

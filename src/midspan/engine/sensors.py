@@ -19,6 +19,7 @@ from midspan.engine.radar_target import FollowedState
 from midspan.records import (
     NANOSECONDS,
     Event,
+    Floats,
     Frame,
     Measured,
     PhaseMeasurement,
@@ -29,6 +30,7 @@ from midspan.records import (
     Samples,
     Status,
     Tracked,
+    unzoomed,
 )
 from midspan.signals.health import GAP_STEPS
 from midspan.signals.stamps import shown
@@ -139,13 +141,14 @@ class Unseen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraSensorState:
-    """What a `CameraSensor` remembers: its chain's state, where each target was seen last, (x, y) in px, and since when
-    none could be.
+    """What a `CameraSensor` remembers: its chain's state, where each target was seen last, (x, y) in px, since when
+    none could be, and how far each one's picture had grown.
     """
 
     chain: CameraState
     seen_px: tuple[tuple[float, float], ...]
     unseen: Unseen
+    zoom: tuple[float, ...]
 
 
 SensorState = CameraSensorState | tuple[FollowedState, ...] | tuple[PhaseMeasurement, ...] | PlainState | None
@@ -156,7 +159,7 @@ class CameraSensor:
     """A camera: channels[target][axis] are numbers in the estimator's table, directions the image axis of each.
 
     step_s: the usual interval of its frames; 0: not known, and gaps are not reported. min_std_px: a prediction is
-    trusted to no better than this.
+    trusted to no better than this. levers_px[target][axis]: see `TargetCalibration`.
     """
 
     reached = None
@@ -170,8 +173,11 @@ class CameraSensor:
         *,
         step_s: float = 0.0,
         min_std_px: float = MIN_STD_PX,
+        levers_px: Sequence[Sequence[float]] | None = None,
     ) -> None:
         self._min_std_px = min_std_px
+        self._levers_px = np.zeros((len(channels), len(directions))) if levers_px is None else np.array(levers_px)
+        self._zoom = [0.0] * len(channels)
         self.name, self.chain, self._step_s, self._unseen = name, chain, step_s, Unseen()
         self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
         self._seen_px = [(0.0, 0.0)] * len(self.channels)
@@ -186,12 +192,12 @@ class CameraSensor:
     @property
     def state(self) -> CameraSensorState:
         """Everything that changes from frame to frame."""
-        return CameraSensorState(self.chain.state, tuple(self._seen_px), self._unseen)
+        return CameraSensorState(self.chain.state, tuple(self._seen_px), self._unseen, tuple(self._zoom))
 
     def restore(self, state: CameraSensorState) -> None:
         """Go on from a `state` taken earlier."""
         self.chain.restore(state.chain)
-        self._seen_px, self._unseen = list(state.seen_px), state.unseen
+        self._seen_px, self._unseen, self._zoom = list(state.seen_px), state.unseen, list(state.zoom)
 
     def push(self, record: Frame | Tracked, expect: Expect) -> Seen:
         """Find each target in a frame, where it is expected; a frame that was tracked before is taken as it is."""
@@ -214,14 +220,27 @@ class CameraSensor:
         # Of each target along each axis: value, its variance and that of its reference.
         rows = np.array([read(one) for one in found for read in self._along], dtype=np.float64)
         time_ns = np.array([one.time_ns for one in found for _ in self._along], dtype=np.int64)
+        self._take_off_zoom(found, rows)
         measured = Measured(time_ns, self._numbers, rows[:, 0], rows[:, 1], rows[:, 2])
         return Seen(self.name, measured, found, tuple(events))
+
+    def _take_off_zoom(self, found: Sequence[PixelTranslation], rows: Floats) -> None:
+        for k, one in enumerate(found):
+            self._zoom[k] = one.zoom if math.isfinite(one.zoom) else self._zoom[k]
+        levers = self._levers_px.reshape(-1)
+        moved = levers != 0.0
+        if moved.any():
+            zoom, variance = np.repeat([(one.zoom, one.variance_zoom) for one in found], len(self._along), axis=0).T
+            seen = rows[moved, 0], rows[moved, 1]
+            rows[moved, 0], rows[moved, 1] = unzoomed(seen, (zoom[moved], variance[moved]), levers[moved])
 
     def _prediction(self, target: int, time_ns: int, expect: Expect) -> Prediction | None:
         """Where a target is expected; None while the main axis cannot tell."""
         (x_px, y_px), x_std, y_std = self._seen_px[target], ACROSS_STD_PX, ACROSS_STD_PX
         for number, (channel, direction) in enumerate(zip(self.channels[target], self.directions, strict=True)):
             value, variance = expect(channel, time_ns)
+            if self._levers_px[target, number]:
+                value = (1.0 + self._zoom[target]) * value + self._levers_px[target, number] * self._zoom[target]
             std = max(math.sqrt(max(variance, 0.0)), self._min_std_px)
             if math.isfinite(value) and std <= MAX_STD_PX:
                 if direction == "x":

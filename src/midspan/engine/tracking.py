@@ -19,7 +19,7 @@ from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
-from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation, Status
+from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation
 from midspan.signals.stamps import shown
 from midspan.thermal.temperature_range import Expected, RangeSurface
 from midspan.vision.frame_source import FrameSource, StoredTrack
@@ -28,7 +28,7 @@ from midspan.vision.picture_report import LightReport, picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice
-from midspan.vision.target import UNSEEN
+from midspan.vision.target import UNSEEN, translation_of
 
 # Frames that were looked at are kept until they are tracked; so much memory at most.
 MAX_AHEAD_BYTES = 200_000_000
@@ -98,7 +98,7 @@ class TargetTracking:
     def __init__(self, chain: TargetChain) -> None:
         self.chain, self.name, self.region, self.tracker = chain, chain.name, chain.region, chain.tracker
         # The fields of a track, how strong it was, the reference's variances along x and y, why it was not seen.
-        self._columns = Columns("qdddddBdddB")
+        self._columns = Columns("qdddddBdddddB")
         self._track: PixelTrack | None = None
         # What happened in frames, by their numbers.
         self._events: dict[int, tuple[Event, ...]] = {}
@@ -159,24 +159,8 @@ class TargetTracking:
 
     def translation(self, number: int) -> PixelTranslation:
         """What was found in the frame of this number."""
-        time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, why = self._columns.row(
-            number
-        )
-        reported = self._events.get(number, ())
-        return PixelTranslation(
-            time_ns,
-            x,
-            y,
-            variance_x,
-            variance_y,
-            quality,
-            Status(status),
-            strength,
-            more_x,
-            more_y,
-            reported,
-            UNSEEN[why],
-        )
+        row = self._columns.row(number)
+        return translation_of((*row[:7], row[7:9], *row[9:]), self._events.get(number, ()))
 
     def warnings(self, axes: str) -> list[Notice]:
         """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy"."""
@@ -287,6 +271,7 @@ class CameraTracking:
             tracker_name=settings.tracker,
             tracker_settings=settings.tracker_settings,
             lens=settings.lens,
+            frame_px=self.reference.pixels.shape[1::-1],
         )
 
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:

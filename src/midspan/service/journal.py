@@ -153,6 +153,8 @@ TRANSLATION = (
     "strength",
     "reference_variance_x_px2",
     "reference_variance_y_px2",
+    "zoom",
+    "variance_zoom",
 )
 
 

@@ -197,5 +197,6 @@ def _tracked(found: Opened, store: Store, stream: str, targets: int) -> Iterator
 
 def translation(chunk: Chunk, row: int) -> PixelTranslation:
     """A row of a kept track as it came from the tracker."""
-    own: Mapping[str, Any] = {name: chunk.columns[name][row].item() for name in TRANSLATION}
+    # Stores that were begun by an earlier version have no zoom.
+    own: Mapping[str, Any] = {name: chunk.columns[name][row].item() for name in TRANSLATION if name in chunk.columns}
     return PixelTranslation(time_ns=int(chunk.time_ns[row]), **{**own, "status": Status(own["status"])})

@@ -89,4 +89,4 @@ def lost(time_ns: int, events: tuple[Event, ...] = ()) -> PixelTranslation:
 
 def translation_of(row: "Row", events: tuple[Event, ...] = ()) -> PixelTranslation:
     """The translation of a row of the core; `events`: what happened in the frame."""
-    return PixelTranslation(*row[:6], STATUSES[row[6]], *row[7:10], events, UNSEEN[row[10]])
+    return PixelTranslation(*row[:6], STATUSES[row[6]], *row[8:11], events, UNSEEN[row[11]], *row[7])

@@ -9,6 +9,7 @@ from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.camera.disagreement import agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
+from midspan.calibration.camera.zoom import without_zoom
 from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
 from midspan.calibration.frequency_response import FrequencyResponse
@@ -42,6 +43,7 @@ def fit_camera(
     A second axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError
     where no target can be calibrated along the main axis.
     """
+    targets = [without_zoom(views, target) for target in targets]
     main, across, refused = views[0], (*views[1:], None)[0], ""
     fits = [_fitted(main, targets, reported)]
     if across is not None:
@@ -224,7 +226,8 @@ def _judged(
             continue
         scale = target.with_picture_error(found.scale, view.axis).wider(found.response.relative_std)
         figures = (scale, found.noise.std, found.variance_factor)
-        known.append(TargetCalibration(target.region, target.name, *figures, not why, why))
+        lever_px = target.lever_px(view.axis)
+        known.append(TargetCalibration(target.region, target.name, *figures, not why, why, lever_px))
     known = _without_useless(known)
     found = fit.found[_best(known)]
     assert found is not None
@@ -248,6 +251,10 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
     apart_m = contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
+    lever = seen[_best(camera.targets)].levers.get(camera.direction)
+    if lever is not None:
+        apart_m = float(np.hypot(apart_m, lever.left_px * abs(found.scale.value_m_per_px)))
+        warnings.append(lever.text(found.scale.value_m_per_px))
     # The noise of the reference frame is in all rows alike.
     start_m = TEMPLATE_NOISE * start_noise(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     own = found.own

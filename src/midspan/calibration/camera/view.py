@@ -1,7 +1,7 @@
 """What a camera is calibrated on: an image axis and its acceleration, and each target as it was tracked."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.errors import NoAgreementError, UntrustedError, UsageError
 from midspan.fusion.methods import named
 from midspan.fusion.streams import KalmanSettings
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, PixelTrack, Region, ScaleFactor, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.averaging import at_instants
@@ -78,13 +79,32 @@ class View:
         return TimeOffset(near.value_s + self.late_ns / NANOSECONDS, near.variance) if self.late_ns else near
 
 
+@dataclass(frozen=True, slots=True)
+class Lever:
+    """How far a target lies from the optical axis along an image axis; what is left of the zoom's motion, rms; px."""
+
+    value_px: float
+    left_px: float
+
+    def text(self, scale_m_per_px: float) -> Notice:
+        """A sentence on it."""
+        text = (
+            "camera: the picture grows and shrinks, as with an autofocus that hunts or a target that moves in depth. "
+            f"What that moves the target by, {self.value_px:.3g} px times the zoom, is taken out; "
+            f"{1e3 * self.left_px * abs(scale_m_per_px):.2g} mm rms are uncertain, and in the error band. Lock the "
+            "focus, or look at a target near the middle of the picture."
+        )
+        return Notice("picture-zooms", text)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenTarget:
     """One target as it was tracked through the window.
 
     rows: with the variances of single frames; reference_px2 (n, 2): what the reference frame makes besides, along x and
     y; blur_s: over which a translation is averaged; picture: what compression does, None where there is none;
-    tracker, tracker_name, tracker_settings: what it was tracked with; lens: whose distortion was taken out.
+    tracker, tracker_name, tracker_settings: what it was tracked with; lens: whose distortion was taken out; frame_px:
+    width and height of the frames; levers: along image axes, of the zoom whose motion the rows are without.
     """
 
     name: str
@@ -97,6 +117,12 @@ class SeenTarget:
     tracker_name: str
     tracker_settings: Any
     lens: Lens | None
+    frame_px: tuple[int, int]
+    levers: Mapping[str, Lever] = field(default_factory=dict)
+
+    def lever_px(self, axis: str) -> float:
+        """The lever along an image axis, px; 0 where no zoom shows."""
+        return self.levers[axis].value_px if axis in self.levers else 0.0
 
     def with_picture_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
         """A scale factor estimated along an image axis on the rows, with what compression and a thermal camera's fixed

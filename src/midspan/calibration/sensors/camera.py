@@ -16,7 +16,8 @@ class CameraScale:
 
     scale_m_per_px: signed; direction: image axis "x" or "y"; time_offset_ns: added to the camera's stamps to get the
     accelerometer's clock; variance_factor: estimated variance over the tracker's own; source: how its rows are marked;
-    relative_std: of the scale factor, by which targets may differ as the motion grows.
+    relative_std: of the scale factor, by which targets may differ as the motion grows; lever_px: see
+    `TargetCalibration`, for tracks that still hold the zoom's motion.
     """
 
     scale_m_per_px: float
@@ -25,6 +26,7 @@ class CameraScale:
     variance_factor: float = 1.0
     source: Source = Source.CAMERA
     relative_std: float = 0.0
+    lever_px: float = 0.0
 
     def displacement(self, track: PixelTrack) -> Displacement:
         """The displacement that a track stands for, on the accelerometer's clock; lost frames are not finite."""
@@ -42,7 +44,7 @@ class TargetCalibration:
     """What was estimated of one of several targets; scale None where it was refused.
 
     used: whether the result rests on it; reason: why not. variance_factor: the estimated variance over the tracker's
-    own.
+    own. lever_px: by which the picture's zoom moves it, which is taken off; 0: no zoom shows.
     """
 
     region: Region
@@ -52,6 +54,7 @@ class TargetCalibration:
     variance_factor: float = math.nan
     used: bool = True
     reason: str = ""
+    lever_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,4 +150,5 @@ class CameraCalibration:
             variance_factor=target.variance_factor,
             relative_std=math.sqrt(target.scale.variance) / abs(value),
             source=self.source,
+            lever_px=target.lever_px,
         )

@@ -209,6 +209,7 @@ class StoredTarget(Stored):
     variance_factor: Annotated[Ratio, _null(math.nan)] = math.nan
     used: Yes = True
     reason: Text = ""
+    lever_px: Number = 0.0
 
     @model_validator(mode="after")
     def _has_what_is_used(self) -> "StoredTarget":

@@ -104,7 +104,8 @@ def _track(
     quality = np.where(seen, column("quality", 1.0), 0.0)
     x, y = np.where(seen, x, np.nan), np.where(seen, y, np.nan)
     status = np.where(seen, Status.TRACKING, Status.LOST).astype(np.uint8)
-    rows = PixelTrack(time_ns, x, y, single[:, 0], single[:, 1], quality, status)
+    unknown = np.full(len(time_ns), np.nan)
+    rows = PixelTrack(time_ns, x, y, single[:, 0], single[:, 1], quality, status, unknown, unknown)
     name = end.removeprefix("_") or "1"
     region, strength = regions.get(name, Region(0, 0, 1, 1)), np.where(seen, column("strength", 100.0), 0.0)
     return StoredTrack(name, region, rows, strength, np.where(seen[:, None], reference, 0.0))
