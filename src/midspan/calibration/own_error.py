@@ -23,10 +23,12 @@ MIN_GAIN = 4.0
 # Starts: standard deviations in units of the white noise, times as shares of the record, peaks of the innovations'
 # spectrum that are tried and an ordinate's neighbours that are the same peak, and how many periods such a one lasts.
 SIZES, SHARES, PEAKS, NEAR, PERIODS = (3.0, 30.0), (0.01, 0.1), 3, 3, 5.0
-# Deviations in units of the white noise that are searched. An oscillation has one period and a half in the record at
-# least and loses all but a third in one radian at most; its time is searched up to this many records, where it is a
-# tone.
-SIZE_RANGE, MIN_PERIODS, MAX_RECORDS = (0.1, 1e4), 1.5, 100.0
+# Deviations in units of the white noise that are searched; times and periods up to this many seconds: what is slower is
+# an accelerometer's drift at least as often. An oscillation loses all but a third in one radian at most, and is a tone
+# where it lasts for this many times that.
+SIZE_RANGE, LONGEST_S, MAX_TIMES = (0.1, 1e4), 10.0, 1000.0
+# A tone has less than this share of the critical damping; masts and brackets have 0.5 % at least.
+LEAST_DAMPING = 0.002
 # A tracker's own variance is no less than this of a frame's noise (the noise levels of simulated cameras are 0.4 to 1).
 OWN_SHARE = 0.25
 # By how much (logarithm) a density or noise beyond its bound is less likely, by the square of the ratio's logarithm.
@@ -103,11 +105,13 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     starts += [[size, *2 * [1.0 / (share * climb.span_s)]] for size in SIZES for share in SHARES]
     swings = climb.best([np.log([none.corner, *one]) for one in starts])
     gains = [found.likelihood - none.likelihood - MIN_GAIN * (2.0 + k) for k, found in enumerate((slow, swings))]
-    share, std = _share(none)
-    if max(gains) < 0.0 or share + CERTAIN * std < 0.5:
-        return None
-    found = (slow, swings)[int(np.argmax(gains))]
-    return OwnError(pair.changed(slow=climb.slow[found.corner, found.likelihood]), found, share - CERTAIN * std > 0.5)
+    found, (share, std) = (slow, swings)[int(np.argmax(gains))], _share(none)
+    own = OwnError(pair.changed(slow=climb.slow[found.corner, found.likelihood]), found, share - CERTAIN * std > 0.5)
+    sways = own.hertz * own.time_s > PERIODS_SEEN
+    tone = own.hertz * own.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
+    # A drift or a tone is an accelerometer's as soon as a camera's.
+    likely = (own.alone or sways) and not tone and found.likelihood > fit.likelihood
+    return own if likely and max(gains) > 0.0 and share + CERTAIN * std > 0.5 else None
 
 
 class _Climb:
@@ -127,8 +131,8 @@ class _Climb:
             [
                 corner_range(here.pair),
                 SIZE_RANGE,
-                (1.0 / self.span_s, 0.5 * rate_hz),
-                (2.0 * np.pi * MIN_PERIODS / self.span_s, np.pi * rate_hz),
+                (1.0 / LONGEST_S, 0.5 * rate_hz),
+                (2.0 * np.pi / LONGEST_S, np.pi * rate_hz),
             ]
         )
 
@@ -141,7 +145,7 @@ class _Climb:
 
         bounds = self._bounds[: len(start)].copy()
         if len(start) == len(self._bounds):
-            bounds[2, 0] -= np.log(MAX_RECORDS)
+            bounds[2, 0] -= np.log(MAX_TIMES)
         start = np.clip(start, *bounds.T)
         # The frequency is known better than half an octave.
         simplex = np.vstack((start, start + np.diag([0.5, 0.5, 0.5, 0.1])[: len(start), : len(start)]))
