@@ -8,7 +8,7 @@ correlation tells: p − s D goes with the translation p where that errs, with t
 does.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,12 +47,15 @@ SMOOTHED = 9
 class OwnError:
     """A pair with the slow error of its measurements, and its fit.
 
-    alone: whether it goes with the measurements alone. Else the accelerometer may have it, and the band must hold it.
+    alone: whether it goes with the measurements alone; else the accelerometer may have it, and the band must hold it.
+    taken: whether it is the pair's and the estimator's; else the accelerometer is the likelier cause, and the rows
+    follow the measurements.
     """
 
     pair: Pair
     fit: Fit
     alone: bool
+    taken: bool = True
 
     @property
     def std(self) -> float:
@@ -77,7 +80,7 @@ class OwnError:
         )
         if self.hertz * self.time_s > PERIODS_SEEN:
             course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
-        if self.alone:
+        if self.alone and self.taken:
             return (
                 f"{sensor}: it {course}. The accelerometer feels none of it, and tells what of it is no displacement."
             )
@@ -110,8 +113,8 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     sways = own.hertz * own.time_s > PERIODS_SEEN
     tone = own.hertz * own.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
     # A drift or a tone is an accelerometer's as soon as a camera's.
-    likely = (own.alone or sways) and not tone and found.likelihood > fit.likelihood
-    return own if likely and max(gains) > 0.0 and share + CERTAIN * std > 0.5 else None
+    taken = (own.alone or sways) and not tone and found.likelihood > fit.likelihood
+    return replace(own, taken=taken) if max(gains) > 0.0 and share + CERTAIN * std > 0.5 else None
 
 
 class _Climb:

@@ -169,7 +169,9 @@ def calibrate_scale(
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     own = find_own_error(search.pair, search.fit, typical)
-    search = axis.widened(search if own is None else replace(search, pair=own.pair, fit=own.fit))
+    if own is not None and own.taken:
+        search = replace(search, pair=own.pair, fit=own.fit)
+    search = axis.widened(search)
     fit = search.fit
     return ScaleCalibration(
         scale=ScaleFactor(1.0 / fit.ratio, (fit.relative_std / fit.ratio) ** 2),

@@ -259,7 +259,8 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     start_m = TEMPLATE_NOISE * start_noise(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     own = found.own
     slow_m = 0.0 if own is None else own.std * abs(found.scale.value_m_per_px)
-    if own is not None and not own.alone:
+    taken = own if own is not None and own.taken else None
+    if own is not None and not (own.alone and own.taken):
         # Nothing tells whose error it is.
         apart_m = float(np.hypot(apart_m, slow_m))
     camera = replace(
@@ -267,9 +268,9 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
         exposure_s=found.response.exposure_s,
         apart_std_m=float(np.sqrt(apart_m**2 + tilt_m**2 + start_m**2 + found.response.other_m**2)),
-        slow_std_m=slow_m,
-        slow_time_s=np.inf if own is None else own.time_s,
-        slow_hz=0.0 if own is None else own.hertz,
+        slow_std_m=0.0 if taken is None else slow_m,
+        slow_time_s=np.inf if taken is None else taken.time_s,
+        slow_hz=0.0 if taken is None else taken.hertz,
     )
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
