@@ -75,9 +75,7 @@ class OwnError:
     def text(self, sensor: str, std_m: float) -> str:
         """A sentence on it; std_m: its standard deviation, m."""
         size = f"by {1e3 * std_m:.2g} mm rms besides its noise"
-        course = (
-            f"errs slowly, {size}, over {self.time_s:.2g} s, as through hot air or a lens that breathes (autofocus)"
-        )
+        course = f"errs slowly, {size}, over {1.0 / _slowest(*self.pair.slow[1:]):.2g} s, as through hot air or a lens that breathes (autofocus)"
         if self.hertz * self.time_s > PERIODS_SEEN:
             course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
         if self.alone and self.taken:
@@ -105,7 +103,9 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     starts = [[size, 1.0 / (share * climb.span_s)] for size in SIZES for share in SHARES]
     slow = climb.best([np.log([none.corner, *one]) for one in starts])
     starts = [[size, hertz / PERIODS, 2.0 * np.pi * hertz] for size in SIZES for hertz in _peaks(none, pair.rate_hz)]
-    starts += [[size, *2 * [1.0 / (share * climb.span_s)]] for size in SIZES for share in SHARES]
+    # Two real poles: as a Gauss-Markov process that is smooth over some frames.
+    poles = [(1.0 / (share * climb.span_s), pair.rate_hz) for share in SHARES]
+    starts += [[size, 0.5 * sum(pole), np.sqrt(np.prod(pole))] for size in SIZES for pole in poles]
     swings = climb.best([np.log([none.corner, *one]) for one in starts])
     gains = [found.likelihood - none.likelihood - MIN_GAIN * (2.0 + k) for k, found in enumerate((slow, swings))]
     found, (share, std) = (slow, swings)[int(np.argmax(gains))], _share(none)
@@ -135,7 +135,7 @@ class _Climb:
                 corner_range(here.pair),
                 SIZE_RANGE,
                 (1.0 / LONGEST_S, 0.5 * rate_hz),
-                (2.0 * np.pi / LONGEST_S, np.pi * rate_hz),
+                (1.0 / LONGEST_S, np.pi * rate_hz),
             ]
         )
 
@@ -161,7 +161,7 @@ class _Climb:
     def _cost(self, at: Floats) -> float:
         fit = self._fit(at)
         beyond = [fit.input_density / self._most, self._least / fit.noise]
-        beyond += [np.exp(at[2] - at[3])] if len(at) == len(self._bounds) else []
+        beyond += [1.0 / (LONGEST_S * _slowest(*np.exp(at[2:])))] if len(at) > 2 else []
         cost = -fit.likelihood + BEYOND * sum(max(float(np.log(one)), 0.0) ** 2 for one in beyond)
         return cost if np.isfinite(cost) else 1e300
 
@@ -176,6 +176,13 @@ def _slow(at: Floats) -> tuple[float, float, float]:
         return NO_SLOW_ERROR
     size, rate, *omega = np.exp(at[1:]).tolist()
     return size**2, rate, omega[0] if omega else 0.0
+
+
+def _slowest(rate: float, omega: float = 0.0) -> float:
+    """The slower pole of a damped oscillator, or the rate at which it decays, 1/s."""
+    if not 0.0 < omega < rate:
+        return rate if omega == 0.0 else omega
+    return omega * omega / (rate + float(np.sqrt(rate * rate - omega * omega)))
 
 
 def _peaks(fit: Fit, rate_hz: float) -> list[float]:
