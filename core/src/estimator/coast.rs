@@ -147,9 +147,7 @@ impl Course {
         let (least, unseen) = (zero_variance(hyp, a, model), model.unseen_m2[a]);
         out.displacement.extend_from_slice(&self.mean.x[..count]);
         out.velocity.extend_from_slice(&self.mean.v[..count]);
-        let known = self.variance[..count].iter().zip(&self.mean.v);
-        out.variance
-            .extend(known.map(|(variance, v)| (variance + standing.clock_variance * v * v).max(least) + unseen));
+        out.variance.extend(self.variance[..count].iter().map(|variance| variance.max(least) + unseen));
         out.source.extend(std::iter::repeat_n(standing.source, count));
         out.status.extend(std::iter::repeat_n(standing.status as u8, count));
     }
@@ -226,6 +224,14 @@ impl Filter {
 }
 
 impl Filter {
+    /// The row at the sample that it is at, where that is one.
+    pub fn row_now(&self, model: &Model, sample: View, first_ns: i64, work: &mut Work) -> Rows {
+        let mut rows = Rows::default();
+        let block = Block { samples: sample, time_s: &[], items: &mut [], first_ns };
+        self.leave_sample(model, (&block, 0), &mut Leave { rows: Some(&mut rows), back: None }, work);
+        rows
+    }
+
     /// Leaves rows and nodes of a sample that the filter has just stepped to.
     pub(super) fn leave_sample(&self, model: &Model, (block, k): (&Block, usize), leave: &mut Leave, work: &mut Work) {
         let (samples, best, moving) = (block.samples, self.hyps.best(), model.layout.moving());

@@ -18,6 +18,10 @@ use super::waiting::Measurement;
 /// off, where it is asked whether that is an outlier.
 const UNKNOWN_ZERO: f64 = 1e6;
 
+/// Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some
+/// frames. What is farther off is a clock that has stepped.
+const BACK_STD_S: f64 = 0.02;
+
 /// A measurement at its instant.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
@@ -134,19 +138,19 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
     factor
 }
 
-/// Where a sensor's clock has stepped, lets the difference between its time's displacement and this one's go on to
-/// change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
-pub fn follow_clock(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
-    let (mark, s, apart) = (&hyp.marks[scene.row.channel], scene.channel.shift, scene.channel.apart);
-    if !mark.stepped {
-        return 1.0;
+/// Before a channel's measurement: where its sensor was away, its clock may have been set since, to within some frames.
+pub fn meet_clock(hyp: &mut Hypothesis, scene: &Scene) {
+    let Some(q) = scene.channel.clock else { return };
+    if is_back(hyp, scene) {
+        hyp.spread[(q, q)] += BACK_STD_S * BACK_STD_S;
     }
-    // The correlation of a smooth motion over so short a time.
-    let moved = apart.rate_s * (scene.at_s - mark.met_s);
-    let factor = (-0.5 * moved * moved).exp();
-    scale_state(&mut hyp.x, &mut hyp.p, s, factor);
-    hyp.p[(s, s)] += (1.0 - factor * factor) * apart.variance_m2;
-    factor
+}
+
+/// Whether a sensor is back: none of its channels has measured for longer than its rows count as tracking.
+pub fn is_back(hyp: &Hypothesis, scene: &Scene) -> bool {
+    let own = scene.channel;
+    let sensor = hyp.marks.iter().zip(&scene.model.channels).filter(|(_, one)| one.sensor == own.sensor);
+    scene.at_s - sensor.map(|(mark, _)| mark.met_s).fold(f64::NEG_INFINITY, f64::max) > own.coasting_s
 }
 
 /// The innovation of a measurement in one hypothesis; the sensitivities and P h stay in `work`.
@@ -184,7 +188,7 @@ fn innovate(x: &Matrix, channel: &ChannelModel, motion: &AxisMotion, acceleratio
     }
 }
 
-/// Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses.
+/// Expected measurement of channel `c` at a time some steps about the last sample and its variance, over all hypotheses.
 pub fn predict_value(
     time_s: f64,
     c: usize,
@@ -193,7 +197,7 @@ pub fn predict_value(
     all: &Hypotheses,
     model: &Model,
 ) -> (f64, f64) {
-    let dt = (time_s - clock.time_s).max(0.0);
+    let dt = time_s - clock.time_s;
     let channel = &model.channels[c];
     let (mut gain, mut e, mut uncertain) = (vec![0.0; model.size()], vec![0.0; model.columns()], Vec::new());
     let mut mixture = Mixture::default();
@@ -204,7 +208,7 @@ pub fn predict_value(
         let (mut x, mut p) = (hyp.x.clone(), hyp.p.clone());
         hold(&mut x, motion, dt);
         model.layout.find_uncertain(&p, &mut uncertain);
-        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[]);
+        predict_covariance(&mut p, &model.layout, dt.max(0.0), &uncertain, &[]);
         let input = motion[channel.row.axis].input;
         innovate(&x, channel, &AxisMotion::default(), input, 0.0, &mut e);
         let reported: f64 = hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();

@@ -2,7 +2,16 @@
 
 use super::layout::{Layout, State};
 use super::row::Row;
-use super::settings::{Apart, NANOSECONDS, ParameterKind, Rates, Settings};
+use super::settings::{NANOSECONDS, ParameterKind, Rates, Settings};
+
+/// A slow error, a first-order Gauss-Markov process.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlowError {
+    /// Variance, m².
+    pub variance_m2: f64,
+    /// The rate at which it forgets, 1/s.
+    pub rate_s: f64,
+}
 
 /// A channel with its row and the places of its states.
 #[derive(Clone, Debug)]
@@ -16,7 +25,7 @@ pub struct ChannelModel {
     /// Place of its reference's error, or of its slow error.
     pub reference: usize,
     /// The slow error's variance (m²) and the rate (1/s) at which it forgets; None: it has a reference in that place.
-    pub slow: Option<Apart>,
+    pub slow: Option<SlowError>,
     /// Variance of its zero at its first measurement, m²; None: unknown.
     pub zero_variance: Option<f64>,
     /// Number of its sensor.
@@ -29,8 +38,10 @@ pub struct ChannelModel {
     pub coasting_s: f64,
     /// See `coasting_s`.
     pub lost_s: f64,
-    /// What a step of its clock makes of its measurements.
-    pub apart: Apart,
+    /// The parameter that is the offset of its clock; None: clocks do not step.
+    pub clock: Option<usize>,
+    /// Variance of the difference between two instants of the motion that are far apart, m².
+    pub apart_m2: f64,
 }
 
 /// How a parameter is estimated.
@@ -67,6 +78,8 @@ pub struct Model {
     pub misfit: Vec<f64>,
     /// Variance (axes,) that nothing measured tells of a row, m².
     pub unseen_m2: Vec<f64>,
+    /// Standard deviation (m) of each axis' displacement and its middle angular frequency (1/s).
+    pub usual: Vec<(f64, f64)>,
     /// Acceleration (axes,) that leaning takes per metre of displacement, 1/s².
     pub lean: Vec<f64>,
 }
@@ -96,6 +109,7 @@ impl Model {
             noise_memory: settings.noise_memory,
             misfit: settings.misfit[..settings.axes].to_vec(),
             unseen_m2: settings.unseen_m2[..settings.axes].to_vec(),
+            usual: settings.motion[..settings.axes].to_vec(),
             lean: settings.lean[..settings.axes].to_vec(),
             layout,
         }
@@ -126,20 +140,24 @@ fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel
     let channel = &settings.channels[c];
     let place = |name: State| layout.place(name).unwrap_or(0);
     let slow = channel.slow_std_m > 0.0;
+    let (row, apart_m2) = (Row::of_displacement(c, settings, layout), settings.apart_m2(channel));
     ChannelModel {
-        row: Row::of_displacement(c, settings, layout),
         zero: place(State::Zero(c)),
         shift: place(State::Shift(c)),
         reference: place(if slow { State::Slow(c) } else { State::Reference(c) }),
-        slow: slow
-            .then(|| Apart { variance_m2: channel.slow_std_m * channel.slow_std_m, rate_s: 1.0 / channel.slow_time_s }),
+        slow: slow.then(|| SlowError {
+            variance_m2: channel.slow_std_m * channel.slow_std_m,
+            rate_s: 1.0 / channel.slow_time_s,
+        }),
         zero_variance: channel.zero_known().then_some(channel.zero_std_m * channel.zero_std_m),
         sensor: channel.sensor,
         group: channel.sensor * settings.axes + channel.axis,
         source: channel.source,
         coasting_s: channel.coasting_s,
         lost_s: channel.lost_s,
-        apart: settings.apart(channel),
+        clock: row.clock().filter(|&q| apart_m2 > 0.0 && settings.parameters[q].estimated_from_ns.is_some()),
+        apart_m2,
+        row,
     }
 }
 
