@@ -32,10 +32,12 @@ pub const REACH_S: f64 = 2.0;
 const MAX_INSTANTS: usize = 24;
 /// Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
 const P_STEPPED: f64 = 0.1;
+/// So often a clock is off by some frames, one step of the bank at most, after a gap: one that starts anew is set to that.
+const P_NEARLY: f64 = 0.3;
 /// A clock's offset is found where its standard deviation is below this, s: what is left is linear to 0.1 mm at
 /// 10 m/s².
 const FOUND_STD_S: f64 = 5e-3;
-/// After this time the likelier of a step and none is taken, s: the structure does not move.
+/// After this time the likelier of a step and none is taken, s.
 const MAX_SEARCH_S: f64 = 10.0;
 
 /// A step of a clock that may have been.
@@ -62,6 +64,8 @@ pub struct Member {
     weight: f64,
     /// By how much what has come, but is of later than now, may make it likelier at most.
     open: f64,
+    /// How many measurements of after the step it has met.
+    met: usize,
     /// The number of the filter before it.
     before: usize,
     /// The filter with it.
@@ -169,15 +173,20 @@ impl Bank {
         let clocks: &[Option<usize>] = if several { &[Some(own), None] } else { &[Some(own)] };
         let states: &[bool] = if self.suspect.back { &[false, true] } else { &[false] };
         let offsets = (-MAX_OFFSET_NS..=MAX_OFFSET_NS).step_by(usize::try_from(STEP_NS).unwrap_or(1));
-        let prior = (probability / (offsets.clone().count() * clocks.len() * states.len()) as f64).ln();
+        let alike = (clocks.len() * states.len()) as f64;
+        let (count, near) =
+            (offsets.clone().count() as f64, offsets.clone().filter(|one| one.abs() <= STEP_NS).count() as f64);
+        let nearly = if self.suspect.back { probability * P_NEARLY / P_STEPPED / near } else { 0.0 };
         for shift_ns in offsets {
+            let more = if shift_ns.abs() <= STEP_NS { nearly } else { 0.0 };
+            let prior = ((probability / count + more) / alike).ln();
             // What would be before all filters cannot be met.
             let begins_s = from_s.min(from_s + 1e-9 * shift_ns as f64);
             let Some(before) = self.befores.iter().rposition(|one| one.clock.time_s < begins_s) else { continue };
             for (&channel, &moved) in clocks.iter().flat_map(|one| states.iter().map(move |other| (one, other))) {
                 let step = Step { shift_ns, from_s, channel, moved };
                 let filter = self.befores[before].best_alone();
-                self.members.push(Member { step, prior, weight: prior, open: 0.0, before, filter });
+                self.members.push(Member { step, prior, weight: prior, open: 0.0, met: 0, before, filter });
             }
         }
     }
@@ -231,6 +240,10 @@ impl Bank {
             let most: f64 = pending().map(|row| log_normal(0.0, row.variance * factor(row))).sum();
             let pending: f64 =
                 pending().enumerate().map(|(place, row)| log_later(place, row, factor(row), model)).sum();
+            let concerned = |one: &&Timed| one.channel().is_some_and(|c| member.step.concerns(c, model));
+            let stepped_s = items.iter().find(|one| matches!(one.item, Item::ClockStep { .. })).map(|one| one.at_s);
+            let after = items[..due].iter().filter(|one| stepped_s.is_some_and(|at_s| one.at_s >= at_s));
+            member.met = after.filter(concerned).count();
             let mut alone = Alone { untaken, ..Alone::default() };
             member.filter = before.best_alone();
             let first = time_s.partition_point(|&one| one <= before.clock.time_s);
@@ -276,7 +289,7 @@ impl Bank {
         self.members.retain(|one| one.weight - one.prior + one.open > top - odds * misfit);
         let best = self.members.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
         let (Some(best), Some(q)) = (best, channel.clock) else { return Verdict::None };
-        let step = best.step;
+        let (step, met) = (best.step, best.met);
         let mut offsets = Mixture::default();
         for one in &self.members {
             let hyp = one.filter.hyps.best();
@@ -286,13 +299,15 @@ impl Bank {
         }
         let (none, offset) = (self.none < top - odds * misfit, offsets.mixed());
         let std_s = offset.variance.max(0.0).sqrt();
-        let over = now.clock.time_s - self.since_s > MAX_SEARCH_S;
-        if over && self.none >= top {
-            return Verdict::None;
-        }
-        if (none && std_s < FOUND_STD_S) || over {
+        let is_over = now.clock.time_s - self.since_s > MAX_SEARCH_S;
+        let is_likely = if is_over { self.none < top } else { none };
+        // One that has met no more than a motion has states agrees with anything.
+        if is_likely && met > MOTION_STATES && std_s < FOUND_STD_S {
             let shift_ns = (1e9 * offset.value).round() as i64;
             return Verdict::Stepped(Step { shift_ns, ..step }, std_s);
+        }
+        if is_over {
+            return Verdict::None;
         }
         Verdict::Open
     }

@@ -1,5 +1,5 @@
 //! The estimator with clocks that step: while nothing is suspected it runs as it is; where a clock may have stepped a
-//! bank of offsets ([`super::clock_bank`]) runs beside it until one offset is left, which is then the sensor's.
+//! bank of offsets ([`super::clock_bank`]) runs together with it until one offset is left, which is then the sensor's.
 //!
 //! A measurement is met at its instant: its stamp and the offset of its sensor's clock. Where stamps are late by some
 //! time, the filter, its decisions and its log stay back by that, and rows come from a copy of the filter that is run

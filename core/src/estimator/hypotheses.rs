@@ -7,7 +7,7 @@
 
 use super::cause::{Cause, Decision, apply, log_ends};
 use super::hypothesis::Hypothesis;
-use super::innovation::{Scene, Work, look, meet_clock, meet_zero};
+use super::innovation::{Scene, Work, look, meet_zero};
 use super::model::Model;
 use super::situation::Situation;
 use serde::{Deserialize, Serialize};
@@ -108,7 +108,6 @@ impl Hypotheses {
     pub fn meet_others(&mut self, scene: &Scene) {
         for hyp in &mut self.all_mut()[1..] {
             meet_zero(hyp, scene);
-            meet_clock(hyp, scene);
         }
     }
 

@@ -18,10 +18,6 @@ use super::waiting::Measurement;
 /// off, where it is asked whether that is an outlier.
 const UNKNOWN_ZERO: f64 = 1e6;
 
-/// Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some
-/// frames. What is farther off is a clock that has stepped.
-const BACK_STD_S: f64 = 0.02;
-
 /// A measurement at its instant.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
@@ -136,14 +132,6 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
     let factor = move_reference(&mut hyp.x, &mut hyp.p, r, was, row.reference);
     scale_changed(&mut hyp.tests, r, factor);
     factor
-}
-
-/// Before a channel's measurement: where its sensor was away, its clock may have been set since, to within some frames.
-pub fn meet_clock(hyp: &mut Hypothesis, scene: &Scene) {
-    let Some(q) = scene.channel.clock else { return };
-    if is_back(hyp, scene) {
-        hyp.spread[(q, q)] += BACK_STD_S * BACK_STD_S;
-    }
 }
 
 /// Whether a sensor is back: none of its channels has measured for longer than its rows count as tracking.

@@ -9,7 +9,7 @@ use super::coast::Leave;
 use super::decided::{Survivor, Undecided};
 use super::hypotheses::Hypotheses;
 use super::hypothesis::Hypothesis;
-use super::innovation::{Innovation, Scene, Work, is_back, look, meet_clock, meet_zero};
+use super::innovation::{Innovation, Scene, Work, is_back, look, meet_zero};
 use super::layout::motion_of;
 use super::model::{Model, instant};
 use super::motion::{AxisMotion, Clock, Way, shift_velocity};
@@ -392,7 +392,6 @@ fn judge_open(
     let count = hyps.count();
     let best = hyps.best_mut();
     let was_away = best.marks[c].begun && is_back(best, scene);
-    meet_clock(best, scene);
     let reference_scaled = meet_zero(best, scene);
     let mark = &best.marks[c];
     // After a gap the causes are weighed: the first measurement tells no earlier step.
@@ -442,7 +441,6 @@ fn take_good(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work:
 #[inline]
 fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: Option<&mut WayBack>, work: &mut Work) {
     let c = scene.row.channel;
-    meet_clock(hyp, scene);
     let reference_scaled = meet_zero(hyp, scene);
     let (total, scaled) = if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained {
         let innovation = look(hyp, scene, work);
@@ -459,7 +457,6 @@ fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: O
 /// Lets one hypothesis take a measurement as good, or leave it out where that is likelier; item: its number among
 /// those of the run, and itself.
 fn take_alone(hyp: &mut Hypothesis, alone: &mut Alone, scene: &Scene, (j, item): (usize, Timed), work: &mut Work) {
-    meet_clock(hyp, scene);
     meet_zero(hyp, scene);
     let (innovation, p) = (look(hyp, scene, work), scene.model.rates.outlier);
     let good = (1.0 - p).ln() + log_normal(innovation.error, innovation.total());

@@ -286,9 +286,9 @@ impl Estimator {
         let at_s = (time_s + shift_s).clamp(filter.clock.time_s - ahead_s, filter.clock.time_s + ahead_s);
         let (value, variance) = predict_value(at_s, c, &filter.motion, &filter.clock, &filter.hyps, &self.model);
         let (g, channel) = (self.model.channels[c].row.units_per_m, &self.model.channels[c]);
-        // What it measures of another time, or of one that is not found yet, is anywhere in the motion.
-        let known = at_s == time_s + shift_s && self.memory.clocks.bank.is_none();
-        Some((value, if known { variance } else { variance + g * g * channel.apart_m2 }))
+        // What it measures of a time farther away is anywhere in the motion.
+        let is_near = at_s == time_s + shift_s;
+        Some((value, if is_near { variance } else { variance + g * g * channel.apart_m2 }))
     }
 }
 

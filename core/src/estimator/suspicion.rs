@@ -10,7 +10,7 @@ const MEMORY_S: f64 = 2.0;
 /// A clock is suspected where the innovations' squares are this many standard deviations more than is expected, which
 /// chance makes once in many days; it only begins the search ([`super::clock_bank`]), which decides.
 const SUSPICIOUS: f64 = 5.0;
-/// Fewer measurements than this count as so many: one that is wrong is not suspicious.
+/// Fewer measurements than this count as this many: one that is wrong is not suspicious.
 const MIN_COUNT: f64 = 8.0;
 /// Or where an offset of the clock explains them by this much of a logarithm of the likelihood, at 3.5 standard
 /// deviations: by chance twice an hour.
