@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from midspan.engine.axis import usual_figures
+from midspan.engine.channels import CLOCK_WALK
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point, PointStatus
 from midspan.engine.sensors import PlainSensor, Seen
+from midspan.engine.stream import FIRST_NS
 from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.records import Arrival, Channel, Estimate, Event, Readings, Source, Tick, joined
 from midspan.simulate.motion.motion import random_motion
 from repeats import slow
@@ -79,7 +81,9 @@ def a_point(lateness_s=0.5):
     figures = replace(usual_figures(SOUND, RATE_HZ), name="accel", noise_density=NOISE_A**2 / RATE_HZ)
     chain = PlainChain(PlainSettings("level", 0, NOISE_M**2, 1 / LEVEL_HZ))
     channel = Channel("level", Source.DISPLACEMENT, 1.0)
-    settings = EstimatorSettings((channel,), bias_m_s2=(BIAS,), bias_std_m_s2=(0.01,), motion=(figures.motion,))
+    clock = Parameter(ParameterKind.CLOCK_OFFSET, (0,), 0.0, FIRST_NS, CLOCK_WALK)
+    known = {"bias_m_s2": (BIAS,), "bias_std_m_s2": (0.01,), "motion": (figures.motion,)}
+    settings = EstimatorSettings((channel,), parameters=(clock,), **known)
     sensors = {"level": PlainSensor("level", chain)}
     return Point(merge, Guard(GuardSettings(RATE_HZ, (figures,))), sensors, Estimator(settings))
 

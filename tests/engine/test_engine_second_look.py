@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from midspan.engine.channels import CLOCK_WALK
 from midspan.engine.second_look import once_more
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.records import Channel, Event, Measured, Samples, Source, part, seconds
 from midspan.simulate.motion.motion import random_motion
 
@@ -31,7 +32,9 @@ def recorded(step_s):
 @pytest.mark.parametrize("step_s", [0.0, 0.1])
 def test_what_the_first_pass_doubted_is_doubted_again(step_s):
     samples, measured = recorded(step_s)
-    settings = EstimatorSettings((Channel("level", Source.DISPLACEMENT, 1.0),), motion=((2e-3, 10.0), (0.0, 0.0)))
+    clock = Parameter(ParameterKind.CLOCK_OFFSET, (0,), 0.0, 0, CLOCK_WALK)
+    level, motion = Channel("level", Source.DISPLACEMENT, 1.0), ((2e-3, 10.0), (0.0, 0.0))
+    settings = EstimatorSettings((level,), parameters=(clock,), motion=motion)
     first, rows = Estimator(settings, log=True), []
     first.push(measured)
     rows += first.push(part(samples, samples.time_ns <= BACK_S * 1e9))

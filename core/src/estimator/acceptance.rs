@@ -70,8 +70,7 @@ fn ask_for_step(hyp: &mut Hypothesis, scene: &Scene, share: f64) {
     carry_all(&mut hyp.tests, scene.at_s, model.axes());
     let mark = &hyp.marks[scene.row.channel];
     let test = &mut hyp.tests[channel.group];
-    if mark.stepped || !mark.begun {
-        // What it measures is of another instant, or begins its zero.
+    if !mark.begun {
         test.clear();
         return;
     }

@@ -5,14 +5,12 @@
 //! decides between them ([`super::hypotheses`]).
 
 use super::acceptance::{ANEW, accept, find_step};
-use super::hypothesis::{Burst, Contradiction, Doubt, Hypothesis, LastShift};
+use super::hypothesis::{Burst, Contradiction, Hypothesis, LastShift};
 use super::innovation::{Innovation, Scene, Work, look};
 use super::matrix::Matrix;
 use super::model::Model;
 use super::predict::add_noise;
-use super::situation::{
-    GATE, OUTLIER_MEMORY, P_STEPPED, SHORTEST_S, Situation, led_away, log_normal, met_within, tells_step,
-};
+use super::situation::{GATE, OUTLIER_MEMORY, SHORTEST_S, Situation, led_away, log_normal, met_within};
 use super::update::scale_state;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +18,8 @@ use serde::{Deserialize, Serialize};
 /// inside the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one
 /// leaves.
 pub const VAGUE: f64 = 25.0;
+/// So often a sensor that is back is noisier than before it was away.
+const P_NOISIER: f64 = 0.01;
 /// What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 const BIAS_TOO: f64 = 0.05;
 /// What is known of a shift's size beforehand.
@@ -29,7 +29,7 @@ pub enum Prior {
     AnySize,
     /// Nothing, nor does the innovation tell it, but those after it.
     ReportedLater,
-    /// The zero is where it was before its last shift, or the sensor's clock is.
+    /// The zero is where it was before its last shift.
     FormerZero,
 }
 
@@ -48,8 +48,6 @@ pub enum Cause {
     Lost,
     /// The channel's noise has risen.
     Noise,
-    /// The sensor's clock has stepped against the accelerometer's: it measures the motion of another time.
-    Clock,
     /// It is good, and by the innovations up to it the sensor's zero has stepped at an earlier one.
     StepBefore,
 }
@@ -84,7 +82,7 @@ impl Decision {
 
 impl Cause {
     /// What a measurement is asked for, in this order.
-    pub const CANDIDATES: [Self; 8] = [
+    pub const CANDIDATES: [Self; 7] = [
         Self::Good,
         Self::Outlier,
         Self::Shift(Prior::AnySize),
@@ -92,20 +90,11 @@ impl Cause {
         Self::Wrong,
         Self::Lost,
         Self::Noise,
-        Self::Clock,
     ];
 
     /// Logarithm of how often it is met times how likely it makes the innovation; -inf: it is not considered.
     pub fn log_weight(self, at: &Situation) -> f64 {
         let (innovation, rates) = (&at.innovation, &at.scene.model.rates);
-        if at.mark.stepped {
-            // What it measures of another instant neither is an outlier nor says that the motion's state is wrong.
-            return match self {
-                Self::Good => log_normal(innovation.error, innovation.total().max(innovation.error * innovation.error)),
-                Self::Shift(Prior::FormerZero) => weight_of_return(at),
-                _ => f64::NEG_INFINITY,
-            };
-        }
         match self {
             Self::Good => (1.0 - at.p_outlier()).ln() + at.normal(),
             Self::Outlier if at.mark.outliers > 0.0 => 0.5f64.ln() + at.wrong_or_kept() + at.p_outlier().ln(),
@@ -119,13 +108,12 @@ impl Cause {
             Self::Wrong if at.asked() => met_within(rates.wrong, at.lapse).ln() + at.any_size(),
             Self::Lost => weight_of_lost(at),
             Self::Noise if at.asked() => noise_within(at).ln() + at.any_size(),
-            Self::Clock if !at.first && (!at.inside || at.doubted()) => weight_of_clock(at),
             _ => f64::NEG_INFINITY,
         }
     }
 }
 
-/// A shift is asked for its return outside the gate only; a clock that has stepped explains every measurement.
+/// A shift is asked for its return outside the gate only.
 fn weight_of_return(at: &Situation) -> f64 {
     let (g, (mean, variance, ph)) = (at.scene.channel.row.units_per_m, at.shift);
     // Without the shift's state: its mean comes back to the innovation, its variance goes.
@@ -133,7 +121,7 @@ fn weight_of_return(at: &Situation) -> f64 {
     let returned = log_normal(at.innovation.error + g * mean, rest.max(0.0) + at.innovation.noise);
     let rates = &at.scene.model.rates;
     let lapse = (at.scene.at_s - at.mark.met_s).max(SHORTEST_S);
-    met_within(if at.mark.stepped { rates.clock } else { rates.back }, lapse).ln() + returned
+    met_within(rates.back, lapse).ln() + returned
 }
 
 fn weight_of_shift(at: &Situation) -> f64 {
@@ -165,22 +153,13 @@ fn weight_of_lost(at: &Situation) -> f64 {
     goes_on.max(anew)
 }
 
-fn weight_of_clock(at: &Situation) -> f64 {
-    if at.mark.shifted || at.apart() == 0.0 {
-        return f64::NEG_INFINITY;
-    }
-    at.clock_rate().ln() + log_normal(at.innovation.error, at.innovation.total() + at.apart())
-}
-
 /// How likely a sensor's noise rose within a lapse.
 fn noise_within(at: &Situation) -> f64 {
     let rates = &at.scene.model.rates;
     let noisier = met_within(rates.noise, at.lapse);
-    if rates.noise > 0.0 && at.mark.doubt.lasts() && at.innovation.with_parameters <= VAGUE * at.innovation.noise {
-        // A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
-        return noisier.max(P_STEPPED * P_STEPPED);
-    }
-    noisier
+    let is_back = at.scene.at_s - at.mark.met_s > at.scene.channel.coasting_s;
+    let is_sharp = at.innovation.with_parameters <= VAGUE * at.innovation.noise;
+    if rates.noise > 0.0 && is_back && is_sharp { noisier.max(P_NOISIER) } else { noisier }
 }
 
 /// What became of a measurement, for the way back.
@@ -199,10 +178,7 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
     hyp.memory.decision = decision;
     hyp.memory.age = if decision == Decision::GOOD { hyp.memory.age + 1.0 } else { 0.0 };
     hyp.marks[c].met_s = scene.at_s;
-    let doubt = hyp.marks[c].doubt;
     let mut innovation = look(hyp, scene, work);
-    let (rate_s, is_sharp) = (scene.channel.apart.rate_s, tells_step(scene, innovation.total()));
-    hyp.marks[c].doubt = doubt.after(decision.cause, scene.at_s, rate_s, is_sharp);
     // Whether the samples' noise since then explains it: then it was the prediction that was wrong.
     let explained = decision.explained && innovation.within(GATE);
     let evidence = Contradiction { size: innovation.error, variance: innovation.total(), ago_s: 0.0 };
@@ -221,16 +197,9 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
             if cause == Cause::Shift(Prior::FormerZero) {
                 shift_scaled = 0.0;
             }
-            change(cause, hyp, scene, &Change { innovation, doubt, lapse, explained }, work);
+            change(cause, hyp, scene, &Change { innovation, lapse, explained }, work);
             innovation = look(hyp, scene, work);
         }
-    }
-    if hyp.marks[c].stepped && !innovation.within(GATE) {
-        // The two instants are farther apart than usual, as in a passage: rejected, or taken for an error of the
-        // motion's state, it would leave the acceleration alone or begin a velocity that nothing moves with.
-        let (s, off) = (scene.channel.shift, innovation.error / scene.channel.row.units_per_m);
-        hyp.p[(s, s)] += off * off;
-        innovation = look(hyp, scene, work);
     }
     let total = accept(hyp, scene, &innovation, work);
     hyp.memory.met = evidence;
@@ -257,7 +226,6 @@ fn reject(hyp: &mut Hypothesis, scene: &Scene) {
 /// What a change of the filter starts from.
 struct Change {
     innovation: Innovation,
-    doubt: Doubt,
     lapse: f64,
     /// The samples' noise holds the error already.
     explained: bool,
@@ -303,39 +271,25 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
             mark.factor *= error * error / total;
             mark.rests_on = mark.rests_on.min(ANEW);
         }
-        Cause::Clock => {
-            hyp.tests[group].clear();
-            hyp.p[(s, s)] += channel.apart.variance_m2;
-            hyp.marks[c].stepped = true;
-            if matches!(at.doubt, Doubt::Until(_)) {
-                // It stepped while nothing was measured: what came since led the motion's state as far away.
-                let (i, apart) = (row.motion(), channel.apart);
-                hyp.p[(i, i)] += apart.variance_m2;
-                hyp.p[(i + 1, i + 1)] += apart.variance_m2 * apart.rate_s * apart.rate_s;
-            }
-        }
     }
 }
 
-/// Lets a channel's zero be where it was before its shift, or its clock; as well as one measurement tells, where that
+/// Lets a channel's zero be where it was before its shift; as well as one measurement tells, where that
 /// comes later than returns do on the mean: what does not go back soon has moved for good, and a second shift has
 /// nearly undone the first.
 fn restore_zero(hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) {
     let (channel, c) = (scene.channel, scene.row.channel);
     scale_state(&mut hyp.x, &mut hyp.p, channel.shift, 0.0);
-    if !hyp.marks[c].stepped {
-        let innovation = look(hyp, scene, work);
-        let recent = hyp
-            .memory
-            .shift
-            .is_some_and(|one| one.sensor == channel.sensor && (scene.at_s - one.at_s) * scene.model.rates.back <= 1.0);
-        if !recent {
-            let g = channel.row.units_per_m;
-            hyp.p[(channel.shift, channel.shift)] += innovation.total() / (g * g);
-        }
+    let innovation = look(hyp, scene, work);
+    let recent = hyp
+        .memory
+        .shift
+        .is_some_and(|one| one.sensor == channel.sensor && (scene.at_s - one.at_s) * scene.model.rates.back <= 1.0);
+    if !recent {
+        let g = channel.row.units_per_m;
+        hyp.p[(channel.shift, channel.shift)] += innovation.total() / (g * g);
     }
     hyp.marks[c].shifted = false;
-    hyp.marks[c].stepped = false;
 }
 
 /// Lets an axis' motion from state `i` on be off by a size (m) that it was led away in a time (s).
@@ -393,17 +347,16 @@ mod tests {
             let any_size = log_any_size(innovation.error, innovation.total());
             for cause in [Cause::Shift(Prior::AnySize), Cause::Wrong, Cause::Noise, Cause::Lost] {
                 let prior = (cause.log_weight(&at) - any_size).exp();
-                // Once an hour, as a Poisson process.
-                assert!((prior / (1.0 - (-lapse / 3600.0).exp()) - 1.0).abs() < 1e-9, "{cause:?} {lapse}");
+                // Once an hour, as a Poisson process; noise is so after a gap at least.
+                let least = if cause == Cause::Noise && lapse > channel.coasting_s { P_NOISIER } else { 0.0 };
+                let expected = (1.0 - (-lapse / 3600.0).exp()).max(least);
+                assert!((prior / expected - 1.0).abs() < 1e-9, "{cause:?} {lapse}");
             }
-            let (cause, more) = match shifted {
+            if shifted {
                 // Nothing is known of a shift's size here: without it the innovation is the same.
-                true => (Cause::Shift(Prior::FormerZero), 0.0),
-                false => (Cause::Clock, channel.apart.variance_m2),
-            };
-            assert!(
-                (cause.log_weight(&at) - log_normal(innovation.error, innovation.total() + more)).exp() <= 1.0 + 1e-12
-            );
+                let returned = Cause::Shift(Prior::FormerZero).log_weight(&at);
+                assert!((returned - log_normal(innovation.error, innovation.total())).exp() <= 1.0 + 1e-12);
+            }
         }
     }
 }

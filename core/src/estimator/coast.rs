@@ -141,15 +141,12 @@ impl Course {
         (self.mean.x[0], self.variance[0], self.mean.v[0]) = (row.value, row.variance, row.velocity);
     }
 
-    /// Adds the rows along an axis; after [`Self::relate`].
-    fn add_rows(&mut self, hyp: &Hypothesis, model: &Model, a: usize, standing: &Standing, rows: &mut Rows) {
+    /// Adds the rows along an axis, of this variance (m²) at least and with what nothing tells; after [`Self::relate`].
+    fn add_rows(&mut self, least: f64, unseen: f64, a: usize, standing: &Standing, rows: &mut Rows) {
         let (out, count) = (&mut rows.axes[a], self.count);
-        let (least, unseen) = (zero_variance(hyp, a, model), model.unseen_m2[a]);
         out.displacement.extend_from_slice(&self.mean.x[..count]);
         out.velocity.extend_from_slice(&self.mean.v[..count]);
-        let known = self.variance[..count].iter().zip(&self.mean.v);
-        out.variance
-            .extend(known.map(|(variance, v)| (variance + standing.clock_variance * v * v).max(least) + unseen));
+        out.variance.extend(self.variance[..count].iter().map(|variance| variance.max(least) + unseen));
         out.source.extend(std::iter::repeat_n(standing.source, count));
         out.status.extend(std::iter::repeat_n(standing.status as u8, count));
     }
@@ -209,7 +206,8 @@ impl Filter {
             }
             if let Some(rows) = leave.rows.as_deref_mut().filter(|_| is_row) {
                 course.relate(hyp, model, a, uncertain);
-                course.add_rows(hyp, model, a, standing, rows);
+                let unseen = model.unseen_m2[a] + self.watch.variance_m2(&model.usual[a]);
+                course.add_rows(zero_variance(hyp, a, model), unseen, a, standing, rows);
             }
         }
         if axes > 1 || !uncertain.is_empty() {
@@ -226,6 +224,14 @@ impl Filter {
 }
 
 impl Filter {
+    /// The row at the sample that it is at, where that is one.
+    pub fn row_now(&self, model: &Model, sample: View, first_ns: i64, work: &mut Work) -> Rows {
+        let mut rows = Rows::default();
+        let block = Block { samples: sample, time_s: &[], items: &mut [], first_ns };
+        self.leave_sample(model, (&block, 0), &mut Leave { rows: Some(&mut rows), back: None }, work);
+        rows
+    }
+
     /// Leaves rows and nodes of a sample that the filter has just stepped to.
     pub(super) fn leave_sample(&self, model: &Model, (block, k): (&Block, usize), leave: &mut Leave, work: &mut Work) {
         let (samples, best, moving) = (block.samples, self.hyps.best(), model.layout.moving());
@@ -244,7 +250,8 @@ impl Filter {
                     course.set_row(mixture.mixed());
                 }
                 let standing = Standing::at(best, model, a, self.clock.time_s, samples.kind[k]);
-                course.add_rows(best, model, a, &standing, rows);
+                let unseen = model.unseen_m2[a] + self.watch.variance_m2(&model.usual[a]);
+                course.add_rows(zero_variance(best, a, model), unseen, a, &standing, rows);
             }
         }
         let Some(back) = leave.back.as_deref_mut() else { return };

@@ -69,6 +69,14 @@ impl Decided {
         self.drop_first(self.len());
     }
 
+    /// Drops those later than an instant, s.
+    pub fn drop_after(&mut self, at_s: f64) {
+        let count = self.items.partition_point(|one| one.at_s <= at_s);
+        self.items.truncate(count);
+        self.decisions.truncate(count);
+        self.evidence.truncate(count);
+    }
+
     /// Drops the first ones.
     pub fn drop_first(&mut self, count: usize) {
         self.items.drain(..count);
@@ -99,7 +107,6 @@ pub fn channels_exist<'a>(items: impl Iterator<Item = &'a Timed>, channels: usiz
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Undecided {
     /// What is final, until it is taken over.
-    #[serde(skip)]
     pub settled: Decided,
     items: Vec<Timed>,
     /// Where the survivors of each item end.
@@ -159,6 +166,13 @@ impl Undecided {
     fn of(&self, j: usize) -> &[Survivor] {
         let first = if j == 0 { 0 } else { self.ends[j - 1] };
         &self.survivors[first..self.ends[j]]
+    }
+
+    /// What is not taken over: what is final, and what the best one says of the others.
+    pub fn all(&self) -> Decided {
+        let mut all = self.settled.clone();
+        all.extend(&self.best());
+        all
     }
 
     /// What the best one says of all items that are not final.

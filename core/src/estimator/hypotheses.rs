@@ -6,8 +6,8 @@
 //! have come to agree are one again, and no more than a fixed number is kept.
 
 use super::cause::{Cause, Decision, apply, log_ends};
-use super::hypothesis::{Doubt, Hypothesis};
-use super::innovation::{Scene, Work, follow_clock, look, meet_zero};
+use super::hypothesis::Hypothesis;
+use super::innovation::{Scene, Work, look, meet_zero};
 use super::model::Model;
 use super::situation::Situation;
 use serde::{Deserialize, Serialize};
@@ -35,6 +35,8 @@ const KINDS: usize = Cause::CANDIDATES.len();
 pub struct Hypotheses {
     count: usize,
     slots: Vec<Hypothesis>,
+    /// Logarithm of the best one's likelihood times its prior: what the weights are counted from.
+    evidence: f64,
     #[serde(skip)]
     next: Vec<Hypothesis>,
     #[serde(skip)]
@@ -92,18 +94,20 @@ impl Hypotheses {
             && self.slots.iter().all(|one| one.fits(model))
     }
 
-    /// Lets all clocks be in doubt at the next measurement.
-    pub fn doubt_all(&mut self) {
-        for mark in self.all_mut().iter_mut().flat_map(|hyp| hyp.marks.iter_mut()) {
-            mark.doubt = Doubt::Once;
-        }
+    /// Logarithm of the likelihood of all that was measured, over all of them.
+    pub fn evidence(&self) -> f64 {
+        self.evidence + self.all().iter().map(|hyp| hyp.memory.weight.exp()).sum::<f64>().ln()
+    }
+
+    /// Adds the likelihood (logarithm) of a measurement that one alone has taken.
+    pub fn add_evidence(&mut self, log_likelihood: f64) {
+        self.evidence += log_likelihood;
     }
 
     /// Brings all but the best to a channel's measurement.
     pub fn meet_others(&mut self, scene: &Scene) {
         for hyp in &mut self.all_mut()[1..] {
             meet_zero(hyp, scene);
-            follow_clock(hyp, scene);
         }
     }
 
@@ -219,6 +223,7 @@ impl Hypotheses {
             }
         }
         let top = hyps[0].memory.weight;
+        self.evidence += top;
         for hyp in &mut hyps[..kept] {
             hyp.memory.weight -= top;
         }
@@ -241,9 +246,7 @@ fn alike(one: &Hypothesis, other: &Hypothesis) -> bool {
         return false;
     }
     let marks = one.marks.iter().zip(&other.marks).all(|(mine, its)| {
-        (mine.outliers > 0.0) == (its.outliers > 0.0)
-            && mine.stepped == its.stepped
-            && (its.factor / mine.factor - 1.0).abs() <= SAME_NOISE
+        (mine.outliers > 0.0) == (its.outliers > 0.0) && (its.factor / mine.factor - 1.0).abs() <= SAME_NOISE
     });
     marks
         && (0..one.p.width()).all(|i| {

@@ -1,48 +1,12 @@
 //! One hypothesis: a filter of its own, and what it remembers of each channel and of what happened.
 
-use super::cause::{Cause, Decision};
+use super::cause::Decision;
 use super::matrix::Matrix;
 use super::model::Model;
 use super::settings::Settings;
 use super::start::{Beginning, START_S};
 use super::steps::StepTest;
 use serde::{Deserialize, Serialize};
-
-/// Whether a channel's clock is in doubt: stamps were missing or went back since the last measurement.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Doubt {
-    /// It is not.
-    None,
-    /// It is at the next measurement.
-    Once,
-    /// It is from a gap of measurements on, and none has come since.
-    Gap,
-    /// It is up to an instant, s, after the gap.
-    Until(f64),
-}
-
-impl Doubt {
-    /// Whether a gap of measurements has brought it.
-    pub fn lasts(self) -> bool {
-        matches!(self, Self::Gap | Self::Until(_))
-    }
-
-    /// What is left of it after a measurement at an instant (s) that was taken for what `cause` says.
-    ///
-    /// After a gap the clock is in doubt until the motion, of angular frequency `rate_s`, has gone through one period:
-    /// before that a motion that is seen late looks like one that began otherwise, or as if the acceleration were
-    /// wrong. After stamps that went back the next measurement tells, where the prediction is sharp.
-    pub fn after(self, cause: Cause, at_s: f64, rate_s: f64, is_sharp: bool) -> Self {
-        let left = match self {
-            Self::Gap | Self::Until(_) if cause == Cause::Outlier => return self,
-            Self::Once if !is_sharp => Self::Once,
-            Self::Gap if rate_s > 0.0 => Self::Until(at_s + std::f64::consts::TAU / rate_s),
-            Self::Until(until_s) if at_s < until_s => self,
-            Self::None | Self::Once | Self::Gap | Self::Until(_) => Self::None,
-        };
-        if matches!(cause, Cause::Shift(_) | Cause::Clock) { Self::None } else { left }
-    }
-}
 
 /// What a hypothesis remembers of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -69,10 +33,6 @@ pub struct Mark {
     pub accepted_s: f64,
     /// Variance of that, its reference's included, m².
     pub accepted_variance: f64,
-    /// Whether its clock has stepped.
-    pub stepped: bool,
-    /// Whether its clock is in doubt.
-    pub doubt: Doubt,
     /// Share of its last measurements that were outliers.
     pub share: f64,
     /// Mean square of its last innovations over their variance.
@@ -258,8 +218,6 @@ impl Mark {
             slow_s: begin.time_s - START_S,
             accepted_s: f64::NEG_INFINITY,
             accepted_variance: 0.0,
-            stepped: false,
-            doubt: Doubt::None,
             share: 0.0,
             recent: 1.0,
         }

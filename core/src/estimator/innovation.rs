@@ -11,7 +11,7 @@ use super::motion::{AxisMotion, Clock};
 use super::predict::predict_covariance;
 use super::row::Effect;
 use super::steps::{scale_changed, turn_changed};
-use super::update::{carry_slow, move_reference, project, scale_state};
+use super::update::{carry_slow, move_reference, project};
 use super::waiting::Measurement;
 use super::way_back::Scaled;
 
@@ -132,19 +132,11 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> Scaled {
     made
 }
 
-/// Where a sensor's clock has stepped, lets the difference between its time's displacement and this one's go on to
-/// change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
-pub fn follow_clock(hyp: &mut Hypothesis, scene: &Scene) -> f64 {
-    let (mark, s, apart) = (&hyp.marks[scene.row.channel], scene.channel.shift, scene.channel.apart);
-    if !mark.stepped {
-        return 1.0;
-    }
-    // The correlation of a smooth motion over so short a time.
-    let moved = apart.rate_s * (scene.at_s - mark.met_s);
-    let factor = (-0.5 * moved * moved).exp();
-    scale_state(&mut hyp.x, &mut hyp.p, s, factor);
-    hyp.p[(s, s)] += (1.0 - factor * factor) * apart.variance_m2;
-    factor
+/// Whether a sensor is back: none of its channels has measured for longer than its rows count as tracking.
+pub fn is_back(hyp: &Hypothesis, scene: &Scene) -> bool {
+    let own = scene.channel;
+    let sensor = hyp.marks.iter().zip(&scene.model.channels).filter(|(_, one)| one.sensor == own.sensor);
+    scene.at_s - sensor.map(|(mark, _)| mark.met_s).fold(f64::NEG_INFINITY, f64::max) > own.coasting_s
 }
 
 /// The innovation of a measurement in one hypothesis; the sensitivities and P h stay in `work`.
@@ -182,7 +174,7 @@ fn innovate(x: &Matrix, channel: &ChannelModel, motion: &AxisMotion, acceleratio
     }
 }
 
-/// Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses.
+/// Expected measurement of channel `c` at a time some steps about the last sample and its variance, over all hypotheses.
 pub fn predict_value(
     time_s: f64,
     c: usize,
@@ -191,7 +183,7 @@ pub fn predict_value(
     all: &Hypotheses,
     model: &Model,
 ) -> (f64, f64) {
-    let dt = (time_s - clock.time_s).max(0.0);
+    let dt = time_s - clock.time_s;
     let channel = &model.channels[c];
     let (mut gain, mut e, mut uncertain) = (vec![0.0; model.size()], vec![0.0; model.columns()], Vec::new());
     let mut mixture = Mixture::default();
@@ -202,7 +194,7 @@ pub fn predict_value(
         let (mut x, mut p) = (hyp.x.clone(), hyp.p.clone());
         hold(&mut x, motion, dt);
         model.layout.find_uncertain(&p, &mut uncertain);
-        predict_covariance(&mut p, &model.layout, dt, &uncertain, &[]);
+        predict_covariance(&mut p, &model.layout, dt.max(0.0), &uncertain, &[]);
         let input = motion[channel.row.axis].input;
         innovate(&x, channel, &AxisMotion::default(), input, 0.0, &mut e);
         let reported: f64 = hyp.parameters.iter().zip(&e[1..]).map(|(value, sensitivity)| value * sensitivity).sum();

@@ -167,7 +167,11 @@ impl Lag {
     fn begin_hop(&mut self) {
         self.spare.extend(self.own.take());
         let (Some(last), Some(filter)) = (self.pieces.back(), &self.estimator.memory.filter) else { return };
-        if last.settled && self.estimator.one_past && (last.own || last.after.is_at(filter)) {
+        if last.settled
+            && self.estimator.one_past
+            && self.estimator.memory.clocks.is_plain()
+            && (last.own || last.after.is_at(filter))
+        {
             let mut piece = self.spare.pop().unwrap_or_else(|| Piece::new(filter.best_alone()));
             piece.way.restart(&self.estimator.model, filter.clock.time_s);
             self.own = Some(piece);
@@ -192,7 +196,8 @@ impl Lag {
 
     /// Adds the rows of the window from those given out on up to before sample `due`.
     fn smoothed(&mut self, due: usize, rows: &mut Rows) {
-        let open = self.estimator.memory.undecided.best();
+        let open = self.estimator.memory.undecided.all();
+        self.note_changed();
         self.run_forward(&open);
         let (Some(log), Some(before)) = (&self.estimator.log, &self.before) else { return };
         let model = &self.estimator.model;
@@ -231,6 +236,14 @@ impl Lag {
         }
     }
 
+    /// Where what was decided has changed as a clock stepped, the pieces from there on are looked at again.
+    fn note_changed(&mut self) {
+        let Some(changed_s) = self.estimator.memory.clocks.changed_s.take() else { return };
+        for piece in self.pieces.iter_mut().filter(|piece| piece.after.clock.time_s > changed_s) {
+            piece.settled = false;
+        }
+    }
+
     /// Takes what the estimator's own run left of the last hop as a piece, where it is whole.
     fn take_own(&mut self) {
         let (Some(mut piece), Some(filter), Some(log)) =
@@ -254,6 +267,8 @@ impl Lag {
     fn run_forward(&mut self, open: &Decided) {
         let (Some(log), Some(before)) = (&self.estimator.log, &self.before) else { return };
         let (model, samples, count) = (&self.estimator.model, log.samples.view(), log.samples.len());
+        // Of later times measurements may come still, where stamps are late.
+        let complete_s = self.estimator.memory.filter.as_ref().map_or(f64::INFINITY, |filter| filter.clock.time_s);
         // The window's first sample was, from the beginning of a hop on, the one of this number.
         let ahead = self.hop - (count + self.hop - (self.pushed % self.hop as u64) as usize) % self.hop;
         let (mut first, mut number, mut done) = (0, 0, 0);
@@ -261,8 +276,9 @@ impl Lag {
             let end = count.min(first + self.hop - (first + ahead) % self.hop);
             let end_s = since(samples.time_ns[end - 1], log.origin_ns);
             let until = count_until(&log.decided.items, end_s);
-            let settled = until < log.decided.len() || open.is_empty();
-            let until = if settled { until } else { until + count_until(&open.items, end_s) };
+            let all_final = until < log.decided.len() || open.is_empty();
+            let settled = all_final && end_s <= complete_s;
+            let until = if all_final { until } else { until + count_until(&open.items, end_s) };
             let items = (done..until).map(|j| match log.decided.items.get(j) {
                 Some(&item) => (item, log.decided.decisions[j]),
                 None => (open.items[j - log.decided.len()], open.decisions[j - log.decided.len()]),
@@ -289,7 +305,9 @@ impl Lag {
 
     /// Drops the pieces before what is given out and decided.
     fn drop_settled(&mut self, due: usize) {
-        let first_s = self.estimator.memory.undecided.first_s();
+        let memory = &self.estimator.memory;
+        // What a bank of clocks decides anew begins with a filter that is kept.
+        let first_s = [memory.undecided.first_s(), memory.clocks.open_from_s()].into_iter().flatten().reduce(f64::min);
         let (Some(log), Some(before)) = (&mut self.estimator.log, &mut self.before) else { return };
         let settled = match first_s {
             Some(first_s) => log.samples.time_ns.partition_point(|&one| since(one, log.origin_ns) < first_s),
@@ -324,10 +342,18 @@ struct Alternatives {
 
 impl Alternatives {
     fn of(estimator: &Estimator) -> Option<Self> {
-        let (since_s, filter) = (estimator.memory.undecided.first_s()?, estimator.memory.filter.as_ref()?);
-        let (model, hyps) = (&estimator.model, filter.hyps.all());
-        let weight = |hyp: &Hypothesis| hyp.memory.weight.exp();
-        let total: f64 = hyps.iter().map(weight).sum();
+        let (memory, model) = (&estimator.memory, &estimator.model);
+        let (bank, filter) = (memory.clocks.bank.as_ref(), memory.filter.as_ref()?);
+        let opens = [memory.undecided.first_s(), bank.map(|bank| bank.before().clock.time_s)];
+        let since_s = opens.into_iter().flatten().reduce(f64::min)?;
+        let now = memory.clocks.leader.as_ref().unwrap_or(filter);
+        let own: f64 = now.hyps.all().iter().map(|hyp| hyp.memory.weight.exp()).sum();
+        let weights = bank.map_or_else(|| vec![1.0], |bank| bank.weights(model));
+        let mut hyps: Vec<(f64, &Hypothesis)> =
+            now.hyps.all().iter().map(|hyp| (weights[0] * hyp.memory.weight.exp() / own, hyp)).collect();
+        let members = bank.iter().flat_map(|bank| &bank.members).map(|one| one.filter.hyps.best());
+        hyps.extend(weights[1..].iter().copied().zip(members));
+        let total: f64 = weights.iter().sum();
         let motion = |hyp: &Hypothesis, axis: usize| {
             let state = |j: usize| {
                 let sensitivities = &hyp.x.row(j)[1..];
@@ -337,12 +363,12 @@ impl Alternatives {
             let i = motion_of(axis);
             [state(i) - datum, state(i + 1), state(i + 2)]
         };
-        let best: Vec<_> = (0..model.axes()).map(|a| motion(&hyps[0], a)).collect();
-        let off = |hyp: &Hypothesis| {
+        let best: Vec<_> = (0..model.axes()).map(|a| motion(hyps[0].1, a)).collect();
+        let off = |&(weight, hyp): &(f64, &Hypothesis)| {
             let apart = |a: usize| std::array::from_fn(|j| motion(hyp, a)[j] - best[a][j]);
-            (weight(hyp) / total, (0..model.axes()).map(apart).collect())
+            (weight / total, (0..model.axes()).map(apart).collect())
         };
-        Some(Self { since_s, now_s: filter.clock.time_s, others: hyps[1..].iter().map(off).collect() })
+        Some(Self { since_s, now_s: now.clock.time_s, others: hyps[1..].iter().map(off).collect() })
     }
 
     /// Adds to the variances of a row at a time (s) what the alternatives are apart there: all of them follow the same

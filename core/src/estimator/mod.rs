@@ -22,6 +22,8 @@
 
 pub mod acceptance;
 pub mod cause;
+pub mod clock_bank;
+pub mod clocks;
 pub mod coast;
 pub mod decided;
 pub mod hypotheses;
@@ -48,6 +50,7 @@ pub mod start;
 pub mod state;
 pub mod steps;
 pub mod stream;
+pub mod suspicion;
 pub mod update;
 pub mod waiting;
 pub mod way_back;

@@ -2,7 +2,7 @@
 
 use super::layout::{Layout, State};
 use super::row::Row;
-use super::settings::{Apart, NANOSECONDS, ParameterKind, Rates, Settings};
+use super::settings::{NANOSECONDS, ParameterKind, Rates, Settings};
 use super::slow::SlowError;
 
 /// A channel with its row and the places of its states.
@@ -30,8 +30,10 @@ pub struct ChannelModel {
     pub coasting_s: f64,
     /// See `coasting_s`.
     pub lost_s: f64,
-    /// What a step of its clock makes of its measurements.
-    pub apart: Apart,
+    /// The parameter that is the offset of its clock; None: clocks do not step.
+    pub clock: Option<usize>,
+    /// Variance of the difference between two instants of the motion that are far apart, m².
+    pub apart_m2: f64,
 }
 
 /// How a parameter is estimated.
@@ -68,6 +70,8 @@ pub struct Model {
     pub misfit: Vec<f64>,
     /// Variance (axes,) that nothing measured tells of a row, m².
     pub unseen_m2: Vec<f64>,
+    /// Standard deviation (m) of each axis' displacement and its middle angular frequency (1/s).
+    pub usual: Vec<(f64, f64)>,
     /// Acceleration (axes,) that leaning takes per metre of displacement, 1/s².
     pub lean: Vec<f64>,
 }
@@ -97,6 +101,7 @@ impl Model {
             noise_memory: settings.noise_memory,
             misfit: settings.misfit[..settings.axes].to_vec(),
             unseen_m2: settings.unseen_m2[..settings.axes].to_vec(),
+            usual: settings.motion[..settings.axes].to_vec(),
             lean: settings.lean[..settings.axes].to_vec(),
             layout,
         }
@@ -126,8 +131,8 @@ impl Model {
 fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel {
     let channel = &settings.channels[c];
     let place = |name: State| layout.place(name).unwrap_or(0);
+    let (row, apart_m2) = (Row::of_displacement(c, settings, layout), settings.apart_m2(channel));
     ChannelModel {
-        row: Row::of_displacement(c, settings, layout),
         zero: place(State::Zero(c)),
         shift: place(State::Shift(c)),
         reference: place(State::Reference(c)),
@@ -148,7 +153,9 @@ fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel
         source: channel.source,
         coasting_s: channel.coasting_s,
         lost_s: channel.lost_s,
-        apart: settings.apart(channel),
+        clock: row.clock().filter(|&q| apart_m2 > 0.0 && settings.parameters[q].estimated_from_ns.is_some()),
+        apart_m2,
+        row,
     }
 }
 

@@ -29,7 +29,7 @@ pub enum What {
     Wild,
     /// A zero shifted.
     Shifted,
-    /// A zero went back, or a clock.
+    /// A zero went back.
     Returned,
     /// The acceleration was wrong.
     Wrong,
@@ -37,7 +37,7 @@ pub enum What {
     Lost,
     /// The noise rose.
     Noise,
-    /// A clock stepped.
+    /// A clock stepped; its size and standard deviation are in ms.
     Clock,
 }
 
@@ -80,7 +80,6 @@ enum Kind {
     Wrong,
     Lost,
     Noise,
-    Clock,
 }
 
 /// The last cause of a kind, of a sensor along an axis.
@@ -181,7 +180,6 @@ fn reported(cause: Cause) -> Option<(What, Kind)> {
         Cause::Wrong => Some((What::Wrong, Kind::Wrong)),
         Cause::Lost => Some((What::Lost, Kind::Lost)),
         Cause::Noise => Some((What::Noise, Kind::Noise)),
-        Cause::Clock => Some((What::Clock, Kind::Clock)),
     }
 }
 

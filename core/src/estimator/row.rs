@@ -102,6 +102,11 @@ impl Row {
         self.input * acceleration - self.velocity * motion.ahead()
     }
 
+    /// The parameter that is the offset of its sensor's clock.
+    pub fn clock(&self) -> Option<usize> {
+        self.effects.iter().position(|&one| one == Effect::Clock)
+    }
+
     /// The first state of its axis' motion.
     #[inline]
     pub fn motion(&self) -> usize {

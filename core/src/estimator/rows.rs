@@ -76,6 +76,33 @@ impl Rows {
         count
     }
 
+    /// Adds the rows of others behind.
+    pub fn extend(&mut self, other: &Self) {
+        self.add_stamps(other.axes.len(), &other.time_ns);
+        for (out, one) in self.axes.iter_mut().zip(&other.axes) {
+            out.displacement.extend_from_slice(&one.displacement);
+            out.variance.extend_from_slice(&one.variance);
+            out.velocity.extend_from_slice(&one.velocity);
+            out.source.extend_from_slice(&one.source);
+            out.status.extend_from_slice(&one.status);
+        }
+    }
+
+    /// Drops the last row where it is of this stamp.
+    pub fn drop_last(&mut self, time_ns: i64) {
+        if self.time_ns.last() != Some(&time_ns) {
+            return;
+        }
+        self.time_ns.pop();
+        for one in &mut self.axes {
+            for values in [&mut one.displacement, &mut one.variance, &mut one.velocity] {
+                values.pop();
+            }
+            one.source.pop();
+            one.status.pop();
+        }
+    }
+
     /// Fills the row at a place with the estimate (axes,) of a sample, and source and status of each axis.
     #[inline]
     pub fn put(&mut self, place: usize, time_ns: i64, estimate: &[Mixed], status: impl Fn(usize) -> (u8, u8)) {
@@ -123,9 +150,7 @@ impl Innovations {
         self.verdict.push(match decision.cause {
             Cause::Outlier => Verdict::Rejected,
             Cause::Lost => Verdict::Reacquired,
-            Cause::Good | Cause::Shift(_) | Cause::Wrong | Cause::Noise | Cause::Clock | Cause::StepBefore => {
-                Verdict::Accepted
-            }
+            Cause::Good | Cause::Shift(_) | Cause::Wrong | Cause::Noise | Cause::StepBefore => Verdict::Accepted,
         } as i8);
     }
 }
@@ -150,8 +175,6 @@ pub struct Standing {
     pub source: u8,
     /// By the youngest channel; bridged samples are coasting at best.
     pub status: Status,
-    /// Variance of the clock, s²: where all sensors that measure the axis are just back.
-    pub clock_variance: f64,
     /// Shortly before the first limit of an age that is not past, s.
     pub until_s: f64,
 }
@@ -163,12 +186,11 @@ impl Standing {
         // Ages are differences that are rounded: near a limit each row is looked at.
         const NEAR_S: f64 = 1e-6;
         let mut standing = Self { until_s: f64::INFINITY, ..Self::default() };
-        let (mut best, mut measuring, mut back) = (f64::INFINITY, false, true);
+        let mut best = f64::INFINITY;
         for (mark, channel) in hyp.marks.iter().zip(&model.channels).filter(|one| one.1.row.axis == axis) {
             let age = time_s - mark.accepted_s;
             if age <= channel.coasting_s {
-                (standing.status, measuring) = (Status::Tracking, true);
-                back = back && mark.doubt.lasts() && channel.apart.variance_m2 != 0.0;
+                standing.status = Status::Tracking;
                 if mark.accepted_variance < best {
                     (best, standing.source) = (mark.accepted_variance, channel.source);
                 }
@@ -180,9 +202,6 @@ impl Standing {
                     standing.until_s = standing.until_s.min(limit - NEAR_S);
                 }
             }
-        }
-        if measuring && back {
-            standing.clock_variance = BACK_STD_S * BACK_STD_S;
         }
         if kind == BRIDGED {
             standing.status = standing.status.max(Status::Coasting);
@@ -204,10 +223,6 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
         (Some(d), Some(z)) => misfit * (p[(d, d)] + 2.0 * p[(d, z)] + p[(z, z)]).max(0.0),
     }
 }
-
-/// Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some
-/// frames. What is farther off is a clock that has stepped.
-const BACK_STD_S: f64 = 0.02;
 
 /// What several hypotheses found as one: means and variances by their weights.
 pub fn mixed(runs: &[Rows], weights: &[f64]) -> Rows {

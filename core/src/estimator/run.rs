@@ -4,12 +4,13 @@
 //! before: then one hypothesis is enough, and what the pass back ([`super::smoother`]) needs can be left.
 
 use super::acceptance::{accept, find_step};
+use super::clock_bank::MAX_OFFSET_NS;
 use super::cause::{Cause, Decision, VAGUE, apply};
 use super::coast::Leave;
 use super::decided::{Survivor, Undecided};
 use super::hypotheses::Hypotheses;
-use super::hypothesis::{Doubt, Hypothesis};
-use super::innovation::{Innovation, Scene, Work, follow_clock, look, meet_zero};
+use super::hypothesis::Hypothesis;
+use super::innovation::{Innovation, Scene, Work, is_back, look, meet_zero};
 use super::layout::motion_of;
 use super::model::{Model, instant};
 use super::motion::{AxisMotion, Clock, Way, shift_velocity};
@@ -17,10 +18,11 @@ use super::predict::{add_noise, predict_covariance, predict_mean};
 use super::rows::{Innovations, Rows};
 use super::samples::View;
 use super::settings::{MAX_AXES, Settings};
-use super::situation::GATE;
+use super::situation::{GATE, log_normal, log_wrong};
 use super::start::{Beginning, START_S};
 use super::steps::SURE;
-use super::update::set_datum;
+use super::suspicion::Watch;
+use super::update::{move_motion, renew_parameter, set_datum};
 use super::waiting::{Item, Measurement, Timed};
 use super::way_back::{Scaled, WayBack};
 use serde::{Deserialize, Serialize};
@@ -36,7 +38,12 @@ pub struct Filter {
     pub clock: Clock,
     /// How many of the next measurements are judged both ways.
     pub judged: usize,
+    /// How well measurements agree with the sensors' clocks.
+    pub watch: Watch,
 }
+
+/// Stamps that went back may have stepped by this, s: what a bank of offsets covers.
+const WENT_BACK_S: f64 = 1e-9 * MAX_OFFSET_NS as f64;
 
 /// A block to run over.
 pub struct Block<'a> {
@@ -62,7 +69,11 @@ pub enum Judge<'a> {
         origin_ns: i64,
         /// What the way back needs, as long as one hypothesis takes all as good.
         back: Option<&'a mut WayBack>,
+        /// Whether the run ends behind the first sample up to which a clock is suspected to have stepped.
+        stops: bool,
     },
+    /// One hypothesis takes what it finds likely and leaves out what it does not.
+    Alone(&'a mut Alone),
     /// All is decided.
     Decided {
         /// What each item is taken for.
@@ -75,9 +86,22 @@ pub enum Judge<'a> {
 impl Judge<'_> {
     /// What the way back needs.
     fn back(&mut self) -> Option<&mut WayBack> {
-        let (Self::Open { back, .. } | Self::Decided { back, .. }) = self;
-        back.as_deref_mut()
+        match self {
+            Self::Open { back, .. } | Self::Decided { back, .. } => back.as_deref_mut(),
+            Self::Alone(_) => None,
+        }
     }
+}
+
+/// What a hypothesis alone made of measurements.
+#[derive(Clone, Debug, Default)]
+pub struct Alone {
+    /// Of each item whether its likelihood counts and it is not taken; none: all are.
+    pub untaken: Vec<bool>,
+    /// Logarithm of the likelihood of all measurements.
+    pub log_likelihood: f64,
+    /// What each was taken for.
+    pub undecided: Undecided,
 }
 
 /// A measurement's place in its interval.
@@ -101,19 +125,21 @@ impl Filter {
             motion: begin.acceleration.iter().map(|&input| AxisMotion { input, ..AxisMotion::default() }).collect(),
             clock: Clock { time_s: begin.time_s - START_S, step_s: f64::INFINITY },
             judged: begin.judged,
+            watch: Watch::new(settings.channels.len()),
         }
     }
 
     /// A copy with the best hypothesis alone.
     pub fn best_alone(&self) -> Self {
         let hyps = Hypotheses::one(self.hyps.best().clone());
-        Self { hyps, motion: self.motion.clone(), clock: self.clock, judged: self.judged }
+        Self { hyps, motion: self.motion.clone(), clock: self.clock, judged: self.judged, watch: self.watch.clone() }
     }
 
     /// Becomes a copy of the best hypothesis of another one of the same model, in the memory that it has.
     pub fn copy_best(&mut self, other: &Self) {
         self.hyps.set_one(other.hyps.best());
         self.motion.clone_from(&other.motion);
+        self.watch.clone_from(&other.watch);
         (self.clock, self.judged) = (other.clock, other.judged);
     }
 
@@ -126,10 +152,10 @@ impl Filter {
 
     /// Whether it is of the model's shape.
     pub fn fits(&self, model: &Model) -> bool {
-        self.hyps.fit(model) && self.motion.len() == model.axes()
+        self.hyps.fit(model) && self.motion.len() == model.axes() && self.watch.fits(model.channels.len())
     }
 
-    /// Runs over a block; rows: where they are to go.
+    /// Runs over a block; rows: where they are to go. Returns how many samples it has run over.
     pub fn run(
         &mut self,
         model: &Model,
@@ -137,7 +163,7 @@ impl Filter {
         judge: &mut Judge,
         mut rows: Option<&mut Rows>,
         work: &mut Work,
-    ) {
+    ) -> usize {
         self.note_uncertain(model, judge, work);
         let (mut next, mut ordered, mut k) = (0, 0, 0);
         while k < block.time_s.len() {
@@ -153,7 +179,11 @@ impl Filter {
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
             self.leave_sample(model, (block, k), &mut Leave { rows: rows.as_deref_mut(), back: judge.back() }, work);
             k += 1;
+            if matches!(judge, Judge::Open { stops: true, .. }) && self.watch.suspect.is_some() {
+                break;
+            }
         }
+        k
     }
 
     /// Goes on over the interval that ends at a sample, with the items in it.
@@ -166,7 +196,7 @@ impl Filter {
         work: &mut Work,
     ) {
         let (axes, begun_s, end_s) = (model.axes(), self.clock.time_s, block.time_s[k]);
-        let (dt, gap) = (end_s - begun_s, self.clock.is_gap(end_s));
+        let (dt, gap, step_s) = (end_s - begun_s, self.clock.is_gap(end_s), self.clock.step_s);
         let density = &block.samples.density[k * axes..(k + 1) * axes];
         let mut now = [0.0; MAX_AXES];
         self.leaned(model, &block.samples.value[k * axes..(k + 1) * axes], dt, &mut now);
@@ -188,7 +218,7 @@ impl Filter {
         }
         self.clock.advance(end_s);
         if gap {
-            self.hyps.doubt_all();
+            self.watch.doubt_all(dt - step_s);
         }
         for (axis, &input) in self.motion.iter_mut().zip(&now) {
             axis.input = input;
@@ -261,11 +291,11 @@ impl Filter {
             *ordered = self.order_frame(model, items, j, place, work);
         }
         let Timed { at_s, item: Item::Measured(row) } = items[j] else { return };
-        let Self { hyps, motion, judged, .. } = self;
+        let Self { hyps, motion, judged, watch, .. } = self;
         let scene = scene_of(model, motion, &row, at_s, place);
         match judge {
-            Judge::Open { undecided, innovations, origin_ns, back } => {
-                let left = judge_open(hyps, judged, &scene, back.as_deref_mut(), work);
+            Judge::Open { undecided, innovations, origin_ns, back, .. } => {
+                let left = judge_open((hyps, judged, watch), &scene, back.as_deref_mut(), work);
                 *back = if left { back.take() } else { None };
                 let best = &hyps.best().memory;
                 let time_ns = instant(at_s, *origin_ns);
@@ -279,10 +309,11 @@ impl Filter {
                     pass_first(hyps, judged);
                 }
             }
+            Judge::Alone(alone) => take_alone(hyps.best_mut(), alone, &scene, (j, items[j]), work),
         }
     }
 
-    /// The rows count from here, or clocks are in doubt; each hypothesis goes on as it is.
+    /// The rows count from here, clocks are in doubt, or one has stepped; each hypothesis goes on as it is.
     fn pass_mark(&mut self, model: &Model, mark: Timed, judge: &mut Judge) {
         for hyp in self.hyps.all_mut() {
             if mark.item == Item::Datum {
@@ -291,15 +322,30 @@ impl Filter {
             }
         }
         if mark.item == Item::WentBack {
-            self.hyps.doubt_all();
+            self.watch.doubt_all(WENT_BACK_S);
+        }
+        if let Judge::Decided { back: Some(back), .. } = judge {
+            back.pass_mark(mark, &self.hyps.best().parameters);
+        }
+        if let Item::ClockStep { parameter, variance, moved_s } = mark.item {
+            for hyp in self.hyps.all_mut() {
+                renew_parameter(hyp, parameter, variance);
+                model
+                    .usual
+                    .iter()
+                    .enumerate()
+                    .for_each(|(a, usual)| move_motion(&mut hyp.p, motion_of(a), usual, moved_s));
+                let own = hyp.marks.iter_mut().zip(&model.channels).filter(|one| one.1.clock == Some(parameter));
+                own.for_each(|(own, _)| own.met_s = own.met_s.max(mark.at_s));
+            }
         }
         match judge {
             Judge::Open { undecided, back, .. } => {
                 undecided.add(mark, (0..self.hyps.count()).map(Survivor::unchanged));
                 *back = None;
             }
-            Judge::Decided { back: Some(back), .. } => back.pass_mark(mark),
-            Judge::Decided { back: None, .. } => {}
+            Judge::Alone(alone) => alone.undecided.add(mark, std::iter::once(Survivor::unchanged(0))),
+            Judge::Decided { .. } => {}
         }
     }
 
@@ -341,31 +387,33 @@ fn scene_of<'a>(
 /// Lets all hypotheses meet a measurement; returns whether one alone has taken it as a good one, and left its record.
 #[inline]
 fn judge_open(
-    hyps: &mut Hypotheses,
-    judged: &mut usize,
+    (hyps, judged, watch): (&mut Hypotheses, &mut usize, &mut Watch),
     scene: &Scene,
     back: Option<&mut WayBack>,
     work: &mut Work,
 ) -> bool {
     let c = scene.row.channel;
-    if scene.at_s - hyps.best().marks[c].met_s > scene.channel.coasting_s {
-        hyps.all_mut().iter_mut().for_each(|hyp| hyp.marks[c].doubt = Doubt::Gap);
-    }
     let count = hyps.count();
     let best = hyps.best_mut();
+    let was_away = best.marks[c].begun && is_back(best, scene);
     let made = meet_zero(best, scene);
-    follow_clock(best, scene);
     let mark = &best.marks[c];
-    let usual = best.memory.burst.is_none() && mark.outliers == 0.0 && !mark.stepped && mark.doubt == Doubt::None;
-    if count == 1 && *judged == 0 && usual {
-        let innovation = look(best, scene, work);
-        if innovation.within(GATE) && innovation.with_parameters <= VAGUE * innovation.noise {
-            let total = take_good(best, scene, &innovation, work);
-            if let Some(back) = back {
-                back.leave_record(scene.at_s, c, Some(total), made, work);
-            }
-            return !(scene.model.looks_for_steps() && find_step(best, scene, SURE));
+    // After a gap the causes are weighed: the first measurement tells no earlier step.
+    let is_late = scene.at_s - mark.met_s > scene.channel.coasting_s;
+    let usual = best.memory.burst.is_none() && mark.outliers == 0.0 && !is_late;
+    let innovation = look(best, scene, work);
+    if *judged == 0 {
+        watch.note(scene, &innovation, &work.e, was_away);
+    }
+    let is_inside = innovation.within(GATE) && innovation.with_parameters <= VAGUE * innovation.noise;
+    if count == 1 && *judged == 0 && usual && is_inside {
+        let total = take_good(best, scene, &innovation, work);
+        if let Some(back) = back {
+            back.leave_record(scene.at_s, c, Some(total), made, work);
         }
+        let is_step = scene.model.looks_for_steps() && find_step(best, scene, SURE);
+        hyps.add_evidence(log_normal(innovation.error, innovation.total()));
+        return !is_step;
     }
     hyps.meet_others(scene);
     let first = *judged > 0;
@@ -398,17 +446,35 @@ fn take_good(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work:
 fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: Option<&mut WayBack>, work: &mut Work) {
     let c = scene.row.channel;
     let made = meet_zero(hyp, scene);
-    let followed = follow_clock(hyp, scene);
-    let (total, scaled) =
-        if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained && !hyp.marks[c].stepped {
-            hyp.marks[c].doubt = Doubt::None;
-            let innovation = look(hyp, scene, work);
-            (Some(take_good(hyp, scene, &innovation, work)), 1.0)
-        } else {
-            let taken = apply(decision, hyp, scene, work);
-            (taken.total, taken.shift_scaled)
-        };
+    let (total, scaled) = if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained {
+        let innovation = look(hyp, scene, work);
+        (Some(take_good(hyp, scene, &innovation, work)), 1.0)
+    } else {
+        let taken = apply(decision, hyp, scene, work);
+        (taken.total, taken.shift_scaled)
+    };
     if let Some(back) = back {
-        back.leave_record(scene.at_s, c, total, Scaled { shift: followed * scaled, ..made }, work);
+        back.leave_record(scene.at_s, c, total, Scaled { shift: scaled, ..made }, work);
     }
+}
+
+/// Lets one hypothesis take a measurement as good, or leave it out where that is likelier; item: its number among
+/// those of the run, and itself.
+fn take_alone(hyp: &mut Hypothesis, alone: &mut Alone, scene: &Scene, (j, item): (usize, Timed), work: &mut Work) {
+    meet_zero(hyp, scene);
+    let (innovation, p) = (look(hyp, scene, work), scene.model.rates.outlier);
+    let good = (1.0 - p).ln() + log_normal(innovation.error, innovation.total());
+    let wrong = p.ln() + log_wrong(innovation.error, innovation.total(), innovation.noise);
+    let (more, less) = if good >= wrong { (good, wrong) } else { (wrong, good) };
+    alone.log_likelihood += more + (less - more).exp().ln_1p();
+    if alone.untaken.get(j).copied().unwrap_or(false) {
+        return;
+    }
+    if good >= wrong {
+        take_good(hyp, scene, &innovation, work);
+    } else {
+        apply(Decision::of(Cause::Outlier), hyp, scene, work);
+        hyp.memory.parent = 0;
+    }
+    alone.undecided.add(item, std::iter::once(Survivor::of(hyp)));
 }

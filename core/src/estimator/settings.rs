@@ -103,16 +103,6 @@ pub struct Rates {
     pub odds: f64,
 }
 
-/// Variance (m²) of the difference between two instants of the motion that are far apart, and the rate (1/s) at which
-/// the motion forgets where it was.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Apart {
-    /// Variance, m².
-    pub variance_m2: f64,
-    /// Rate, 1/s.
-    pub rate_s: f64,
-}
-
 /// The table of channels, and what is known before the first measurement; arrays have one element an axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
@@ -153,15 +143,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// What a clock's step makes of a channel's measurements.
-    ///
-    /// Two instants far apart differ by twice the motion's variance. The targets of a sensor differ by the same, which
-    /// is reported of each of them as if it were its own: their mean must not be more certain than one.
-    pub fn apart(&self, channel: &Channel) -> Apart {
-        let (std_m, rate_s) = self.motion.get(channel.axis).copied().unwrap_or((0.0, 0.0));
-        let alike = |one: &&Channel| one.sensor == channel.sensor && one.axis == channel.axis;
-        let targets = self.channels.iter().filter(alike).count();
-        Apart { variance_m2: 2.0 * std_m * std_m * targets as f64, rate_s }
+    /// Variance (m²) of the difference between two instants of a channel's motion that are far apart; 0: clocks do not
+    /// step.
+    pub fn apart_m2(&self, channel: &Channel) -> f64 {
+        let (std_m, _) = self.motion.get(channel.axis).copied().unwrap_or((0.0, 0.0));
+        2.0 * std_m * std_m
     }
 
     /// The first channel of those that share the slow error of channel `c`: of one sensor along one axis; None: it has

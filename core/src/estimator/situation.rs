@@ -1,6 +1,6 @@
 //! A measurement in one hypothesis before it is decided what it is, and the densities that its causes are weighed by.
 
-use super::hypothesis::{Doubt, Hypothesis, Mark, Memory};
+use super::hypothesis::{Hypothesis, Mark, Memory};
 use super::innovation::{Innovation, Scene};
 
 /// Innovations beyond this number of standard deviations are asked what happened: one in 16 000 is by chance.
@@ -14,8 +14,6 @@ pub const OUTLIER_MEMORY: f64 = 20.0;
 const MAX_OUTLIERS: f64 = 0.3;
 /// Errors of unknown size lie within this number of decades above the noise.
 pub const DECADES: f64 = 4.0;
-/// Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
-pub(super) const P_STEPPED: f64 = 0.1;
 /// Shortest time (s) that a rate is taken over.
 pub const SHORTEST_S: f64 = 1e-3;
 pub(super) const LOG_2PI: f64 = 1.837_877_066_409_345_3;
@@ -25,7 +23,6 @@ pub struct Situation<'a> {
     pub(super) scene: &'a Scene<'a>,
     pub(super) mark: &'a Mark,
     pub(super) memory: &'a Memory,
-    pub(super) marks: &'a [Mark],
     pub(super) innovation: Innovation,
     /// Mean of the shift's state, its variance, and its entry of P h.
     pub(super) shift: (f64, f64, f64),
@@ -55,7 +52,6 @@ impl<'a> Situation<'a> {
             scene,
             mark,
             memory,
-            marks: &hyp.marks,
             shift: (hyp.x[(s, 0)], hyp.p[(s, s)], ph[s]),
             first,
             sharpest,
@@ -98,41 +94,6 @@ impl<'a> Situation<'a> {
         }
         wrong
     }
-
-    /// The variance that a step of the clock adds, in the channel's unit.
-    pub(super) fn apart(&self) -> f64 {
-        let g = self.scene.channel.row.units_per_m;
-        self.scene.channel.apart.variance_m2 * g * g
-    }
-
-    /// How likely it is that the sensor's clock has stepped: 0 where another channel of the same frame agrees.
-    pub(super) fn clock_rate(&self) -> f64 {
-        let (scene, rates) = (self.scene, &self.scene.model.rates);
-        for (o, (mark, channel)) in self.marks.iter().zip(&scene.model.channels).enumerate() {
-            if o != scene.row.channel && channel.sensor == scene.channel.sensor {
-                if mark.stepped {
-                    return rates.stays;
-                }
-                if mark.accepted_s == scene.at_s {
-                    return 0.0;
-                }
-            }
-        }
-        if self.mark.doubt == Doubt::None { met_within(rates.clock, self.lapse) } else { P_STEPPED }
-    }
-
-    /// Whether a step of the clock is asked for inside the gate: not where the prediction may be off by more than what
-    /// one makes.
-    pub(super) fn doubted(&self) -> bool {
-        matches!(self.mark.doubt, Doubt::Once | Doubt::Gap) && tells_step(self.scene, self.innovation.total())
-    }
-}
-
-/// Whether an innovation's variance is less than what a step of the clock makes; where clocks do not step there is
-/// nothing to tell.
-pub(super) fn tells_step(scene: &Scene, total: f64) -> bool {
-    let (apart, g) = (scene.channel.apart.variance_m2, scene.channel.row.units_per_m);
-    apart == 0.0 || total < apart * g * g
 }
 
 /// Logarithm of the normal density of an innovation.

@@ -52,6 +52,8 @@ pub struct Adjoint {
     sensitivity: Vec<f64>,
     /// Variance (axes,) of the datum at the record's end, which no row is more certain than.
     least: Vec<f64>,
+    /// The parameters (k,), those of the record's end until one is begun anew.
+    parameters: Vec<f64>,
 }
 
 impl Adjoint {
@@ -75,6 +77,7 @@ impl Adjoint {
             met: vec![[0.0; LANES]; width],
             sensitivity: vec![0.0; columns],
             least: Vec::new(),
+            parameters: Vec::new(),
         }
     }
 
@@ -82,6 +85,7 @@ impl Adjoint {
     pub fn restart(&mut self, recounted: bool) {
         self.rows.fill([0.0; LANES]);
         self.used = self.columns;
+        self.parameters.clear();
         if recounted {
             self.live_rows.clear();
         }
@@ -98,6 +102,9 @@ impl Adjoint {
     /// Runs back over a block; smoothed: takes the rows (samples · axes) of the wanted samples.
     pub fn pass(&mut self, way: &WayBack, view: &Counted, wanted: Range<usize>, smoothed: &mut Vec<Mixed>) {
         self.find_live(way, view.counting);
+        if self.parameters.is_empty() {
+            self.parameters.clone_from(&view.last.parameters);
+        }
         self.least.clear();
         self.least.extend((0..way.axes).map(|a| zero_variance(view.last, a, view.model)));
         if self.used >= self.columns + 2 * self.live.len() {
@@ -180,6 +187,7 @@ impl Adjoint {
     fn back_through(&mut self, way: &WayBack, place: usize, view: &Counted) {
         let (channel, total, scaled) = match way.records[place].what {
             Recorded::Doubt => return,
+            Recorded::ClockStep { parameter, value } => return self.back_through_clock_step(parameter, value),
             Recorded::Datum => return self.back_through_datum(view),
             Recorded::Measured { channel, total, scaled } => (channel, total, scaled),
         };
@@ -256,6 +264,13 @@ impl Adjoint {
         }
     }
 
+    /// Before a clock's offset was begun anew: what comes later says nothing of the one before.
+    fn back_through_clock_step(&mut self, parameter: usize, value: f64) {
+        self.parameters[parameter] = value;
+        let (rows, width) = (self.rows.as_flattened_mut(), self.width * LANES);
+        rows.iter_mut().skip(1 + parameter).step_by(width).for_each(|value| *value = 0.0);
+    }
+
     /// Before the datum was copied from the displacement.
     fn back_through_datum(&mut self, view: &Counted) {
         let Some(datum) = &view.model.datum else { return };
@@ -301,7 +316,7 @@ impl Adjoint {
     /// (s) than the sample the adjoint is.
     fn smoothed(&mut self, way: &WayBack, (span, k, a): (usize, usize, usize), ahead: f64, view: &Counted) -> Mixed {
         let Counted { model, counting, last } = view;
-        let Self { rows, width, columns, used, live, pc, pv, met, sensitivity, .. } = self;
+        let Self { rows, width, columns, used, live, pc, pv, met, sensitivity, parameters, .. } = self;
         let (columns, used, width, node) = (*columns, *used, *width, way.node(span, k, a));
         // The filtered variance: of the displacement relative to the datum.
         let d = model.datum.as_ref().and_then(|datum| node.live.iter().position(|&j| j == datum[a]));
@@ -330,7 +345,7 @@ impl Adjoint {
         let (rows, met) = (rows.as_flattened(), met.as_flattened());
         let (mut value, mut velocity) = (0.0, 0.0);
         for c in 0..columns {
-            let share = if c == 0 { 1.0 } else { last.parameters[c - 1] };
+            let share = if c == 0 { 1.0 } else { parameters[c - 1] };
             let place = node.places[c] - met[c];
             sensitivity[c] = place;
             value += place * share;

@@ -300,7 +300,7 @@ impl Estimator {
         let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
         // The innovations are those of the hypothesis that comes out as the best.
         let innovations = &mut vec![Innovations::default(); count];
-        let mut open = Judge::Open { undecided: &mut undecided, innovations, origin_ns, back: None };
+        let mut open = Judge::Open { undecided: &mut undecided, innovations, origin_ns, back: None, stops: false };
         filter.run(&self.model, &mut block, &mut open, None, &mut self.work);
         if self.give_rows {
             let again = |b: usize| self.again(&begun, &mut block, &undecided.decisions_of(b));

@@ -3,13 +3,14 @@
 //! Measurements wait for the samples that cover their time. Rows are held back until the first few measurements have
 //! come: the first of them is then judged by those after it.
 
+use super::clocks::Clocks;
 use super::decided::{Log, Logged, MAX_UNDECIDED, Undecided, channels_exist};
 use super::innovation::{Work, predict_value};
-use super::model::{Model, instant, since};
+use super::model::{Model, since};
 use super::motion::GAP_STEPS;
 use super::reports::{Report, Reports};
-use super::rows::{Innovations, Output, zero_variance};
-use super::run::{Block, Filter, Judge};
+use super::rows::{Output, zero_variance};
+use super::run::Filter;
 use super::samples::{Integrated, Samples, View};
 use super::settings::Settings;
 use super::waiting::{Item, Measurement, Timed};
@@ -46,6 +47,8 @@ pub struct Remembered {
     pub(crate) overflown: bool,
     /// Events that wait for the next rows.
     pub(crate) pending: Vec<Report>,
+    /// What is known of the sensors' clocks.
+    pub(crate) clocks: Clocks,
 }
 
 /// The estimator of one measuring point.
@@ -83,6 +86,7 @@ impl Estimator {
             late: vec![false; channels],
             overflown: false,
             pending: Vec::new(),
+            clocks: Clocks::new(channels, settings.axes),
         };
         let work = Work::new(&model);
         Self {
@@ -185,26 +189,9 @@ impl Estimator {
         while first < samples.len() {
             let logged = self.log.as_ref().map_or(0, |log| log.samples.len());
             let end = samples.len().min(first + self.limits.block - logged % self.limits.block);
-            self.run_on(samples.part(first, end), back.as_deref_mut(), outputs);
+            self.run_clocked(samples.part(first, end), back.as_deref_mut(), outputs);
             first = end;
         }
-    }
-
-    fn run_on(&mut self, samples: View, back: Option<&mut WayBack>, outputs: &mut Option<Output>) {
-        let origin_ns = self.origin_ns();
-        samples.seconds(origin_ns, &mut self.time_s);
-        let (Some(&end_s), Some(mut filter)) = (self.time_s.last(), self.memory.filter.take()) else { return };
-        self.take_due(end_s);
-        let output = outputs.get_or_insert_default();
-        output.innovations.resize_with(self.settings.channels.len(), Innovations::default);
-        let rows = self.give_rows.then(|| output.rows.get_or_insert_default());
-        let first_ns = instant(self.memory.first_s, origin_ns);
-        let mut block = Block { samples, time_s: &self.time_s, items: &mut self.items, first_ns };
-        let (undecided, innovations) = (&mut self.memory.undecided, &mut output.innovations);
-        let mut open = Judge::Open { undecided, innovations, origin_ns, back };
-        filter.run(&self.model, &mut block, &mut open, rows, &mut self.work);
-        self.memory.filter = Some(filter);
-        self.settle(samples, output);
     }
 
     /// How many of the waiting items are no later than an instant.
@@ -231,20 +218,22 @@ impl Estimator {
         );
         let count = self.memory.filter.as_ref().map_or(0, |filter| filter.hyps.count());
         self.memory.undecided.settle(count);
-        self.report(output);
+        if self.memory.clocks.bank.is_none() {
+            self.report(output);
+        }
         let (Some(log), Some(filter)) = (self.log.as_mut(), self.memory.filter.as_ref()) else { return };
         log.samples.extend(samples);
         // What was decided because more would have been undecided need not be the best hypothesis's past.
         self.one_past = self.one_past && self.memory.undecided.len() < MAX_UNDECIDED;
         let logged = log.samples.len();
-        if logged % self.limits.block == 0 && self.one_past {
+        if logged % self.limits.block == 0 && self.one_past && self.memory.clocks.is_plain() {
             let open = self.memory.undecided.best().decisions;
             log.filters.insert(logged, Logged { filter: filter.best_alone(), decided: log.decided.len(), open });
         }
     }
 
     /// Logs what is final, and gives its events after those that waited.
-    fn report(&mut self, output: &mut Output) {
+    pub(super) fn report(&mut self, output: &mut Output) {
         let origin_ns = self.origin_ns();
         let Remembered { undecided, reports, pending, .. } = &mut self.memory;
         if let Some(log) = self.log.as_mut() {
@@ -266,7 +255,8 @@ impl Estimator {
         if self.memory.filter.is_none() {
             output.reports.clone_from(&self.memory.pending);
         } else {
-            let decided = std::mem::take(&mut self.memory.undecided).best();
+            self.finish_clocks(&mut output);
+            let decided = std::mem::take(&mut self.memory.undecided).all();
             self.memory.undecided.settled = decided;
             self.report(&mut output);
             output.reports.extend(self.memory.reports.ended(self.origin_ns()));
@@ -288,10 +278,17 @@ impl Estimator {
             let variance = if self.memory.filter.is_some() { f64::NAN } else { f64::INFINITY };
             return Some((row.units_per_m * self.memory.alone.as_ref()?.at(time_s, row.axis)?, variance));
         };
-        if time_s - filter.clock.time_s > GAP_STEPS * filter.clock.step_s {
+        let (filter, shift_s) = (self.memory.clocks.leader.as_ref().unwrap_or(filter), self.memory.clocks.offset_s(c));
+        let ahead_s = GAP_STEPS * filter.clock.step_s;
+        if time_s - filter.clock.time_s > ahead_s {
             return None;
         }
-        Some(predict_value(time_s, c, &filter.motion, &filter.clock, &filter.hyps, &self.model))
+        let at_s = (time_s + shift_s).clamp(filter.clock.time_s - ahead_s, filter.clock.time_s + ahead_s);
+        let (value, variance) = predict_value(at_s, c, &filter.motion, &filter.clock, &filter.hyps, &self.model);
+        let (g, channel) = (self.model.channels[c].row.units_per_m, &self.model.channels[c]);
+        // What it measures of a time farther away is anywhere in the motion.
+        let is_near = at_s == time_s + shift_s;
+        Some((value, if is_near { variance } else { variance + g * g * channel.apart_m2 }))
     }
 }
 
@@ -308,6 +305,7 @@ impl Remembered {
             && self.undecided.fits(count, channels)
             && self.reports.fits(channels)
             && self.late.len() == channels
+            && self.clocks.fits(model)
             && self.pending.iter().all(|one| one.channel < channels.max(1))
     }
 }

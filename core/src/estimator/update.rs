@@ -1,5 +1,6 @@
 //! The update of states and covariance by a measurement's row, and what changes single states.
 
+use super::hypothesis::Hypothesis;
 use super::layout::{Layout, State, motion_of};
 use super::matrix::Matrix;
 use super::row::Row;
@@ -129,4 +130,36 @@ pub fn move_reference(x: &mut Matrix, p: &mut Matrix, i: usize, was: f64, now: f
     }
     p[(i, i)] += now - was;
     1.0
+}
+
+/// Begins a parameter anew, of which only its variance is known: what the one before was estimated to be goes into the
+/// states, and how uncertain that was into their covariance.
+pub fn renew_parameter(hyp: &mut Hypothesis, q: usize, variance: f64) {
+    let (n, before, value) = (hyp.p.width(), hyp.spread[(q, q)], hyp.parameters[q]);
+    let moved: Vec<f64> = (0..n).map(|i| hyp.x[(i, 1 + q)]).collect();
+    for i in 0..n {
+        for j in 0..n {
+            hyp.p[(i, j)] += before * moved[i] * moved[j];
+        }
+        hyp.x[(i, 0)] += value * moved[i];
+        hyp.x[(i, 1 + q)] = 0.0;
+    }
+    hyp.spread.scale_both(q, 0.0);
+    hyp.spread[(q, q)] = variance;
+    hyp.parameters[q] = 0.0;
+    hyp.clear_tests();
+}
+
+/// Lets an axis' motion from state `i` on be that of an instant some time later or earlier (s); usual: standard deviation
+/// of its displacement (m) and middle angular frequency (1/s).
+pub fn move_motion(p: &mut Matrix, i: usize, usual: &(f64, f64), moved_s: f64) {
+    let variance = moved_m2(usual, moved_s);
+    p[(i, i)] += variance;
+    p[(i + 1, i + 1)] += usual.1 * usual.1 * variance;
+}
+
+/// Mean square (m²) of what a motion goes in some time (s).
+pub fn moved_m2(&(std_m, rate_s): &(f64, f64), moved_s: f64) -> f64 {
+    // The correlation of a smooth motion over so short a time.
+    -2.0 * std_m * std_m * (-0.5 * (rate_s * moved_s).powi(2)).exp_m1()
 }

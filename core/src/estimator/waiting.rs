@@ -28,13 +28,22 @@ pub enum Item {
     Datum,
     /// A stream's stamps have gone back here.
     WentBack,
+    /// A sensor's clock has stepped before the next measurement.
+    ClockStep {
+        /// The parameter that is its offset.
+        parameter: usize,
+        /// Variance of what its offset is then, s².
+        variance: f64,
+        /// By how much another instant the motion's state is of, s.
+        moved_s: f64,
+    },
 }
 
 impl Item {
     /// What comes first at one instant; channels by their number.
     fn order(&self) -> usize {
         match self {
-            Self::WentBack => 0,
+            Self::WentBack | Self::ClockStep { .. } => 0,
             Self::Datum => 1,
             Self::Measured(one) => 2 + one.channel,
         }
@@ -44,7 +53,7 @@ impl Item {
     pub fn measured(&self) -> Option<&Measurement> {
         match self {
             Self::Measured(one) => Some(one),
-            Self::Datum | Self::WentBack => None,
+            Self::Datum | Self::WentBack | Self::ClockStep { .. } => None,
         }
     }
 }
@@ -119,7 +128,7 @@ impl Estimator {
                 self.wait_early(stamp_ns, row);
                 continue;
             };
-            let at_s = since(stamp_ns, origin_ns);
+            let at_s = since(stamp_ns + self.memory.clocks.offsets_ns[row.channel], origin_ns);
             if at_s <= done_s {
                 late.push((row.channel, at_s));
             } else {

@@ -44,6 +44,11 @@ pub(super) enum Recorded {
     },
     Datum,
     Doubt,
+    /// A clock has stepped: the parameter, and what it was estimated to be before.
+    ClockStep {
+        parameter: usize,
+        value: f64,
+    },
 }
 
 /// Samples of which the same states are uncertain.
@@ -228,9 +233,13 @@ impl WayBack {
         self.details.extend_from_slice(&work.gain);
     }
 
-    /// Adds a mark.
-    pub fn pass_mark(&mut self, mark: Timed) {
-        let what = if mark.item == Item::Datum { Recorded::Datum } else { Recorded::Doubt };
+    /// Adds a mark; parameters (k,): before it.
+    pub fn pass_mark(&mut self, mark: Timed, parameters: &[f64]) {
+        let what = match mark.item {
+            Item::Datum => Recorded::Datum,
+            Item::ClockStep { parameter, .. } => Recorded::ClockStep { parameter, value: parameters[parameter] },
+            Item::WentBack | Item::Measured(_) => Recorded::Doubt,
+        };
         self.records.push(Record { sample: self.time_s.len(), at_s: mark.at_s, what });
         self.details.resize(self.details.len() + self.columns + self.size, 0.0);
     }

@@ -310,12 +310,13 @@ impl Estimator {
         (samples, decided, own.memory.undecided.len())
     }
 
-    /// Times (s) and channels of what waits for samples, -1 for the datum and -2 for stamps that went back.
+    /// Times (s) and channels of what waits for samples, -1 for the datum, -2 for stamps that went back, -3 for a clock's step.
     fn waiting(&self) -> (Vec<f64>, Vec<i64>) {
         let channel = |item: &Item| match item {
             Item::Measured(one) => one.channel as i64,
             Item::Datum => -1,
             Item::WentBack => -2,
+            Item::ClockStep { .. } => -3,
         };
         self.own().memory.waiting.iter().map(|one| (one.at_s, channel(&one.item))).unzip()
     }

@@ -44,7 +44,7 @@ CLEAR_MOTION = 400.0
 # Where the structure is when a target is first used, relative to the best target's first frame, m: more than structures
 # move by, and little enough for the estimator's arithmetic compared with variances of (1 µm)².
 OTHER_ZERO_STD_M = 0.1
-# Density of the random walk of a radar's clock relative to the accelerometer's, s²/s: it follows a drift of 60 ppm at
+# Density of the random walk of a sensor's clock relative to the accelerometer's, s²/s: it follows a drift of 60 ppm at
 # once.
 CLOCK_WALK = 3.6e-9
 # A target calibrated for another radar, or moved since, differs in carrier by this share or in range by this many bins.
@@ -76,6 +76,10 @@ class Table:
         """Put an uncertain value that the channels share to the table, where there is any doubt of it."""
         if 0.0 < std < np.inf:
             self.parameters.append(Parameter(kind, tuple(channels), std))
+
+    def clocked(self, channels: Sequence[int], std_s: float) -> None:
+        """Put the offset of the channels' clock to the table, which is estimated: clocks drift, and are set."""
+        self.parameters.append(Parameter(ParameterKind.CLOCK_OFFSET, tuple(channels), std_s, FIRST_NS, CLOCK_WALK))
 
     def scaled(self, channels: Sequence[int], relative_std: float) -> None:
         """Put the scale error that the channels share to the table.
@@ -175,7 +179,7 @@ def plain_channel(
         table.scaled([number], known.relative_std)
     else:
         table.in_true_metres.append(number)
-    table.uncertain(ParameterKind.CLOCK_OFFSET, [number], clock_std_s(known.offset))
+    table.clocked([number], clock_std_s(known.offset))
     step_m = resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m
     settings = PlainSettings(
         sensor, number, known.noise_std_m**2, step_s, step_m, known.scale, low_m=known.low_m, high_m=known.high_m
@@ -232,7 +236,7 @@ def camera_channels(
         shared = numbers if camera.fused else []
         table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
     every = [number for numbers in along for number in numbers]
-    table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
+    table.clocked(every, clock_std_s(calibrations[0].offset))
     directions = [camera.direction for camera in calibrations]
     rows = list(zip(*along, strict=True))
     levers = [[mapping.lever_px for mapping in camera.mappings()] for camera in calibrations]
@@ -300,8 +304,7 @@ def radar_channels(
         for channel in channels
     ]
     table.scaled(numbers, calibration.relative_std)
-    clock = ParameterKind.CLOCK_OFFSET
-    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(calibration.offset), 0, CLOCK_WALK))
+    table.clocked(numbers, clock_std_s(calibration.offset))
     return RadarSensor(sensor, chain, numbers)
 
 

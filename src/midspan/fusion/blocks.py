@@ -18,7 +18,7 @@ Codes = NDArray[np.uint8]
 RowArrays = tuple[Nanoseconds, Sequence[tuple[Floats, Floats, Floats, Codes, Codes]]]
 InnovationArrays = tuple[Nanoseconds, Floats, Floats, NDArray[np.int8]]
 # Of the core: what happened (its place in TEXTS), when (ns), to which channel, its size and the standard deviation of
-# that (mm), and of outliers in a row how many and how long (s).
+# that (mm; of a clock ms), and of outliers in a row how many and how long (s).
 Report = tuple[int, int, int, float, float, int, float]
 # Rows or None, innovations of each channel, events, variance of the zero of each axis.
 OutputArrays = tuple[RowArrays | None, Sequence[InnovationArrays], Sequence[Report], Sequence[float]]
@@ -43,7 +43,7 @@ TEXTS = (
         "The zero of {name} shifted by {off}; the displacement keeps its own. Check whether the target or the sensor "
         "has moved.",
     ),
-    ("level_shift", "The zero of {name} went back to where it was before its shift, or its clock to where it was."),
+    ("level_shift", "The zero of {name} went back to where it was before its shift."),
     (
         "acceleration",
         "The predicted displacement was off by {off} where {name} measured: the acceleration was wrong, and its band "
@@ -57,9 +57,8 @@ TEXTS = (
     ("noise", "The noise of {name} rose suddenly: a measurement lies {off} off, and its variance is raised."),
     (
         "clock",
-        "The clocks of {sensor} and of the accelerometer have stepped against each other: measurements (target "
-        "{target}) contradict the acceleration, the first by {off}. They bound only the slow motion from here on. "
-        "Calibrate the clock offset again.",
+        "The clocks of {sensor} and of the accelerometer have stepped against each other: from here on {moved} are "
+        "added to the time stamps of {sensor}, so that they fit the acceleration. Find out what set a clock.",
     ),
 )
 EVENT_KINDS = frozenset(kind for kind, _ in TEXTS)
@@ -111,6 +110,8 @@ def _event(report: Report, channels: Sequence[Channel], max_waiting: int) -> Eve
         target=channel.target,
         name=f"{channel.sensor}, target {channel.target}",
         off=f"{size_mm:.2f} ± {std_mm:.2f} mm",
+        # Of a clock the size is a time.
+        moved=f"{size_mm:.1f} ± {std_mm:.1f} ms",
         size_mm=size_mm,
         count=count,
         lasting_s=lasting_s,
