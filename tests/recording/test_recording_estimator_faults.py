@@ -107,8 +107,8 @@ def test_frames_without_numbers_are_a_gap_that_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("late_s", [0.02, *slow(0.0)])
-def test_a_sensor_that_was_away_and_comes_back_late_is_noisier_not_blind(late_s, tmp_path):
-    """A small offset is noise, which is said; as a clock that stepped the sensor bounded the slow motion alone."""
+def test_a_sensor_that_was_away_and_comes_back_late_has_its_clock_corrected(late_s, tmp_path):
+    """A small offset is found as a step of its clock: rows are as good as without it."""
     tones = ((0.4e-3, 1.1), (0.5e-3, 2.3), (0.3e-3, 4.1))
     case = Lively(seed=1, duration_s=90.0, rate_hz=15.0, noise_m=0.02e-3, first_s=0.003, tones=tones)
     folder = write(tmp_path / "recording", case, "displacement")
@@ -123,11 +123,10 @@ def test_a_sensor_that_was_away_and_comes_back_late_is_noisier_not_blind(late_s,
     settled, found = result.time_s > 47.0, {event.kind for event in result.events}
     # 43 s of errors that hang together over 0.2 s: 200 of them, of which 95 ± 2 % lie inside.
     assert np.mean(np.abs(error[settled]) < 1.96 * result.displacement_std_mm[settled]) > 0.89
-    assert ("noise" in found) == (late_s > 0.0)
-    assert "clock" not in found
-    # The sensor errs by what the structure moves in 20 ms, and its rows by no more than one of its values does.
-    speed_m_s = np.sqrt(sum((2.0 * np.pi * hertz * size_m) ** 2 for size_m, hertz in tones) / 2.0)
-    assert np.median(result.displacement_std_mm[settled]) < 1e3 * np.hypot(0.02e-3, late_s * speed_m_s)
+    assert ("clock" in found) == (late_s > 0.0)
+    assert "noise" not in found
+    # Rows are better than one value of the sensor, which would err by 0.2 mm.
+    assert np.median(result.displacement_std_mm[settled]) < 0.02
 
 
 def test_the_first_seconds_after_an_outage_hold_a_late_clock(tmp_path):

@@ -7,6 +7,7 @@
 //! estimates as its clock's parameter.
 
 use super::decided::Undecided;
+use super::hypothesis::Hypothesis;
 use super::innovation::{Mixed, Mixture, Work};
 use super::layout::MOTION_STATES;
 use super::model::{Model, instant, since};
@@ -224,22 +225,28 @@ impl Bank {
         instants
     }
 
-    /// Runs all filters anew over the samples since the one before, up to now, with what was measured until then.
-    pub fn weigh(&mut self, model: &Model, samples: View, time_s: &[f64], origin_ns: i64, work: &mut Work) {
+    /// Runs all filters anew over the samples since the one before, up to now, with what was measured until then; now:
+    /// the filter without a step.
+    pub fn weigh(
+        &mut self,
+        now: &Filter,
+        model: &Model,
+        (samples, time_s): (View, &[f64]),
+        origin_ns: i64,
+        work: &mut Work,
+    ) {
         self.add_newest(model);
+        self.none = now.hyps.evidence() - self.before().hyps.evidence();
         let starts: Vec<f64> = self.befores.iter().map(|one| self.log_likelihood_before(one)).collect();
         let now_s = time_s.last().copied().unwrap_or(self.before().clock.time_s);
         for member in &mut self.members {
             let before = &self.befores[member.before];
             let since: Vec<Timed> = self.items.iter().filter(|one| one.at_s > before.clock.time_s).copied().collect();
+            // What one measurement came to without a step, on the mean.
+            let usual = (self.none - starts[member.before]) / since.len().max(1) as f64;
             let (items, untaken) = member.step.applied(&since, model, origin_ns);
             let (mut items, untaken, unseen) = member.step.without_unseen(items, untaken);
             let due = items.partition_point(|one| one.at_s <= now_s);
-            let factor = |row: &Measurement| before.hyps.best().marks[row.channel].factor;
-            let pending = || unseen.iter().chain(&items[due..]).filter_map(|one| one.item.measured());
-            let most: f64 = pending().map(|row| log_normal(0.0, row.variance * factor(row))).sum();
-            let pending: f64 =
-                pending().enumerate().map(|(place, row)| log_later(place, row, factor(row), model)).sum();
             let concerned = |one: &&Timed| one.channel().is_some_and(|c| member.step.concerns(c, model));
             let stepped_s = items.iter().find(|one| matches!(one.item, Item::ClockStep { .. })).map(|one| one.at_s);
             let after = items[..due].iter().filter(|one| stepped_s.is_some_and(|at_s| one.at_s >= at_s));
@@ -250,6 +257,8 @@ impl Bank {
             let (samples, time_s) = (samples.part(first, samples.len()), &time_s[first..]);
             let mut block = Block { samples, time_s, items: &mut items[..due], first_ns: i64::MIN };
             member.filter.run(model, &mut block, &mut Judge::Alone(&mut alone), None, work);
+            let pending = unseen.iter().chain(&items[due..]).filter_map(|one| one.item.measured());
+            let (pending, most) = log_later(pending, member.filter.hyps.best(), usual, model);
             (member.weight, member.open) =
                 (member.prior + starts[member.before] + alone.log_likelihood + pending, most - pending);
         }
@@ -280,7 +289,6 @@ impl Bank {
 
     /// Compares all steps with none, whose filter is now; drops what falls behind.
     pub fn compare(&mut self, now: &Filter, model: &Model) -> Verdict {
-        self.none = now.hyps.evidence() - self.before().hyps.evidence();
         let channel = &model.channels[self.suspect.channel];
         // What makes innovations larger than their variance makes them less likely at all instants.
         let (odds, misfit) = (model.rates.odds, model.misfit[channel.row.axis].max(1.0));
@@ -335,12 +343,24 @@ impl Bank {
     }
 }
 
-/// Of what is of later than now it is only known how far the structure moves; after as many as a motion has states the
-/// others follow from these about as well as from a prediction, whose variance is the measurement's own.
-fn log_later(place: usize, row: &Measurement, factor: f64, model: &Model) -> f64 {
-    let channel = &model.channels[row.channel];
-    let g = channel.row.units_per_m;
-    let own = row.variance * factor;
-    let unknown = if place < MOTION_STATES { channel.apart_m2 * g * g } else { own };
-    -0.5 * (LOG_2PI + 1.0 + (unknown + own).ln())
+/// Logarithm of the likelihood of measurements of later than now, and the most that it may come to: it is only known
+/// where the structure is now and how far it moves. After as many as a motion has states the others follow from these
+/// as well as from a prediction, whose variance is the measurement's own at least, and as they did without a step
+/// (usual).
+fn log_later<'a>(
+    rows: impl Iterator<Item = &'a Measurement>,
+    now: &Hypothesis,
+    usual: f64,
+    model: &Model,
+) -> (f64, f64) {
+    let (mut likely, mut most) = (0.0, 0.0);
+    for (place, row) in rows.enumerate() {
+        let channel = &model.channels[row.channel];
+        let (g, i) = (channel.row.units_per_m, channel.row.motion());
+        let own = row.variance * now.marks[row.channel].factor;
+        let unknown = if place < MOTION_STATES { (channel.apart_m2 + now.p[(i, i)]) * g * g } else { own };
+        likely += (-0.5 * (LOG_2PI + 1.0 + (unknown + own).ln())).min(usual);
+        most += log_normal(0.0, own);
+    }
+    (likely, most)
 }

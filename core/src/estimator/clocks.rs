@@ -289,8 +289,8 @@ impl Estimator {
         bank.items = self.items_since(bank.before(), now_ns);
         let samples = self.memory.clocks.samples.view();
         samples.seconds(origin_ns, &mut self.time_s);
-        bank.weigh(&self.model, samples, &self.time_s, origin_ns, &mut self.work);
         let Some(now) = self.memory.clocks.leader.as_ref().or(self.memory.filter.as_ref()) else { return };
+        bank.weigh(now, &self.model, (samples, &self.time_s), origin_ns, &mut self.work);
         match bank.compare(now, &self.model) {
             Verdict::Open => self.memory.clocks.bank = Some(bank),
             Verdict::None => self.calm(output),
