@@ -71,6 +71,8 @@ pub struct Member {
     before: usize,
     /// The filter with it.
     pub filter: Filter,
+    /// The rows of the filter since before the step, where they are kept.
+    pub rows: Rows,
 }
 
 /// All steps that may have been.
@@ -88,6 +90,8 @@ pub struct Bank {
     pub members: Vec<Member>,
     /// Logarithm of the likelihood of no step, counted from the same filter.
     none: f64,
+    /// Whether rows are kept.
+    keeps_rows: bool,
 }
 
 /// What the bank comes to.
@@ -162,9 +166,15 @@ impl Bank {
     /// All steps that a suspicion may mean; befores: filters of earlier, one at least; items: what was measured since
     /// the first of them.
     pub fn new(suspect: Suspicion, now_s: f64, befores: Vec<Filter>, items: Vec<Timed>, model: &Model) -> Self {
-        let mut bank = Self { suspect, since_s: now_s, befores, items, members: Vec::new(), none: 0.0 };
+        let mut bank =
+            Self { suspect, since_s: now_s, befores, items, members: Vec::new(), none: 0.0, keeps_rows: false };
         bank.instants(model).into_iter().for_each(|(from_s, probability)| bank.add(from_s, probability, model));
         bank
+    }
+
+    /// Keeps the rows of all members.
+    pub fn keeping_rows(self, keeps_rows: bool) -> Self {
+        Self { keeps_rows, ..self }
     }
 
     /// Adds the steps from a stamp (s) on, with their probability together.
@@ -187,7 +197,16 @@ impl Bank {
             for (&channel, &moved) in clocks.iter().flat_map(|one| states.iter().map(move |other| (one, other))) {
                 let step = Step { shift_ns, from_s, channel, moved };
                 let filter = self.befores[before].best_alone();
-                self.members.push(Member { step, prior, weight: prior, open: 0.0, met: 0, before, filter });
+                self.members.push(Member {
+                    step,
+                    prior,
+                    weight: prior,
+                    open: 0.0,
+                    met: 0,
+                    before,
+                    filter,
+                    rows: Rows::default(),
+                });
             }
         }
     }
@@ -256,7 +275,9 @@ impl Bank {
             let first = time_s.partition_point(|&one| one <= before.clock.time_s);
             let (samples, time_s) = (samples.part(first, samples.len()), &time_s[first..]);
             let mut block = Block { samples, time_s, items: &mut items[..due], first_ns: i64::MIN };
-            member.filter.run(model, &mut block, &mut Judge::Alone(&mut alone), None, work);
+            member.rows = Rows::default();
+            let rows = self.keeps_rows.then_some(&mut member.rows);
+            member.filter.run(model, &mut block, &mut Judge::Alone(&mut alone), rows, work);
             let pending = unseen.iter().chain(&items[due..]).filter_map(|one| one.item.measured());
             let (pending, most) = log_later(pending, member.filter.hyps.best(), usual, model);
             (member.weight, member.open) =
@@ -325,7 +346,8 @@ impl Bank {
         for member in &mut self.members {
             let mut block = Block { samples: sample, time_s, items: &mut [], first_ns: i64::MIN };
             let mut alone = Alone { undecided: Undecided::default(), ..Alone::default() };
-            member.filter.run(model, &mut block, &mut Judge::Alone(&mut alone), None, work);
+            let rows = self.keeps_rows.then_some(&mut member.rows);
+            member.filter.run(model, &mut block, &mut Judge::Alone(&mut alone), rows, work);
         }
     }
 

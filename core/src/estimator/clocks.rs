@@ -267,7 +267,8 @@ impl Estimator {
         let befores: Vec<Filter> = self.memory.clocks.kept.iter().cloned().collect();
         if let (Some(suspect), Some(before)) = (suspect, befores.first()) {
             let items = self.items_since(before, now_ns);
-            self.memory.clocks.bank = Some(Bank::new(suspect, now_s, befores, items, &self.model));
+            self.memory.clocks.bank =
+                Some(Bank::new(suspect, now_s, befores, items, &self.model).keeping_rows(!self.give_rows));
             self.weigh(now_ns, output);
         }
         self.leave_row(sample, output);

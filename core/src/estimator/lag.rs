@@ -8,9 +8,10 @@
 //! measurement. Innovations and events are those of the estimator, as they come.
 
 use super::cause::Decision;
+use super::clock_bank::Bank;
 use super::decided::{Decided, Log};
 use super::hypothesis::Hypothesis;
-use super::innovation::{Mixed, Work};
+use super::innovation::{Mixed, Mixture, Work};
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::{Model, instant, since};
 use super::rows::{Output, Rows};
@@ -215,6 +216,8 @@ impl Lag {
         let count = (self.given..due).filter(|&k| samples.is_row(k, first_ns)).count();
         let mut place = rows.add_zeros(model.axes(), count);
         let alternatives = Alternatives::of(&self.estimator);
+        let bank = self.estimator.memory.clocks.bank.as_ref();
+        let weights = bank.map(|bank| bank.weights(model));
         for piece in self.pieces.iter().rev() {
             let first = end - piece.way.len();
             let own = first.max(self.given)..end.min(due).max(first);
@@ -226,6 +229,9 @@ impl Lag {
                     rows.put(place, samples.time_ns[first + k], one, |a| piece.way.status(k, a));
                     if let Some(alternatives) = &alternatives {
                         alternatives.widen(rows, place, since(samples.time_ns[first + k], log.origin_ns));
+                    }
+                    if let (Some(bank), Some(weights)) = (bank, &weights) {
+                        mix(rows, place, bank, weights);
                     }
                 }
             }
@@ -343,17 +349,11 @@ struct Alternatives {
 impl Alternatives {
     fn of(estimator: &Estimator) -> Option<Self> {
         let (memory, model) = (&estimator.memory, &estimator.model);
-        let (bank, filter) = (memory.clocks.bank.as_ref(), memory.filter.as_ref()?);
-        let opens = [memory.undecided.first_s(), bank.map(|bank| bank.before().clock.time_s)];
-        let since_s = opens.into_iter().flatten().reduce(f64::min)?;
+        let (since_s, filter) = (memory.undecided.first_s()?, memory.filter.as_ref()?);
         let now = memory.clocks.leader.as_ref().unwrap_or(filter);
-        let own: f64 = now.hyps.all().iter().map(|hyp| hyp.memory.weight.exp()).sum();
-        let weights = bank.map_or_else(|| vec![1.0], |bank| bank.weights(model));
-        let mut hyps: Vec<(f64, &Hypothesis)> =
-            now.hyps.all().iter().map(|hyp| (weights[0] * hyp.memory.weight.exp() / own, hyp)).collect();
-        let members = bank.iter().flat_map(|bank| &bank.members).map(|one| one.filter.hyps.best());
-        hyps.extend(weights[1..].iter().copied().zip(members));
-        let total: f64 = weights.iter().sum();
+        let hyps = now.hyps.all();
+        let weight = |hyp: &Hypothesis| hyp.memory.weight.exp();
+        let total: f64 = hyps.iter().map(weight).sum();
         let motion = |hyp: &Hypothesis, axis: usize| {
             let state = |j: usize| {
                 let sensitivities = &hyp.x.row(j)[1..];
@@ -363,10 +363,10 @@ impl Alternatives {
             let i = motion_of(axis);
             [state(i) - datum, state(i + 1), state(i + 2)]
         };
-        let best: Vec<_> = (0..model.axes()).map(|a| motion(hyps[0].1, a)).collect();
-        let off = |&(weight, hyp): &(f64, &Hypothesis)| {
+        let best: Vec<_> = (0..model.axes()).map(|a| motion(&hyps[0], a)).collect();
+        let off = |hyp: &Hypothesis| {
             let apart = |a: usize| std::array::from_fn(|j| motion(hyp, a)[j] - best[a][j]);
-            (weight / total, (0..model.axes()).map(apart).collect())
+            (weight(hyp) / total, (0..model.axes()).map(apart).collect())
         };
         Some(Self { since_s, now_s: now.clock.time_s, others: hyps[1..].iter().map(off).collect() })
     }
@@ -384,6 +384,24 @@ impl Alternatives {
                 out.variance[place] += weight * off * off;
             }
         }
+    }
+}
+
+/// Makes a row that of no step of a clock and of all that may have been, by their weights: the others' as they were
+/// found up to the row's time.
+fn mix(rows: &mut Rows, place: usize, bank: &Bank, weights: &[f64]) {
+    let time_ns = rows.time_ns[place];
+    for (a, out) in rows.axes.iter_mut().enumerate() {
+        let mut mixture = Mixture::default();
+        let (value, variance, velocity) = (out.displacement[place], out.variance[place], out.velocity[place]);
+        mixture.add(weights[0], Mixed { value, variance, velocity });
+        let members = bank.members.iter().map(|one| one.rows.at(time_ns, a));
+        for (&weight, row) in weights[1..].iter().zip(members) {
+            mixture.add(weight, row.unwrap_or(Mixed { value, variance, velocity }));
+        }
+        let mixed = mixture.mixed();
+        (out.displacement[place], out.variance[place], out.velocity[place]) =
+            (mixed.value, mixed.variance, mixed.velocity);
     }
 }
 

@@ -7,9 +7,10 @@ use super::model::Model;
 use super::reports::Report;
 use super::samples::BRIDGED;
 use crate::Status;
+use serde::{Deserialize, Serialize};
 
 /// Rows of one axis.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AxisRows {
     /// Displacement relative to the datum, m.
     pub displacement: Vec<f64>,
@@ -24,7 +25,7 @@ pub struct AxisRows {
 }
 
 /// Rows of all axes.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Rows {
     /// Stamps, ns.
     pub time_ns: Vec<i64>,
@@ -74,6 +75,12 @@ impl Rows {
             one.status.resize(count, 0);
         }
         count
+    }
+
+    /// The estimate of an axis at a stamp; None: there is none.
+    pub fn at(&self, time_ns: i64, axis: usize) -> Option<Mixed> {
+        let (k, one) = (self.time_ns.binary_search(&time_ns).ok()?, &self.axes[axis]);
+        Some(Mixed { value: one.displacement[k], variance: one.variance[k], velocity: one.velocity[k] })
     }
 
     /// Adds the rows of others behind.

@@ -4,8 +4,8 @@
 //! before: then one hypothesis is enough, and what the pass back ([`super::smoother`]) needs can be left.
 
 use super::acceptance::{accept, find_step};
-use super::clock_bank::MAX_OFFSET_NS;
 use super::cause::{Cause, Decision, VAGUE, apply};
+use super::clock_bank::MAX_OFFSET_NS;
 use super::coast::Leave;
 use super::decided::{Survivor, Undecided};
 use super::hypotheses::Hypotheses;
