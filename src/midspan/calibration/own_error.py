@@ -39,6 +39,11 @@ TOLERANCE, MAX_EVALUATIONS = 0.02, 400
 CERTAIN = 2.5
 # An oscillator that decays in less than this many periods is no sway to speak of.
 PERIODS_SEEN = 0.5
+# An optimum within this factor of the lowest frequency is at the edge of the search.
+SLOWEST = 1.05
+# Errors that do not sway are looked at at instants so far apart, s: what exposures and shimmering air smooth them by is
+# less, and what errs faster the accelerometer shows. Close by, how smooth an error is told more than how large it is.
+APART_S = 0.3
 # Powers at a frequency are means over this many ordinates.
 SMOOTHED = 9
 
@@ -47,6 +52,7 @@ SMOOTHED = 9
 class OwnError:
     """A pair with the slow error of its measurements, and its fit.
 
+    std: its standard deviation, in the translation's unit.
     alone: whether it goes with the measurements alone; else the accelerometer may have it, and the band must hold it.
     taken: whether it is the pair's and the estimator's; else the accelerometer is the likelier cause, and the rows
     follow the measurements.
@@ -54,13 +60,19 @@ class OwnError:
 
     pair: Pair
     fit: Fit
+    std: float
     alone: bool
     taken: bool = True
 
     @property
-    def std(self) -> float:
-        """Standard deviation of the error, in the translation's unit."""
-        return float(np.sqrt(self.pair.slow[0] * self.fit.noise))
+    def sways(self) -> bool:
+        """Whether it oscillates to speak of, and no more slowly than the search goes."""
+        return self.hertz * self.time_s > PERIODS_SEEN and self.hertz * LONGEST_S > SLOWEST
+
+    @property
+    def is_tone(self) -> bool:
+        """Whether it has less damping than any structure."""
+        return self.hertz * self.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
 
     @property
     def time_s(self) -> float:
@@ -76,7 +88,7 @@ class OwnError:
         """A sentence on it; std_m: its standard deviation, m."""
         size = f"by {1e3 * std_m:.2g} mm rms besides its noise"
         course = f"errs slowly, {size}, over {1.0 / _slowest(*self.pair.slow[1:]):.2g} s, as through hot air or a lens that breathes (autofocus)"
-        if self.hertz * self.time_s > PERIODS_SEEN:
+        if self.sways:
             course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
         if self.alone and self.taken:
             return (
@@ -97,24 +109,47 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     if pair.lines or (not exceeds_own_noise(pair, fit) and narrow_motion(pair, fit) == 0.0):
         # An accelerometer with lines is known to err itself.
         return None
-    here = aligned(pair, fit.offset_s)
-    climb = _Climb(here, most_density(pair), OWN_SHARE * own_variance)
+    here, bounds = aligned(pair, fit.offset_s), (most_density(pair), OWN_SHARE * own_variance)
+    climb = _Climb(here, *bounds)
+    none = climb.best([np.log([fit.corner])])
+    share, std = _share(none)
+    if share + CERTAIN * std < 0.5:
+        return None
+    own = _sway(climb, none) or _drift(here, fit, bounds)
+    if own is None:
+        return None
+    alone = share - CERTAIN * std > 0.5
+    # A drift or a tone is an accelerometer's as soon as a camera's.
+    taken = (alone or own.sways) and not own.is_tone and own.fit.likelihood > fit.likelihood
+    return replace(own, alone=alone, taken=taken)
+
+
+def _sway(climb: "_Climb", none: Fit) -> OwnError | None:
+    """The oscillator that makes the measurements clearly likelier; None where none does, or that hardly oscillates."""
+    rate_hz = climb.pair.rate_hz
+    starts = [[size, hertz / PERIODS, 2.0 * np.pi * hertz] for size in SIZES for hertz in _peaks(none, rate_hz)]
+    found = climb.best([np.log([none.corner, *one]) for one in starts])
+    slow = climb.slow[found.corner, found.likelihood]
+    own = OwnError(climb.pair.changed(slow=slow), found, float(np.sqrt(slow[0] * found.noise)), alone=False)
+    gain = found.likelihood - none.likelihood - 3.0 * MIN_GAIN
+    return own if gain > 0.0 and own.sways else None
+
+
+def _drift(here: Aligned, fit: Fit, bounds: tuple[float, float]) -> OwnError | None:
+    """The Gauss-Markov process that makes measurements APART_S apart clearly likelier."""
+    pair = here.pair
+    sparse = pair.changed(rows=pair.rows[:: max(round(APART_S * pair.rate_hz), 1)])
+    climb = _Climb(Aligned(sparse, aligned(sparse, fit.offset_s).columns), *bounds)
     none = climb.best([np.log([fit.corner])])
     starts = [[size, 1.0 / (share * climb.span_s)] for size in SIZES for share in SHARES]
-    slow = climb.best([np.log([none.corner, *one]) for one in starts])
-    starts = [[size, hertz / PERIODS, 2.0 * np.pi * hertz] for size in SIZES for hertz in _peaks(none, pair.rate_hz)]
-    # Two real poles: as a Gauss-Markov process that is smooth over some frames.
-    poles = [(1.0 / (share * climb.span_s), pair.rate_hz) for share in SHARES]
-    starts += [[size, 0.5 * sum(pole), np.sqrt(np.prod(pole))] for size in SIZES for pole in poles]
-    swings = climb.best([np.log([none.corner, *one]) for one in starts])
-    gains = [found.likelihood - none.likelihood - MIN_GAIN * (2.0 + k) for k, found in enumerate((slow, swings))]
-    found, (share, std) = (slow, swings)[int(np.argmax(gains))], _share(none)
-    own = OwnError(pair.changed(slow=climb.slow[found.corner, found.likelihood]), found, share - CERTAIN * std > 0.5)
-    sways = own.hertz * own.time_s > PERIODS_SEEN
-    tone = own.hertz * own.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
-    # A drift or a tone is an accelerometer's as soon as a camera's.
-    taken = (own.alone or sways) and not tone and found.likelihood > fit.likelihood
-    return replace(own, taken=taken) if max(gains) > 0.0 and share + CERTAIN * std > 0.5 else None
+    found = climb.best([np.log([none.corner, *one]) for one in starts])
+    if found.likelihood - none.likelihood < 2.0 * MIN_GAIN:
+        return None
+    size2, rate, omega = climb.slow[found.corner, found.likelihood]
+    # Of all measurements both noises are as found, and so is the error; what is left of them is their own noise.
+    variance, corner = size2 * found.noise, found.corner * (pair.rate_hz / sparse.rate_hz) ** 0.25
+    whole = pair.changed(slow=(size2, rate, omega))
+    return OwnError(whole, here.of(whole).fit(corner), float(np.sqrt(variance)), alone=False)
 
 
 class _Climb:
@@ -126,7 +161,7 @@ class _Climb:
 
     def __init__(self, here: Aligned, most: float, least: float) -> None:
         """most: of the acceleration's noise density, (m/s²)²/Hz; least: of the measurements' noise variance."""
-        self._here, self._most, self._least = here, most, least
+        self._here, self._most, self._least, self.pair = here, most, least, here.pair
         rate_hz = here.pair.rate_hz
         self.span_s = len(here.pair.rows) / rate_hz
         self.slow: dict[tuple[float, float], tuple[float, float, float]] = {}
@@ -135,7 +170,7 @@ class _Climb:
                 corner_range(here.pair),
                 SIZE_RANGE,
                 (1.0 / LONGEST_S, 0.5 * rate_hz),
-                (1.0 / LONGEST_S, np.pi * rate_hz),
+                (2.0 * np.pi / LONGEST_S, np.pi * rate_hz),
             ]
         )
 
