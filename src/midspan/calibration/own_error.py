@@ -120,7 +120,7 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
         return None
     alone = share - CERTAIN * std > 0.5
     # A drift or a tone is an accelerometer's as soon as a camera's.
-    taken = (alone or own.sways) and not own.is_tone and own.fit.likelihood > fit.likelihood
+    taken = (alone or (own.sways and not own.is_tone)) and own.fit.likelihood > fit.likelihood
     return replace(own, alone=alone, taken=taken)
 
 

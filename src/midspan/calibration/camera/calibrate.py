@@ -250,16 +250,17 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     for one, target in used:
         warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
-    apart_m = contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
+    own = found.own
+    taken = own if own is not None and own.taken else None
+    # What the estimator follows as the camera's own is not in the band as well.
+    apart_m = 0.0 if taken else contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     lever = seen[_best(camera.targets)].levers.get(camera.direction)
     if lever is not None:
         apart_m = float(np.hypot(apart_m, lever.left_px * abs(found.scale.value_m_per_px)))
         warnings.append(lever.text(found.scale.value_m_per_px))
     # The noise of the reference frame is in all rows alike.
     start_m = TEMPLATE_NOISE * start_noise(search.pair, search.fit) * abs(found.scale.value_m_per_px)
-    own = found.own
     slow_m = 0.0 if own is None else own.std * abs(found.scale.value_m_per_px)
-    taken = own if own is not None and own.taken else None
     if own is not None and not (own.alone and own.taken):
         # Nothing tells whose error it is.
         apart_m = float(np.hypot(apart_m, slow_m))
