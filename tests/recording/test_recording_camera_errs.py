@@ -104,7 +104,9 @@ def test_a_lens_that_breathes_is_taken_out_by_the_zoom(hertz, tmp_path):
     truth = write(tmp_path, 3, lambda time, rng: np.zeros(len(time)), zooms, axis_px=-60.0)
     result = midspan.estimate(tmp_path)
     error = result.displacement_mm - truth(result.time_s)
-    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
+    # What the first frame is off by is in all rows alike: one error of the zero, and the rows' own.
+    assert abs(np.mean(error)) < 3.0 * np.median(result.displacement_std_mm)
+    assert np.mean(np.abs(error - np.mean(error)) < 1.96 * result.displacement_std_mm) > 0.9
     assert "picture-zooms" in {line.code for line in result.warnings}
     # 84 px from the axis the picture moves by 0.18 px rms, 0.21 mm: at 0.05 Hz the acceleration cannot tell that.
     if hertz > 0.1:
