@@ -22,7 +22,7 @@ _CODES = {
     Severity.WARNING: (
         "acceleration-wrong", "accelerometer-line", "accelerometer-noisy", "accelerometer-resonates",
         "clock-differs", "clock-uncertain", "coasting", "file-damaged", "frames-blurred", "frozen",
-        "gain-corrected", "lens", "light-changed", "literal", "logger-low-pass", "lost", "misfit",
+        "gain-corrected", "gain-drifts", "lens", "light-changed", "literal", "logger-low-pass", "lost", "misfit",
         "motion-not-shared", "outliers", "part-left-out", "picture-zooms", "play", "radar-data",
         "radar-target", "radar-zero", "region-exposure", "region-texture", "samples-bridged",
         "scale-uncertain", "slow-motion", "thermal", "uncoded", "video-compressed", "zero-shifted",

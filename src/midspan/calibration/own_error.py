@@ -100,28 +100,29 @@ class OwnError:
         )
 
 
-def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None:
-    """The slow error of a camera or radar where it certainly has one and the accelerometer has not.
+def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> tuple[OwnError | None, bool]:
+    """The slow error of a camera or radar, None where it has none for certain; whether the accelerometer errs instead.
 
     pair, fit: as calibrated without one; own_variance: what the measurements are said to vary by, of which OWN_SHARE
     is noise for certain.
     """
     if pair.lines or (not exceeds_own_noise(pair, fit) and narrow_motion(pair, fit) == 0.0):
         # An accelerometer with lines is known to err itself.
-        return None
+        return None, False
     here, bounds = aligned(pair, fit.offset_s), (most_density(pair), OWN_SHARE * own_variance)
     climb = _Climb(here, *bounds)
     none = climb.best([np.log([fit.corner])])
     share, std = _share(none)
     if share + CERTAIN * std < 0.5:
-        return None
+        return None, True
     own = _sway(climb, none) or _drift(here, fit, bounds)
     if own is None:
-        return None
+        return None, False
     alone = share - CERTAIN * std > 0.5
-    # A drift or a tone is an accelerometer's as soon as a camera's.
+    # A drift or a tone is an accelerometer's as soon as a camera's: of a tone one phase is all there is to tell by.
+    alone = alone and not own.is_tone
     taken = (alone or (own.sways and not own.is_tone)) and own.fit.likelihood > fit.likelihood
-    return replace(own, alone=alone, taken=taken)
+    return replace(own, alone=alone, taken=taken), False
 
 
 def _sway(climb: "_Climb", none: Fit) -> OwnError | None:

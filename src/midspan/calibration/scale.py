@@ -10,6 +10,7 @@ from midspan.calibration.clock_jumps import ClockJump, jumps_text, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
+from midspan.calibration.gain_drift import drift_text, gain_drift
 from midspan.calibration.own_error import OwnError, find_own_error
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise
 from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyond, search_offset
@@ -33,6 +34,8 @@ MANY_LEFT_OUT = 0.2
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
+# A band of this many deviations holds a scale factor that changes.
+WITHIN = 2.0
 # What the relative standard deviation of a camera's scale factor is made of: each part in words, and what lessens it.
 PARTS = {
     "motion": (
@@ -112,7 +115,8 @@ class ScaleCalibration:
     noise: standard deviation of the translation, px; variance_factor: estimated variance over the tracker's own
     variance; input_noise: of the acceleration; search: what was tried, for the report; response: what depends on
     frequency, whose uncertainty is not in the scale factor's; warnings: sentences; direction: of the camera's axis,
-    None where no cross axes were recorded; own: the camera's slow error, in the search's pair and fit.
+    None where no cross axes were recorded; own: the camera's slow error, in the search's pair and fit;
+    felt_alone: whether what the two differ by is the accelerometer's for certain.
     """
 
     scale: ScaleFactor
@@ -124,6 +128,7 @@ class ScaleCalibration:
     response: FrequencyResponse = field(default_factory=FrequencyResponse)
     direction: Direction | None = None
     own: OwnError | None = None
+    felt_alone: bool = False
 
 
 def calibrate_scale(
@@ -168,7 +173,9 @@ def calibrate_scale(
             _refuse_better(pair, _rival(pair, search, max_offset_s), max_offset_s, refuse, accepted=False)
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
-    own = find_own_error(search.pair, search.fit, typical)
+    drift = gain_drift(search.pair, search.fit)
+    # What goes with the motion at a gain that changes is no sway of the camera.
+    own, felt_alone = find_own_error(search.pair, search.fit, typical) if drift == 0.0 else (None, True)
     if own is not None and own.taken:
         search = replace(search, pair=own.pair, fit=own.fit)
     search = axis.widened(search)
@@ -179,10 +186,16 @@ def calibrate_scale(
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
         input_noise=search.pair.input_noise(fit.input_density),
-        warnings=(*jumps_text(jumps), *_warnings(search, usable), *response.texts(fit.motion_hz)),
-        response=response,
+        warnings=(
+            *jumps_text(jumps),
+            *_warnings(search, usable),
+            *response.texts(fit.motion_hz),
+            *drift_text("camera", drift),
+        ),
+        response=replace(response, relative_std=float(np.hypot(response.relative_std, drift / WITHIN))),
         direction=axis.direction,
         own=own,
+        felt_alone=felt_alone,
     )
 
 
