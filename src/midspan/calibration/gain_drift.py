@@ -1,0 +1,70 @@
+"""A scale factor that changes while it is measured: an accelerometer that warms up, a gain that is switched.
+
+One factor is fitted to the whole record. Where it changes slowly by a share g(t), the innovations hold that share of
+the motion: s g(t) D(t). So g is a regression of the innovations on the whitened products of the response and Legendre's
+polynomials of time. What else is in the innovations (a mast that nods) is coloured: the covariance of the coefficients
+is that of sums over blocks of time, which holds whatever the colour (W. K. Newey, K. D. West, Econometrica 55 (1987)
+703-708, doi 10.2307/1913610).
+"""
+
+from functools import partial
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair, aligned
+from midspan.notices import Notice
+from midspan.records import Floats
+
+# Polynomials up to this order follow a warm-up of a tenth of the record to a fifth of its size.
+ORDER = 3
+# Blocks of time whose sums are taken as independent.
+BLOCKS = 24
+# A scale that does not change seems to with this probability; and a change of less than this is of no importance.
+BY_CHANCE, LEAST = 1e-4, 1e-3
+# Instants at which the course is looked at.
+GRID = 100
+
+
+def gain_drift(pair: Pair, fit: Fit) -> float:
+    """How far the scale factor is off its mean at most in the course of a record, relative; 0: that may be chance."""
+    from scipy.stats import f
+
+    time_s = pair.rows[:, 0] + fit.offset_s
+    middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * float(time_s[-1] - time_s[0])
+
+    def course(order: int, at_s: Floats) -> Floats:
+        return np.asarray(np.polynomial.Legendre.basis(order)((at_s - middle) / half))
+
+    def product(at_s: Floats, order: int) -> Floats:
+        return np.asarray(pair.responses[0].at(at_s, pair.exposure_s, pair.logger) * course(order, at_s))
+
+    here = aligned(pair, fit.offset_s, *(partial(product, order=k) for k in range(1, ORDER + 1)))
+    w = here.whitened(fit.corner)
+    root = np.sqrt(w.variance)[:, None]
+    columns, left = fit.ratio * w.columns[:, -ORDER:] / root, (w.translation - fit.ratio * w.response)[:, None] / root
+    response = w.response[:, None] / root
+    columns = columns - response * (response.T @ columns) / max(float(np.sum(response**2)), 1e-300)
+    if len(left) < 2 * BLOCKS:
+        return 0.0
+    inverse = np.linalg.pinv(columns.T @ columns, hermitian=True)
+    size = inverse @ (columns.T @ left)
+    parts = np.array([np.sum(one, axis=0) for one in np.array_split(columns * (left - columns @ size), BLOCKS)])
+    covariance = inverse @ (parts.T @ parts) @ inverse * BLOCKS / (BLOCKS - ORDER)
+    chi = float((size.T @ np.linalg.pinv(covariance, hermitian=True) @ size).item())
+    # Of a covariance from a few blocks, as Hotelling's.
+    free = BLOCKS - ORDER
+    if chi * free / (ORDER * (BLOCKS - 1.0)) < f.isf(BY_CHANCE, ORDER, free):
+        return 0.0
+    courses = np.stack([course(k, np.linspace(middle - half, middle + half, GRID)) for k in range(1, ORDER + 1)])
+    most = float(np.max(np.abs(size[:, 0] @ courses)))
+    return most if most > LEAST else 0.0
+
+
+def drift_text(sensor: str, most: float) -> list[Notice]:
+    """A sentence on a scale factor that changes, by so much at most (relative)."""
+    text = (
+        f"{sensor}: the scale factor between it and the accelerometer changes by up to ± {100.0 * most:.2g} % in the "
+        "course of the record, as where an accelerometer warms up, and the error band holds it. Let the accelerometer "
+        "run for some minutes before."
+    )
+    return [Notice("gain-drifts", text)] if most > 0.0 else []
