@@ -42,6 +42,7 @@ import numpy as np
 
 from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, kept, likeliest_corner, refine
 from midspan.calibration.minimum import minimum
+from midspan.calibration.own_noise import most_density
 from midspan.calibration.whitening import Response, Whitened, integrated, inverse_of
 from midspan.notices import Notice
 from midspan.records import Floats
@@ -64,6 +65,8 @@ MIN_GAIN = 6.0
 MAX_SHAPES = 2
 # Damping ratio of a bracket or railing at most; bolted steel has 0.02 to 0.07 (Chopra, table 11.2.1).
 MAX_DAMPING = 0.3
+# The accelerometer's noise shows where at least this share of what its readings can have is found.
+SHOWN_NOISE = 0.1
 # What is less likely by this (logarithm) is excluded: one in a million.
 EXCLUDED = 14.0
 # Parts of the record by which the scatter of a coefficient is judged: each several periods of the slowest motion.
@@ -390,7 +393,9 @@ def with_response(
             break
         best = max(able, key=_evidence)
         falls, bare = _more_falling(pair, best.pair)
-        if {*best.more} & {*FALLING} and not lead_over_first_order(best.pair, bare, best.fit, falls) > MIN_GAIN:
+        if {*best.more} & {*FALLING} and not (
+            lead_over_first_order(best.pair, bare, best.fit, falls) > MIN_GAIN and _explains_all(best)
+        ):
             kinds = [kind for kind in kinds if kind not in FALLING or kind in explained.known]
             explained = replace(explained, open_s2=falls, open_change=best.fit.ratio / fit.ratio - 1.0)
             continue
@@ -416,6 +421,14 @@ class _Candidate:
 def _evidence(one: _Candidate) -> float:
     # Each number that is fitted costs; an exposure is more usual than a resonance.
     return one.fit.likelihood - MIN_GAIN * (len(one.more) + (Kind.RESONANCE in one.more))
+
+
+def _explains_all(one: _Candidate) -> bool:
+    """Whether a shape leaves no more than noise: then the accelerometer's own shows.
+
+    What a loose accelerometer errs by resembles a long exposure as well, and what is left of it hides that noise.
+    """
+    return one.pair.input_noise(one.fit.input_density).density > SHOWN_NOISE * most_density(one.pair)
 
 
 def _able(pair: Pair, fit: Fit, kinds: Sequence[Kind], found: Sequence[Kind], most_open: float) -> list[_Candidate]:
