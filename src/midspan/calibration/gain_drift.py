@@ -26,7 +26,7 @@ GRID = 100
 
 
 def gain_drift(pair: Pair, fit: Fit) -> float:
-    """How far the scale factor is off its mean at most in the course of a record, relative; 0: that may be chance."""
+    """How far apart scale factors lie in the course of a record, relative; 0: that may be chance."""
     from scipy.stats import f
 
     time_s = pair.rows[:, 0] + fit.offset_s
@@ -56,14 +56,14 @@ def gain_drift(pair: Pair, fit: Fit) -> float:
     if chi * free / (ORDER * (BLOCKS - 1.0)) < f.isf(BY_CHANCE, ORDER, free):
         return 0.0
     courses = np.stack([course(k, np.linspace(middle - half, middle + half, GRID)) for k in range(1, ORDER + 1)])
-    most = float(np.max(np.abs(size[:, 0] @ courses)))
+    most = float(np.ptp(size[:, 0] @ courses))
     return most if most > LEAST else 0.0
 
 
 def drift_text(sensor: str, most: float) -> list[Notice]:
-    """A sentence on a scale factor that changes, by so much at most (relative)."""
+    """A sentence on a scale factor that changes, by so much (relative)."""
     text = (
-        f"{sensor}: the scale factor between it and the accelerometer changes by up to ± {100.0 * most:.2g} % in the "
+        f"{sensor}: the scale factor between it and the accelerometer changes by {100.0 * most:.2g} % in the "
         "course of the record, as where an accelerometer warms up, and the error band holds it. Let the accelerometer "
         "run for some minutes before."
     )

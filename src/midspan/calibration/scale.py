@@ -34,7 +34,7 @@ MANY_LEFT_OUT = 0.2
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
-# A band of this many deviations holds a scale factor that changes.
+# A scale factor that changes was right at its begin or its end: a band of this many deviations holds both.
 WITHIN = 2.0
 # What the relative standard deviation of a camera's scale factor is made of: each part in words, and what lessens it.
 PARTS = {
