@@ -8,8 +8,9 @@ import numpy as np
 from midspan.calibration.agreement import misfit
 from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD, weighted_median
 from midspan.calibration.direction import Direction, turned
-from midspan.calibration.fit import Pair, measured_rows
+from midspan.calibration.fit import Fit, Pair, best_corner, measured_rows
 from midspan.calibration.frequency_response import Kind, kinds_of
+from midspan.calibration.own_error import find_own_error
 from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
 from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.jitter import JITTER, frames_jitter
@@ -49,6 +50,9 @@ MIN_SHORT, SHORT_STD = 0.02, 5.0
 # A target farther than this from the range that was asked for is another one, m.
 MAX_M = 0.5
 
+
+# Errors of a target that are slower than half of this rate, Hz, are compared with the accelerometer.
+OWN_RATE_HZ = 10.0
 
 RadarFit = SensorFit[RadarCalibration, None]
 # Points of the window that are kept for the report.
@@ -92,7 +96,7 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
-    targets, contradicted = _contradicted(targets, search, moving)
+    targets, contradicted = _contradicted(targets, search, moving, _stated(series))
     calibration = RadarCalibration(
         targets=targets,
         offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
@@ -261,22 +265,26 @@ def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -
     """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered."""
     if best.own_m > best.noise_m:
         return 1.0
-    stated = float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
-    return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
+    return max(1.0, best.conversion_factor**2 * search.fit.noise / _stated(series))
+
+
+def _stated(series: TargetSeries) -> float:
+    return float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
 
 
 def _contradicted(
-    targets: tuple[RadarTarget, ...], search: OffsetSearch, moving: list[Notice]
+    targets: tuple[RadarTarget, ...], search: OffsetSearch, moving: list[Notice], stated: float
 ) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
     """The targets with what the accelerometer contradicts in their deviations, and sentences on it.
 
-    moving: sentences on targets that move on their own; several are compared with each other, at the same instants.
+    moving: sentences on targets that move on their own; several are compared with each other, at the same instants;
+    stated: variance of a frame's displacement (m²).
     """
     if sum(item.used for item in targets) == 1 and frames_jitter(search.pair, search.fit):
         moving = [JITTER]
     targets, of_factor = _widened(targets, search)
     _refuse_short(targets)
-    targets, of_motion = _with_slow_motion(targets, search)
+    targets, of_motion = _with_slow_motion(targets, search, stated)
     return targets, [*moving, *of_factor, *of_motion]
 
 
@@ -306,22 +314,33 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
 
 
 def _with_slow_motion(
-    targets: tuple[RadarTarget, ...], search: OffsetSearch
+    targets: tuple[RadarTarget, ...], search: OffsetSearch, stated: float
 ) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
     """The only target in use with what it moves by slowly that the accelerometer does not feel, and a sentence."""
     used = [item for item in targets if item.used]
-    if len(used) != 1 or used[0].target.own_m > 0.0:
+    if len(used) != 1:
         return targets, []
-    own_m = narrow_motion(search.pair, search.fit) * used[0].target.conversion_factor
-    if not own_m > used[0].target.noise_m:
+    target, own_hz = used[0].target, SLOW_HZ
+    pair, fit = _sparse(search)
+    own, felt_alone = find_own_error(pair, fit, stated / target.conversion_factor**2)
+    own_m = 0.0 if felt_alone else narrow_motion(search.pair, search.fit) * target.conversion_factor
+    if own is not None:
+        own_m, own_hz = own.std * abs(target.conversion_factor), own.hertz or 0.5 / (np.pi * own.time_s)
+    if not own_m > max(target.noise_m, target.own_m):
         return targets, []
     text = (
-        f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel: "
+        f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel, as through hot air: "
         "the target, the radar's mount or the accelerometer moves on its own; the error band holds it. A second target "
         "tells which."
     )
-    moving = replace(used[0], target=replace(used[0].target, own_m=own_m, own_hz=SLOW_HZ))
+    moving = replace(used[0], target=replace(target, own_m=own_m, own_hz=own_hz))
     return tuple(moving if item is used[0] else item for item in targets), [Notice("motion-not-shared", text)]
+
+
+def _sparse(search: OffsetSearch) -> tuple[Pair, Fit]:
+    """The pair with so many frames as its slow errors need, and its fit."""
+    pair = search.pair.changed(rows=search.pair.rows[:: max(int(search.pair.rate_hz / OWN_RATE_HZ), 1)])
+    return pair, best_corner(pair, search.fit.offset_s)
 
 
 def _warnings(calibration: RadarCalibration) -> Iterator[Notice]:
