@@ -174,8 +174,10 @@ def calibrate_scale(
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     drift = gain_drift(search.pair, search.fit)
-    # What goes with the motion at a gain that changes is no sway of the camera.
-    own, felt_alone = find_own_error(search.pair, search.fit, typical) if drift == 0.0 else (None, True)
+    # What goes with the motion, as a gain that changes or a low-pass, is no sway of the camera.
+    own, felt_alone = None, drift > 0.0 or response.accelerometer_errs
+    if not felt_alone:
+        own, felt_alone = find_own_error(search.pair, search.fit, typical)
     if own is not None and own.taken:
         search = replace(search, pair=own.pair, fit=own.fit)
     search = axis.widened(search)

@@ -34,7 +34,7 @@ CLIPPED_S = 1.0
 # this share of its standard deviation.
 REST_SHARE = 0.05
 # A level counts as clipped when the largest (or smallest) value is held by runs of at least this many samples.
-CLIPPED_RUN = 3
+CLIPPED_RUN = 2
 # A crest of a coarsely quantised signal also holds its largest value; its slopes carry it at most this many steps
 # beyond.
 CREST_STEPS = 3.0
