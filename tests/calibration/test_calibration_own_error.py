@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from calibration_cases import SCALE, broadband, observed
 from scipy.linalg import expm
+from scipy.ndimage import gaussian_filter1d
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale
@@ -62,3 +63,20 @@ def test_a_line_of_the_accelerometer_is_not_the_cameras():
         samples[:, 1] += 1.7e-3 * (2.0 * np.pi * 0.4) ** 2 * np.sin(2.0 * np.pi * 0.4 * samples[:, 0])
         found = calibrate_scale(Pair(samples, pair.rows), 0.1)
         assert found.own is None or not found.own.alone
+
+
+@pytest.mark.parametrize("lasts_s", [3.0, 7.0])
+def test_an_error_that_is_smooth_over_some_frames_has_its_size(lasts_s):
+    # Air that an exposure averages: its spectrum falls far faster than a Gauss-Markov process' from 1 Hz on, and a fit
+    # to all frames found a third to an eighth of its size.
+    for seed in range(3):
+        pair = observed(broadband(seed), seed)
+        rows = pair.rows.copy()
+        error = course(seed, rows[:, 0], rate=1.0 / lasts_s, omega=0.0)
+        rate_hz = (len(rows) - 1) / float(rows[-1, 0] - rows[0, 0])
+        error = gaussian_filter1d(error, 0.08 * rate_hz)
+        rows[:, 1] += 0.4 * (error - error[0]) / np.std(error)
+        found = calibrate_scale(Pair(pair.samples, rows), 0.1)
+        assert found.own is not None
+        # Half a minute holds ten of its times at most.
+        assert 0.5 < found.own.std / 0.4 < 2.5

@@ -97,7 +97,7 @@ def test_any_cutting_and_a_restart_give_the_same_rows_while_a_step_is_looked_for
     settings = EstimatorSettings((sensor.channel,), motion=MOTION, parameters=(CLOCK,))
     measured = measured_of([sensor])
     for make in (Estimator, lambda known: Lag(known, 50)):
-        rows = []
+        rows, sought = [], False
         for step in (len(samples.time_ns), 7):
             stream, outputs, due = make(settings), [], 0
             for first in range(0, len(samples.time_ns), step):
@@ -106,12 +106,15 @@ def test_any_cutting_and_a_restart_give_the_same_rows_while_a_step_is_looked_for
                 outputs += stream.push(part(measured, slice(due, end)))
                 outputs += stream.push(block)
                 due = end
+                sought |= stream.seeks_clock
                 if step == 7:
                     again = make(settings)
                     again.restore(stream.state)
                     stream = again
             outputs += stream.finish()
             rows.append(joined([one.estimates[0] for one in outputs if one.estimates]))
+        assert sought
+        assert not stream.seeks_clock
         np.testing.assert_array_equal(rows[0].displacement_m, rows[1].displacement_m)
         np.testing.assert_array_equal(rows[0].variance_m2, rows[1].variance_m2)
 

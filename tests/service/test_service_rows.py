@@ -11,7 +11,7 @@ import midspan
 from lively_recordings import Lively, write
 from midspan.cli.main import run
 from midspan.engine.point import PointStatus
-from midspan.records import NANOSECONDS, Estimate, Event, Status
+from midspan.records import NANOSECONDS, Estimate, Status
 from midspan.service.journal import Journal, RowHealth
 from midspan.service.opening import opened, resumed
 from midspan.service.running import running
@@ -151,7 +151,7 @@ def test_readiness_says_whether_a_point_gives_rows(tmp_path):
     assert one.ready(second + 31.0)["reason"] == "lost"
 
 
-def test_rows_that_a_clock_has_made_uncertain_are_reported_until_they_are_as_usual():
+def test_the_usual_deviation_is_the_geometric_mean_of_rows_that_rest_on_measurements():
     def rows(std_m, begin_s):
         time_ns = (begin_s * NANOSECONDS + 10**7 * np.arange(100)).astype(np.int64)
         code = np.zeros(100, dtype=np.uint8)
@@ -159,12 +159,7 @@ def test_rows_that_a_clock_has_made_uncertain_are_reported_until_they_are_as_usu
 
     health = RowHealth().after_rows(rows(1e-4, 0)).after_rows(rows(2e-4, 1))
     assert health.usual_m == pytest.approx(np.sqrt(2.0) * 1e-4)
-    health = health.after_events([Event(0, "clock", "")])
-    assert health.stepped
-    wide = health.after_rows(rows(1e-3, 2))
-    assert wide.stepped
-    assert wide.usual_m == health.usual_m
-    assert not wide.after_rows(rows(2e-4, 3)).stepped
+    assert health.std_m == pytest.approx(2e-4)
 
 
 def test_what_a_restart_needs_of_the_rows_is_kept():

@@ -359,6 +359,11 @@ impl Estimator {
         log.map_or_else(Vec::new, |log| log.went_back_s().iter().map(|&at_s| instant(at_s, log.origin_ns)).collect())
     }
 
+    /// Whether a clock may have stepped, and by how much is looked for.
+    fn seeks_clock(&self) -> bool {
+        self.own().memory.clocks.bank.is_some()
+    }
+
     /// After how many samples the filter was logged.
     fn logged_filters(&self) -> Vec<usize> {
         self.own().log.as_ref().map_or_else(Vec::new, |log| log.filters.keys().copied().collect())

@@ -88,6 +88,11 @@ class Stream:
         restore(self.core, state)
 
     @property
+    def seeks_clock(self) -> bool:
+        """Whether a sensor's clock may have stepped, and by how much is looked for."""
+        return self.core.seeks_clock()
+
+    @property
     def parameters(self) -> tuple[Floats, Floats]:
         """The parameters as estimated (k,) and their variances (k,)."""
         values, variances = self.core.parameters()

@@ -164,6 +164,11 @@ class OnSeries:
         return self._inner.settings
 
     @property
+    def seeks_clock(self) -> bool:
+        """That of the estimator, see there."""
+        return self._inner.seeks_clock
+
+    @property
     def parameters(self) -> tuple[Floats, Floats]:
         """Those of the estimator, see there."""
         return self._inner.parameters

@@ -33,26 +33,18 @@ from midspan.store.store import Batch
 
 # The usual deviation is the geometric mean over about this many of the newest rows that rest on measurements.
 USUAL_ROWS = 60_000
-# While rows are less certain than usual by this factor after a clock stepped, the clock is why.
-WIDENED = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class RowHealth:
     """newest_ns: stamp of the newest row, None before the first; std_m: its standard deviation; usual_m: the usual one
-    of rows that rest on measurements, NaN before the first; count: of these, up to USUAL_ROWS; stepped: a clock
-    stepped, and the rows are less certain since.
+    of rows that rest on measurements, NaN before the first; count: of these, up to USUAL_ROWS.
     """
 
     newest_ns: int | None = None
     std_m: float = math.nan
     usual_m: float = math.nan
     count: int = 0
-    stepped: bool = False
-
-    def after_events(self, events: Sequence[Event]) -> "RowHealth":
-        """After events of the engine."""
-        return replace(self, stepped=True) if any(event.kind == "clock" for event in events) else self
 
     def after_rows(self, rows: Estimate) -> "RowHealth":
         """After rows (n,) of the main axis."""
@@ -62,14 +54,12 @@ class RowHealth:
         good = std_m[(rows.status == Status.TRACKING) & (std_m > 0.0) & np.isfinite(std_m)]
         newest_m = float(std_m[-1])
         now = replace(self, newest_ns=int(rows.time_ns[-1]), std_m=newest_m)
-        if self.stepped and newest_m > WIDENED * self.usual_m:
-            return now
         if not len(good):
-            return replace(now, stepped=False)
+            return now
         count = self.count + len(good)
         usual = math.log(self.usual_m) if self.count else 0.0
         usual += (float(np.mean(np.log(good))) - usual) * len(good) / count
-        return replace(now, stepped=False, usual_m=math.exp(usual), count=min(count, USUAL_ROWS))
+        return replace(now, usual_m=math.exp(usual), count=min(count, USUAL_ROWS))
 
 
 # The mean's variance is that of the means of this many segments: errors of rows are correlated over the filter's
@@ -287,7 +277,6 @@ class Journal:
 
     def _tell(self, events: Sequence[Event]) -> None:
         self._events += events
-        self.health = self.health.after_events(events)
 
     def _take(self, rows: Rows) -> None:
         """Keep rows as they are given out: from the zero in force, and none of a point that is lost for long."""

@@ -39,8 +39,8 @@ REASONS: dict[str, tuple[str, str]] = {
     "calibration_offered": ("a calibration waits to be accepted", "accept it (MQTT cmd/accept), or set accept = auto"),
     "opening": ("the point is being opened", "wait some seconds"),
     "clock": (
-        "a clock was set, or stepped, and the rows are less certain, or there are none",
-        "set the clocks of sensors and machine (NTP), then calibrate again",
+        "a clock was set, or stepped, and by how much is looked for",
+        "wait for some motion; let NTP slew the clocks of sensors and machine",
     ),
     "no_rows": ("the point gives no rows though its sources bring records", "see its events"),
     "lost": ("the sensor's target is lost", "see the image; something may stand in front of it"),

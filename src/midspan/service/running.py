@@ -165,7 +165,7 @@ class Running:
             reason = "opening"
         else:
             reason = live.held_up or ("lost" if status is PointStatus.LOST else "")
-        reason = reason or ("clock" if live.row_health.stepped else "")
+        reason = reason or ("clock" if live.seeks_clock else "")
         fresh_s = FRESH_S + (live.opened.delay_s if live.opened is not None else 0.0)
         if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
             return reason
