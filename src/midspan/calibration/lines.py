@@ -106,8 +106,8 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
     inside = np.zeros(len(hertz), dtype=np.bool_)
     for first, stop in runs(belongs & would_show & (hertz < REACH * np.max(hertz[moves]))):
         # Of a motion that a gap or a clock blurs some ordinates are weak, and not their sum.
-        shown = np.sum(both.moved[first:stop]) / (factor * np.sum(both.would_move[first:stop]))
-        if first > 0 and peak[first:stop].any() and shown < NOT_SHOWN:
+        share = np.sum(both.moved[first:stop]) / (factor * np.sum(both.would_move[first:stop]))
+        if first > 0 and peak[first:stop].any() and share < NOT_SHOWN:
             low, high = _reach((int(first), int(stop)), ratio > SHOWN * factor)
             inside[low : high + 1] = True
     # Both signs of the frequency; a Hann window spreads each ordinate over 1.5.

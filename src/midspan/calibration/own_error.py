@@ -87,7 +87,9 @@ class OwnError:
     def text(self, sensor: str, std_m: float) -> str:
         """A sentence on it; std_m: its standard deviation, m."""
         size = f"by {1e3 * std_m:.2g} mm rms besides its noise"
-        course = f"errs slowly, {size}, over {1.0 / _slowest(*self.pair.slow[1:]):.2g} s, as through hot air or a lens that breathes (autofocus)"
+        course = (
+            f"errs slowly, {size}, over {self.time_s:.2g} s, as through hot air or a lens that breathes (autofocus)"
+        )
         if self.sways:
             course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
         if self.alone and self.taken:

@@ -253,11 +253,8 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     own = found.own
     taken = own if own is not None and own.taken else None
     # The size of an error that was found is its own, and what the accelerometer errs by is its noise.
-    apart_m = (
-        0.0
-        if own is not None or found.felt_alone
-        else contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
-    )
+    other = 0.0 if own is not None or found.felt_alone else contradiction(search.pair, search.fit)
+    apart_m = other * abs(found.scale.value_m_per_px)
     lever = seen[_best(camera.targets)].levers.get(camera.direction)
     if lever is not None:
         apart_m = float(np.hypot(apart_m, lever.left_px * abs(found.scale.value_m_per_px)))

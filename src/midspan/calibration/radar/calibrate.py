@@ -329,9 +329,9 @@ def _with_slow_motion(
     if not own_m > max(target.noise_m, target.own_m):
         return targets, []
     text = (
-        f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel, as through hot air: "
-        "the target, the radar's mount or the accelerometer moves on its own; the error band holds it. A second target "
-        "tells which."
+        f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel: hot air, "
+        "the target, the radar's mount or the accelerometer moves it; the error band holds it. "
+        "A second target tells which."
     )
     moving = replace(used[0], target=replace(target, own_m=own_m, own_hz=own_hz))
     return tuple(moving if item is used[0] else item for item in targets), [Notice("motion-not-shared", text)]
