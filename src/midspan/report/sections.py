@@ -57,7 +57,7 @@ def displacement(material: Material) -> str:
         "displacement, so that the band can be seen.",
     )
     if material.result.not_in_band:
-        pieces += [page.paragraph("The band does not contain:"), page.bullets(material.result.not_in_band, "plain")]
+        pieces += [page.paragraph("What the band cannot contain:"), page.bullets(material.result.not_in_band, "plain")]
     return page.section("displacement", "Displacement", *pieces)
 
 
