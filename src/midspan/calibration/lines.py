@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import UntrustedError
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.records import Floats
 from midspan.signals.health import runs
 from midspan.signals.lines import Line
@@ -201,7 +201,7 @@ _LEFT_IN = "Where the structure moves there too it is not taken out, and the ban
 
 def lines_text(lines: tuple[Line, ...], sensor: str) -> Notice:
     """The sentence on lines that were taken out."""
-    listed = ", ".join(f"{line.middle_hz:.3g} Hz ({1e3 * line.std_m_s2:.2g} mm/s² rms)" for line in lines)
+    listed = ", ".join(f"{line.middle_hz:.3g} Hz ({rounded(1e3 * line.std_m_s2)} mm/s² rms)" for line in lines)
     text = (
         f"accelerometer: a narrow line at {listed} that the {sensor} does not show: a machine near a multiple of its "
         "rate and no anti-alias filter, a part of the mounting that vibrates, or motion across an inclined axis. "

@@ -15,6 +15,7 @@ import numpy as np
 from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range
 from midspan.calibration.own_noise import exceeds_own_noise, most_density, narrow_motion
 from midspan.calibration.whitening import NO_SLOW_ERROR
+from midspan.notices import rounded
 from midspan.records import Floats
 
 # What each unknown of a slow error must gain (logarithm of the likelihood) where something hints at one: by chance one
@@ -39,6 +40,8 @@ TOLERANCE, MAX_EVALUATIONS = 0.02, 400
 CERTAIN = 2.5
 # An oscillator that decays in less than this many periods is no sway to speak of.
 PERIODS_SEEN = 0.5
+# A process of LONGEST_S shows two thirds of its standard deviation in twice that time, on average, and seldom a half.
+MAX_SHOWN = 2.0
 # Powers at a frequency are means over this many ordinates.
 SMOOTHED = 9
 
@@ -59,8 +62,23 @@ class OwnError:
 
     @property
     def std(self) -> float:
-        """Standard deviation of the error, in the translation's unit."""
+        """Standard deviation of the error, in the translation's unit: where it would show, no more than shows."""
+        return self.translation_std if self.beyond_readings else self.fitted_std
+
+    @property
+    def beyond_readings(self) -> bool:
+        """Whether it would be far more than was read: it is the drift of an accelerometer, integrated twice."""
+        return self.fitted_std > MAX_SHOWN * self.translation_std
+
+    @property
+    def fitted_std(self) -> float:
+        """Standard deviation as fitted; of an accelerometer's drift it has no limit."""
         return float(np.sqrt(self.pair.slow[0] * self.fit.noise))
+
+    @property
+    def translation_std(self) -> float:
+        """Standard deviation of the translation as it was measured."""
+        return float(np.std(self.pair.rows[np.isfinite(self.pair.rows[:, 2]), 1]))
 
     @property
     def time_s(self) -> float:
@@ -74,10 +92,17 @@ class OwnError:
 
     def text(self, sensor: str, std_m: float) -> str:
         """A sentence on it; std_m: its standard deviation, m."""
-        size = f"by {1e3 * std_m:.2g} mm rms besides its noise"
-        course = f"errs slowly, {size}, over {1.0 / _slowest(*self.pair.slow[1:]):.2g} s, as through hot air or a lens that breathes (autofocus)"
+        if self.beyond_readings:
+            return (
+                f"accelerometer: it and the {sensor} drift apart by more than the {sensor} shows in all, as where the "
+                f"accelerometer's bias drifts (it warms up). The error band holds all that is shown, "
+                f"{rounded(1e3 * std_m)} mm rms; let it warm up before recording."
+            )
+        size = f"by {rounded(1e3 * std_m)} mm rms besides its noise"
+        lasting_s = 1.0 / _slowest(*self.pair.slow[1:])
+        course = f"errs slowly, {size}, over {rounded(lasting_s)} s, as through hot air or with autofocus that hunts"
         if self.hertz * self.time_s > PERIODS_SEEN:
-            course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
+            course = f"sways {size}, at {rounded(self.hertz)} Hz, as on a mast or bracket that nods"
         if self.alone and self.taken:
             return (
                 f"{sensor}: it {course}. The accelerometer feels none of it, and tells what of it is no displacement."
@@ -112,8 +137,9 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     own = OwnError(pair.changed(slow=climb.slow[found.corner, found.likelihood]), found, share - CERTAIN * std > 0.5)
     sways = own.hertz * own.time_s > PERIODS_SEEN
     tone = own.hertz * own.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
-    # A drift or a tone is an accelerometer's as soon as a camera's.
+    # A drift or a tone is an accelerometer's as soon as a camera's, and so is what a camera cannot have read.
     taken = (own.alone or sways) and not tone and found.likelihood > fit.likelihood
+    taken = taken and not own.beyond_readings
     return replace(own, taken=taken) if max(gains) > 0.0 and share + CERTAIN * std > 0.5 else None
 
 

@@ -107,6 +107,6 @@ def radar_warnings(log: RadarLog, of_source: Sequence[Notice]) -> list[Notice]:
     for item, used in zip(log.targets, log.used, strict=True):
         if used < MIN_SEEN * log.frames:
             share = 100.0 * used / log.frames
-            text = f"radar: the target at {item.target.range_m:.2f} m was seen in {share:.3g} % of frames only."
+            text = f"radar: the target {item.target.place} was seen in {share:.3g} % of frames only."
             found.append(Notice("radar-target", text))
     return found

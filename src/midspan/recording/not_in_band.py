@@ -11,6 +11,7 @@ import numpy as np
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.slow_error import DRIFT_S
+from midspan.notices import rounded
 from midspan.records import Estimate
 from midspan.settings.camera import CameraSettings
 from midspan.settings.plausible import target_distance_m
@@ -92,4 +93,4 @@ def _is_displacement(sensor: object) -> bool:
 
 
 def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.2g} mm"
+    return f"{rounded(1e3 * metres)} mm"
