@@ -31,8 +31,9 @@ ABOVE_NOISE, LOWEST, SHARE_OF_LOWEST = 50.0, 0.25, 0.4
 # The sensor shows a motion where it has at least the first share of the power that the accelerometer tells (and no more
 # than the inverse), and does not show it with less than the second: noise and neighbouring motion are in it as well.
 SHOWN, NOT_SHOWN = 0.6, 0.2
-# Of what both hold, at least this share must be motion by this rule: else nothing tells the factor between them.
-MOSTLY = 0.5
+# Of what both hold, at least this share must be motion by this rule: else powers do not tell what both share, as
+# where a clock steps, something bends a radar's phase, or a gap hides a part (0.79 and less; beside machines 0.85).
+MOSTLY = 0.8
 # A line is taken out where motion has no more than this share of the power in its band: it is lost with it.
 MAX_MOTION = 0.02
 # A sensor that averages or follows late shows fast motion less: one that shows all of it at a frequency shows a fifth
@@ -40,6 +41,8 @@ MAX_MOTION = 0.02
 REACH = 2.0
 # A wider band is no line, Hz; a line that swings has skirts of at most this many ordinates on either side.
 MAX_WIDTH_HZ, MAX_SKIRT = 1.0, 10
+# Behind a longer gap than this, s, a motion that comes and goes is another one: only between gaps both see the same.
+MAX_GAP_S = 1.0
 # Shorter records, or fewer ordinates, do not resolve lines; of longer ones the beginning tells them, s.
 MIN_S, MAX_S, MIN_ORDINATES = 20.0, 120.0, 32
 
@@ -126,8 +129,8 @@ def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
     """The spectra of the time that both share; None where that is too short."""
     if len(shown.time_s) < 2:
         return None
-    begin, end = max(samples[0, 0], shown.time_s[0]), min(samples[-1, 0], shown.time_s[-1])
-    end = min(end, begin + MAX_S)
+    begin, end = _longest_run(shown.time_s[np.isfinite(shown.value)])
+    begin, end = max(samples[0, 0], begin), min(samples[-1, 0], end, begin + MAX_S)
     if end - begin < MIN_S:
         return None
     every_hz, every = _spectrum(samples, (begin, end))
@@ -140,6 +143,16 @@ def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
     folds = [np.abs(k * frames_hz + side * hertz) for k in (1, 2) for side in (-1.0, 1.0)]
     aliases = np.sum([np.interp(one, every_hz, would_move, right=0.0) for one in folds], axis=0)
     return _Spectra(hertz, every[heard], would_move[heard], aliases, _shown_power(shown, (begin, end), hertz))
+
+
+def _longest_run(time_s: Floats) -> tuple[float, float]:
+    """First and last of increasing times (n,) between which there is no gap, where these are farthest apart."""
+    if not len(time_s):
+        return 0.0, 0.0
+    breaks = np.flatnonzero(np.diff(time_s) > MAX_GAP_S)
+    first, last = time_s[np.r_[0, breaks + 1]], time_s[np.r_[breaks, len(time_s) - 1]]
+    longest = int(np.argmax(last - first))
+    return float(first[longest]), float(last[longest])
 
 
 def _spectrum(samples: Floats, span_s: tuple[float, float]) -> tuple[Floats, Floats]:

@@ -195,6 +195,8 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
+    # A slow error that was estimated is in the band.
+    drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if estimated.slow_std_m > 0.0 else estimated.unseen_m
     return DisplacementCalibration(
         std,
         estimated.offset,
@@ -206,14 +208,10 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         slow_time_s=estimated.slow_time_s,
         exposure_s=estimated.exposure_s,
         apart_std_m=_lost_m(given, estimated),
-        **_unseen(estimated),
+        unseen_drift_m=drift_m,
+        unseen_step_m=step_m,
+        unseen_gap_m=gap_m,
     )
-
-
-def _unseen(estimated: NoiseCalibration) -> dict[str, float]:
-    """What the record cannot tell from motion, m; nothing where a slow error was estimated."""
-    sizes = (0.0, 0.0, 0.0) if estimated.slow_std_m > 0.0 else estimated.unseen_m
-    return dict(zip(("unseen_drift_m", "unseen_step_m", "unseen_gap_m"), sizes, strict=True))
 
 
 def _lost_m(given: Given, estimated: NoiseCalibration) -> float:
