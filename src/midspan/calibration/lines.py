@@ -82,7 +82,8 @@ class _Spectra:
     """Powers (k,) at frequencies (k,), Hz, that both sensors hear.
 
     felt: of the acceleration; would_move: of the displacement that it is; aliases: of that of faster motion which the
-    sensor shows at these frequencies as well; moved: of what the sensor shows, in its own unit.
+    sensor shows at these frequencies as well; moved: of what the sensor shows, in its own unit. white: of the
+    acceleration's own noise.
     """
 
     hertz: Floats
@@ -90,6 +91,7 @@ class _Spectra:
     would_move: Floats
     aliases: Floats
     moved: Floats
+    white: float
 
 
 def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
@@ -97,14 +99,14 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
     if (both := _spectra(samples, shown)) is None:
         return ()
     hertz, felt, ratio = both.hertz, both.felt, both.moved / np.maximum(both.would_move, 1e-300)
-    noise = float(np.mean(np.sort(both.moved)[: int(LOWEST * len(hertz))])) / SHARE_OF_LOWEST
+    noise = _floor(both.moved)
     weight = np.where(both.moved > ABOVE_NOISE * noise, np.sqrt(ratio) * felt, 0.0)
     factor = _weighted_median(ratio, weight)
     moves = (weight > 0.0) & (ratio > SHOWN * factor) & (ratio < factor / SHOWN)
     if not np.sum(weight[moves]) > MOSTLY * np.sum(weight):
         return ()
     alone = felt * np.clip(1.0 - ratio / factor, 0.0, 1.0)
-    peak, belongs = _peaks(alone, hertz)
+    peak, belongs = _peaks(alone, hertz, both.white)
     would_show = factor * both.would_move > ABOVE_NOISE * (noise + factor * both.aliases)
     absent = belongs & would_show & (ratio < NOT_SHOWN * factor) & (hertz < REACH * np.max(hertz[moves]))
     inside = np.zeros(len(hertz), dtype=np.bool_)
@@ -142,7 +144,13 @@ def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
     hertz = every_hz[heard]
     folds = [np.abs(k * frames_hz + side * hertz) for k in (1, 2) for side in (-1.0, 1.0)]
     aliases = np.sum([np.interp(one, every_hz, would_move, right=0.0) for one in folds], axis=0)
-    return _Spectra(hertz, every[heard], would_move[heard], aliases, _shown_power(shown, (begin, end), hertz))
+    moved = _shown_power(shown, (begin, end), hertz)
+    return _Spectra(hertz, every[heard], would_move[heard], aliases, moved, _floor(every))
+
+
+def _floor(power: Floats) -> float:
+    """Power of the white noise in ordinates (k,) at most: motion only adds to it."""
+    return float(np.mean(np.sort(power)[: int(LOWEST * len(power))])) / SHARE_OF_LOWEST
 
 
 def _longest_run(time_s: Floats) -> tuple[float, float]:
@@ -175,13 +183,15 @@ def _reach(stands_out: tuple[int, int], moves: NDArray[np.bool_]) -> tuple[int, 
     return max(low, 0), min(high, len(moves) - 1)
 
 
-def _peaks(power: Floats, hertz: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which ordinates (k,) are peaks of a power, and which belong to one."""
+def _peaks(power: Floats, hertz: Floats, white: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ordinates (k,) are peaks of a power beside what is usual around them and white noise, and which belong to
+    one.
+    """
     from scipy.ndimage import median_filter
 
     around = 2 * int(AROUND_HZ / (hertz[1] - hertz[0])) + 1
     usual = median_filter(power, min(around, len(power)), mode="nearest") / np.log(2.0)
-    return power > usual * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
+    return power > np.maximum(usual, white) * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
 
 
 def _three(power: Floats) -> Floats:
