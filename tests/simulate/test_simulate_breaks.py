@@ -253,12 +253,13 @@ def test_hum_is_a_line_that_only_the_accelerometer_has():
     assert abs(drawn["machine_hz"] - 100 * round(drawn["machine_hz"] / 100)) == pytest.approx(drawn["shows_hz"])
 
 
-def test_rounded_stamps_come_in_pairs():
+def test_rounded_stamps_come_in_threes_around_the_middle_one():
     one, facts = staged("rounding", name="footbridge")
     time_ns = one.acceleration().time_ns
-    assert facts["rounding"]["step_s"] == 0.02
-    np.testing.assert_array_equal(time_ns[::2], time_ns[1::2])
-    assert set(np.diff(time_ns[::2])) == {20_000_000}
+    assert facts["rounding"]["step_s"] == 0.03
+    np.testing.assert_array_equal(time_ns[3:-3:3], time_ns[2:-4:3])
+    np.testing.assert_array_equal(time_ns[3:-3:3], time_ns[4:-2:3])
+    np.testing.assert_array_equal(time_ns[::3], 10_000_000 * np.arange(0, len(time_ns), 3))
 
 
 def test_interference_is_in_every_bin_and_stronger_than_the_target():

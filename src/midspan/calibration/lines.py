@@ -32,7 +32,7 @@ ABOVE_NOISE, LOWEST, SHARE_OF_LOWEST = 50.0, 0.25, 0.4
 # than the inverse), and does not show it with less than the second: noise and neighbouring motion are in it as well.
 SHOWN, NOT_SHOWN = 0.6, 0.2
 # Of what both hold, at least this share must be motion by this rule: else powers do not tell what both share, as
-# where a clock steps, something bends a radar's phase, or a gap hides a part (0.79 and less; beside machines 0.85).
+# where a clock steps, something bends a radar's phase, or a gap hides a part (0.79 and less; with machines 0.85).
 MOSTLY = 0.8
 # A line is taken out where motion has no more than this share of the power in its band: it is lost with it.
 MAX_MOTION = 0.02
@@ -184,7 +184,7 @@ def _reach(stands_out: tuple[int, int], moves: NDArray[np.bool_]) -> tuple[int, 
 
 
 def _peaks(power: Floats, hertz: Floats, white: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which ordinates (k,) are peaks of a power beside what is usual around them and white noise, and which belong to
+    """Which ordinates (k,) are peaks of a power relative to what is usual there and to white noise, and which belong to
     one.
     """
     from scipy.ndimage import median_filter

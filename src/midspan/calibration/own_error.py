@@ -29,7 +29,7 @@ SIZES, SHARES, PEAKS, NEAR, PERIODS = (3.0, 30.0), (0.01, 0.1), 3, 3, 5.0
 # where it lasts for this many times that.
 SIZE_RANGE, LONGEST_S, MAX_TIMES = (0.1, 1e4), 10.0, 1000.0
 # A tone has less than this share of the critical damping; masts and brackets have 0.5 % at least.
-LEAST_DAMPING = 0.002
+MIN_DAMPING = 0.002
 # A tracker's own variance is no less than this of a frame's noise (the noise levels of simulated cameras are 0.4 to 1).
 OWN_SHARE = 0.25
 # By how much (logarithm) a density or noise beyond its bound is less likely, by the square of the ratio's logarithm.
@@ -136,7 +136,7 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> OwnError | None
     found, (share, std) = (slow, swings)[int(np.argmax(gains))], _share(none)
     own = OwnError(pair.changed(slow=climb.slow[found.corner, found.likelihood]), found, share - CERTAIN * std > 0.5)
     sways = own.hertz * own.time_s > PERIODS_SEEN
-    tone = own.hertz * own.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
+    tone = own.hertz * own.time_s > 1.0 / (2.0 * np.pi * MIN_DAMPING)
     # A drift or a tone is an accelerometer's as soon as a camera's, and so is what a camera cannot have read.
     taken = (own.alone or sways) and not tone and found.likelihood > fit.likelihood
     taken = taken and not own.beyond_readings

@@ -241,12 +241,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     assert found is not None
     used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
     several = len(camera.targets) > 1
-    warnings = [*notices]
-    warnings += [
-        Notice("part-left-out", f"Target {target.name} is left out along {camera.direction}: {target.reason}")
-        for target in camera.targets
-        if not target.used
-    ]
+    warnings = [*notices, *_left_out(camera)]
     for one, target in used:
         warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
@@ -297,6 +292,11 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         direction=found.direction,
         parts=parts,
     )
+
+
+def _left_out(camera: CameraCalibration) -> list[Notice]:
+    text = f"Target {{0}} is left out along {camera.direction}: {{1}}"
+    return [Notice("part-left-out", text.format(one.name, one.reason)) for one in camera.targets if not one.used]
 
 
 def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float) -> list[Notice]:

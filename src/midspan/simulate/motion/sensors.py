@@ -61,7 +61,7 @@ class AccelerometerModel:
 
     `noise_std_m_s2` is white, per sample; `drift_m_s2_per_root_s` a random walk; `jitter_s` the standard deviation of
     the sampling instants about the even grid, stamped truly or, with `nominal_stamps`, with the grid; its stamps are
-    whole multiples of `stamp_step_s` (the last one before the instant), where that is not 0.
+    rounded to `stamp_step_s`, where that is not 0.
     """
 
     rate_hz: float = 100.0
@@ -82,8 +82,7 @@ class AccelerometerModel:
         clipped = np.clip(value, -self.clip_m_s2, self.clip_m_s2)
         stamps = grid if self.nominal_stamps else taken
         if self.stamp_step_s:
-            # An instant on a whole multiple stays on it.
-            stamps = np.floor(stamps / self.stamp_step_s + 1e-6) * self.stamp_step_s
+            stamps = np.rint(stamps / self.stamp_step_s) * self.stamp_step_s
         return TimeSeries(nanoseconds(stamps), clipped, "acceleration", "m/s^2")
 
 

@@ -204,8 +204,8 @@ def _haze(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     setup = staged.scenario.camera
     assert setup is not None
     px, tau = rng.uniform(0.2, 0.5), 10 ** rng.uniform(0.0, 1.0)
-    wander = _gauss_markov(staged, rng, px * 1e-3 * abs(setup.scale_mm_per_px), tau)
-    return _seen(staged, wander), {"std_px": px, "time_s": tau}
+    moved = _gauss_markov(staged, rng, px * 1e-3 * abs(setup.scale_mm_per_px), tau)
+    return _seen(staged, moved), {"std_px": px, "time_s": tau}
 
 
 def _float(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
@@ -264,7 +264,8 @@ def _hum(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
 
 def _rounding(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     del rng
-    step = 2.0 / staged.accelerometer.rate_hz
+    # Three samples share a stamp, the middle one's: on the mean the stamps are right.
+    step = 3.0 / staged.accelerometer.rate_hz
     return replace(staged, accelerometer=replace(staged.accelerometer, stamp_step_s=step)), {"step_s": step}
 
 
@@ -305,7 +306,7 @@ def _radar(name: str, scenario: Scenario) -> bool:
     return scenario.radar is not None and name not in AT_REST
 
 
-# In this order, however they were asked for: new ones at the end, for each one's generator is told by its place.
+# In this order, however they were asked for: new ones at the end, for a break's generator follows from its place.
 BREAKS: dict[str, Break] = {
     "tilt": Break(
         "gravity reaches the accelerometer of a structure that leans, and a camera tilts slowly",
@@ -331,7 +332,7 @@ BREAKS: dict[str, Break] = {
     "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, _pattern),
     "mast": Break("the camera's mast nods by 0.15 to 1 px rms at 0.1 to 0.5 Hz", _camera_alone, _mast),
     "breathing": Break(
-        "the autofocus hunts: 0.1 to 0.3 % of magnification in 3 to 20 s, the axis 60 to 300 px beside the middle",
+        "the autofocus hunts: 0.1 to 0.3 % of magnification in 3 to 20 s, the axis 60 to 300 px off the middle",
         _camera_alone,
         _breathing,
     ),
@@ -351,7 +352,7 @@ BREAKS: dict[str, Break] = {
         "another radar's chirps: bursts of 6 dB above the target in every bin", _radar, _interference
     ),
     "rounding": Break(
-        "the accelerometer's stamps are whole multiples of twice its interval", _moves_along_one_axis, _rounding
+        "the accelerometer's stamps are rounded to three of its intervals", _moves_along_one_axis, _rounding
     ),
     "hum": Break(
         "no anti-alias filter, and a machine near a multiple of the accelerometer's rate", _moves_along_one_axis, _hum
