@@ -17,7 +17,7 @@ METHODS = ("smoother", "kalman")
 MIN_INSIDE, WORST_Z = 0.85, 8.0  # of a recording that is called ok
 MAX_WIDE = 3.0  # mean standard deviation over rms error, above which a true band is of little use
 # What a result of a displacement sensor says of slow errors that its record cannot tell from motion.
-UNSEEN_DRIFT = re.compile(r"A slow error,.* of up to ([\d.e+-]+) mm in 10 s would not show")
+UNSEEN_DRIFT = re.compile(r"a slow error .*of up to ([\d.e+-]+) mm in 10 s")
 # A sensor without a zero of its own has one error common to all rows, often most of the band: one honest recording of
 # twenty has it beyond 1.96 standard deviations, and with it every row. Up to the bound that one of a thousand exceeds
 # the rows are judged without their mean as well.
@@ -125,10 +125,10 @@ def _estimated(kind: Kind, seed: int, method: str, truth: Truth, folder: Path) -
     seconds = time.perf_counter() - started
     shares = compared(result, truth)
     scale, offset = _calibrated(kind.family, truth, result.calibration.to_dict())
-    unseen = [UNSEEN_DRIFT.search(one) for one in result.warnings]
+    unseen = [UNSEEN_DRIFT.search(one) for one in result.not_in_band]
     stated = any(one is not None and 0.0 < truth.drift_mm <= float(one[1]) for one in unseen)
-    # Recordings in which nothing is wrong have that sentence, too, so that it warns nobody.
-    said = " | ".join(text for text, one in zip(result.warnings, unseen, strict=True) if one is None)
+    # Recordings in which nothing is wrong have that sentence, too: it is no warning.
+    said = " | ".join(result.warnings)
     return Outcome(
         kind.label,
         seed,

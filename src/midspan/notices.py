@@ -79,6 +79,13 @@ def once(notices: Iterable[Notice], before: Iterable[Notice] = ()) -> tuple[Noti
     return (*(one for one in dict.fromkeys(before) if (one.code, one.about) not in again), *own)
 
 
+def rounded(value: float) -> str:
+    """A number of a sentence: two significant digits, and no exponent."""
+    import numpy as np
+
+    return np.format_float_positional(value, precision=2, fractional=False, trim="-")
+
+
 def notice_trees(notices: Iterable[str]) -> list[dict[str, str]]:
     """Notices as plain values: code, severity and text of each."""
     return [{"code": one.code, "severity": str(one.severity), "text": str(one)} for one in map(coded, notices)]

@@ -76,6 +76,23 @@ def test_a_mode_that_an_averaging_sensor_hides_is_no_line():
     assert unconfirmed_lines(felt(motion), shown) == ()
 
 
+@pytest.mark.parametrize("seed", [15, 21, 24, 25])
+def test_steps_of_a_clock_and_gaps_make_no_lines(seed):
+    rng = np.random.default_rng(seed)
+    mode_hz = rng.uniform([0.6, 1.5, 2.6], [1.5, 2.6, 4.2])
+    # Three modes of 1 to 2 % of damping are as wide as this, and come and go.
+    parts = [random_motion((0.985 * f, 1.015 * f), 2e-3 * mode_hz[0] / f, rng=rng, lines=60) for f in mode_hz]
+    time_s = np.arange(1.0, 59.0, 0.1)
+    moved = sum(one.displacement(time_s) for one in parts) + rng.normal(0, 2e-4, len(time_s))
+    samples = np.column_stack(
+        (TIME_S, sum(one.acceleration(TIME_S) for one in parts) + rng.normal(0, 2e-3, len(TIME_S)))
+    )
+    ahead_s = np.where(time_s > 25.0, 0.12, 0.0) - np.where(time_s > 40.0, 0.19, 0.0)
+    assert not unconfirmed_lines(samples, Shown(time_s + ahead_s, moved))
+    seen = (time_s < 25.0) | (time_s > 31.0)
+    assert not unconfirmed_lines(samples, Shown(time_s[seen], moved[seen]))
+
+
 def test_a_sensor_of_something_else_tells_no_lines():
     assert unconfirmed_lines(felt(moving(1), hum()), seen(moving(2))) == ()
 

@@ -11,10 +11,11 @@ RATE_HZ, LENGTH_S, MM_PER_PX, SIZE = 8.0, 50.0, 1.2, 48
 REPORTED = {"motion-not-shared", "accelerometer-noisy"}
 
 
-def write(folder, seed, error_px, zooms=None, axis_px=0.0):
+def write(folder, seed, error_px, zooms=None, axis_px=0.0, warms=None):
     """A film of a texture of cosines that moves by three modes and an error (n,), px; returns its truth, mm.
 
-    zooms: by what share it grows about a row `axis_px`, function of time.
+    zooms: by what share it grows about a row `axis_px`, function of time. warms: what the accelerometer's gain and bias
+    (m/s²) grow by as it warms up in a quarter of a minute.
     """
     rng = np.random.default_rng(seed)
     hertz = np.concatenate([mode * (1 + 0.02 * rng.normal(size=8)) for mode in (0.8, 1.9, 3.1)])
@@ -26,6 +27,9 @@ def write(folder, seed, error_px, zooms=None, axis_px=0.0):
 
     time, met = np.arange(0.0, LENGTH_S, 0.01), np.arange(0.603, LENGTH_S - 0.6, 1 / RATE_HZ)
     accel = 1e-3 * moved(time, -(omega**2)) + rng.normal(0.0, 2e-3, len(time))
+    if warms is not None:
+        grown = 1.0 - np.exp(-(time + 1.0) / 15.0)
+        accel = accel * (1.0 + warms[0] * grown) + warms[1] * grown
     np.savetxt(folder / "a.csv", np.column_stack((time, accel)), "%.9f", ",", header="time_s,value", comments="")
     waves = rng.uniform(-0.9, 0.9, (120, 2))
     phase_down, stack, pixel = rng.uniform(0, 2 * np.pi, (120, 1)), [], np.arange(SIZE)
@@ -84,6 +88,18 @@ def test_the_band_holds_a_mast_that_nods(hertz, px, tmp_path):
     assert "motion-not-shared" in {line.code for line in result.warnings}
     # Besides the zero, which is that of a picture from a mast that stands somewhere, half of the sway is told apart.
     assert np.std(error) < 0.5 * px * MM_PER_PX
+
+
+@pytest.mark.parametrize("warms", [(0.02, 0.03), (0.03, 0.005)])
+def test_an_accelerometer_that_warms_up_is_no_mast_and_no_noisy_frames(warms, tmp_path):
+    truth = write(tmp_path, 5, lambda time, rng: np.zeros(len(time)), warms=warms)
+    result = midspan.estimate(tmp_path)
+    said = " ".join(result.warnings)
+    assert "mast" not in said
+    assert "first frames" not in said
+    assert "it warms up" in said
+    # It was 30 to 160 mm: no error of a camera is larger than what it shows.
+    assert np.median(result.displacement_std_mm) < 3.0 * np.std(truth(result.time_s))
 
 
 def test_air_that_shimmers_is_reported_and_in_the_band(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 import midspan
 from lively_recordings import SCALE_MM_PER_PX, Lively, write
 from midspan.cli.main import run
-from midspan.settings.plausible import DELAY, SENSITIVITY, TILT
+from midspan.recording.not_in_band import DELAY, SENSITIVITY, TILT
 from recording_edits import append, set_keys
 
 STD_MDEG, DISTANCE_M = 0.5, 12.0
@@ -92,8 +92,12 @@ def test_without_a_distance_one_message_tells_what_is_needed(tmp_path, capsys):
 
 def test_left_out_the_result_says_that_tilt_is_not_observed(folder, tmp_path, capsys):
     assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 0
-    assert "camera: tilt not observed" in capsys.readouterr().out
-    assert json.loads((tmp_path / "r.json").read_text())["not_in_band"] == [SENSITIVITY, DELAY, f"camera: {TILT}"]
+    printed = capsys.readouterr()
+    assert f"camera: {TILT}" in printed.out
+    assert TILT not in printed.err
+    said = json.loads((tmp_path / "r.json").read_text())["not_in_band"]
+    assert [begins in line for begins, line in zip((SENSITIVITY, DELAY, TILT), said, strict=True)] == [True] * 3
+    assert "0.017 mm for each metre of distance" in said[2]
     set_keys(folder, "camera", tilt_std_mdeg=STD_MDEG, distance_m=DISTANCE_M)
-    assert midspan.estimate(folder).not_in_band == (SENSITIVITY, DELAY)
+    assert not any(TILT in line for line in midspan.estimate(folder).not_in_band)
     set_keys(folder, "camera", tilt_std_mdeg=None, distance_m=None)

@@ -17,6 +17,8 @@ from midspan.records import Floats
 
 # Polynomials up to this order follow a warm-up of a tenth of the record to a fifth of its size.
 ORDER = 3
+# A bias that drifts meanwhile is in the displacement by these orders; the lower ones are open anyway.
+BIAS_ORDERS = range(4, 9)
 # Blocks of time whose sums are taken as independent.
 BLOCKS = 24
 # A scale that does not change seems to with this probability; and a change of less than this is of no importance.
@@ -38,14 +40,17 @@ def gain_drift(pair: Pair, fit: Fit) -> float:
     def product(at_s: Floats, order: int) -> Floats:
         return np.asarray(pair.responses[0].at(at_s, pair.exposure_s, pair.logger) * course(order, at_s))
 
-    here = aligned(pair, fit.offset_s, *(partial(product, order=k) for k in range(1, ORDER + 1)))
+    drifts = [partial(course, k) for k in BIAS_ORDERS]
+    here = aligned(pair, fit.offset_s, *drifts, *(partial(product, order=k) for k in range(1, ORDER + 1)))
     w = here.whitened(fit.corner)
-    root = np.sqrt(w.variance)[:, None]
-    columns, left = fit.ratio * w.columns[:, -ORDER:] / root, (w.translation - fit.ratio * w.response)[:, None] / root
-    response = w.response[:, None] / root
-    columns = columns - response * (response.T @ columns) / max(float(np.sum(response**2)), 1e-300)
+    standard = w.columns / np.sqrt(w.variance)[:, None]
+    left = standard[:, :1] - fit.ratio * standard[:, 1:2]
     if len(left) < 2 * BLOCKS:
         return 0.0
+    others = np.column_stack((standard[:, 1], standard[:, -ORDER - len(drifts) : -ORDER]))
+    both = np.column_stack((fit.ratio * standard[:, -ORDER:], left))
+    both -= others @ np.linalg.lstsq(others, both, rcond=None)[0]
+    columns, left = both[:, :-1], both[:, -1:]
     inverse = np.linalg.pinv(columns.T @ columns, hermitian=True)
     size = inverse @ (columns.T @ left)
     parts = np.array([np.sum(one, axis=0) for one in np.array_split(columns * (left - columns @ size), BLOCKS)])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import UntrustedError
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.records import Floats
 from midspan.signals.health import runs
 from midspan.signals.lines import Line
@@ -31,8 +31,9 @@ ABOVE_NOISE, LOWEST, SHARE_OF_LOWEST = 50.0, 0.25, 0.4
 # The sensor shows a motion where it has at least the first share of the power that the accelerometer tells (and no more
 # than the inverse), and does not show it with less than the second: noise and neighbouring motion are in it as well.
 SHOWN, NOT_SHOWN = 0.6, 0.2
-# Of what both hold, at least this share must be motion by this rule: else nothing tells the factor between them.
-MOSTLY = 0.5
+# Of what both hold, at least this share must be motion by this rule: else powers do not tell what both share, as
+# where a clock steps, something bends a radar's phase, or a gap hides a part (0.79 and less; with machines 0.85).
+MOSTLY = 0.8
 # A line is taken out where motion has no more than this share of the power in its band: it is lost with it.
 MAX_MOTION = 0.02
 # A sensor that averages or follows late shows fast motion less: one that shows all of it at a frequency shows a fifth
@@ -40,6 +41,8 @@ MAX_MOTION = 0.02
 REACH = 2.0
 # A wider band is no line, Hz; a line that swings has skirts of at most this many ordinates on either side.
 MAX_WIDTH_HZ, MAX_SKIRT = 1.0, 10
+# Behind a longer gap than this, s, a motion that comes and goes is another one: only between gaps both see the same.
+MAX_GAP_S = 1.0
 # Shorter records, or fewer ordinates, do not resolve lines; of longer ones the beginning tells them, s.
 MIN_S, MAX_S, MIN_ORDINATES = 20.0, 120.0, 32
 
@@ -79,7 +82,8 @@ class _Spectra:
     """Powers (k,) at frequencies (k,), Hz, that both sensors hear.
 
     felt: of the acceleration; would_move: of the displacement that it is; aliases: of that of faster motion which the
-    sensor shows at these frequencies as well; moved: of what the sensor shows, in its own unit.
+    sensor shows at these frequencies as well; moved: of what the sensor shows, in its own unit. white: of the
+    acceleration's own noise.
     """
 
     hertz: Floats
@@ -87,6 +91,7 @@ class _Spectra:
     would_move: Floats
     aliases: Floats
     moved: Floats
+    white: float
 
 
 def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
@@ -94,14 +99,14 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
     if (both := _spectra(samples, shown)) is None:
         return ()
     hertz, felt, ratio = both.hertz, both.felt, both.moved / np.maximum(both.would_move, 1e-300)
-    noise = _noise(both.moved)
+    noise = _floor(both.moved)
     weight = np.where(both.moved > ABOVE_NOISE * noise, np.sqrt(ratio) * felt, 0.0)
     factor = _weighted_median(ratio, weight)
     moves = (weight > 0.0) & (ratio > SHOWN * factor) & (ratio < factor / SHOWN)
     if not np.sum(weight[moves]) > MOSTLY * np.sum(weight):
         return ()
     alone = felt * np.clip(1.0 - ratio / factor, 0.0, 1.0)
-    peak, belongs = _peaks(alone, felt, hertz)
+    peak, belongs = _peaks(alone, hertz, both.white)
     would_show = factor * both.would_move > ABOVE_NOISE * (noise + factor * both.aliases)
     inside = np.zeros(len(hertz), dtype=np.bool_)
     for first, stop in runs(belongs & would_show & (hertz < REACH * np.max(hertz[moves]))):
@@ -127,8 +132,8 @@ def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
     """The spectra of the time that both share; None where that is too short."""
     if np.count_nonzero(np.isfinite(shown.value)) < MIN_ORDINATES:
         return None
-    begin, end = max(samples[0, 0], shown.time_s[0]), min(samples[-1, 0], shown.time_s[-1])
-    end = min(end, begin + MAX_S)
+    begin, end = _longest_run(shown.time_s[np.isfinite(shown.value)])
+    begin, end = max(samples[0, 0], begin), min(samples[-1, 0], end, begin + MAX_S)
     if end - begin < MIN_S:
         return None
     every_hz, every = _spectrum(samples, (begin, end))
@@ -140,7 +145,23 @@ def _spectra(samples: Floats, shown: Shown) -> _Spectra | None:
     hertz = every_hz[heard]
     folds = [np.abs(k * frames_hz + side * hertz) for k in (1, 2) for side in (-1.0, 1.0)]
     aliases = np.sum([np.interp(one, every_hz, would_move, right=0.0) for one in folds], axis=0)
-    return _Spectra(hertz, every[heard], would_move[heard], aliases, _shown_power(shown, (begin, end), hertz))
+    moved = _shown_power(shown, (begin, end), hertz)
+    return _Spectra(hertz, every[heard], would_move[heard], aliases, moved, _floor(every))
+
+
+def _floor(power: Floats) -> float:
+    """Power of the white noise in ordinates (k,) at most: motion only adds to it."""
+    return float(np.mean(np.sort(power)[: int(LOWEST * len(power))])) / SHARE_OF_LOWEST
+
+
+def _longest_run(time_s: Floats) -> tuple[float, float]:
+    """First and last of increasing times (n,) between which there is no gap, where these are farthest apart."""
+    if not len(time_s):
+        return 0.0, 0.0
+    breaks = np.flatnonzero(np.diff(time_s) > MAX_GAP_S)
+    first, last = time_s[np.r_[0, breaks + 1]], time_s[np.r_[breaks, len(time_s) - 1]]
+    longest = int(np.argmax(last - first))
+    return float(first[longest]), float(last[longest])
 
 
 def _spectrum(samples: Floats, span_s: tuple[float, float]) -> tuple[Floats, Floats]:
@@ -163,19 +184,15 @@ def _reach(stands_out: tuple[int, int], moves: NDArray[np.bool_]) -> tuple[int, 
     return max(low, 0), min(high, len(moves) - 1)
 
 
-def _peaks(power: Floats, felt: Floats, hertz: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which ordinates (k,) are peaks of a power, which is part of one that is felt, and which belong to one."""
+def _peaks(power: Floats, hertz: Floats, white: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ordinates (k,) are peaks of a power relative to what is usual there and to white noise, and which belong to
+    one.
+    """
     from scipy.ndimage import median_filter
 
     around = 2 * int(AROUND_HZ / (hertz[1] - hertz[0])) + 1
     usual = median_filter(power, min(around, len(power)), mode="nearest") / np.log(2.0)
-    usual = np.maximum(usual, _noise(felt))
-    return power > usual * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
-
-
-def _noise(power: Floats) -> float:
-    """The mean power of a white noise that is all there is at the lowest quarter of ordinates (k,), means of three."""
-    return float(np.mean(np.sort(power)[: int(LOWEST * len(power))])) / SHARE_OF_LOWEST
+    return power > np.maximum(usual, white) * np.log(len(power) / PEAK_BY_CHANCE), power > BELONGS * usual
 
 
 def _three(power: Floats) -> Floats:
@@ -208,7 +225,7 @@ _LEFT_IN = "Where the structure moves there too it is not taken out, and the ban
 
 def lines_text(lines: tuple[Line, ...], sensor: str) -> Notice:
     """The sentence on lines that were taken out."""
-    listed = ", ".join(f"{line.middle_hz:.3g} Hz ({1e3 * line.std_m_s2:.2g} mm/s² rms)" for line in lines)
+    listed = ", ".join(f"{line.middle_hz:.3g} Hz ({rounded(1e3 * line.std_m_s2)} mm/s² rms)" for line in lines)
     text = (
         f"accelerometer: a narrow line at {listed} that the {sensor} does not show: a machine near a multiple of its "
         "rate and no anti-alias filter, a part of the mounting that vibrates, or motion across an inclined axis. "

@@ -28,6 +28,8 @@ AROUND_S = 10.0
 WINDOW_S, MAX_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
 # Lost or doubled frames are named where a jump is this many intervals to this share of one.
 WHOLE = 0.1
+# A step is located to a few measurements; where more lie in between, it may as well be a drift.
+MAX_BETWEEN = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,8 +254,9 @@ def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
     whole = whole and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
     were, lost = "was" if abs(frames) == 1 else "were", "lost" if frames > 0 else "doubled"
     what = f", as if {abs(frames)} of its frames {were} {lost}" if whole else ""
+    jumped = "jumped" if jump.last - jump.first <= MAX_BETWEEN else "went off (a step or a drift)"
     text = (
-        f"{sensor}: its clock jumped between {shown(begin)} and {shown(end)}: {1e3 * jump.late_s:+.2f} ± "
+        f"{sensor}: its clock {jumped} between {shown(begin)} and {shown(end)}: {1e3 * jump.late_s:+.2f} ± "
         f"{1e3 * jump.std_s:.2g} ms must be added to its stamps from there on{what}; this was corrected."
     )
     if jump.rival_s is not None:

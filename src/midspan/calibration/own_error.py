@@ -15,6 +15,7 @@ import numpy as np
 from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range
 from midspan.calibration.own_noise import exceeds_own_noise, most_density, narrow_motion
 from midspan.calibration.whitening import NO_SLOW_ERROR
+from midspan.notices import rounded
 from midspan.records import Floats
 
 # What each unknown of a slow error must gain (logarithm of the likelihood) where something hints at one: by chance one
@@ -28,7 +29,7 @@ SIZES, SHARES, PEAKS, NEAR, PERIODS = (3.0, 30.0), (0.01, 0.1), 3, 3, 5.0
 # where it lasts for this many times that.
 SIZE_RANGE, LONGEST_S, MAX_TIMES = (0.1, 1e4), 10.0, 1000.0
 # A tone has less than this share of the critical damping; masts and brackets have 0.5 % at least.
-LEAST_DAMPING = 0.002
+MIN_DAMPING = 0.002
 # A tracker's own variance is no less than this of a frame's noise (the noise levels of simulated cameras are 0.4 to 1).
 OWN_SHARE = 0.25
 # By how much (logarithm) a density or noise beyond its bound is less likely, by the square of the ratio's logarithm.
@@ -42,8 +43,10 @@ PERIODS_SEEN = 0.5
 # An optimum within this factor of the lowest frequency is at the edge of the search.
 SLOWEST = 1.05
 # Errors that do not sway are looked at at instants so far apart, s: what exposures and shimmering air smooth them by is
-# less, and what errs faster the accelerometer shows. Close by, how smooth an error is told more than how large it is.
+# less, and what errs faster the accelerometer shows. Close by, how smooth an error is counts more than how large it is.
 APART_S = 0.3
+# A process of LONGEST_S shows two thirds of its standard deviation in twice that time, on average, and seldom a half.
+MAX_SHOWN = 2.0
 # Powers at a frequency are means over this many ordinates.
 SMOOTHED = 9
 
@@ -52,7 +55,7 @@ SMOOTHED = 9
 class OwnError:
     """A pair with the slow error of its measurements, and its fit.
 
-    std: its standard deviation, in the translation's unit.
+    fitted_std: its standard deviation as fitted, in the unit of the translation; no limit holds it for a drift.
     alone: whether it goes with the measurements alone; else the accelerometer may have it, and the band must hold it.
     taken: whether it is the pair's and the estimator's; else the accelerometer is the likelier cause, and the rows
     follow the measurements.
@@ -60,7 +63,7 @@ class OwnError:
 
     pair: Pair
     fit: Fit
-    std: float
+    fitted_std: float
     alone: bool
     taken: bool = True
 
@@ -72,7 +75,22 @@ class OwnError:
     @property
     def is_tone(self) -> bool:
         """Whether it has less damping than any structure."""
-        return self.hertz * self.time_s > 1.0 / (2.0 * np.pi * LEAST_DAMPING)
+        return self.hertz * self.time_s > 1.0 / (2.0 * np.pi * MIN_DAMPING)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the error, in the translation's unit: where it would show, no more than shows."""
+        return self.translation_std if self.beyond_readings else self.fitted_std
+
+    @property
+    def beyond_readings(self) -> bool:
+        """Whether it would be far more than was read: it is the drift of an accelerometer, integrated twice."""
+        return self.fitted_std > MAX_SHOWN * self.translation_std
+
+    @property
+    def translation_std(self) -> float:
+        """Standard deviation of the translation as it was measured."""
+        return float(np.std(self.pair.rows[np.isfinite(self.pair.rows[:, 2]), 1]))
 
     @property
     def time_s(self) -> float:
@@ -86,12 +104,16 @@ class OwnError:
 
     def text(self, sensor: str, std_m: float) -> str:
         """A sentence on it; std_m: its standard deviation, m."""
-        size = f"by {1e3 * std_m:.2g} mm rms besides its noise"
-        course = (
-            f"errs slowly, {size}, over {self.time_s:.2g} s, as through hot air or a lens that breathes (autofocus)"
-        )
+        if self.beyond_readings:
+            return (
+                f"accelerometer: it and the {sensor} drift apart by more than the {sensor} shows in all, as where the "
+                f"accelerometer's bias drifts (it warms up). The error band holds all that is shown, "
+                f"{rounded(1e3 * std_m)} mm rms; let it warm up before recording."
+            )
+        size = f"by {rounded(1e3 * std_m)} mm rms besides its noise"
+        course = f"errs slowly, {size}, over {rounded(self.time_s)} s, as through hot air or with autofocus that hunts"
         if self.sways:
-            course = f"sways {size}, at {self.hertz:.2g} Hz, as on a mast or bracket that nods"
+            course = f"sways {size}, at {rounded(self.hertz)} Hz, as on a mast or bracket that nods"
         if self.alone and self.taken:
             return (
                 f"{sensor}: it {course}. The accelerometer feels none of it, and tells what of it is no displacement."
@@ -124,6 +146,7 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> tuple[OwnError 
     # A drift or a tone is an accelerometer's as soon as a camera's: of a tone one phase is all there is to tell by.
     alone = alone and not own.is_tone
     taken = (alone or (own.sways and not own.is_tone)) and own.fit.likelihood > fit.likelihood
+    taken = taken and not own.beyond_readings
     return replace(own, alone=alone, taken=taken), False
 
 

@@ -18,7 +18,7 @@ from midspan.calibration.whitening import SETTLING
 from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
-from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
+from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 
@@ -34,8 +34,9 @@ MANY_LEFT_OUT = 0.2
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
-# A scale factor that changes was right at its begin or its end: a band of this many deviations holds both.
-WITHIN = 2.0
+# A scale factor that changes was right at its begin or its end, and begins faster than the polynomials that follow it:
+# this many deviations reach from the one to the other.
+WITHIN = 1.5
 # What the relative standard deviation of a camera's scale factor is made of: each part in words, and what lessens it.
 PARTS = {
     "motion": (
@@ -387,8 +388,19 @@ def noise_needed(pair: Pair, fit: Fit) -> str:
     )
 
 
-def start_noise(pair: Pair, fit: Fit) -> float:
-    """Noise of the first frames, in the translation's unit, where it is clearly more than a frame's usual; else 0.
+@dataclass(frozen=True, slots=True)
+class StartNoise:
+    """What the first frames differ by from the acceleration, in the translation's unit; 0: as all others do.
+
+    drifts: whether another gain and bias of the accelerometer explain it, as while it warms up, and no noise does.
+    """
+
+    std: float
+    drifts: bool = False
+
+
+def start_noise(pair: Pair, fit: Fit) -> StartNoise:
+    """What the first frames differ by from the acceleration where that is clearly more than usual.
 
     Outliers count as well: frames that are all noisier than the rest seem to be some.
     """
@@ -396,9 +408,18 @@ def start_noise(pair: Pair, fit: Fit) -> float:
     first = rows[: SETTLING + START_FRAMES, 2]
     first[np.isinf(first)] = 1.0
     w = aligned(pair.changed(rows=rows), fit.offset_s).whitened(fit.corner)
-    left = (w.translation - fit.ratio * w.response)[:START_FRAMES] ** 2 / w.variance[:START_FRAMES]
-    size = SIGMA_OF_MEDIAN * float(np.sqrt(np.median(left))) if len(left) else 0.0
-    return size if size > START_NOISE * np.sqrt(fit.noise) else 0.0
+    root = np.sqrt(w.variance[:START_FRAMES])
+    left, felt = (one[:START_FRAMES] / root for one in (w.translation - fit.ratio * w.response, w.response))
+    clearly = START_NOISE * np.sqrt(fit.noise)
+    if len(left) < START_FRAMES or (size := _spread(left)) <= clearly:
+        return StartNoise(0.0)
+    changed = np.column_stack((felt, np.ones(START_FRAMES)))
+    return StartNoise(size, _spread(left - changed @ np.linalg.lstsq(changed, left, rcond=None)[0]) <= clearly)
+
+
+def _spread(values: Floats) -> float:
+    """Standard deviation of values (n,) about 0 by their median."""
+    return SIGMA_OF_MEDIAN * float(np.sqrt(np.median(values**2)))
 
 
 def uncertain_scale(sensor: str, relative_std: float, parts: Mapping[str, float]) -> list[Notice]:

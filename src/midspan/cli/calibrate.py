@@ -43,7 +43,7 @@ def describe(console: Console, calibration: "Calibration") -> None:
     """Print a calibration's values with their standard deviations, as the report has them, and its targets."""
     from midspan.calibration.sensors.camera import CameraCalibration
     from midspan.calibration.sensors.radar import RadarCalibration
-    from midspan.report.tables import calibrated, radar_place
+    from midspan.report.tables import calibrated
 
     rows = [(label.replace(": ", " "), value) for label, value in calibrated(calibration)]
     for name, _, sensor in calibration.sensors:
@@ -55,7 +55,7 @@ def describe(console: Console, calibration: "Calibration") -> None:
                     words.append(f"factor {factor:.4g} ± {found.conversion_factor_std:.2g}")
                     words.append(f"coherence {found.coherence:.4f}")
                 words.append("used" if item.used else f"left out: {item.reason}")
-                rows.append((f"{name} target {radar_place(found)}", ", ".join(words)))
+                rows.append((f"{name} target {found.place}", ", ".join(words)))
         elif isinstance(sensor, CameraCalibration) and len(sensor.targets) > 1:
             for target in sensor.targets:
                 value, scale = "no scale factor", target.scale

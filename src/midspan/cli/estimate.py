@@ -248,7 +248,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
             ("status", share),
             *([("source", ", ".join(sources))] if len(sources) > 1 else []),
-            *(("not in the band", line) for line in result.not_in_band),
+            *([("not in the band", f"{'; '.join(result.not_in_band)}.")] if result.not_in_band else []),
             ("written", ", ".join(written)),
         ]
     )

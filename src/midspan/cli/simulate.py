@@ -15,7 +15,7 @@ from midspan.cli.console import Console, common_options
     multiple=True,
     metavar="NAME[,NAME…]",
     help="Break the model on purpose, the truth stays: gain, axis, colour, step, burst, exposure, bracket, tilt, "
-    "logger or pattern.",
+    "logger, pattern, mast, breathing, haze, float, clock-step, railing, interference, rounding or hum.",
 )
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios.")
 @common_options

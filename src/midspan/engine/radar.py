@@ -78,7 +78,7 @@ class RadarChain:
     def __init__(self, targets: Sequence[FollowedTarget], sensor: str = "radar") -> None:
         self.targets = tuple(targets)
         self.bins: Floats = np.unique(np.concatenate([item.bins for item in targets]))
-        which = [f" at {item.target.range_m:.2f} m" if len(targets) > 1 else "" for item in targets]
+        which = [f" {item.target.place}" if len(targets) > 1 else "" for item in targets]
         self._followers = [
             _Follower(item, int(np.searchsorted(self.bins, item.bins[0])), f"{sensor}: the target{where}")
             for item, where in zip(targets, which, strict=True)

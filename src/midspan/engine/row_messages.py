@@ -14,6 +14,8 @@ from midspan.signals.stamps import shown
 NOTABLE_REJECTED = 0.02
 # Events of one kind that are warnings.
 MAX_WARNED = 3
+# A clock that was set is set once or twice in a record; one of more steps runs unevenly.
+MAX_CLOCK_STEPS = 2
 # Coasting is reported where it holds more than this share of the rows' summed variance. Less widens the rms band by
 # 2.5 % at most, and each row's own band says it.
 NOTABLE_VARIANCE = 0.05
@@ -46,10 +48,22 @@ def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
     events = tuple(event for event in events if event.kind != "seen")
     for kind in dict.fromkeys(event.kind for event in events):
         texts = [event.text for event in events if event.kind == kind]
+        if kind == "clock" and len(texts) > MAX_CLOCK_STEPS:
+            texts = [uneven_clock([event.time_ns for event in events if event.kind == kind])]
         if len(texts) > MAX_WARNED:
             texts[MAX_WARNED:] = [f"{len(texts) - MAX_WARNED} more such segments stand in the events."]
         found += [Notice(EVENT_CODES[kind], text) for text in texts]
     return found
+
+
+def uneven_clock(steps_ns: Sequence[int]) -> str:
+    """A sentence on a clock that was corrected at many instants (n,), ns."""
+    return (
+        f"The sensors' clocks run unevenly relative to each other: from {shown(min(steps_ns))} to "
+        f"{shown(max(steps_ns))} the time stamps were corrected {len(steps_ns)} times, as where readings are stamped "
+        "when they arrive (a delay that varies) or a clock is regulated over a network. Take the stamps of the "
+        "sensor's own clock. The events have each correction."
+    )
 
 
 def rejected_share(innovation: Innovation) -> float:
@@ -107,6 +121,6 @@ def radar_warnings(log: RadarLog, of_source: Sequence[Notice]) -> list[Notice]:
     for item, used in zip(log.targets, log.used, strict=True):
         if used < MIN_SEEN * log.frames:
             share = 100.0 * used / log.frames
-            text = f"radar: the target at {item.target.range_m:.2f} m was seen in {share:.3g} % of frames only."
+            text = f"radar: the target {item.target.place} was seen in {share:.3g} % of frames only."
             found.append(Notice("radar-target", text))
     return found

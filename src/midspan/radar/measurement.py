@@ -59,7 +59,7 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
     the target (`ChirpProfile.phase_per_m`). Raises UntrustedError for a target without a conversion factor.
     """
     if not np.isfinite(target.conversion_factor):
-        raise UntrustedError(f"The target at {target.range_m:.2f} m cannot be used: {target.objection}.")
+        raise UntrustedError(f"The target {target.place} cannot be used: {target.objection}.")
     same_length(frame_s=frames.frame_s, phasors=frames.phasors, valid=frames.valid)
     given = (frames.frame_s + target.time_offset_s, samples, phase_per_m)
     if frames.bins is None:

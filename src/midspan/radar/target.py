@@ -101,6 +101,11 @@ class Target:
     own_hz: float = 0.0
 
     @property
+    def place(self) -> str:
+        """Where it is, in words: its range, or its bin where samples come without ranges."""
+        return f"at {self.range_m:.2f} m" if np.isfinite(self.range_m) else f"in bin {self.place_bin:.0f}"
+
+    @property
     def relative_std(self) -> float:
         """Standard deviation of the conversion factor as a share of it."""
         return self.conversion_factor_std / abs(self.conversion_factor) if self.coherence > 0 else np.inf
@@ -354,7 +359,7 @@ def _no_target(targets: tuple[Target, ...]) -> str:
     if not targets:
         return "The radar sees no target: no peak of the range profile stands 4 dB above the noise. Check its aim."
     worst = sorted(targets, key=lambda target: -target.amplitude)[:3]
-    reported = "; ".join(f"{target.range_m:.2f} m ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
+    reported = "; ".join(f"{target.place} ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
     return (
         f"No fixed target to calibrate the conversion factor on (limits: coherence {MIN_COHERENCE:g}, standard "
         f"deviation {100 * MAX_RELATIVE_STD:g} %, factor ±{MAX_FACTOR:g}). Strongest: {reported}. Calibrate on a "

@@ -12,9 +12,9 @@ from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import CameraResult, SensorSeries
 from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
+from midspan.recording.not_in_band import not_in_band
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
-from midspan.settings.plausible import not_in_band
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable
@@ -77,8 +77,8 @@ class Result:
 
     @property
     def not_in_band(self) -> tuple[str, ...]:
-        """What the standard deviations do not contain, as nothing is given of it, in sentences."""
-        return not_in_band(self.settings, self.calibration)
+        """What the standard deviations cannot contain, with its size where this recording tells one, in sentences."""
+        return not_in_band(self.settings, self.calibration, self.estimate)
 
     @property
     def axis(self) -> str:

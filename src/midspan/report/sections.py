@@ -57,7 +57,7 @@ def displacement(material: Material) -> str:
         "displacement, so that the band can be seen.",
     )
     if material.result.not_in_band:
-        pieces += [page.paragraph("The band does not contain:"), page.bullets(material.result.not_in_band, "plain")]
+        pieces += [page.paragraph("What the band cannot contain:"), page.bullets(material.result.not_in_band, "plain")]
     return page.section("displacement", "Displacement", *pieces)
 
 
@@ -210,7 +210,7 @@ def _one_radar(material: Material, name: str, found: RadarCalibration, trace: Ra
     pieces += [page.table(tables.radar_targets(found), tables.RADAR_HEADER), page.paragraph(caption, "note")]
     if found.diagnostics is not None:
         caption = (
-            f"The best target, {tables.radar_place(found.best)}, in the window. Left: its phasors turn about the cross "
+            f"The best target, {found.best.place}, in the window. Left: its phasors turn about the cross "
             "as the range changes; what is static in the bin moves the cross away from zero and is taken out. "
             "Right: amplitude over phase; flat is right, a wave is what is static, a wide band other things that "
             "move."

@@ -13,7 +13,6 @@ from midspan.evaluate.metrics import Agreement, Comparison, normalised_innovatio
 from midspan.evaluate.spectrum import Mode
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.methods import METHODS
-from midspan.radar.target import Target
 from midspan.records import Event, Region
 from midspan.report.material import BAND, Material
 from midspan.settings.camera import CameraSettings
@@ -250,12 +249,6 @@ def targets(camera: CameraCalibration) -> list[tuple[str, ...]]:
 
 
 RADAR_HEADER = ("range (m)", "SNR (dB)", "conversion factor", "noise (mm)", "coherence", "clutter", "decision")
-
-
-def radar_place(target: Target) -> str:
-    """Where a target is, in words."""
-    known = math.isfinite(target.range_m)
-    return f"at {target.range_m:.2f} m" if known else f"in bin {target.place_bin:.1f}"
 
 
 def radar_targets(radar: RadarCalibration) -> list[tuple[str, ...]]:

@@ -1,9 +1,8 @@
-"""What settings say of a calibration: what gravity and optics contradict, and what its band does not contain."""
+"""What settings say of a calibration: what gravity and optics contradict, and what a camera's tilt makes."""
 
 import math
 
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.notices import Notice
 from midspan.settings.camera import CameraSettings
 from midspan.settings.recording import RecordingSettings
@@ -70,46 +69,19 @@ def _against_optics(name: str, camera: CameraSettings, calibration: CameraCalibr
     return [Notice("scale-implausible", text)]
 
 
-SENSITIVITY = (
-    "The accelerometer's own tolerance: all displacements are off by the same share as its sensitivity. "
-    "accelerometer.scale_std puts it in."
-)
-TILT = (
-    "tilt not observed. A camera's own tilt shows as 0.0175 mm for each millidegree and metre of distance. "
-    "tilt_std_mdeg puts it in."
-)
-DELAY = (
-    "The delay of the accelerometer's logger (of its anti-alias filter, some samples): it looks like a clock offset, "
-    "and the displacement is late by it."
-)
+def target_distance_m(camera: CameraSettings, calibration: CameraCalibration) -> float | None:
+    """Distance of the farthest target, m; None where the settings do not say.
 
-
-def not_in_band(settings: RecordingSettings, calibration: Calibration) -> tuple[str, ...]:
-    """What the standard deviations of a result do not contain."""
-    own = settings.accelerometer
-    # Neither the settings nor a sensor in metres tell how well the accelerometer's gain is known.
-    open_gain = own is not None and own.scale_std == 0.0 and calibration.accelerometer_scale_std <= 0.0
-    in_metres = any(not one.estimate_scale for one in settings.displacements)
-    found = (SENSITIVITY,) if own is not None and open_gain and not (in_metres and own.estimate_scale) else ()
-    cameras = [(one.name, one.settings) for one in settings.sensors if isinstance(one.settings, CameraSettings)]
-    tilting = ", ".join(name for name, camera in cameras if camera.tilt_std_mdeg == 0.0)
-    # The clock offset of all sensors but those of a displacement is estimated; of these where the motion shows one.
-    known = [one for one in settings.displacements if not one.estimate_offset]
-    shown = any(
-        isinstance(one, DisplacementCalibration) and one.offset.value_s != 0.0 for _, _, one in calibration.sensors
-    )
-    delay = (DELAY,) if shown or len(known) < len(settings.sensors) else ()
-    return (*found, *delay, f"{tilting}: {TILT}") if tilting else (*found, *delay)
+    A turn by an angle moves the image by that times the focal length (px), which times the scale factor (m/px) is the
+    distance.
+    """
+    lens = calibration.lens
+    if camera.distance_m is not None or lens is None:
+        return camera.distance_m
+    focal_px = float(lens.matrix["xy".index(calibration.direction)])
+    return focal_px * max(abs(one.scale_m_per_px) for one in calibration.mappings())
 
 
 def tilt_std_m(camera: CameraSettings, calibration: CameraCalibration) -> float:
-    """What a camera's tilt makes of the displacement along an axis, m: its standard deviation times the distance.
-
-    A turn by an angle moves the image by that times the focal length (px), which times the scale factor (m/px) is the
-    distance; of several targets the farthest counts.
-    """
-    distance_m, lens = camera.distance_m, calibration.lens
-    if distance_m is None and lens is not None:
-        focal_px = lens.matrix["xy".index(calibration.direction)]
-        distance_m = focal_px * max(abs(one.scale_m_per_px) for one in calibration.mappings())
-    return math.radians(1e-3 * camera.tilt_std_mdeg) * (distance_m or 0.0)
+    """What a camera's tilt makes of the displacement along an axis, m: its standard deviation times the distance."""
+    return math.radians(1e-3 * camera.tilt_std_mdeg) * (target_distance_m(camera, calibration) or 0.0)

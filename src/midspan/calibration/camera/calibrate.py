@@ -19,7 +19,7 @@ from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.errors import NoAgreementError, UntrustedError
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.records import NANOSECONDS, InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
@@ -241,12 +241,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     assert found is not None
     used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
     several = len(camera.targets) > 1
-    warnings = [*notices]
-    warnings += [
-        Notice("part-left-out", f"Target {target.name} is left out along {camera.direction}: {target.reason}")
-        for target in camera.targets
-        if not target.used
-    ]
+    warnings = [*notices, *_left_out(camera)]
     for one, target in used:
         warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
@@ -260,7 +255,8 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         apart_m = float(np.hypot(apart_m, lever.left_px * abs(found.scale.value_m_per_px)))
         warnings.append(lever.text(found.scale.value_m_per_px))
     # The noise of the reference frame is in all rows alike.
-    start_m = TEMPLATE_NOISE * start_noise(search.pair, search.fit) * abs(found.scale.value_m_per_px)
+    start = start_noise(search.pair, search.fit)
+    start_m = TEMPLATE_NOISE * start.std * abs(found.scale.value_m_per_px)
     slow_m = 0.0 if own is None else own.std * abs(found.scale.value_m_per_px)
     if own is not None and not (own.alone and own.taken):
         # Nothing tells whose error it is.
@@ -278,7 +274,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
-    warnings += [*_zero_warnings(start_m), *_apart_warnings(found, coloured, slow_m, apart_m)]
+    warnings += [*_zero_warnings(start_m, drifts=start.drifts), *_apart_warnings(found, coloured, slow_m, apart_m)]
     best = seen[_best(camera.targets)]
     parts = {
         "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
@@ -300,6 +296,11 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     )
 
 
+def _left_out(camera: CameraCalibration) -> list[Notice]:
+    text = f"Target {{0}} is left out along {camera.direction}: {{1}}"
+    return [Notice("part-left-out", text.format(one.name, one.reason)) for one in camera.targets if not one.used]
+
+
 def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float) -> list[Notice]:
     """What camera and accelerometer differ by besides noise, in a sentence."""
     if found.own is not None:
@@ -311,11 +312,13 @@ def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, ap
     return coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
 
 
-def _zero_warnings(start_m: float) -> list[Notice]:
-    text = (
-        "camera: its first frames are far noisier than the others; the zero is known to "
-        f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none."
-    )
+def _zero_warnings(start_m: float, *, drifts: bool) -> list[Notice]:
+    zero = f"the zero is known to {rounded(1e3 * start_m)} mm only"
+    text = f"camera: its first frames are far noisier than the others; {zero}, and a shift that is seen among them "
+    text += "may be none."
+    if drifts:
+        text = "accelerometer: at the beginning its gain or bias differs from what it is later, as while it warms up; "
+        text += f"{zero}. Let it warm up before recording."
     return [Notice("zero-uncertain", text)] if start_m > 0.0 else []
 
 

@@ -15,7 +15,6 @@ from midspan.calibration.own_noise import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit, bias_of
-from midspan.calibration.slow_error import DRIFT_S
 from midspan.errors import DataError, MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeSeries, seconds
@@ -196,6 +195,8 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
+    # A slow error that was estimated is in the band.
+    drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if estimated.slow_std_m > 0.0 else estimated.unseen_m
     return DisplacementCalibration(
         std,
         estimated.offset,
@@ -207,6 +208,9 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         slow_time_s=estimated.slow_time_s,
         exposure_s=estimated.exposure_s,
         apart_std_m=_lost_m(given, estimated),
+        unseen_drift_m=drift_m,
+        unseen_step_m=step_m,
+        unseen_gap_m=gap_m,
     )
 
 
@@ -359,8 +363,7 @@ def _lateness_warnings(given: Given, estimated: NoiseCalibration, part: Displace
 
 
 def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice]:
-    """A sentence on a slow error that was estimated, or on what the record cannot tell from motion."""
-    drifts_m, steps_m, missing_m = estimated.unseen_m
+    """A sentence on a slow error that was estimated."""
     if estimated.slow_std_m > 0.0 and given.noise_time_s is None:
         yield Notice(
             "slow-error",
@@ -368,18 +371,6 @@ def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice
             f"{1e3 * estimated.slow_std_m:.2g} mm over {estimated.slow_time_s:.2g} s besides its noise is in the error "
             "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
             "sensor has no slow error.",
-        )
-    elif drifts_m != 0.0:
-        size = f"of up to {1e3 * drifts_m:.2g} mm" if np.isfinite(drifts_m) else "of any size"
-        step = f"smaller than {1e3 * steps_m:.2g} mm" if np.isfinite(steps_m) else "of any size"
-        if missing_m > 0.0:
-            step += f", or {1e3 * missing_m:.2g} mm in its longest gap"
-        yield Notice(
-            "slow-error",
-            "displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a "
-            f"total station has, {size} in {DRIFT_S:g} s would not show here, nor would a step of its zero that is "
-            f"{step}. displacement.noise_time_s, its correlation time, puts the slow error into the band; 0 says that "
-            "the sensor has none.",
         )
 
 

@@ -295,12 +295,12 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
     if apart <= AGREED_STD * expected:
         return targets, []
     text = (
-        f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.5g} by its "
+        f"radar: the conversion factor of the target {best.place} is {best.conversion_factor:.5g} by its "
         f"acceleration and {1 / fit.ratio:.5g} by likelihood; the difference was added to its uncertainty."
     )
     if np.hypot(best.relative_std, apart) > MAX_RELATIVE_STD:
         raise UntrustedError(
-            f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by "
+            f"radar: the conversion factor of the target {best.place} is {best.conversion_factor:.4g} by "
             f"its acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
             f"{100 * MAX_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves on its own. "
             "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
@@ -338,7 +338,7 @@ def _with_slow_motion(
 
 
 def _sparse(search: OffsetSearch) -> tuple[Pair, Fit]:
-    """The pair with so many frames as its slow errors need, and its fit."""
+    """The pair with as many frames as its slow errors need, and its fit."""
     pair = search.pair.changed(rows=search.pair.rows[:: max(int(search.pair.rate_hz / OWN_RATE_HZ), 1)])
     return pair, best_corner(pair, search.fit.offset_s)
 
@@ -359,7 +359,7 @@ def _warnings(calibration: RadarCalibration) -> Iterator[Notice]:
         yield Notice(
             "radar-target",
             f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target "
-            f"at {best.range_m:.2f} m and bends its phase; aim at a target that stands alone.",
+            f"{best.place} and bends its phase; aim at a target that stands alone.",
         )
 
 
@@ -367,12 +367,11 @@ def _refuse_short(targets: Sequence[RadarTarget]) -> None:
     worst = min((item.target for item in targets if item.used), key=lambda target: abs(target.conversion_factor))
     if abs(worst.conversion_factor) >= 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std):
         return
-    place = f" at {worst.range_m:.2f} m" if np.isfinite(worst.range_m) else ""
     raise UntrustedError(
-        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target{place} is below 1, which a fixed "
-        "target cannot have: all displacements would be off by as much. Check accelerometer.unit (1 g is 9.81 m/s²) "
-        "and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected "
-        "twice."
+        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target {worst.place} is below 1, which a "
+        "fixed target cannot have: all displacements would be off by as much. Check accelerometer.unit (1 g is 9.81 "
+        "m/s²) and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not "
+        "reflected twice."
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.sensors.radar import RadarTarget
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.own_motion import OwnMotions, Shown, own_motions
 from midspan.radar.target import Target
@@ -61,8 +61,8 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
             at_hz = float(own.frequency_hz[np.argmax(power)])
             yield Notice(
                 "radar-target",
-                f"radar: the targets at {targets[0].range_m:.2f} and {targets[1].range_m:.2f} m differ by about "
-                f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves on its own, and "
+                f"radar: the targets {targets[0].place} and {targets[1].place} differ by about "
+                f"{rounded(1e3 * np.sqrt(power.sum()))} mm (rms, at {at_hz:.2g} Hz): one of them moves on its own, and "
                 "the accelerometer cannot tell which. The error band holds it.",
             )
             return
@@ -72,7 +72,7 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
             end = "it was left out" if own.left_out[k] else held if len(targets) == 1 else "the error band holds it"
             yield Notice(
                 "radar-target",
-                f"radar: the target at {target.range_m:.2f} m moves by about {1e3 * own.std_m(k):.2g} mm on its own "
+                f"radar: the target {target.place} moves by about {rounded(1e3 * own.std_m(k))} mm on its own "
                 f"(rms, at {own.main_hz(k):.2g} Hz): {end}.",
             )
 

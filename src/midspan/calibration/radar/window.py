@@ -222,7 +222,7 @@ def refuse_farther(
         return
     offset_s += max(usable, key=lambda target: target.coherence).time_offset_s
     raise UntrustedError(
-        f"radar: its clock seems to differ from the accelerometer's by {offset_s:+.4g} s, where the target at "
-        f"{usable[0].range_m:.2f} m follows it, but only ±{max_offset:.3g} s were searched. Add it to radar.start_s or "
+        f"radar: its clock seems to differ from the accelerometer's by {offset_s:+.4g} s, where the target "
+        f"{usable[0].place} follows it, but only ±{max_offset:.3g} s were searched. Add it to radar.start_s or "
         "to the frames' times, or raise calibration.max_offset_s, with a window of ten times that."
     )

@@ -18,6 +18,8 @@ class DisplacementCalibration:
     (first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that only one of the
     two sensors may have seen (rms), which the error band holds whole. clock_rate: what is added to its stamps for each
     second since `clock_reference_s` on its own clock, before the offset, in a record that holds that instant.
+    unseen_drift_m, unseen_step_m, unseen_gap_m: how far it may have drifted within 10 s, and its zero have stepped,
+    anywhere and across its longest gap, without that showing in the calibration's record; 0: nothing was looked for.
     """
 
     noise_std_m: float
@@ -34,6 +36,9 @@ class DisplacementCalibration:
     apart_std_m: float = 0.0
     clock_rate: float = 0.0
     clock_reference_s: float = 0.0
+    unseen_drift_m: float = 0.0
+    unseen_step_m: float = 0.0
+    unseen_gap_m: float = 0.0
 
     def even(self, time_ns: Nanoseconds) -> Nanoseconds:
         """The stamps (n,) as of a clock that runs at the accelerometer's rate; of another record, which does not hold
@@ -66,6 +71,9 @@ class DisplacementCalibration:
             noise_std_m=self.noise_std_m / gain,
             slow_std_m=self.slow_std_m / gain,
             apart_std_m=self.apart_std_m / gain,
+            unseen_drift_m=self.unseen_drift_m / gain,
+            unseen_step_m=self.unseen_step_m / gain,
+            unseen_gap_m=self.unseen_gap_m / gain,
             resolution_m=None if self.resolution_m is None else self.resolution_m / gain,
             low_m=self.low_m / gain,
             high_m=self.high_m / gain,

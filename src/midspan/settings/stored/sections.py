@@ -518,7 +518,7 @@ class StoredRadar(StoredSensor):
         """Conversion factor, range of the target and clock offset."""
         target = radar.targets[0].target
         value, std = target.conversion_factor, target.conversion_factor_std
-        return f"conversion factor {value:.5g} ± {std:.2g}, target at {target.range_m:.4g} m, {_offset(radar.offset)}"
+        return f"conversion factor {value:.5g} ± {std:.2g}, target {target.place}, {_offset(radar.offset)}"
 
     @staticmethod
     def rows(radar: RadarCalibration) -> list[tuple[str, str]]:
@@ -550,6 +550,9 @@ class StoredDisplacement(StoredSensor):
     scale_std: Std = 0.0
     clock_rate: Number = 0.0
     clock_reference_s: Number = 0.0
+    unseen_drift_mm: StdOrInf = 0.0
+    unseen_step_mm: StdOrInf = 0.0
+    unseen_gap_mm: Std = 0.0
 
     def record(self, _kind: str) -> DisplacementCalibration:
         """The displacement sensor."""

@@ -49,12 +49,19 @@ def frame_stamps(duration_s: float, rate_hz: float, start_s: float, time_offset_
     return start_s + np.arange(int(usable * rate_hz) + 1) / rate_hz
 
 
+def stepped(stamps_s: Floats, true_s: Floats, clock_step: tuple[float, float]) -> Floats:
+    """Stamps (n,) of true times (n,), s, of a clock that is set at a true time by so much (both s)."""
+    at_s, step_s = clock_step
+    return np.asarray(stamps_s + np.where(true_s >= at_s, step_s, 0.0))
+
+
 @dataclass(frozen=True, slots=True)
 class AccelerometerModel:
     """An accelerometer whose clock is the true time.
 
     `noise_std_m_s2` is white, per sample; `drift_m_s2_per_root_s` a random walk; `jitter_s` the standard deviation of
-    the sampling instants about the even grid, stamped truly or, with `nominal_stamps`, with the grid.
+    the sampling instants about the even grid, stamped truly or, with `nominal_stamps`, with the grid; its stamps are
+    rounded to `stamp_step_s`, where that is not 0.
     """
 
     rate_hz: float = 100.0
@@ -64,6 +71,7 @@ class AccelerometerModel:
     jitter_s: float = 0.0
     nominal_stamps: bool = False
     clip_m_s2: float = np.inf
+    stamp_step_s: float = 0.0
 
     def measure(self, motion: Motion, span_s: tuple[float, float], *, rng: np.random.Generator) -> TimeSeries:
         """What it reads of `motion` over `span_s` (start, end) in s: m/s²."""
@@ -72,7 +80,10 @@ class AccelerometerModel:
         noise = self.noise_std_m_s2 * rng.standard_normal(len(grid))
         value = motion.acceleration(taken) + self.bias_m_s2 + drift + noise
         clipped = np.clip(value, -self.clip_m_s2, self.clip_m_s2)
-        return TimeSeries(nanoseconds(grid if self.nominal_stamps else taken), clipped, "acceleration", "m/s^2")
+        stamps = grid if self.nominal_stamps else taken
+        if self.stamp_step_s:
+            stamps = np.rint(stamps / self.stamp_step_s) * self.stamp_step_s
+        return TimeSeries(nanoseconds(stamps), clipped, "acceleration", "m/s^2")
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,8 @@ class RadarSetup:
 
     reflectors: draws what it sees, the fixed targets first; targets: how many those are; noise_std: of the receivers,
     ADC counts; start_s: time of the first frame on the radar's clock; true time = that clock + time_offset_s; lost:
-    packets of the capture card that never arrived; order: of I and Q in the file; slow_time: the phasors of the targets
+    packets of the capture card that never arrived; jammed: spans of interference, jam_db above the strongest of the
+    targets in every bin; order: of I and Q in the file; slow_time: the phasors of the targets
     alone are stored, as HDF5, instead of all samples.
     """
 
@@ -103,6 +104,8 @@ class RadarSetup:
     start_s: float = 0.0
     time_offset_s: float = 0.083
     lost: tuple[tuple[float, float], ...] = ()
+    jammed: tuple[tuple[float, float], ...] = ()
+    jam_db: float = 6.0
     order: str = "QQII"
     slow_time: bool = False
 
@@ -119,13 +122,19 @@ class RadarSetup:
 
     def model(self, rng: np.random.Generator) -> RadarModel:
         """The radar with everything in view drawn from `rng`."""
+        reflectors = self.reflectors(rng)
+        # A chirp's samples and the chirps add up for a target, and not for what crosses them.
+        gathered = np.sqrt(self.profile.samples * self.profile.chirps)
+        strongest = max(target.amplitude for target in reflectors[: self.targets])
         return RadarModel(
-            self.reflectors(rng),
+            reflectors,
             self.profile,
             noise_std=self.noise_std,
             phase_noise_rad=self.phase_noise_rad,
             time_offset_s=self.time_offset_s,
             start_s=self.start_s,
+            jammed=self.jammed,
+            jam_std=10 ** (self.jam_db / 20.0) * strongest * float(gathered),
         )
 
     def settings(self) -> dict[str, Any]:

@@ -42,7 +42,8 @@ class RadarModel:
 
     noise_std: of the complex receiver noise a sample, ADC counts; phase_noise_rad: from chirp to chirp, common to all
     receivers and reflectors; time_offset_s: true time = the radar's clock + this; start_s: of the first frame on the
-    radar's clock.
+    radar's clock. jammed: spans of true time (s) in which another radar's chirps cross this one's, which is noise of
+    jam_std, ADC counts, in every bin.
     """
 
     reflectors: tuple[Reflector, ...]
@@ -51,6 +52,8 @@ class RadarModel:
     phase_noise_rad: float = 0.0
     time_offset_s: float = 0.0
     start_s: float = 0.0
+    jammed: tuple[tuple[float, float], ...] = ()
+    jam_std: float = 0.0
 
     def frame_s(self, frames: int) -> Floats:
         """Middle of each frame's chirps (frames,) on the radar's clock, s."""
@@ -70,7 +73,11 @@ class RadarModel:
         time = chirp_s + self.time_offset_s
         moved = motion.displacement(time)
         shape = (count, profile.chirps, profile.receivers, profile.samples, 2)
-        parts = rng.standard_normal(shape, dtype=np.float32) * np.float32(self.noise_std / np.sqrt(2.0))
+        loud = np.full(count, self.noise_std)
+        for start, end in self.jammed:
+            loud[(time[:, 0] >= start) & (time[:, 0] < end)] = self.jam_std
+        parts = rng.standard_normal(shape, dtype=np.float32)
+        parts *= (loud / np.sqrt(2.0)).astype(np.float32).reshape(-1, 1, 1, 1, 1)
         out = parts.view(np.complex64)[..., 0]
         for reflector in self.reflectors:
             place = reflector.range_m + reflector.ratio * moved

@@ -11,6 +11,7 @@ from midspan.records import Floats
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.simulate.motion.motion import Motion, random_motion
 from midspan.simulate.scenarios.stage import Scenario, Stage
+from midspan.simulate.scene.disturbances import Breathing
 
 Signal = Callable[[Floats], Floats]  # of times (n,) in s
 Facts = dict[str, float]  # what a break drew, as known.json says it
@@ -19,6 +20,8 @@ Change = Callable[[Stage, np.random.Generator], tuple[Stage, Facts]]
 NOISE_HZ = 10.0  # steps of a sensor's own error; no scenario's slow sensor is faster
 LEANING = ("building", "radar-tall-building")
 AT_REST = ("no-excitation",)
+# An RTK solution converges with this time, and is fixed again after that one, s.
+CONVERGES_S, FIXED_S = 25.0, 40.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +130,17 @@ def _exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
 
 def _colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     tau, std = rng.uniform(5.0, 60.0), rng.uniform(1.0, 3.0) * _noise_m(staged)
+    return _seen(staged, _gauss_markov(staged, rng, std, tau)), {"std_mm": 1e3 * std, "time_s": tau}
+
+
+def _gauss_markov(staged: Stage, rng: np.random.Generator, std: float, time_s: float) -> Signal:
+    """A first-order Gauss-Markov process of a correlation time, straight between its steps."""
     time = _instants(staged, NOISE_HZ)
-    keep = np.exp(-1.0 / (NOISE_HZ * tau))
+    keep = np.exp(-1.0 / (NOISE_HZ * time_s))
     path = std * rng.standard_normal(len(time))
     for k in range(1, len(path)):
         path[k] = keep * path[k - 1] + np.sqrt(1.0 - keep**2) * path[k]
-    return _seen(staged, lambda t: np.interp(t, time, path)), {"std_mm": 1e3 * std, "time_s": tau}
+    return lambda t: np.interp(t, time, path)
 
 
 def _step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
@@ -168,6 +176,111 @@ def _pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     return replace(staged, scenario=replace(staged.scenario, day=changed)), {"pattern_k": 0.1}
 
 
+def _mast(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    setup = staged.scenario.camera
+    assert setup is not None
+    hertz, px = 10 ** rng.uniform(-1.0, np.log10(0.5)), rng.uniform(0.15, 1.0)
+    std = px * 1e-3 * abs(setup.scale_mm_per_px)
+    # A mode of 3 % of damping is as wide as this.
+    nod = random_motion((0.97 * hertz, 1.03 * hertz), std, rng=rng, lines=40)
+    return _seen(staged, nod.displacement), {"frequency_hz": hertz, "std_px": px, "std_mm": 1e3 * std}
+
+
+def _breathing(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    setup = staged.scenario.camera
+    assert setup is not None
+    share, tau, away_px = rng.uniform(1e-3, 3e-3), rng.uniform(3.0, 20.0), rng.uniform(60.0, 300.0)
+    # The drive of a lens is slower than any frame: as smooth as motion of the same times.
+    grown = random_motion((0.05 / tau, 0.5 / tau), share, rng=rng, lines=24)
+    rows, columns = setup.size_px
+    middle = (0.5 * columns, 0.5 * rows + away_px) if setup.direction == "y" else (0.5 * columns + away_px, 0.5 * rows)
+    others, breathing = setup.disturbances, Breathing(grown.displacement, middle)
+    camera = replace(setup, disturbances=lambda one: (*(others(one) if others else ()), breathing))
+    changed = replace(staged, scenario=replace(staged.scenario, camera=camera))
+    return changed, {"share": share, "time_s": tau, "away_px": away_px}
+
+
+def _haze(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    setup = staged.scenario.camera
+    assert setup is not None
+    px, tau = rng.uniform(0.2, 0.5), 10 ** rng.uniform(0.0, 1.0)
+    moved = _gauss_markov(staged, rng, px * 1e-3 * abs(setup.scale_mm_per_px), tau)
+    return _seen(staged, moved), {"std_px": px, "time_s": tau}
+
+
+def _float(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    start = rng.uniform(0.2, 0.6) * staged.scenario.duration_s
+    off = rng.choice([-1.0, 1.0]) * rng.uniform(0.060, 0.100)
+
+    def converging(time_s: Floats) -> Floats:
+        age = time_s - start
+        return np.where((age >= 0.0) & (age < FIXED_S), off * np.exp(-np.maximum(age, 0.0) / CONVERGES_S), 0.0)
+
+    return _seen(staged, converging), {"at_s": start, "mm": 1e3 * off, "converges_s": CONVERGES_S, "fixed_s": FIXED_S}
+
+
+def _clock_step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    scenario = staged.scenario
+    at, size, sign = rng.uniform(0.35, 0.65) * scenario.duration_s, rng.choice([0.02, 0.06, 0.3]), rng.choice([-1, 1])
+    rate_hz = scenario.camera.rate_hz if scenario.camera else scenario.gnss.sensor.rate_hz if scenario.gnss else 1.0
+    # Back by an interval or more the stamps would not increase.
+    step = float(sign * size if size < 0.9 / rate_hz else size)
+    if scenario.camera is not None:
+        changed = replace(scenario, camera=replace(scenario.camera, clock_step=(at, step)))
+    else:
+        assert scenario.gnss is not None
+        changed = replace(scenario, gnss=replace(scenario.gnss, clock_step=(at, step)))
+    return replace(staged, scenario=changed), {"at_s": at, "step_s": step}
+
+
+def _railing(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import bilinear, lfilter, lfilter_zi
+
+    # As for the logger: 40 times the highest frequency.
+    step_rate_hz = 500.0
+    hertz, damping = rng.uniform(6.0, 12.0), rng.uniform(0.02, 0.05)
+    w = 2.0 * np.pi * hertz
+    # The foot's acceleration becomes that of the top: (2 ζ ω s + ω²) / (s² + 2 ζ ω s + ω²).
+    upper, lower = bilinear([2.0 * damping * w, w * w], [1.0, 2.0 * damping * w, w * w], fs=step_rate_hz)
+    time = _instants(staged, step_rate_hz)
+    value = np.concatenate([staged.sensed.acceleration(part) for part in np.array_split(time, len(time) // 20_000 + 1)])
+    top, _ = lfilter(upper, lower, value, zi=lfilter_zi(upper, lower) * value[0])
+    return _felt(staged, CubicSpline(time, top)), {"frequency_hz": hertz, "damping": damping}
+
+
+def _hum(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    rate_hz = staged.accelerometer.rate_hz
+    alias = rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(np.log10(0.2), np.log10(5.0))
+    size, times, phase = (
+        10 ** rng.uniform(-2.0, np.log10(0.2)),
+        float(rng.integers(1, 3)),
+        rng.uniform(0.0, 2.0 * np.pi),
+    )
+    hertz, before = times * rate_hz + alias, staged.sensed.acceleration
+    hums = _felt(staged, lambda t: before(t) + size * np.sin(2.0 * np.pi * hertz * t + phase))
+    return hums, {"machine_hz": hertz, "shows_hz": abs(alias), "amplitude_m_s2": size}
+
+
+def _rounding(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    del rng
+    # Three samples share a stamp, the middle one's: on the mean the stamps are right.
+    step = 3.0 / staged.accelerometer.rate_hz
+    return replace(staged, accelerometer=replace(staged.accelerometer, stamp_step_s=step)), {"step_s": step}
+
+
+def _interference(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    setup = staged.scenario.radar
+    assert setup is not None
+    count, length = ((10, 0.05), (40, 0.2), (150, 0.03))[rng.integers(3)]
+    # The first frames' phase is the zero, and a record that begins jammed has none.
+    starts = np.sort(rng.uniform(0.02, 1.0, count)) * staged.scenario.duration_s
+    spans = tuple((float(start), float(start + length)) for start in starts)
+    changed = replace(staged.scenario, radar=replace(setup, jammed=spans))
+    facts = {"bursts": float(count), "each_s": length, "first_s": float(starts[0]), "above_target_db": setup.jam_db}
+    return replace(staged, scenario=changed), facts
+
+
 def _noise_m(staged: Stage) -> float:
     assert staged.scenario.gnss is not None
     return staged.scenario.gnss.sensor.noise_std_m
@@ -189,7 +302,11 @@ def _slow_sensor(name: str, scenario: Scenario) -> bool:
     return scenario.gnss is not None
 
 
-# In the order in which they act, from the structure over the mounting to the instrument, however they were asked for.
+def _radar(name: str, scenario: Scenario) -> bool:
+    return scenario.radar is not None and name not in AT_REST
+
+
+# In this order, however they were asked for: new ones at the end, for a break's generator follows from its place.
 BREAKS: dict[str, Break] = {
     "tilt": Break(
         "gravity reaches the accelerometer of a structure that leans, and a camera tilts slowly",
@@ -213,6 +330,33 @@ BREAKS: dict[str, Break] = {
     "step": Break("level shifts of 3 to 20 times the noise", _slow_sensor, _step),
     "burst": Break("ten times the noise for 10 to 20 % of the time", _slow_sensor, _burst),
     "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, _pattern),
+    "mast": Break("the camera's mast nods by 0.15 to 1 px rms at 0.1 to 0.5 Hz", _camera_alone, _mast),
+    "breathing": Break(
+        "the autofocus hunts: 0.1 to 0.3 % of magnification in 3 to 20 s, the axis 60 to 300 px off the middle",
+        _camera_alone,
+        _breathing,
+    ),
+    "haze": Break("hot air moves the picture by 0.2 to 0.5 px rms in 1 to 10 s", _camera_alone, _haze),
+    "float": Break(
+        "an RTK receiver converges from 60 to 100 mm off (25 s) and is fixed again after 40 s", _slow_sensor, _float
+    ),
+    "clock-step": Break(
+        "the slower sensor's clock is set by 20, 60 or 300 ms in the middle",
+        lambda n, s: _camera_alone(n, s) or _slow_sensor(n, s),
+        _clock_step,
+    ),
+    "railing": Break(
+        "the accelerometer stands on a railing of its own resonance, 6 to 12 Hz", _moves_along_one_axis, _railing
+    ),
+    "interference": Break(
+        "another radar's chirps: bursts of 6 dB above the target in every bin", _radar, _interference
+    ),
+    "rounding": Break(
+        "the accelerometer's stamps are rounded to three of its intervals", _moves_along_one_axis, _rounding
+    ),
+    "hum": Break(
+        "no anti-alias filter, and a machine near a multiple of the accelerometer's rate", _moves_along_one_axis, _hum
+    ),
 }
 
 

@@ -5,10 +5,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from midspan.records import Floats, Region, TimeSeries
+from midspan.records import Floats, Region, TimeSeries, nanoseconds
 from midspan.simulate.day.setup import DaySetup
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, frame_stamps, noise_std_for
+from midspan.simulate.motion.sensors import (
+    AccelerometerModel,
+    DisplacementSensorModel,
+    frame_stamps,
+    noise_std_for,
+    stepped,
+)
 from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.scene.camera import Camera, Light, View
 from midspan.simulate.scene.disturbances import Disturbance, Panel
@@ -25,7 +31,8 @@ class CameraSetup:
     `start_s` is the time of the first frame on the camera's clock; true time = that clock + `time_offset_s`.
     Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
     `targets` (name, region) are written as [[camera.target]]. `says_exposure`: whether the settings state the exposure.
-    `fisheye`: the lens, whose scene and frames take the place of `texture` and `size_px`.
+    `fisheye`: the lens, whose scene and frames take the place of `texture` and `size_px`. `clock_step`: true time (s)
+    at which the camera's clock is set, and by how much (s).
     """
 
     rate_hz: float = 10.0
@@ -45,15 +52,20 @@ class CameraSetup:
     targets: tuple[tuple[str, Region], ...] = ()
     says_exposure: bool = True
     fisheye: Fisheye | None = None
+    clock_step: tuple[float, float] = (np.inf, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class GnssSetup:
-    """A displacement sensor of a scenario; rows in `absent` are missing, values in `unread` are left empty."""
+    """A displacement sensor of a scenario; rows in `absent` are missing, values in `unread` are left empty.
+
+    `clock_step`: true time (s) at which its clock is set, and by how much (s).
+    """
 
     sensor: DisplacementSensorModel
     absent: tuple[Span, ...] = ()
     unread: tuple[Span, ...] = ()
+    clock_step: tuple[float, float] = (np.inf, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +123,11 @@ class Stage:
         whole = self.accelerometer.measure(motion, (0.0, self.scenario.duration_s), rng=rng)
         return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
 
+    def written_stamps_s(self, setup: CameraSetup) -> Floats:
+        """Time stamps (n,) in s of the frames as they are written: of a clock that may be set in between."""
+        stamps = self.frame_stamps_s(setup)
+        return stepped(stamps, stamps + setup.time_offset_s, setup.clock_step)
+
     def frame_stamps_s(self, setup: CameraSetup) -> Floats:
         """Time stamps (n,) in s on the camera's clock of the frames that are stored."""
         stamps = frame_stamps(self.scenario.duration_s, setup.rate_hz, setup.start_s, setup.time_offset_s)
@@ -138,7 +155,10 @@ class Stage:
     def displacement(self, setup: GnssSetup) -> TimeSeries:
         """Displacement in m as stored, with its gaps; NaN where no number is written."""
         whole = setup.sensor.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
-        return with_gaps(whole, absent=setup.absent, unread=setup.unread)
+        kept = with_gaps(whole, absent=setup.absent, unread=setup.unread)
+        stamps_s = kept.time_ns / 1e9
+        moved = stepped(stamps_s, stamps_s + setup.sensor.time_offset_s, setup.clock_step)
+        return replace(kept, time_ns=kept.time_ns + nanoseconds(moved - stamps_s))
 
     def zero_m(self, motion: Motion | None = None) -> float:
         """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""

@@ -109,9 +109,8 @@ def _write_truth(folder: Path, staged: Stage) -> None:
 
 
 def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
-    stamps = staged.frame_stamps_s(setup)
-    view = staged.view(setup)
-    true_times = stamps + setup.time_offset_s
+    true_times = staged.frame_stamps_s(setup) + setup.time_offset_s
+    stamps, view = staged.written_stamps_s(setup), staged.view(setup)
     film = view.film(staged.sensed, true_times, rng=staged.rng_sensor)
     frames = (
         np.zeros_like(pixels) if black else pixels
@@ -144,7 +143,7 @@ def _write_settings(folder: Path, staged: Stage) -> None:
     accelerometer = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
     settings: dict[str, Any] = {"name": scenario.title, "accelerometer": accelerometer}
     if scenario.camera is not None:
-        settings["camera"] = _camera_settings(scenario.camera, staged.frame_stamps_s(scenario.camera))
+        settings["camera"] = _camera_settings(scenario.camera, staged.written_stamps_s(scenario.camera))
         if staged.across is not None:
             accelerometer.pop("value")
             settings["accelerometer"] = {**accelerometer, "value_x": "accel_x", "value_y": "accel_y"}

@@ -1,5 +1,6 @@
 """What moves in a picture although the structure does not: a car that passes, foliage that flickers."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,22 @@ class Car:
         tone = 70.0 + 35 * np.sin(2 * np.pi * (column - left) / 7.0)
         rows = image[self.top_px : self.top_px + self.height_px]
         rows += ((tone - rows) * cover).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Breathing:
+    """A lens whose focus moves: the picture grows about `middle_px` (x, y) by a share, a function of time (s)."""
+
+    grown: Callable[[Floats], Floats]
+    middle_px: tuple[float, float]
+
+    def disturb(self, image: Image, time_s: float) -> None:
+        """Magnify `image`; what was outside shows as its rim, a pixel at most."""
+        from scipy.ndimage import affine_transform
+
+        size = 1.0 / (1.0 + float(self.grown(np.array([time_s]))[0]))
+        shift = [(1.0 - size) * middle for middle in self.middle_px[::-1]]
+        image[:] = affine_transform(image, np.array([size, size]), shift, order=5, mode="nearest")
 
 
 class Water:
@@ -76,7 +93,7 @@ class Foliage:
 
 
 # What changes a picture of mean DN in place, as it is at a moment.
-Disturbance = Car | Water | Foliage
+Disturbance = Breathing | Car | Water | Foliage
 
 
 @dataclass(frozen=True, slots=True)

@@ -172,5 +172,8 @@ def require_increasing(name: str, time_ns: Nanoseconds) -> Nanoseconds:
     wrong = np.flatnonzero((time_ns[1:] <= time_ns[:-1]) | (time_ns[1:] == NOT_A_TIME))
     if wrong.size or time_ns[0] == NOT_A_TIME:
         row = int(wrong[0]) + 2 if wrong.size else 1
-        raise DataError(f"{name} must increase from row to row (s); row {row} does not. Correct the file.")
+        raise DataError(
+            f"{name} must increase from row to row (s); row {row} does not. Correct the file; where frames "
+            "are stamped when they arrive, and sometimes overtake each other, give their rate_hz and start_s instead."
+        )
     return time_ns

@@ -1,0 +1,96 @@
+"""What no band can contain, in sentences: nothing in a recording shows it, and the settings say nothing of it.
+
+Such a sentence stands below clean results as well, and is no warning. Where this recording tells how much a given
+amount of it would be, the sentence says so: gain errs with the displacement, a late clock with the velocity.
+"""
+
+import math
+
+import numpy as np
+
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.slow_error import DRIFT_S
+from midspan.notices import rounded
+from midspan.records import Estimate
+from midspan.settings.camera import CameraSettings
+from midspan.settings.plausible import target_distance_m
+from midspan.settings.recording import RecordingSettings
+from midspan.settings.stored.calibration import Calibration
+
+SENSITIVITY = "the accelerometer's own tolerance"
+DELAY = "the delay of the accelerometer's logger"
+TILT = "tilt not observed"
+SLOW_ERROR = "a slow error"
+
+
+def not_in_band(settings: RecordingSettings, calibration: Calibration, rows: Estimate) -> tuple[str, ...]:
+    """What the standard deviations of a result do not contain, one sentence for each cause."""
+    return (
+        *_sensitivity(settings, calibration, rows),
+        *_logger_delay(settings, calibration, rows),
+        *_tilt(settings, calibration),
+        *_slow_errors(calibration),
+    )
+
+
+def _sensitivity(settings: RecordingSettings, calibration: Calibration, rows: Estimate) -> list[str]:
+    own = settings.accelerometer
+    if own is None or own.scale_std > 0.0 or calibration.accelerometer_scale_std > 0.0:
+        return []
+    if own.estimate_scale and any(not one.estimate_scale for one in settings.displacements):
+        # A sensor in metres tells the gain.
+        return []
+    size = f"each 1 % of its sensitivity is {_mm(0.01 * float(np.std(rows.displacement_m)))} rms"
+    return [f"{SENSITIVITY}: {size} (accelerometer.scale_std puts it in)"]
+
+
+def _logger_delay(settings: RecordingSettings, calibration: Calibration, rows: Estimate) -> list[str]:
+    # The clock offset of all sensors but those of a displacement is estimated; of these where the motion shows one.
+    known = [one for one in settings.displacements if not one.estimate_offset]
+    shown = any(one.offset.value_s != 0.0 for _, _, one in calibration.sensors if _is_displacement(one))
+    if not shown and len(known) == len(settings.sensors):
+        return []
+    size = _mm(1e-3 * float(np.sqrt(np.mean(np.square(rows.velocity_m_s)))))
+    return [f"{DELAY} (its anti-alias filter), which looks like a clock offset: each millisecond is {size} rms"]
+
+
+def _tilt(settings: RecordingSettings, calibration: Calibration) -> list[str]:
+    found = dict[str, list[str]]()
+    own = {name: one for name, _, one in calibration.sensors if isinstance(one, CameraCalibration)}
+    for sensor in settings.sensors:
+        camera = sensor.settings
+        if not isinstance(camera, CameraSettings) or camera.tilt_std_mdeg > 0.0:
+            continue
+        distance_m = target_distance_m(camera, own[sensor.name]) if sensor.name in own else camera.distance_m
+        turned = _mm(math.radians(1e-3) * (distance_m or 1.0))
+        size = f"{turned}, at {distance_m:.3g} m" if distance_m else f"{turned} for each metre of distance"
+        found.setdefault(size, []).append(sensor.name)
+    return [
+        f"{', '.join(names)}: {TILT}, each millidegree is {size} (tilt_std_mdeg puts it in)"
+        for size, names in found.items()
+    ]
+
+
+def _slow_errors(calibration: Calibration) -> list[str]:
+    found = []
+    for name, _, one in calibration.sensors:
+        if not isinstance(one, DisplacementCalibration) or one.unseen_drift_m == 0.0:
+            continue
+        size = f"of up to {_mm(one.unseen_drift_m)}" if math.isfinite(one.unseen_drift_m) else "of any size"
+        step = f"below {_mm(one.unseen_step_m)}" if math.isfinite(one.unseen_step_m) else "of any size"
+        if one.unseen_gap_m > 0.0:
+            step += f" ({_mm(one.unseen_gap_m)} in its longest gap)"
+        found.append(
+            f"{name}: {SLOW_ERROR} (GNSS multipath, a total station's air) {size} in {DRIFT_S:g} s, or a step of its "
+            f"zero {step}, would not show (displacement.noise_time_s puts the error in; 0: it has none)"
+        )
+    return found
+
+
+def _is_displacement(sensor: object) -> bool:
+    return isinstance(sensor, DisplacementCalibration)
+
+
+def _mm(metres: float) -> str:
+    return f"{rounded(1e3 * metres)} mm"
