@@ -11,6 +11,7 @@ from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
+from midspan.calibration.displacement.zero_steps import without_steps, zero_steps
 from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s, without_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
@@ -191,6 +192,10 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         if even is not None:
             return even
         refuse_step(pair, found.fit)
+    if exceeds_own_noise(*found.noise) or (learned.slow_std_m > 0.0 and given.noise_time_s is None):
+        steps = zero_steps(found.pair, found.fit)
+        if steps:
+            return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
     if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
