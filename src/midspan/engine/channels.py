@@ -27,8 +27,8 @@ from midspan.signals.stuck import resolution
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
 COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
-# A displacement sensor whose zero has shifted may come back to it slowly, as a GNSS receiver whose carrier phases are not
-# resolved converges in 30 to 300 s: critically damped, in twice this time, s (`core/src/estimator/slow.rs`).
+# A displacement sensor whose zero has shifted may come back to it slowly, as a GNSS receiver converges in 30 to 300 s
+# whose carrier phases are not resolved: critically damped, in twice this time, s (`core/src/estimator/slow.rs`).
 REVERTING_S = 60.0
 # The usual interval of a stream is the median between this many stamps at its beginning: jitter of a tenth of an
 # interval then changes it by a hundredth.

@@ -1,8 +1,9 @@
 """Steps of a displacement sensor's zero, taken out before its noise is estimated.
 
-A step of centimetres looks like noise of the accelerometer, or a slow error, of the whole record: both sensors are then
-worth nothing in all of it. The estimator takes such a step out where it is beyond doubt (`core/src/estimator/steps.rs`);
-here the same generalised likelihood ratio is asked of the innovations of the whole record.
+A step of centimetres looks like noise of the accelerometer, or like a slow error, of the whole record: both sensors are
+then worth little in all of it. The estimator takes such a step out where it is beyond doubt
+(`core/src/estimator/steps.rs`); here the same generalised likelihood ratio is asked of the innovations of the whole
+record.
 """
 
 from collections.abc import Sequence
@@ -23,9 +24,12 @@ LARGEST = 5
 def zero_steps(pair: Pair, fit: Fit) -> list[tuple[float, float]]:
     """Instants (s, on the sensor's own clock) and sizes of the steps that a record shows beyond doubt, largest first.
 
-    pair, fit: as calibrated, with its slow error.
+    pair, fit: as calibrated, with its slow error. None are claimed where the acceleration has gaps: what bridges them
+    parts the sensors from there on as a step does.
     """
     steps = list[tuple[float, float]]()
+    if np.ptp(pair.samples[:, 2]) > 0.0:
+        return steps
     for _ in range(MARKING_ROUNDS):
         chi, at_s, size = max(_step(pair, fit, k) for k in np.argsort(-np.abs(fit.residual))[:LARGEST])
         if not chi > BEYOND_DOUBT * STEP_SHOWS:
