@@ -73,7 +73,8 @@ class Given:
     these are applied; learns_offset None: the offset is where the motion shows one; noise_std_m: of its values as read,
     None where it is not given; gives_zero: whether its zero is that of the displacement; gain_std: how well the
     accelerometer's gain is known before, relative; 0: it is not estimated; noise_time_s: correlation time of its slow
-    error, None where it is not given; exposure_s: time over which it averages, None where that is not given.
+    error, None where it is not given; gnss: it is a GNSS receiver; exposure_s: time over which it averages, None where
+    that is not given.
     """
 
     prepared: PreparedAcceleration
@@ -85,6 +86,7 @@ class Given:
     gives_zero: bool = True
     gain_std: float = 0.0
     noise_time_s: float | None = None
+    gnss: bool = False
     exposure_s: float | None = None
 
 
