@@ -150,8 +150,7 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     clock_steps: where many values would be outliers, a clock that steps is looked for.
     """
     overlap = _Overlap(given, series)
-    prepared, first = given.prepared, overlap.first_ns
-    max_offset = overlap.max_offset_s
+    prepared, first, max_offset = given.prepared, overlap.first_ns, overlap.max_offset_s
     axis = turned(overlap.pair(overlap.reach_s), 0.0 if overlap.one_clock else max_offset)
     pair = axis.pair
     notes: list[Notice] = []
@@ -194,10 +193,8 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         if even is not None:
             return even
         refuse_step(pair, found.fit)
-    if exceeds_own_noise(*found.noise) or (learned.slow_std_m > 0.0 and given.noise_time_s is None):
-        steps = zero_steps(found.pair, found.fit)
-        if steps:
-            return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
+    if steps := _steps_of_zero(given, learned, found):
+        return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
     if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
@@ -207,6 +204,12 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         return _on_one_clock(learned, found)
     learned = _accepted_offset(overlap, learned, found)
     return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
+
+
+def _steps_of_zero(given: Given, learned: NoiseCalibration, found: Findings) -> list[tuple[float, float]]:
+    """Instants (s) and sizes (m) of steps of the zero that were taken for the accelerometer's noise or a slow error."""
+    taken = exceeds_own_noise(*found.noise) or (learned.slow_std_m > 0.0 and given.noise_time_s is None)
+    return zero_steps(found.pair, found.fit) if taken else []
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
