@@ -325,7 +325,8 @@ class Channel:
     the main one. units_per_m: measured units (px, rad, m) per metre of displacement, signed. variance_factor: estimated
     variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
     zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
-    the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s:
+    the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. reverting_s: time in
+    which a shift of its zero may revert; 0: a zero that has shifted stays. coasting_s, lost_s:
     age of the last accepted measurement from which on rows are marked so. interval_s: its usual interval between
     measurements; 0: unknown. slow_std_m, slow_time_s, slow_hz: standard deviation, the time in which it decays and
     natural frequency of its sensor's slow error (0 Hz: first-order Gauss-Markov; else a damped oscillator).
@@ -340,6 +341,7 @@ class Channel:
     exposure_s: float = 0.0
     zero_std_m: float = 0.0
     zero_walk_m2_s: float = 0.0
+    reverting_s: float = 0.0
     coasting_s: float = 0.25
     lost_s: float = 10.0
     interval_s: float = 0.0

@@ -237,3 +237,13 @@ def test_heights_at_the_end_of_the_range_are_left_out_and_called_clipped(gnss_co
     # What is left out is bridged by the acceleration; a row in 2000 of normal errors is beyond 3.5 deviations.
     assert np.max(np.abs(error / found.displacement_std_mm)) < 5.0
     assert np.std(error) < 0.1
+
+
+def test_a_gnss_receiver_has_its_usual_slow_error_unless_told_otherwise(gnss_copy):
+    none = midspan.calibrate(midspan.open_recording(gnss_copy)).displacement
+    set_keys(gnss_copy, "displacement", receiver="gnss")
+    usual = midspan.calibrate(midspan.open_recording(gnss_copy))
+    assert (none.slow_std_m, usual.displacement.slow_std_m, usual.displacement.slow_time_s) == (0.0, 3e-3, 100.0)
+    assert sum("GNSS receivers usually have" in str(one) for one in usual.warnings) == 1
+    set_keys(gnss_copy, "displacement", noise_time_s=0)
+    assert midspan.calibrate(midspan.open_recording(gnss_copy)).displacement.slow_std_m == 0.0

@@ -27,6 +27,8 @@ const BIAS_TOO: f64 = 0.05;
 pub enum Prior {
     /// Nothing: the innovation tells it.
     AnySize,
+    /// Nothing either, and what is left of it comes back in time.
+    Reverting,
     /// Nothing, nor does the innovation tell it, but those after it.
     ReportedLater,
     /// The zero is where it was before its last shift.
@@ -82,10 +84,11 @@ impl Decision {
 
 impl Cause {
     /// What a measurement is asked for, in this order.
-    pub const CANDIDATES: [Self; 7] = [
+    pub const CANDIDATES: [Self; 8] = [
         Self::Good,
         Self::Outlier,
         Self::Shift(Prior::AnySize),
+        Self::Shift(Prior::Reverting),
         Self::Shift(Prior::FormerZero),
         Self::Wrong,
         Self::Lost,
@@ -104,7 +107,8 @@ impl Cause {
                 at.wrong_or_kept() + at.p_outlier().ln()
             }
             Self::Shift(Prior::FormerZero) if at.mark.shifted && !at.inside => weight_of_return(at),
-            Self::Shift(Prior::AnySize) if at.asked() => weight_of_shift(at),
+            Self::Shift(Prior::AnySize) if at.asked() => weight_of_shift(at) + at.share_of_shifts(false).ln(),
+            Self::Shift(Prior::Reverting) if at.asked() => weight_of_shift(at) + at.share_of_shifts(true).ln(),
             Self::Wrong if at.asked() => met_within(rates.wrong, at.lapse).ln() + at.any_size(),
             Self::Lost => weight_of_lost(at),
             Self::Noise if at.asked() => noise_within(at).ln() + at.any_size(),
@@ -133,7 +137,11 @@ fn weight_of_shift(at: &Situation) -> f64 {
             let alike = log_normal(at.innovation.error - g * shift.size_m, 2.0 * at.innovation.noise);
             (0.5 * rates.stays).ln() + at.any_size().max(alike)
         }
-        None => met_within(rates.shift, at.lapse).ln() + at.any_size(),
+        None => {
+            // A solution that has not converged jumps on its way as often as it comes back.
+            let rate = if at.mark.reverting_m2 > 0.0 { rates.back } else { rates.shift };
+            met_within(rate, at.lapse).ln() + at.any_size()
+        }
     }
 }
 
@@ -167,8 +175,8 @@ fn noise_within(at: &Situation) -> f64 {
 pub struct Taken {
     /// The innovation's variance that it was taken with, infinite where it began a zero; None: not at all.
     pub total: Option<f64>,
-    /// The factor by which the shift's state was scaled.
-    pub shift_scaled: f64,
+    /// Whether the shift is gone.
+    pub restored: bool,
 }
 
 /// Turns a hypothesis into what a measurement makes of it.
@@ -182,7 +190,6 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
     // Whether the samples' noise since then explains it: then it was the prediction that was wrong.
     let explained = decision.explained && innovation.within(GATE);
     let evidence = Contradiction { size: innovation.error, variance: innovation.total(), ago_s: 0.0 };
-    let mut shift_scaled = 1.0;
     match decision.cause {
         Cause::Outlier if !explained => {
             reject(hyp, scene);
@@ -190,13 +197,10 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
             if decision.burst_ended {
                 hyp.memory.burst = None;
             }
-            return Taken { total: None, shift_scaled };
+            return Taken { total: None, restored: false };
         }
         Cause::Good | Cause::Outlier | Cause::StepBefore => {}
         cause => {
-            if cause == Cause::Shift(Prior::FormerZero) {
-                shift_scaled = 0.0;
-            }
             change(cause, hyp, scene, &Change { innovation, lapse, explained }, work);
             innovation = look(hyp, scene, work);
         }
@@ -208,7 +212,7 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
     } else if decision.burst_ended {
         hyp.memory.burst = None;
     }
-    Taken { total: Some(total), shift_scaled }
+    Taken { total: Some(total), restored: decision.cause == Cause::Shift(Prior::FormerZero) }
 }
 
 /// Leaves out a measurement as an outlier.
@@ -247,8 +251,13 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
             // Where only later measurements tell the size, nothing is known of it here: the prior takes a fiftieth of
             // its deviation.
             let unknown = if prior == Prior::ReportedLater { VAGUE * total } else { error * error };
-            hyp.p[(s, s)] += unknown / (row.units_per_m * row.units_per_m);
-            hyp.marks[c].shifted = true;
+            let unknown_m2 = unknown / (row.units_per_m * row.units_per_m);
+            hyp.p[(s, s)] += unknown_m2;
+            let mark = &mut hyp.marks[c];
+            mark.shifted = true;
+            if prior == Prior::Reverting || mark.reverting_m2 > 0.0 {
+                begin_reverting(hyp, scene, unknown_m2);
+            }
             hyp.memory.shift = Some(LastShift { at_s: scene.at_s, sensor: channel.sensor, size_m: size });
         }
         Cause::Wrong => {
@@ -280,16 +289,34 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
 fn restore_zero(hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) {
     let (channel, c) = (scene.channel, scene.row.channel);
     scale_state(&mut hyp.x, &mut hyp.p, channel.shift, 0.0);
+    let reverted = stop_reverting(hyp, scene);
     let innovation = look(hyp, scene, work);
     let recent = hyp
         .memory
         .shift
         .is_some_and(|one| one.sensor == channel.sensor && (scene.at_s - one.at_s) * scene.model.rates.back <= 1.0);
-    if !recent {
+    if !recent && !reverted {
         let g = channel.row.units_per_m;
         hyp.p[(channel.shift, channel.shift)] += innovation.total() / (g * g);
     }
     hyp.marks[c].shifted = false;
+}
+
+/// Lets the shift that has just begun, or has grown by this variance (m²), revert from here on.
+fn begin_reverting(hyp: &mut Hypothesis, scene: &Scene, size_m2: f64) {
+    let Some(velocity) = scene.channel.reverting.and_then(|one| one.velocity) else { return };
+    let mark = &mut hyp.marks[scene.row.channel];
+    (mark.reverting_s, mark.reverting_m2) = (scene.at_s, mark.reverting_m2 + size_m2);
+    hyp.p[(velocity, velocity)] += size_m2;
+}
+
+/// The shift is gone; returns whether it reverted.
+fn stop_reverting(hyp: &mut Hypothesis, scene: &Scene) -> bool {
+    let reverted = std::mem::take(&mut hyp.marks[scene.row.channel].reverting_m2) > 0.0;
+    if let Some(velocity) = scene.channel.reverting.and_then(|one| one.velocity) {
+        scale_state(&mut hyp.x, &mut hyp.p, velocity, 0.0);
+    }
+    reverted
 }
 
 /// Lets an axis' motion from state `i` on be off by a size (m) that it was led away in a time (s).

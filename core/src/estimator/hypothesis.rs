@@ -21,6 +21,10 @@ pub struct Mark {
     pub kept: f64,
     /// Whether its zero has shifted.
     pub shifted: bool,
+    /// Variance of a shift that reverts, m²; 0: the zero stays as it has shifted.
+    pub reverting_m2: f64,
+    /// Up to when that shift is carried, s.
+    pub reverting_s: f64,
     /// Whether its zero has begun with its first measurement.
     pub begun: bool,
     /// Variance of its reference, m².
@@ -212,6 +216,8 @@ impl Mark {
             outliers: 0.0,
             kept: 0.0,
             shifted: false,
+            reverting_m2: 0.0,
+            reverting_s: begin.time_s - START_S,
             begun: false,
             reference: 0.0,
             met_s: begin.time_s - START_S,

@@ -110,6 +110,13 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> Scaled {
         made.slow = carry_slow(&mut hyp.x, &mut hyp.p, slow, lapse_s);
         turn_changed(&mut hyp.tests, slow, made.slow);
     }
+    if let Some(reverting) = channel.reverting.filter(|_| hyp.marks[row.channel].reverting_m2 > 0.0) {
+        let mark = &mut hyp.marks[row.channel];
+        let lapse_s = scene.at_s - std::mem::replace(&mut mark.reverting_s, scene.at_s);
+        let reverting = reverting.of_variance(mark.reverting_m2);
+        made.shift = carry_slow(&mut hyp.x, &mut hyp.p, &reverting, lapse_s);
+        turn_changed(&mut hyp.tests, &reverting, made.shift);
+    }
     let mark = &mut hyp.marks[row.channel];
     if !mark.begun {
         match channel.zero_variance {

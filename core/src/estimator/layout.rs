@@ -25,6 +25,8 @@ pub enum State {
     Zero(usize),
     /// Shift of that zero since, m.
     Shift(usize),
+    /// Velocity of that shift over the rate at which it reverts, m.
+    ShiftVelocity(usize),
     /// Error of the reference that a channel's frames are compared with, m.
     Reference(usize),
     /// Slow error of a sensor along an axis by the first of its channels, in m of that one.
@@ -61,6 +63,9 @@ impl Layout {
         for (c, channel) in settings.channels.iter().enumerate() {
             layout.add(State::Zero(c), 0.0);
             layout.add(State::Shift(c), channel.zero_walk_m2_s);
+            if channel.reverting_s > 0.0 {
+                layout.add(State::ShiftVelocity(c), 0.0);
+            }
             layout.add(State::Reference(c), 0.0);
             if settings.slow_lead(c) == Some(c) {
                 layout.add(State::Slow(c), 0.0);

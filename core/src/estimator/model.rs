@@ -14,6 +14,8 @@ pub struct ChannelModel {
     pub zero: usize,
     /// Place of the shift of its zero.
     pub shift: usize,
+    /// How a shift reverts, where it does, of a variance of 0; None: a zero that has shifted stays.
+    pub reverting: Option<SlowError>,
     /// Place of its reference's error.
     pub reference: usize,
     /// The slow error of its sensor; None: there is none.
@@ -135,6 +137,14 @@ fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel
     ChannelModel {
         zero: place(State::Zero(c)),
         shift: place(State::Shift(c)),
+        reverting: layout.place(State::ShiftVelocity(c)).map(|velocity| SlowError {
+            lead: c,
+            place: place(State::Shift(c)),
+            velocity: Some(velocity),
+            variance_m2: 0.0,
+            rate_s: 1.0 / channel.reverting_s,
+            omega: 1.0 / channel.reverting_s,
+        }),
         reference: place(State::Reference(c)),
         slow: settings.slow_lead(c).map(|lead| {
             let first = &settings.channels[lead];

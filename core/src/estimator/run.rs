@@ -19,6 +19,7 @@ use super::rows::{Innovations, Rows};
 use super::samples::View;
 use super::settings::{MAX_AXES, Settings};
 use super::situation::{GATE, log_normal, log_wrong};
+use super::slow::Turn;
 use super::start::{Beginning, START_S};
 use super::steps::SURE;
 use super::suspicion::Watch;
@@ -446,15 +447,16 @@ fn take_good(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work:
 fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: Option<&mut WayBack>, work: &mut Work) {
     let c = scene.row.channel;
     let made = meet_zero(hyp, scene);
-    let (total, scaled) = if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained {
+    let (total, restored) = if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained {
         let innovation = look(hyp, scene, work);
-        (Some(take_good(hyp, scene, &innovation, work)), 1.0)
+        (Some(take_good(hyp, scene, &innovation, work)), false)
     } else {
         let taken = apply(decision, hyp, scene, work);
-        (taken.total, taken.shift_scaled)
+        (taken.total, taken.restored)
     };
     if let Some(back) = back {
-        back.leave_record(scene.at_s, c, total, Scaled { shift: scaled, ..made }, work);
+        let made = if restored { Scaled { shift: Turn::GONE, ..made } } else { made };
+        back.leave_record(scene.at_s, c, total, made, work);
     }
 }
 

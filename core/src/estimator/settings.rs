@@ -28,6 +28,8 @@ pub struct Channel {
     pub zero_std_m: f64,
     /// Density of the random walk of its zero, m²/s.
     pub zero_walk_m2_s: f64,
+    /// Time in which a shift of its zero may revert, s; 0: a zero that has shifted stays.
+    pub reverting_s: f64,
     /// Age of its last accepted measurement from which on rows are coasting, s.
     pub coasting_s: f64,
     /// The same from which on they are lost, s.
@@ -89,6 +91,8 @@ pub struct Rates {
     pub stays: f64,
     /// Shifts of a zero, 1/s.
     pub shift: f64,
+    /// Of shifts of a sensor's zero that may revert the share that does.
+    pub revert: f64,
     /// Returns of a shifted zero, 1/s.
     pub back: f64,
     /// Errors of the acceleration of any size, 1/s.

@@ -75,6 +75,15 @@ impl<'a> Situation<'a> {
         !self.inside && !self.first && !wild
     }
 
+    /// Of shifts the share that reverts, or stays; one that is added to a shift is as that is.
+    pub(super) fn share_of_shifts(&self, revert: bool) -> f64 {
+        let stays = match self.scene.channel.reverting {
+            Some(_) if self.mark.reverting_m2 == 0.0 => 1.0 - self.scene.model.rates.revert,
+            _ => 1.0,
+        };
+        if revert { 1.0 - stays } else { stays }
+    }
+
     pub(super) fn normal(&self) -> f64 {
         log_normal(self.innovation.error, self.innovation.total())
     }

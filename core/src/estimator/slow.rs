@@ -31,6 +31,9 @@ impl Turn {
         Self([[cos + rate * sin, omega * sin], [-omega * sin, cos - rate * sin]])
     }
 
+    /// Both states are known to be 0.
+    pub const GONE: Self = Self([[0.0, 0.0], [0.0, 0.0]]);
+
     /// What is left of the first state alone.
     pub fn left(&self) -> f64 {
         self.0[0][0]
@@ -74,6 +77,11 @@ pub struct SlowError {
 }
 
 impl SlowError {
+    /// The same one of another variance, m².
+    pub fn of_variance(&self, variance_m2: f64) -> Self {
+        Self { variance_m2, ..*self }
+    }
+
     /// What becomes of it over some time, s.
     pub fn after(&self, lapse_s: f64) -> Turn {
         Turn::over(lapse_s, self.rate_s, self.omega)

@@ -17,6 +17,7 @@ use super::matrix::quadratic;
 use super::model::Model;
 use super::row::Entry;
 use super::rows::zero_variance;
+use super::slow::Turn;
 use super::way_back::{Recorded, WayBack};
 use std::ops::Range;
 
@@ -205,23 +206,20 @@ impl Adjoint {
             }
         }
         let (model, width) = (&view.model.channels[channel], self.width);
-        let mut scale = |state: usize, factor: f64| {
+        let rows = &mut self.rows;
+        let scale = |rows: &mut [[f64; LANES]], state: usize, factor: f64| {
             if factor != 1.0 {
-                let row = self.rows[state * width..(state + 1) * width].as_flattened_mut();
+                let row = rows[state * width..(state + 1) * width].as_flattened_mut();
                 row.iter_mut().for_each(|value| *value *= factor);
             }
         };
-        scale(model.shift, scaled.shift);
-        scale(model.reference, scaled.reference);
-        match model.slow.as_ref().map(|slow| (slow.place, slow.velocity)) {
-            None => {}
-            Some((place, None)) => scale(place, scaled.slow.left()),
-            Some((place, Some(velocity))) => {
-                let (back, rows, lanes) = (scaled.slow.back(), self.rows.as_flattened_mut(), width * LANES);
-                for k in 0..lanes {
-                    let (i, q) = (place * lanes + k, velocity * lanes + k);
-                    (rows[i], rows[q]) = back.of(rows[i], rows[q]);
-                }
+        scale(rows, model.reference, scaled.reference);
+        let shift = (model.shift, model.reverting.and_then(|one| one.velocity), scaled.shift);
+        let slow = model.slow.map(|one| (one.place, one.velocity, scaled.slow));
+        for (place, velocity, turn) in std::iter::once(shift).chain(slow).filter(|one| one.2 != Turn::NONE) {
+            match velocity {
+                None => scale(rows, place, turn.left()),
+                Some(velocity) => turn_rows(rows, (place * width, velocity * width), turn.back(), width),
             }
         }
     }
@@ -356,6 +354,17 @@ impl Adjoint {
         let uncertain = quadratic(&sensitivity[1..], &last.spread);
         let variance = model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
         Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a], velocity }
+    }
+}
+
+/// Turns the rows of the adjoint that begin at two places.
+fn turn_rows(rows: &mut [[f64; LANES]], (first, second): (usize, usize), turn: Turn, width: usize) {
+    for k in 0..width {
+        let (mut one, mut other) = (rows[first + k], rows[second + k]);
+        for (one, other) in one.iter_mut().zip(&mut other) {
+            (*one, *other) = turn.of(*one, *other);
+        }
+        (rows[first + k], rows[second + k]) = (one, other);
     }
 }
 

@@ -1,9 +1,9 @@
 //! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
 
-use super::cause::Decision;
+use super::cause::{Cause, Decision, Prior};
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
-use super::innovation::Work;
+use super::innovation::{Scene, Work, meet_zero};
 use super::layout::State;
 use super::matrix::Matrix;
 use super::model::Model;
@@ -36,6 +36,7 @@ pub fn channel() -> Channel {
         slow_std_m: 0.0,
         slow_time_s: f64::INFINITY,
         slow_hz: 0.0,
+        reverting_s: 0.0,
     }
 }
 
@@ -46,6 +47,7 @@ pub fn rates() -> Rates {
         outlier: 0.01,
         stays: 0.6,
         shift: hour,
+        revert: 0.5,
         back: 0.1,
         wrong: hour,
         noise: hour,
@@ -62,6 +64,7 @@ pub fn no_errors() -> Rates {
         outlier: none,
         stays: none,
         shift: none,
+        revert: none,
         back: none,
         wrong: none,
         noise: none,
@@ -284,6 +287,17 @@ fn a_tilt_state_and_a_gyroscope_are_a_name_and_a_row_each() {
 
 /// Samples without acceleration and measurements between them, taken as good; rows and what the way back needs.
 fn run(model: &Model, settings: &Settings, items: &mut [Timed]) -> (Filter, Filter, Rows, WayBack) {
+    let decisions = vec![Decision::GOOD; items.len()];
+    run_decided(model, settings, items, &decisions)
+}
+
+/// The same, taken as was decided.
+fn run_decided(
+    model: &Model,
+    settings: &Settings,
+    items: &mut [Timed],
+    decisions: &[Decision],
+) -> (Filter, Filter, Rows, WayBack) {
     let mut samples = Samples::none(1);
     for k in 0..200i64 {
         samples.time_ns.push(10_000_000 * k);
@@ -296,9 +310,8 @@ fn run(model: &Model, settings: &Settings, items: &mut [Timed]) -> (Filter, Filt
     let before = Filter::begun(&beginning(0.3, 0.5), settings, model);
     let (mut filter, mut rows, mut way) = (before.clone(), Rows::default(), WayBack::default());
     way.restart(model, before.clock.time_s);
-    let decisions = vec![Decision::GOOD; items.len()];
     let mut block = Block { samples: samples.view(), time_s: &time_s, items, first_ns: 0 };
-    let mut judge = Judge::Decided { decisions: &decisions, back: Some(&mut way) };
+    let mut judge = Judge::Decided { decisions, back: Some(&mut way) };
     filter.run(model, &mut block, &mut judge, Some(&mut rows), &mut Work::new(model));
     (before, filter, rows, way)
 }
@@ -326,6 +339,52 @@ fn the_last_smoothed_row_is_the_filters_and_none_is_less_certain() {
     let mut other = Adjoint::nothing(&model);
     other.pass(&way, &view, 0..0, &mut found);
     assert!(found.is_empty() && close(&adjoint.rows(), &other.rows(), 1e-9));
+}
+
+/// A shift reverts from one measurement to another where it is gone: meanwhile the band of the filter opens, and the
+/// smoother closes it again by what comes after.
+#[test]
+fn a_shift_that_reverts_opens_the_band_until_it_is_gone() {
+    let set = settings(vec![Channel { reverting_s: 0.2, ..channel() }], no_errors());
+    let model = Model::new(&set, 0);
+    let (shift, size) = (model.channels[0].shift, 0.05);
+    let off = |k: i32| if (10..30).contains(&k) { size } else { 0.0 };
+    let mut items: Vec<Timed> = (0..40).map(|k| measured(0.03 + 0.047 * f64::from(k), 0, off(k), 1e-6)).collect();
+    let mut decisions = vec![Decision::GOOD; items.len()];
+    decisions[10] = Decision::of(Cause::Shift(Prior::Reverting));
+    decisions[30] = Decision::of(Cause::Shift(Prior::FormerZero));
+    let (before, last, rows, way) = run_decided(&model, &set, &mut items, &decisions);
+    // Samples at 0.49 s, before the shift, at 1.43 s, before it is gone, and after.
+    let filtered = &rows.axes[0].variance;
+    assert!(filtered[142] > 100.0 * filtered[48] && filtered[150] < 2.0 * filtered[48]);
+    let best = last.hyps.best();
+    assert!(best.x[(shift, 0)] == 0.0 && best.p[(shift, shift)] == 0.0 && best.marks[0].reverting_m2 == 0.0);
+    let decided = Decided { decisions, evidence: Vec::new(), items };
+    let counting = Counting::new(&model, before.hyps.best(), &[&decided]);
+    let view = Counted { model: &model, counting: &counting, last: best };
+    let mut smoothed = Vec::new();
+    Adjoint::nothing(&model).pass(&way, &view, 0..way.len(), &mut smoothed);
+    for (one, &own) in smoothed.iter().zip(filtered) {
+        assert!(one.variance <= own * (1.0 + 1e-9) && one.variance > 0.0);
+    }
+    assert!(smoothed[142].variance < 0.1 * filtered[142]);
+    // What it carries is worth as much as was measured: long after it lies as wide as it was large, before anything
+    // more is measured.
+    let mut alone = before.hyps.best().clone();
+    (alone.marks[0].reverting_m2, alone.p[(shift, shift)]) = (size * size, 0.0);
+    let (row, motion) =
+        (Measurement { channel: 0, value: 0.0, variance: 1e-6, reference: 0.0 }, [AxisMotion::default()]);
+    let scene = Scene {
+        model: &model,
+        row: &row,
+        channel: &model.channels[0],
+        at_s: 10.0,
+        motion: &motion,
+        acceleration: 0.0,
+        density: 0.0,
+    };
+    meet_zero(&mut alone, &scene);
+    assert!((alone.p[(shift, shift)] / (size * size) - 1.0).abs() < 1e-6);
 }
 
 #[test]

@@ -21,8 +21,8 @@ pub(super) struct Record {
 /// What was made of a channel's states before its measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Scaled {
-    /// On the shift.
-    pub shift: f64,
+    /// Of the shift, where it reverts or is gone.
+    pub shift: Turn,
     /// On the reference.
     pub reference: f64,
     /// Of the slow error.
@@ -31,7 +31,7 @@ pub struct Scaled {
 
 impl Scaled {
     /// Nothing changes.
-    pub const NONE: Self = Self { shift: 1.0, reference: 1.0, slow: Turn::NONE };
+    pub const NONE: Self = Self { shift: Turn::NONE, reference: 1.0, slow: Turn::NONE };
 }
 
 #[derive(Clone, Copy, Debug)]

@@ -242,12 +242,12 @@ def _shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
     their own clock) that takes so long (s; 0: a step), in the translation's unit; infinite where they do not tell it.
     """
 
-    signature, _, noise = _change(pair, fit, from_s, lasting_s)
+    signature, _, noise = change_innovations(pair, fit, from_s, lasting_s)
     known = float(np.sum(signature * signature)) / noise
     return float(1.0 / np.sqrt(known)) if known > 0.0 else float("inf")
 
 
-def _change(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> tuple[Floats, Floats, float]:
+def change_innovations(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> tuple[Floats, Floats, float]:
     """Signature of a change as of `_shown_std`, the innovations (k,), both standardised, and the noise's variance."""
 
     def change(time_s: Floats) -> Floats:
@@ -271,7 +271,7 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
     first = int(np.argmax(within))
     used = found.whitened.index
     for j in range(used[max(first - 1, 0)] + 1, used[min(first + long, len(used) - 1)] + 1):
-        signature, left, noise = _change(pair, without, float(pair.rows[j, 0]), 0.0)
+        signature, left, noise = change_innovations(pair, without, float(pair.rows[j, 0]), 0.0)
         if np.sum(signature * left) ** 2 > BEYOND_DOUBT * STEP_SHOWS * noise * np.sum(signature * signature):
             return True
     return False

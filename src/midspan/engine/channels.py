@@ -27,6 +27,9 @@ from midspan.signals.stuck import resolution
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
 COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
+# A displacement sensor whose zero has shifted may come back to it slowly, as a GNSS receiver converges in 30 to 300 s
+# whose carrier phases are not resolved: critically damped, in twice this time, s (`core/src/estimator/slow.rs`).
+REVERTING_S = 60.0
 # The usual interval of a stream is the median between this many stamps at its beginning: jitter of a tenth of an
 # interval then changes it by a hundredth.
 FIRST_STAMPS = 100
@@ -170,6 +173,7 @@ def plain_channel(
         coasting_s=coasting_s,
         lost_s=lost_s,
         interval_s=step_s,
+        reverting_s=REVERTING_S,
         slow_std_m=known.slow_std_m,
         slow_time_s=known.slow_time_s,
         exposure_s=known.exposure_s,

@@ -45,7 +45,9 @@ class Rates:
     outlier: least share of measurements that are wrong by any amount; more is estimated. stays: of those whose next one
     is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
     that shift with one.
-    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.
+    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. revert: of those shifts that may
+    revert (`Channel.reverting_s`) the share that does: a solution that has to converge is met more often than a gauge
+    that was pushed, and what stays shows so itself in time. back: of a shifted zero, a second.
     odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
     likely.
     """
@@ -53,6 +55,7 @@ class Rates:
     outlier: float = 0.01
     stays: float = 0.6
     shift: float = 1.0 / 3600.0
+    revert: float = 0.9
     back: float = 0.1
     wrong: float = 1.0 / 3600.0
     noise: float = 1.0 / 3600.0

@@ -142,6 +142,7 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
             gives_zero=view.gives_zero,
             gain_std=(own.scale_std or USUAL_GAIN_STD) if own.estimate_scale else 0.0,
             noise_time_s=section.noise_time_s,
+            gnss=section.receiver == "gnss",
             exposure_s=section.exposure_s,
         )
     )

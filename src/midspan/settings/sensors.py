@@ -109,6 +109,11 @@ class DisplacementSettings(ChannelSettings):
     exposure_s: Duration | None = Field(
         None, description="time over which the sensor averages, s; left out: found where the motion tells it"
     )
+    receiver: Literal["gnss"] | None = Field(
+        None,
+        description="gnss: the error band holds a slow error of 3 mm over 100 s where the record shows no other and "
+        "noise_time_s is left out; left out: any other sensor",
+    )
     noise_time_s: NoiseTime | None = Field(
         None,
         description="correlation time of its slow error (GNSS), s; 0: it has none; left out: estimated where the "

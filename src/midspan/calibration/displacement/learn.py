@@ -11,6 +11,7 @@ from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
+from midspan.calibration.displacement.zero_steps import without_steps, zero_steps
 from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s, without_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
@@ -72,7 +73,8 @@ class Given:
     these are applied; learns_offset None: the offset is where the motion shows one; noise_std_m: of its values as read,
     None where it is not given; gives_zero: whether its zero is that of the displacement; gain_std: how well the
     accelerometer's gain is known before, relative; 0: it is not estimated; noise_time_s: correlation time of its slow
-    error, None where it is not given; exposure_s: time over which it averages, None where that is not given.
+    error, None where it is not given; gnss: it is a GNSS receiver; exposure_s: time over which it averages, None where
+    that is not given.
     """
 
     prepared: PreparedAcceleration
@@ -84,6 +86,7 @@ class Given:
     gives_zero: bool = True
     gain_std: float = 0.0
     noise_time_s: float | None = None
+    gnss: bool = False
     exposure_s: float | None = None
 
 
@@ -147,8 +150,7 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     clock_steps: where many values would be outliers, a clock that steps is looked for.
     """
     overlap = _Overlap(given, series)
-    prepared, first = given.prepared, overlap.first_ns
-    max_offset = overlap.max_offset_s
+    prepared, first, max_offset = given.prepared, overlap.first_ns, overlap.max_offset_s
     axis = turned(overlap.pair(overlap.reach_s), 0.0 if overlap.one_clock else max_offset)
     pair = axis.pair
     notes: list[Notice] = []
@@ -191,6 +193,8 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         if even is not None:
             return even
         refuse_step(pair, found.fit)
+    if steps := _steps_of_zero(given, learned, found):
+        return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
     if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
@@ -200,6 +204,12 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         return _on_one_clock(learned, found)
     learned = _accepted_offset(overlap, learned, found)
     return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
+
+
+def _steps_of_zero(given: Given, learned: NoiseCalibration, found: Findings) -> list[tuple[float, float]]:
+    """Instants (s) and sizes (m) of steps of the zero that were taken for the accelerometer's noise or a slow error."""
+    taken = exceeds_own_noise(*found.noise) or (learned.slow_std_m > 0.0 and given.noise_time_s is None)
+    return zero_steps(found.pair, found.fit) if taken else []
 
 
 def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:

@@ -29,6 +29,9 @@ from midspan.signals.stuck import range_limits, resolution, stuck
 REPORTED, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
 MAX_OPTIMISTIC = 1.5
+# The slow error of a GNSS receiver, m and s: multipath, of which a record of minutes shows nothing. It is 2 to 8 mm and
+# takes 40 to 300 s to change; what is larger or faster shows.
+GNSS_SLOW = (3e-3, 100.0)
 # Where this many values would count as frozen, the sensor's resolution is coarse compared with the motion.
 MAX_FROZEN = 0.5
 
@@ -195,8 +198,9 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
-    # A slow error that was estimated is in the band.
-    drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if estimated.slow_std_m > 0.0 else estimated.unseen_m
+    slow_std_m, slow_time_s = GNSS_SLOW if _has_usual_slow_error(given, estimated) else estimated.slow
+    # A slow error that is in the band is not left out of it.
+    drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if slow_std_m > 0.0 else estimated.unseen_m
     return DisplacementCalibration(
         std,
         estimated.offset,
@@ -204,14 +208,19 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         # A scale that seems wrong is left as it is, and the error band holds both.
         float(np.hypot(estimated.factor_std, abs(estimated.factor) * _scale_error(estimated))),
         resolution_m=resolution(estimated.factor * given.series.value),
-        slow_std_m=estimated.slow_std_m,
-        slow_time_s=estimated.slow_time_s,
+        slow_std_m=slow_std_m,
+        slow_time_s=slow_time_s,
         exposure_s=estimated.exposure_s,
         apart_std_m=_lost_m(given, estimated),
         unseen_drift_m=drift_m,
         unseen_step_m=step_m,
         unseen_gap_m=gap_m,
     )
+
+
+def _has_usual_slow_error(given: Given, estimated: NoiseCalibration) -> bool:
+    """Whether it is a GNSS receiver whose slow error neither the record shows nor the settings declare."""
+    return given.gnss and given.noise_time_s is None and estimated.slow_std_m == 0.0
 
 
 def _lost_m(given: Given, estimated: NoiseCalibration) -> float:
@@ -371,6 +380,13 @@ def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice
             f"{1e3 * estimated.slow_std_m:.2g} mm over {estimated.slow_time_s:.2g} s besides its noise is in the error "
             "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
             "sensor has no slow error.",
+        )
+    elif _has_usual_slow_error(given, estimated):
+        yield Notice(
+            "slow-error",
+            f"displacement: the error band holds a slow error of {1e3 * GNSS_SLOW[0]:g} mm over {GNSS_SLOW[1]:g} s, as "
+            "GNSS receivers usually have, which this record neither shows nor excludes. displacement.noise_time_s "
+            "declares the correlation time; 0 says that the sensor has no slow error.",
         )
 
 
