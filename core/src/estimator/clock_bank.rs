@@ -38,6 +38,8 @@ const P_NEARLY: f64 = 0.3;
 /// A clock's offset is found where its standard deviation is below this, s: what is left is linear to 0.1 mm at
 /// 10 m/s².
 const FOUND_STD_S: f64 = 5e-3;
+/// All filters are run anew with what has come no more often than this, s: a radar measures more often.
+const WEIGHED_EACH_S: f64 = 0.09;
 /// After this time the likelier of a step and none is taken, s.
 const MAX_SEARCH_S: f64 = 10.0;
 
@@ -92,6 +94,8 @@ pub struct Bank {
     none: f64,
     /// Whether rows are kept.
     keeps_rows: bool,
+    /// When all filters were last run anew, s.
+    weighed_s: f64,
 }
 
 /// What the bank comes to.
@@ -166,8 +170,16 @@ impl Bank {
     /// All steps that a suspicion may mean; befores: filters of earlier, one at least; items: what was measured since
     /// the first of them.
     pub fn new(suspect: Suspicion, now_s: f64, befores: Vec<Filter>, items: Vec<Timed>, model: &Model) -> Self {
-        let mut bank =
-            Self { suspect, since_s: now_s, befores, items, members: Vec::new(), none: 0.0, keeps_rows: false };
+        let mut bank = Self {
+            suspect,
+            since_s: now_s,
+            befores,
+            items,
+            members: Vec::new(),
+            none: 0.0,
+            keeps_rows: false,
+            weighed_s: f64::NEG_INFINITY,
+        };
         bank.instants(model).into_iter().for_each(|(from_s, probability)| bank.add(from_s, probability, model));
         bank
     }
@@ -258,6 +270,7 @@ impl Bank {
         self.none = now.hyps.evidence() - self.before().hyps.evidence();
         let starts: Vec<f64> = self.befores.iter().map(|one| self.log_likelihood_before(one)).collect();
         let now_s = time_s.last().copied().unwrap_or(self.before().clock.time_s);
+        self.weighed_s = now_s;
         for member in &mut self.members {
             let before = &self.befores[member.before];
             let since: Vec<Timed> = self.items.iter().filter(|one| one.at_s > before.clock.time_s).copied().collect();
@@ -283,6 +296,11 @@ impl Bank {
             (member.weight, member.open) =
                 (member.prior + starts[member.before] + alone.log_likelihood + pending, most - pending);
         }
+    }
+
+    /// Whether it is time to run all filters anew with what has come.
+    pub fn is_due(&self, now_s: f64) -> bool {
+        now_s >= self.weighed_s + WEIGHED_EACH_S
     }
 
     /// Whether it is of the model's shape.

@@ -244,17 +244,19 @@ impl Estimator {
     /// Looks into clocks at the newest sample: begins, weighs and ends the bank, and gives the row.
     fn look(&mut self, arrived: bool, sample: View, output: &mut Output) {
         let suspect = self.memory.filter.as_ref().and_then(|one| one.watch.suspect);
-        match (self.memory.clocks.bank.is_some(), suspect) {
-            (true, _) if arrived => self.weigh(sample.time_ns[0], output),
-            (true, _) => {
+        let now_s = since(sample.time_ns[0], self.origin_ns());
+        let due = self.memory.clocks.bank.as_ref().map(|bank| arrived && bank.is_due(now_s));
+        match (due, suspect) {
+            (Some(true), _) => self.weigh(sample.time_ns[0], output),
+            (Some(false), _) => {
                 self.time_s.clear();
-                self.time_s.push(since(sample.time_ns[0], self.origin_ns()));
+                self.time_s.push(now_s);
                 if let Some(bank) = self.memory.clocks.bank.as_mut() {
                     bank.advance(&self.model, sample, &self.time_s, &mut self.work);
                 }
             }
-            (false, Some(_)) => return self.look_into(sample, output),
-            (false, None) => {}
+            (None, Some(_)) => return self.look_into(sample, output),
+            (None, None) => {}
         }
         self.leave_row(sample, output);
     }

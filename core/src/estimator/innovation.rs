@@ -18,6 +18,8 @@ use super::way_back::Scaled;
 /// A zero of which nothing is known is taken to lie within this many times (in variance) what the first measurement is
 /// off, where it is asked whether that is an outlier.
 const UNKNOWN_ZERO: f64 = 1e6;
+/// No device starts, and sets its clock, in less than this, s.
+const STARTS_S: f64 = 1.0;
 
 /// A measurement at its instant.
 #[derive(Clone, Copy)]
@@ -139,11 +141,12 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> Scaled {
     made
 }
 
-/// Whether a sensor is back: none of its channels has measured for longer than its rows count as tracking.
+/// Whether a sensor is back that may have started anew: none of its channels has measured for longer than its rows
+/// count as tracking, and than a device takes to start.
 pub fn is_back(hyp: &Hypothesis, scene: &Scene) -> bool {
     let own = scene.channel;
     let sensor = hyp.marks.iter().zip(&scene.model.channels).filter(|(_, one)| one.sensor == own.sensor);
-    scene.at_s - sensor.map(|(mark, _)| mark.met_s).fold(f64::NEG_INFINITY, f64::max) > own.coasting_s
+    scene.at_s - sensor.map(|(mark, _)| mark.met_s).fold(f64::NEG_INFINITY, f64::max) > own.coasting_s.max(STARTS_S)
 }
 
 /// The innovation of a measurement in one hypothesis; the sensitivities and P h stay in `work`.

@@ -17,9 +17,9 @@ const MIN_COUNT: f64 = 8.0;
 /// deviations: by chance twice an hour.
 const EXPLAINED: f64 = 6.0;
 
-/// A first gap between samples is a step of their clock once in four times; the more gaps there were, the likelier are
+/// A first gap between samples is a step of their clock as soon as not; the more gaps there were, the likelier are
 /// samples lost.
-const FEW: f64 = 3.0;
+const FEW: f64 = 1.0;
 
 /// What is suspected.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
