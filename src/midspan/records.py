@@ -181,7 +181,7 @@ class PixelTranslation:
     reference_variance_y_px2: of the reference's own place, common to all frames that are compared with it; they are not
     part of `variance_x_px2`, `variance_y_px2`. events: what happened in this frame. unseen: why nothing was
     looked for in it, "dark" or "frozen" (the picture before once more); else empty. zoom, variance_zoom: by how much
-    the picture has grown about the target's middle; NaN: not measured.
+    the picture has grown about the target's middle; infinite variance: not measured.
     """
 
     time_ns: int
@@ -196,8 +196,8 @@ class PixelTranslation:
     reference_variance_y_px2: float = 0.0
     events: tuple[Event, ...] = ()
     unseen: str = ""
-    zoom: float = math.nan
-    variance_zoom: float = math.nan
+    zoom: float = 0.0
+    variance_zoom: float = math.inf
 
     def later(self, by_ns: int) -> "PixelTranslation":
         """The same on a clock that shows so much more."""

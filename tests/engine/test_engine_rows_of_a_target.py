@@ -65,8 +65,8 @@ def test_a_frame_takes_a_fraction_of_what_objects_would(target):
                 used.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
-    # Nine numbers of 8 bytes and two of one, an eighth more for growing; as objects they took 450 bytes.
-    assert (used[1] - used[0]) / 3000 < 90.0
+    # Ten numbers of 8 bytes and two of one, an eighth more for growing; as objects they took 450 bytes.
+    assert (used[1] - used[0]) / 3000 < 100.0
 
 
 def test_changed_light_is_reported_with_when_it_began():

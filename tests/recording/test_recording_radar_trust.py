@@ -47,9 +47,10 @@ def test_an_only_target_that_sways_is_reported_and_the_band_holds_it(tmp_path) -
     # It is in the rows, and once more in the zero: where the first frame met it, all rows count from there.
     zero_mm = 1e3 * result.zero_std_m
     own = np.sqrt(np.maximum(result.displacement_std_mm**2 - zero_mm**2, 0.0))
-    assert np.median(own) < 0.21
+    # Its size is found from half a minute of it: to a quarter.
+    assert np.median(own) < 0.27
     assert abs(np.mean(error)) < 2.0 * zero_mm
-    assert zero_mm < 0.25
+    assert zero_mm < 0.27
     assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
     assert any("3.4" in line and "on its own" in line for line in result.warnings)
 

@@ -158,8 +158,8 @@ def calibrate_scale(
         _refuse_disagreement(search.pair, search.fit, float(np.sqrt(typical)))
         _refuse_ambiguity(search, max_offset_s)
 
+    refusal: UntrustedError | None = None
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
-    refusal = None
     try:
         refuse(search)
     except UntrustedError as error:
@@ -175,13 +175,8 @@ def calibrate_scale(
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     drift = gain_drift(search.pair, search.fit)
-    # What goes with the motion, as a gain that changes or a low-pass, is no sway of the camera.
-    own, felt_alone = None, drift > 0.0 or response.accelerometer_errs
-    if not felt_alone:
-        own, felt_alone = find_own_error(search.pair, search.fit, typical)
-    if own is not None and own.taken:
-        search = replace(search, pair=own.pair, fit=own.fit)
-    search = axis.widened(search)
+    own, felt_alone = _own_error(search, typical, accelerometer_errs=drift > 0.0 or response.accelerometer_errs)
+    search = axis.widened(search if own is None or not own.taken else replace(search, pair=own.pair, fit=own.fit))
     fit = search.fit
     return ScaleCalibration(
         scale=ScaleFactor(1.0 / fit.ratio, (fit.relative_std / fit.ratio) ** 2),
@@ -189,17 +184,21 @@ def calibrate_scale(
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
         input_noise=search.pair.input_noise(fit.input_density),
-        warnings=(
-            *jumps_text(jumps),
-            *_warnings(search, usable),
-            *response.texts(fit.motion_hz),
-            *drift_text("camera", drift),
-        ),
+        warnings=(*jumps_text(jumps), *_warnings(search, usable), *_texts(response, fit, drift)),
         response=replace(response, relative_std=float(np.hypot(response.relative_std, drift / WITHIN))),
         direction=axis.direction,
         own=own,
         felt_alone=felt_alone,
     )
+
+
+def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice, ...]:
+    return (*response.texts(fit.motion_hz), *drift_text("camera", drift))
+
+
+def _own_error(search: OffsetSearch, typical: float, *, accelerometer_errs: bool) -> tuple[OwnError | None, bool]:
+    """As `find_own_error`; what goes with the motion, as a gain that changes, is no sway of the camera."""
+    return (None, True) if accelerometer_errs else find_own_error(search.pair, search.fit, typical)
 
 
 def _refuse_few(usable: int, max_offset_s: float) -> None:

@@ -226,7 +226,7 @@ class CameraSensor:
 
     def _take_off_zoom(self, found: Sequence[PixelTranslation], rows: Floats) -> None:
         for k, one in enumerate(found):
-            self._zoom[k] = one.zoom if math.isfinite(one.zoom) else self._zoom[k]
+            self._zoom[k] = one.zoom if math.isfinite(one.variance_zoom) else self._zoom[k]
         levers = self._levers_px.reshape(-1)
         moved = levers != 0.0
         if moved.any():

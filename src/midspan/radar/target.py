@@ -103,7 +103,7 @@ class Target:
     @property
     def place(self) -> str:
         """Where it is, in words: its range, or its bin where samples come without ranges."""
-        return f"at {self.range_m:.2f} m" if np.isfinite(self.range_m) else f"in bin {self.place_bin:.0f}"
+        return f"at {self.range_m:.2f} m" if np.isfinite(self.range_m) else f"in bin {self.place_bin:.1f}"
 
     @property
     def relative_std(self) -> float:

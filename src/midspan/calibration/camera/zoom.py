@@ -33,11 +33,14 @@ SMOOTH_S, LEFT = (16.0, 8.0, 4.0, 2.0), 0.7
 def without_zoom(views: Sequence[View], target: SeenTarget) -> SeenTarget:
     """A target without what the picture's zoom moves it by along the views' axes, where there is a zoom."""
     zoom, variance = target.rows.zoom, target.rows.variance_zoom
-    known = np.isfinite(zoom) & np.isfinite(variance)
+    place = target.rows.along(views[0].axis)[0]
+    known = np.isfinite(place) & np.isfinite(zoom) & np.isfinite(variance)
     if np.count_nonzero(known) < MIN_FRAMES:
         return target
     own = float(np.mean(variance[known]))
-    smooth, averaged = _smoothed(zoom[known], own, _rate_hz(target))
+    # What grows with the place is the lens' distortion or the target's turning: it goes with the scale factor.
+    free = zoom[known] - np.polyval(np.polyfit(place[known], zoom[known], 1), place[known])
+    smooth, averaged = _smoothed(free, own, _rate_hz(target))
     if np.var(smooth) < GROWS * own * averaged:
         return target
     levers = {view.axis: lever for view in views if (lever := _lever(view, target)) is not None}
@@ -52,7 +55,7 @@ def _lever(view: View, target: SeenTarget) -> Lever | None:
     except UntrustedError:
         return None
     track, (place, std) = target.rows, _prior(target, view.axis)
-    known = np.isfinite(track.zoom)
+    known = np.isfinite(track.zoom) & np.isfinite(track.variance_zoom)
     seen = track.zoom[known]
     stamps = (track.time_ns[known] + view.late_ns - view.window_ns[0]) / NANOSECONDS
     smooth, _ = _smoothed(seen, float(np.mean(track.variance_zoom[known])), _rate_hz(target))
