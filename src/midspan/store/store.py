@@ -60,7 +60,7 @@ class Batch:
 class StoredCalibration:
     """A point's calibration: its number, when it was made (ns UTC), its state and its JSON text.
 
-    state: "in force", "offered" or "retired". settings: of the point's recordings then, as JSON.
+    state: "in force", "offered", "refused" or "retired". settings: of the point's recordings then, as JSON.
     """
 
     point: str
@@ -196,6 +196,17 @@ class Store:
         with self._site.transaction():
             self._put_in_force(point, number)
 
+    def refuse(self, point: str, number: int) -> bool:
+        """Refuse an offered calibration; whether there was such a one."""
+        with self._site.transaction():
+            place = (point, number)
+            sql = "SELECT 1 FROM calibration WHERE point = ? AND number = ? AND state = 'offered'"
+            found = bool(self._site.execute(sql, place))
+            self._site.execute(
+                "UPDATE calibration SET state = 'refused' WHERE point = ? AND number = ? AND state = 'offered'", place
+            )
+        return found
+
     def _put_in_force(self, point: str, number: int) -> None:
         self._site.execute("UPDATE calibration SET state = 'retired' WHERE point = ? AND state = 'in force'", (point,))
         self._site.execute("UPDATE calibration SET state = 'in force' WHERE point = ? AND number = ?", (point, number))
@@ -228,6 +239,21 @@ class Store:
         for database in self._days.all():
             rows += database.execute("SELECT DISTINCT point FROM chunk")
         return sorted({str(row[0]) for row in rows})
+
+    def has_point(self, point: str) -> bool:
+        """Whether anything of a point is kept."""
+        for table in ("pyramid", "calibration", "event"):
+            if self._site.execute(f"SELECT 1 FROM {table} WHERE point = ? LIMIT 1", (point,)):
+                return True
+        sql = "SELECT 1 FROM chunk WHERE point = ? LIMIT 1"
+        return any(database.execute(sql, (point,)) for database in self._days.all(newest_first=True))
+
+    def count(self, point: str, stream: str, first_ns: int, last_ns: int) -> int:
+        """How many rows the chunks have that reach into a time: as many as it has, or some seconds' more."""
+        sql = "SELECT SUM(n) FROM chunk WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns <= ? AND t1_ns >= ?"
+        place = (point, stream, first_ns - round(CHUNK_S * NANOSECONDS), last_ns, first_ns)
+        days = self._days.between(first_ns // DAY_NS, last_ns // DAY_NS)
+        return sum(int(day.execute(sql, place)[0][0] or 0) for day in days)
 
     def streams(self, point: str) -> list[str]:
         """The names of a point's streams, sorted."""

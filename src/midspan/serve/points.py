@@ -1,0 +1,239 @@
+"""Points: how they stand, their rows, events, spectra and calibrations."""
+
+import asyncio
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import FileResponse, JSONResponse
+from pydantic import BaseModel, Field
+from starlette.background import BackgroundTask
+
+from midspan.records import NANOSECONDS
+from midspan.serve import reading
+from midspan.serve.instants import From, To, span_ns
+from midspan.serve.login import Guard
+from midspan.serve.problems import Problem, declared
+from midspan.serve.serving import Serving
+from midspan.service.live_socket import Tree
+from midspan.service.reasons import sentence
+
+# What a file of rows may take, s, and how many are made at a time.
+EXPORT_S = 900.0
+# Buckets of so much time take a thread some tenths of a second at most.
+QUICK_S = 6 * 3600.0
+Numbers = list[float | None]
+ARROW = "application/vnd.apache.arrow.stream"
+FILES = {
+    "csv": "text/csv",
+    "parquet": "application/vnd.apache.parquet",
+    "h5": "application/x-hdf5",
+    "mat": "application/x-matlab-data",
+    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+    "mseed": "application/vnd.fdsn.mseed",
+    "tdms": "application/octet-stream",
+    "uff": "application/octet-stream",
+}
+Format = Literal["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"]
+
+
+class PointState(BaseModel):
+    """How a point stands: its newest row, with its age, and why there is none that can be relied on."""
+
+    name: str
+    status: str | None = Field(description="tracking, coasting, lost, warming or calibrating; null without any row")
+    reason: str = Field(description="a reason code; empty where all is well")
+    text: str
+    displacement_mm: float | None
+    displacement_std_mm: float | None
+    time: str | None = Field(description="of the newest row, ISO 8601 UTC")
+    age_s: float | None
+    calibration: int | None = None
+
+
+class Series(BaseModel):
+    """Rows, one list for each of the result's columns, or buckets; `time` in ns UTC. A second axis adds columns."""
+
+    model_config = {"extra": "allow"}
+    time: list[int]
+
+
+class EventBody(BaseModel):
+    """An event as it was stored."""
+
+    time: str
+    time_ns: int
+    kind: str
+    text: str
+
+
+class CalibrationBody(BaseModel):
+    """A calibration of the store; state: in force, offered, refused or retired."""
+
+    id: int
+    time: str
+    state: str
+    calibration: dict[str, Any]
+
+
+class SpectrumBody(BaseModel):
+    """One-sided power spectral density, and natural frequencies; `reason` says why there are none."""
+
+    frequency_hz: Numbers
+    density_mm2_hz: Numbers
+    segment_s: float | None
+    modes: list[dict[str, Any]]
+    reason: str
+
+
+class Done(BaseModel):
+    """What a command did, in a sentence."""
+
+    text: str
+
+
+def router(serving: Serving, guard: Guard) -> APIRouter:
+    """The routes of points."""
+    routes = APIRouter(prefix="/points", tags=["points"])
+    read, reading_problems = [guard.require("read")], declared(401, 403, 404, 422)
+    exporting = asyncio.Semaphore(1)
+
+    @routes.get("", response_model=list[PointState], dependencies=read, responses=declared(401, 403))
+    async def points() -> list[Tree]:
+        """All points of the site."""
+        return [await point_state(serving, name) for name in await serving.points()]
+
+    @routes.get("/{name}", response_model=PointState, dependencies=read, responses=reading_problems)
+    async def point(name: str) -> Tree:
+        """One point."""
+        await serving.require_point(name)
+        return await point_state(serving, name)
+
+    @routes.get(
+        "/{name}/series", response_model=Series, dependencies=read,
+        responses={**reading_problems, 200: {"content": {ARROW: {"schema": {"type": "string", "format": "binary"}}}}},
+    )  # fmt: skip
+    async def series(
+        name: str,
+        begin: From = None,
+        to: To = None,
+        buckets: Annotated[int | None, Query(ge=1, le=reading.MAX_BUCKETS)] = None,
+        format: Literal["json", "arrow"] = "json",
+    ) -> Response:
+        """Rows, or least, largest and mean of equal buckets: a peak keeps its height, a gap is null."""
+        await serving.require_point(name)
+        span = span_ns(begin, to)
+        if buckets is not None:
+            if format == "arrow":
+                raise Problem(422, "format: must be json with buckets; arrow is for rows. Leave one of them out.")
+            if span[1] - span[0] < buckets:
+                raise Problem(422, "buckets: must be at least 1 ns long. Ask for fewer.")
+            worker = serving.quick if span[1] - span[0] <= QUICK_S * NANOSECONDS else serving.long
+            return JSONResponse(await worker.run(reading.buckets, serving.where, name, *span, buckets))
+        work = reading.series_json if format == "json" else reading.series_arrow
+        body = await serving.long.run(work, serving.where, name, *span)
+        return Response(body, media_type="application/json" if format == "json" else ARROW)
+
+    @routes.get(
+        "/{name}/export", dependencies=read, response_class=FileResponse,
+        responses={
+            **declared(401, 403, 404, 422),
+            200: {"content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in FILES.values()}},
+        },
+    )  # fmt: skip
+    async def export(name: str, begin: From = None, to: To = None, format: Format = "csv") -> FileResponse:
+        """Every row, as the file that `midspan export` writes; times are UTC."""
+        await serving.require_point(name)
+        span = span_ns(begin, to)
+        if exporting.locked():
+            raise Problem(503, "Another file is being made. Try again in some seconds.", headers={"Retry-After": "5"})
+        async with exporting:
+            folder = tempfile.TemporaryDirectory(prefix="midspan-export-")
+            file = Path(folder.name) / f"{name}.{format}"
+            try:
+                work = (reading.export, serving.where, name, span, str(file))
+                await serving.files.run(*work, longest_s=EXPORT_S)
+            except BaseException:
+                folder.cleanup()
+                raise
+        return FileResponse(
+            file, media_type=FILES[format], filename=file.name, background=BackgroundTask(folder.cleanup)
+        )
+
+    @routes.get("/{name}/events", response_model=list[EventBody], dependencies=read, responses=reading_problems)
+    async def events(name: str, begin: From = None, to: To = None) -> list[Tree]:
+        """The newest 1000 events of a time (left out: of a day), in its order."""
+        await serving.require_point(name)
+        return await serving.quick.run(reading.events, serving.where, name, *span_ns(begin, to, 86_400.0))
+
+    @routes.get("/{name}/spectrum", response_model=SpectrumBody, dependencies=read, responses=reading_problems)
+    async def spectrum(name: str, begin: From = None, to: To = None) -> Tree:
+        """Spectrum and natural frequencies of the rows of a time."""
+        await serving.require_point(name)
+        return await serving.long.run(reading.spectrum_of, serving.where, name, *span_ns(begin, to))
+
+    calibration_routes(routes, serving, guard)
+    return routes
+
+
+def calibration_routes(routes: APIRouter, serving: Serving, guard: Guard) -> None:
+    """The routes of a point's calibrations."""
+    read, operate = [guard.require("read")], [guard.require("operate")]
+    commanded = declared(401, 403, 404, 409, 422)
+
+    @routes.get(
+        "/{name}/calibrations", response_model=list[CalibrationBody], dependencies=read,
+        responses=declared(401, 403, 404, 422),
+    )  # fmt: skip
+    async def calibrations(name: str) -> list[Tree]:
+        """All calibrations of a point that the store has."""
+        await serving.require_point(name)
+        return await serving.quick.run(reading.calibrations, serving.where, name)
+
+    @routes.post("/{name}/calibrate", response_model=Done, status_code=202, dependencies=operate, responses=commanded)
+    async def calibrate(name: str) -> Done:
+        """Calibrate a point again; its rows go on meanwhile."""
+        await serving.require_point(name)
+        return await commanded_point("calibrate", name)
+
+    @routes.post("/{name}/calibrations/{number}/accept", response_model=Done, dependencies=operate, responses=commanded)
+    async def accept(name: str, number: int) -> Done:
+        """Put an offered calibration in force."""
+        return await decided("accept", name, number)
+
+    @routes.post("/{name}/calibrations/{number}/refuse", response_model=Done, dependencies=operate, responses=commanded)
+    async def refuse(name: str, number: int) -> Done:
+        """Refuse an offered calibration; the one in force stays."""
+        return await decided("refuse", name, number)
+
+    async def decided(command: str, name: str, number: int) -> Done:
+        await serving.require_point(name)
+        kept = await serving.quick.run(reading.calibrations, serving.where, name)
+        if number not in [one["id"] for one in kept]:
+            raise Problem(404, f"{name} has no calibration {number}. GET its calibrations for those that it has.")
+        return await commanded_point(command, name, number=number)
+
+    async def commanded_point(command: str, name: str, **values: Any) -> Done:
+        answer, _ = await serving.link.ask(command, point=name, **values)
+        return Done(text=str(answer["text"]))
+
+
+async def point_state(serving: Serving, name: str) -> Tree:
+    """A point as `PointState` has it: of the rows that came last, else of the store's newest."""
+    reason = serving.link.reason
+    state: Tree = next((one for one in serving.link.state.get("points", []) if one["point"] == name), {})
+    known, now_s = await serving.newest(name), time.time()
+    time_ns = known.get("time_ns")
+    return {
+        "name": name,
+        "status": known.get("status") if reason or not state else state["status"],
+        "reason": reason or state.get("reason") or state.get("notice", ""),
+        "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
+        "displacement_mm": known.get("displacement_mm"),
+        "displacement_std_mm": known.get("displacement_std_mm"),
+        "time": None if time_ns is None else reading.iso(time_ns),
+        "age_s": None if time_ns is None else reading.age_s(time_ns, now_s),
+        "calibration": state.get("calibration"),
+    }
