@@ -12,7 +12,7 @@ from benchmarks.live.servers import command
 from midspan.cli.main import run
 from midspan.errors import UsageError
 from midspan.serve.access import Access, csrf_of, digest, made_admin
-from midspan.serve.login import MAX_OF_ADDRESS, MAX_OF_USER, WINDOW_S, Attempts
+from midspan.serve.attempts import MAX_OF_ADDRESS, MAX_OF_USER, WINDOW_S, Attempts
 from served import Served, logged_in
 
 OF_P = ("", "/series", "/export", "/events", "/spectrum", "/calibrations")

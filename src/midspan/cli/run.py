@@ -38,7 +38,9 @@ def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: b
         console.say(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {line}")
 
     async def main() -> dict[str, object]:
-        supervisor = Supervisor(settings, say, note, serve=serve)
+        supervisor = Supervisor(
+            settings, say, note, serve=serve, announce=lambda: announce_admin(settings.where, console)
+        )
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, supervisor.stop)
         return await supervisor.run(for_s)
@@ -46,8 +48,6 @@ def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: b
     if sys.__stderr__ is not None:
         # A crash of the interpreter says where every thread was.
         faulthandler.enable(sys.__stderr__)
-    if serve:
-        announce_admin(settings.where, console)
     last = asyncio.run(main())
     say("stopped; everything that came is kept.")
     console.document(last)

@@ -35,7 +35,6 @@ def command(
     require_service(listen, tls_cert, tls_key, "--listen")
     if not is_store(store):
         raise DataError(f"{store}: is no store. `midspan run` and `midspan replay` make one.")
-    announce_admin(store, console)
     paths = [None if one is None else Path(one) for one in (tls_cert, tls_key)]
     settings = ServeSettings(store, None, paths[0], paths[1])
     more_descriptors()
@@ -47,6 +46,7 @@ def command(
         with listening(listen, "--listen") as listener:
             host, port = listen.rpartition(":")[0], listener.getsockname()[1]
             address = f"http{'' if tls_cert is None else 's'}://{host}:{port}"
+            announce_admin(store, console)
             console.say(f"page: {address}")
             if for_s is not None:
                 asyncio.get_running_loop().call_later(for_s, ending.set)

@@ -1,10 +1,9 @@
 """The application: the interface below /api/v1, health without a login, and the page's own files."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, FastAPI, Request
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import JSONResponse, PlainTextResponse
 from pydantic import BaseModel, Field
@@ -13,18 +12,16 @@ from starlette.staticfiles import StaticFiles
 from midspan._version import __version__
 from midspan.serve import live, login, points, problems, settings_file, sources
 from midspan.serve.limits import Limits
-from midspan.serve.login import Guard
+from midspan.serve.login import READ
 from midspan.serve.metrics import figures
-from midspan.serve.serving import Serving
+from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
 
 API = "/api/v1"
 # Where the page's files are shipped, once they are built.
 PAGE = Path(__file__).parent / "page"
-ROUTERS: tuple[Callable[[Serving, Guard], APIRouter], ...] = (
-    login.router, points.router, sources.router, settings_file.router, live.router,
-)  # fmt: skip
-"""One function a part of the interface; another part is another row."""
+PARTS = (login, points, sources, settings_file, live)
+"""A module a part of the interface, with its `routes`; another part is another name."""
 
 
 class Standing(BaseModel):
@@ -39,48 +36,50 @@ class Standing(BaseModel):
 def application(serving: Serving) -> Any:
     """The ASGI application over a store."""
     app = FastAPI(title="midspan", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
-    guard = Guard(serving)
+    app.state.serving = serving
     problems.install(app)
-    for make in ROUTERS:
-        app.include_router(make(serving, guard), prefix=API)
-    health(app, serving, guard)
+    for part in PARTS:
+        app.include_router(part.routes, prefix=API)
+    app.include_router(routes)
     app.openapi = lambda: _interface(app)  # type: ignore[method-assign]
     if PAGE.is_dir():
         app.mount("/", StaticFiles(directory=PAGE, html=True))
     return Limits(app)
 
 
-def health(app: FastAPI, serving: Serving, guard: Guard) -> None:
-    """How all stands: for programs without a login, for the page with one."""
+routes = APIRouter(tags=["health"])
 
-    @app.get("/healthz", include_in_schema=False)
-    async def healthz() -> PlainTextResponse:
-        return PlainTextResponse("ok\n")
 
-    @app.get("/readyz", include_in_schema=False)
-    async def readyz() -> JSONResponse:
-        now = serving.standing()
-        return JSONResponse(now, status_code=200 if now["ready"] else 503)
+@routes.get("/healthz", include_in_schema=False)
+async def healthz() -> PlainTextResponse:
+    """Whether the process lives."""
+    return PlainTextResponse("ok\n")
 
-    @app.get("/metrics", include_in_schema=False)
-    async def metrics() -> PlainTextResponse:
-        return PlainTextResponse(figures(serving), media_type="text/plain; version=0.0.4")
 
-    @app.get(
-        f"{API}/health", response_model=Standing, tags=["health"], dependencies=[guard.require("read")],
-        responses=problems.declared(401, 403),
-    )  # fmt: skip
-    async def standing() -> Tree:
-        """How points, sources and settings stand."""
-        return serving.standing()
+@routes.get("/readyz", include_in_schema=False)
+async def readyz(serving: Shared) -> JSONResponse:
+    """Whether everything measures, and if not, why."""
+    now = serving.standing()
+    return JSONResponse(now, status_code=200 if now["ready"] else 503)
 
-    @app.get(
-        f"{API}/openapi.json", tags=["health"], dependencies=[guard.require("read")],
-        responses=problems.declared(401, 403), response_model=dict[str, Any],
-    )  # fmt: skip
-    async def openapi() -> JSONResponse:
-        """This interface as OpenAPI 3.1."""
-        return JSONResponse(app.openapi())
+
+@routes.get("/metrics", include_in_schema=False)
+async def metrics(serving: Shared) -> PlainTextResponse:
+    """Figures for Prometheus."""
+    return PlainTextResponse(figures(serving), media_type="text/plain; version=0.0.4")
+
+
+@routes.get(f"{API}/health", response_model=Standing, dependencies=READ, responses=problems.declared(401, 403))
+async def standing(serving: Shared) -> Tree:
+    """How points, sources and settings stand."""
+    return serving.standing()
+
+
+@routes.get(f"{API}/openapi.json", response_model=dict[str, Any], dependencies=READ,
+            responses=problems.declared(401, 403))  # fmt: skip
+async def openapi(request: Request) -> JSONResponse:
+    """This interface as OpenAPI 3.1."""
+    return JSONResponse(request.app.openapi())
 
 
 def _interface(app: FastAPI) -> dict[str, Any]:

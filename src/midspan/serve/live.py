@@ -9,9 +9,9 @@ from fastapi import APIRouter, WebSocket
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from midspan.serve.connection import CLOSE_S
-from midspan.serve.login import Guard
+from midspan.serve.login import login_of
 from midspan.serve.problems import Problem, answer
-from midspan.serve.serving import Serving
+from midspan.serve.serving import Serving, Shared
 from midspan.serve.viewers import STALLED, TRY_AGAIN, Viewer
 
 # Points that a viewer names at most, and viewers.
@@ -21,30 +21,27 @@ CHECK_S = 2.0
 NO_LONGER = 1008
 
 
-def router(serving: Serving, guard: Guard) -> APIRouter:
-    """The route of the rows as they come."""
-    routes = APIRouter()
+routes = APIRouter()
 
-    @routes.websocket("/live")
-    async def live(socket: WebSocket) -> None:
-        """Numbered messages; `points` names points, `after` the newest sequence that a viewer has."""
-        try:
-            require_own_origin(socket)
-            guard.of(socket)
-            points, after = await wanted(serving, socket)
-            if serving.live.viewers >= MAX_VIEWERS:
-                raise Problem(503, f"There are {MAX_VIEWERS} viewers. Try again later.")
-        except Problem as problem:
-            await socket.send_denial_response(answer(problem.status_code, problem.detail, problem.headers))
-            return
-        await socket.accept()
-        viewer = serving.live.enter(points, after)
-        try:
-            await shown(socket, viewer, guard)
-        finally:
-            serving.live.leave(viewer)
 
-    return routes
+@routes.websocket("/live")
+async def live(socket: WebSocket, serving: Shared) -> None:
+    """Numbered messages; `points` names points, `after` the newest sequence that a viewer has."""
+    try:
+        require_own_origin(socket)
+        login_of(socket, serving)
+        points, after = await wanted(serving, socket)
+        if serving.live.viewers >= MAX_VIEWERS:
+            raise Problem(503, f"There are {MAX_VIEWERS} viewers. Try again later.")
+    except Problem as problem:
+        await socket.send_denial_response(answer(problem.status_code, problem.detail, problem.headers))
+        return
+    await socket.accept()
+    viewer = serving.live.enter(points, after)
+    try:
+        await shown(socket, viewer, serving)
+    finally:
+        serving.live.leave(viewer)
 
 
 def require_own_origin(socket: WebSocket) -> None:
@@ -71,11 +68,11 @@ async def wanted(serving: Serving, socket: WebSocket) -> tuple[frozenset[str] | 
     return points, None if after is None else int(after)
 
 
-async def shown(socket: WebSocket, viewer: Viewer, guard: Guard) -> None:
+async def shown(socket: WebSocket, viewer: Viewer, serving: Serving) -> None:
     """Send what comes until the viewer leaves, is dropped, or may no longer read."""
     sending = asyncio.create_task(_send(socket, viewer))
     listening = asyncio.create_task(_listen(socket))
-    checking = asyncio.create_task(_check(socket, guard))
+    checking = asyncio.create_task(_check(socket, serving))
     dropping = asyncio.create_task(viewer.dropped.wait())
     tasks = (sending, listening, checking, dropping)
     done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -104,8 +101,8 @@ async def _listen(socket: WebSocket) -> None:
             pass
 
 
-async def _check(socket: WebSocket, guard: Guard) -> None:
+async def _check(socket: WebSocket, serving: Serving) -> None:
     with suppress(Problem):
         while True:
             await asyncio.sleep(CHECK_S)
-            guard.of(socket)
+            login_of(socket, serving)

@@ -1,6 +1,5 @@
 """Points: how they stand, their rows, events, spectra and calibrations."""
 
-import asyncio
 import tempfile
 import time
 from pathlib import Path
@@ -14,9 +13,9 @@ from starlette.background import BackgroundTask
 from midspan.records import NANOSECONDS
 from midspan.serve import reading
 from midspan.serve.instants import From, To, span_ns
-from midspan.serve.login import Guard
+from midspan.serve.login import OPERATE, READ
 from midspan.serve.problems import Problem, declared
-from midspan.serve.serving import Serving
+from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
 from midspan.service.reasons import sentence
 
@@ -26,6 +25,7 @@ EXPORT_S = 900.0
 QUICK_S = 6 * 3600.0
 Numbers = list[float | None]
 ARROW = "application/vnd.apache.arrow.stream"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
 FILES = {
     "csv": "text/csv",
     "parquet": "application/vnd.apache.parquet",
@@ -94,130 +94,122 @@ class Done(BaseModel):
     text: str
 
 
-def router(serving: Serving, guard: Guard) -> APIRouter:
-    """The routes of points."""
-    routes = APIRouter(prefix="/points", tags=["points"])
-    read, reading_problems = [guard.require("read")], declared(401, 403, 404, 422)
-    exporting = asyncio.Semaphore(1)
-
-    @routes.get("", response_model=list[PointState], dependencies=read, responses=declared(401, 403))
-    async def points() -> list[Tree]:
-        """All points of the site."""
-        return [await point_state(serving, name) for name in await serving.points()]
-
-    @routes.get("/{name}", response_model=PointState, dependencies=read, responses=reading_problems)
-    async def point(name: str) -> Tree:
-        """One point."""
-        await serving.require_point(name)
-        return await point_state(serving, name)
-
-    @routes.get(
-        "/{name}/series", response_model=Series, dependencies=read,
-        responses={**reading_problems, 200: {"content": {ARROW: {"schema": {"type": "string", "format": "binary"}}}}},
-    )  # fmt: skip
-    async def series(
-        name: str,
-        begin: From = None,
-        to: To = None,
-        buckets: Annotated[int | None, Query(ge=1, le=reading.MAX_BUCKETS)] = None,
-        format: Literal["json", "arrow"] = "json",
-    ) -> Response:
-        """Rows, or least, largest and mean of equal buckets: a peak keeps its height, a gap is null."""
-        await serving.require_point(name)
-        span = span_ns(begin, to)
-        if buckets is not None:
-            if format == "arrow":
-                raise Problem(422, "format: must be json with buckets; arrow is for rows. Leave one of them out.")
-            if span[1] - span[0] < buckets:
-                raise Problem(422, "buckets: must be at least 1 ns long. Ask for fewer.")
-            worker = serving.quick if span[1] - span[0] <= QUICK_S * NANOSECONDS else serving.long
-            return JSONResponse(await worker.run(reading.buckets, serving.where, name, *span, buckets))
-        work = reading.series_json if format == "json" else reading.series_arrow
-        body = await serving.long.run(work, serving.where, name, *span)
-        return Response(body, media_type="application/json" if format == "json" else ARROW)
-
-    @routes.get(
-        "/{name}/export", dependencies=read, response_class=FileResponse,
-        responses={
-            **declared(401, 403, 404, 422),
-            200: {"content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in FILES.values()}},
-        },
-    )  # fmt: skip
-    async def export(name: str, begin: From = None, to: To = None, format: Format = "csv") -> FileResponse:
-        """Every row, as the file that `midspan export` writes; times are UTC."""
-        await serving.require_point(name)
-        span = span_ns(begin, to)
-        if exporting.locked():
-            raise Problem(503, "Another file is being made. Try again in some seconds.", headers={"Retry-After": "5"})
-        async with exporting:
-            folder = tempfile.TemporaryDirectory(prefix="midspan-export-")
-            file = Path(folder.name) / f"{name}.{format}"
-            try:
-                work = (reading.export, serving.where, name, span, str(file))
-                await serving.files.run(*work, longest_s=EXPORT_S)
-            except BaseException:
-                folder.cleanup()
-                raise
-        return FileResponse(
-            file, media_type=FILES[format], filename=file.name, background=BackgroundTask(folder.cleanup)
-        )
-
-    @routes.get("/{name}/events", response_model=list[EventBody], dependencies=read, responses=reading_problems)
-    async def events(name: str, begin: From = None, to: To = None) -> list[Tree]:
-        """The newest 1000 events of a time (left out: of a day), in its order."""
-        await serving.require_point(name)
-        return await serving.quick.run(reading.events, serving.where, name, *span_ns(begin, to, 86_400.0))
-
-    @routes.get("/{name}/spectrum", response_model=SpectrumBody, dependencies=read, responses=reading_problems)
-    async def spectrum(name: str, begin: From = None, to: To = None) -> Tree:
-        """Spectrum and natural frequencies of the rows of a time."""
-        await serving.require_point(name)
-        return await serving.long.run(reading.spectrum_of, serving.where, name, *span_ns(begin, to))
-
-    calibration_routes(routes, serving, guard)
-    return routes
+routes = APIRouter(prefix="/points", tags=["points"])
+OF_A_POINT = declared(401, 403, 404, 422)
+COMMANDED = declared(401, 403, 404, 409, 422)
 
 
-def calibration_routes(routes: APIRouter, serving: Serving, guard: Guard) -> None:
-    """The routes of a point's calibrations."""
-    read, operate = [guard.require("read")], [guard.require("operate")]
-    commanded = declared(401, 403, 404, 409, 422)
+@routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403))
+async def points(serving: Shared) -> list[Tree]:
+    """All points of the site."""
+    return [await point_state(serving, name) for name in await serving.points()]
 
-    @routes.get(
-        "/{name}/calibrations", response_model=list[CalibrationBody], dependencies=read,
-        responses=declared(401, 403, 404, 422),
-    )  # fmt: skip
-    async def calibrations(name: str) -> list[Tree]:
-        """All calibrations of a point that the store has."""
-        await serving.require_point(name)
-        return await serving.quick.run(reading.calibrations, serving.where, name)
 
-    @routes.post("/{name}/calibrate", response_model=Done, status_code=202, dependencies=operate, responses=commanded)
-    async def calibrate(name: str) -> Done:
-        """Calibrate a point again; its rows go on meanwhile."""
-        await serving.require_point(name)
-        return await commanded_point("calibrate", name)
+@routes.get("/{name}", response_model=PointState, dependencies=READ, responses=OF_A_POINT)
+async def point(name: str, serving: Shared) -> Tree:
+    """One point."""
+    await serving.require_point(name)
+    return await point_state(serving, name)
 
-    @routes.post("/{name}/calibrations/{number}/accept", response_model=Done, dependencies=operate, responses=commanded)
-    async def accept(name: str, number: int) -> Done:
-        """Put an offered calibration in force."""
-        return await decided("accept", name, number)
 
-    @routes.post("/{name}/calibrations/{number}/refuse", response_model=Done, dependencies=operate, responses=commanded)
-    async def refuse(name: str, number: int) -> Done:
-        """Refuse an offered calibration; the one in force stays."""
-        return await decided("refuse", name, number)
+@routes.get(
+    "/{name}/series", response_model=Series, dependencies=READ,
+    responses={**OF_A_POINT, 200: {"content": {ARROW: BINARY}}},
+)  # fmt: skip
+async def series(
+    name: str,
+    serving: Shared,
+    begin: From = None,
+    to: To = None,
+    buckets: Annotated[int | None, Query(ge=1, le=reading.MAX_BUCKETS)] = None,
+    format: Literal["json", "arrow"] = "json",
+) -> Response:
+    """Rows, or least, largest and mean of equal buckets: a peak keeps its height, a gap is null."""
+    await serving.require_point(name)
+    span = span_ns(begin, to)
+    if buckets is not None:
+        if format == "arrow":
+            raise Problem(422, "format: must be json with buckets; arrow is for rows. Leave one of them out.")
+        if span[1] - span[0] < buckets:
+            raise Problem(422, "buckets: must be at least 1 ns long. Ask for fewer.")
+        worker = serving.quick if span[1] - span[0] <= QUICK_S * NANOSECONDS else serving.long
+        return JSONResponse(await worker.run(reading.buckets, serving.where, name, *span, buckets))
+    work = reading.series_json if format == "json" else reading.series_arrow
+    body = await serving.long.run(work, serving.where, name, *span)
+    return Response(body, media_type="application/json" if format == "json" else ARROW)
 
-    async def decided(command: str, name: str, number: int) -> Done:
-        await serving.require_point(name)
-        kept = await serving.quick.run(reading.calibrations, serving.where, name)
-        if number not in [one["id"] for one in kept]:
-            raise Problem(404, f"{name} has no calibration {number}. GET its calibrations for those that it has.")
-        return await commanded_point(command, name, number=number)
 
-    async def commanded_point(command: str, name: str, **values: Any) -> Done:
-        answer, _ = await serving.link.ask(command, point=name, **values)
-        return Done(text=str(answer["text"]))
+@routes.get(
+    "/{name}/export", dependencies=READ, response_class=FileResponse,
+    responses={**OF_A_POINT, 200: {"content": dict.fromkeys(FILES.values(), BINARY)}},
+)  # fmt: skip
+async def export(name: str, serving: Shared, begin: From = None, to: To = None, format: Format = "csv") -> FileResponse:
+    """Every row, as the file that `midspan export` writes; times are UTC."""
+    await serving.require_point(name)
+    span = span_ns(begin, to)
+    if serving.exporting.locked():
+        raise Problem(503, "Another file is being made. Try again in some seconds.", headers={"Retry-After": "5"})
+    async with serving.exporting:
+        folder = tempfile.TemporaryDirectory(prefix="midspan-export-")
+        file = Path(folder.name) / f"{name}.{format}"
+        try:
+            await serving.files.run(reading.export, serving.where, name, span, str(file), longest_s=EXPORT_S)
+        except BaseException:
+            folder.cleanup()
+            raise
+    return FileResponse(file, media_type=FILES[format], filename=file.name, background=BackgroundTask(folder.cleanup))
+
+
+@routes.get("/{name}/events", response_model=list[EventBody], dependencies=READ, responses=OF_A_POINT)
+async def events(name: str, serving: Shared, begin: From = None, to: To = None) -> list[Tree]:
+    """The newest 1000 events of a time (left out: of a day), in its order."""
+    await serving.require_point(name)
+    return await serving.quick.run(reading.events, serving.where, name, *span_ns(begin, to, 86_400.0))
+
+
+@routes.get("/{name}/spectrum", response_model=SpectrumBody, dependencies=READ, responses=OF_A_POINT)
+async def spectrum(name: str, serving: Shared, begin: From = None, to: To = None) -> Tree:
+    """Spectrum and natural frequencies of the rows of a time."""
+    await serving.require_point(name)
+    return await serving.long.run(reading.spectrum_of, serving.where, name, *span_ns(begin, to))
+
+
+@routes.get("/{name}/calibrations", response_model=list[CalibrationBody], dependencies=READ, responses=OF_A_POINT)
+async def calibrations(name: str, serving: Shared) -> list[Tree]:
+    """All calibrations of a point that the store has."""
+    await serving.require_point(name)
+    return await serving.quick.run(reading.calibrations, serving.where, name)
+
+
+@routes.post(
+    "/{name}/calibrate", response_model=Done, status_code=202, dependencies=OPERATE, responses=COMMANDED
+)  # fmt: skip
+async def calibrate(name: str, serving: Shared) -> Done:
+    """Calibrate a point again; its rows go on meanwhile."""
+    await serving.require_point(name)
+    answer, _ = await serving.link.ask("calibrate", point=name)
+    return Done(text=str(answer["text"]))
+
+
+@routes.post("/{name}/calibrations/{number}/accept", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
+async def accept(name: str, number: int, serving: Shared) -> Done:
+    """Put an offered calibration in force."""
+    return await _decided(serving, "accept", name, number)
+
+
+@routes.post("/{name}/calibrations/{number}/refuse", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
+async def refuse(name: str, number: int, serving: Shared) -> Done:
+    """Refuse an offered calibration; the one in force stays."""
+    return await _decided(serving, "refuse", name, number)
+
+
+async def _decided(serving: Serving, command: str, name: str, number: int) -> Done:
+    await serving.require_point(name)
+    kept = await serving.quick.run(reading.calibrations, serving.where, name)
+    if number not in [one["id"] for one in kept]:
+        raise Problem(404, f"{name} has no calibration {number}. GET its calibrations for those that it has.")
+    answer, _ = await serving.link.ask(command, point=name, number=number)
+    return Done(text=str(answer["text"]))
 
 
 async def point_state(serving: Serving, name: str) -> Tree:

@@ -29,7 +29,7 @@ MAX_BUCKETS = 5000
 MAX_ROWS = 200_000
 # Buckets are made of rows up to this length, s; of longer ones the store has least and largest values alone.
 ROWS_S = 2 * 86_400.0
-# A spectrum is made of so many rows at most: six hours at 100 Hz.
+# A spectrum is made of this many rows at most: six hours at 100 Hz.
 MAX_SPECTRUM_ROWS = 2_200_000
 MAX_EVENTS = 1000
 

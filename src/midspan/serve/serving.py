@@ -9,10 +9,14 @@ from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
 
 from midspan.serve import reading
 from midspan.serve.access import Access
+from midspan.serve.attempts import Attempts
 from midspan.serve.engine_link import EngineLink
 from midspan.serve.problems import Problem
 from midspan.serve.viewers import LiveRows
@@ -85,6 +89,13 @@ class Serving:
     where: str
     site_file: Path | None = None
     secure: bool = False
+    attempts: Attempts = field(default_factory=Attempts)
+    # The newest picture of each camera, when it came (s), and who waits for another.
+    pictures: dict[str, tuple[float, Tree, bytes]] = field(default_factory=dict)
+    looking: dict[str, asyncio.Lock] = field(default_factory=dict)
+    # One change of the settings, and one file of rows, at a time.
+    changing: asyncio.Lock = field(default_factory=asyncio.Lock)
+    exporting: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
     access: Access = field(init=False)
     link: EngineLink = field(init=False)
     live: LiveRows = field(default_factory=LiveRows)
@@ -155,3 +166,13 @@ class Serving:
         """End the workers."""
         for worker in (self.quick, self.long, self.files, self.hashing):
             worker.close()
+
+
+def serving_of(connection: HTTPConnection) -> Serving:
+    """What a request's application shares."""
+    serving: Serving = connection.app.state.serving
+    return serving
+
+
+Shared = Annotated[Serving, Depends(serving_of)]
+"""A parameter of routes that need it."""

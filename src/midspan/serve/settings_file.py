@@ -1,6 +1,5 @@
 """SITE.toml as text: read, checked and written by one after another."""
 
-import asyncio
 import hashlib
 import os
 import tempfile
@@ -13,9 +12,9 @@ from pydantic import BaseModel
 
 from midspan.errors import MidspanError
 from midspan.serve.engine_link import AwayError
-from midspan.serve.login import Guard
+from midspan.serve.login import ADMIN
 from midspan.serve.problems import Problem, declared
-from midspan.serve.serving import Serving
+from midspan.serve.serving import Serving, Shared
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import load_site, require_folders
 from midspan.writing import write_whole
@@ -54,58 +53,55 @@ def require_valid(file: Path, content: bytes) -> None:
         os.unlink(name)
 
 
-def router(serving: Serving, guard: Guard) -> APIRouter:
-    """The routes of the settings."""
-    routes = APIRouter(prefix="/settings", tags=["settings"])
-    admin, one_at_a_time = [guard.require("admin")], asyncio.Lock()
+routes = APIRouter(prefix="/settings", tags=["settings"])
 
-    def file_of() -> Path:
-        file = serving.settings_file
-        if file is None or not file.is_file():
-            raise Problem(404, "No SITE.toml belongs to this store here: no `midspan run` has begun on it.")
-        return file
 
-    @routes.get(
-        "",
-        dependencies=admin,
-        response_class=PlainTextResponse,
-        responses={**declared(401, 403, 404), 200: {"content": TEXT}},
-    )
-    async def settings() -> PlainTextResponse:
-        """SITE.toml as text; its ETag is what a change is sent with."""
-        content = file_of().read_bytes()
-        return PlainTextResponse(content, headers={"ETag": tag_of(content)})
+def file_of(serving: Serving) -> Path:
+    """The site's file. Raises Problem where there is none."""
+    file = serving.settings_file
+    if file is None or not file.is_file():
+        raise Problem(404, "No SITE.toml belongs to this store here: no `midspan run` has begun on it.")
+    return file
 
-    @routes.put(
-        "",
-        response_model=SettingsDone,
-        dependencies=admin,
-        responses=declared(401, 403, 404, 412, 413, 415, 422, 428),
-        openapi_extra={"requestBody": {"required": True, "content": TEXT}},
-    )
-    async def change(
-        request: Request, response: Response, if_match: Annotated[str | None, Header(max_length=200)] = None
-    ) -> SettingsDone:
-        """Check new settings and put them in force; the measuring begins anew with them."""
-        if if_match is None:
-            raise Problem(428, "If-Match: send the ETag of GET /api/v1/settings that the change was made from.")
-        kind = request.headers.get("content-type", "text/plain").partition(";")[0].strip().lower()
-        if kind not in ("text/plain", "application/toml"):
-            raise Problem(415, "Content-Type: must be text/plain or application/toml.")
-        content = await request.body()
-        async with one_at_a_time:
-            file = file_of()
-            before = tag_of(file.read_bytes())
-            if if_match.strip() not in (before, "*"):
-                text = "Somebody else changed the settings meanwhile. GET them again, and change those."
-                raise Problem(412, text, headers={"ETag": before})
-            await serving.quick.run(require_valid, file, content)
-            write_whole(file, content)
-        response.headers["ETag"] = tag_of(content)
-        try:
-            answer, _ = await serving.link.ask("reload")
-        except AwayError:
-            return SettingsDone(text="Written. They hold once `midspan run` is started.", restart=[])
-        return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]))
 
-    return routes
+@routes.get(
+    "", dependencies=ADMIN, response_class=PlainTextResponse,
+    responses={**declared(401, 403, 404), 200: {"content": TEXT}},
+)  # fmt: skip
+async def settings(serving: Shared) -> PlainTextResponse:
+    """SITE.toml as text; its ETag is what a change is sent with."""
+    content = file_of(serving).read_bytes()
+    return PlainTextResponse(content, headers={"ETag": tag_of(content)})
+
+
+@routes.put(
+    "", response_model=SettingsDone, dependencies=ADMIN, responses=declared(401, 403, 404, 412, 413, 415, 422, 428),
+    openapi_extra={"requestBody": {"required": True, "content": TEXT}},
+)  # fmt: skip
+async def change(
+    request: Request,
+    response: Response,
+    serving: Shared,
+    if_match: Annotated[str | None, Header(max_length=200)] = None,
+) -> SettingsDone:
+    """Check new settings and put them in force; the measuring begins anew with them."""
+    if if_match is None:
+        raise Problem(428, "If-Match: send the ETag of GET /api/v1/settings that the change was made from.")
+    kind = request.headers.get("content-type", "text/plain").partition(";")[0].strip().lower()
+    if kind not in ("text/plain", "application/toml"):
+        raise Problem(415, "Content-Type: must be text/plain or application/toml.")
+    content = await request.body()
+    async with serving.changing:
+        file = file_of(serving)
+        before = tag_of(file.read_bytes())
+        if if_match.strip() not in (before, "*"):
+            text = "Somebody else changed the settings meanwhile. GET them again, and change those."
+            raise Problem(412, text, headers={"ETag": before})
+        await serving.quick.run(require_valid, file, content)
+        write_whole(file, content)
+    response.headers["ETag"] = tag_of(content)
+    try:
+        answer, _ = await serving.link.ask("reload")
+    except AwayError:
+        return SettingsDone(text="Written. They hold once `midspan run` is started.", restart=[])
+    return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]))

@@ -12,14 +12,15 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from midspan.errors import DataError, MidspanError
+from midspan.errors import DataError, MidspanError, UsageError
 from midspan.store.chunk import Chunk
+from midspan.store.database import lock_file
 
-SOCKET_FILE = "live.sock"
+SOCKET_FILE, LOCK_FILE = "live.sock", "live.lock"
 # A picture of 4K as JPEG is below that.
 MAX_FRAME_BYTES = 8_000_000
 # What waits for a reader at most, and how many readers there are: a page's server reads megabytes a second.
@@ -127,12 +128,22 @@ class LiveSocket:
         self._readers: set[_Reader] = set()
         self._newest: dict[str, bytes] = {}
         self._server: asyncio.Server | None = None
+        self._lock: IO[bytes] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self.dropped = 0
 
     async def start(self) -> None:
-        """Listen; what an earlier process left under the name is replaced."""
+        """Listen; what an earlier process left under the name is replaced.
+
+        Raises UsageError where another process listens there.
+        """
         self._folder.mkdir(parents=True, exist_ok=True)
+        self._lock = lock_file(self._folder / LOCK_FILE)
+        if self._lock is None:
+            raise UsageError(
+                f"{self._folder}: another `midspan run` is on this store. Stop that one first, or put the points of "
+                "both into one SITE.toml, or give each a store of its own."
+            )
         with suppress(FileNotFoundError):
             (self._folder / SOCKET_FILE).unlink()
         before = os.umask(0o177)
@@ -144,15 +155,18 @@ class LiveSocket:
 
     async def stop(self) -> None:
         """Let all readers go."""
-        if self._server is not None:
-            self._server.close()
-            with suppress(OSError):
-                (self._folder / SOCKET_FILE).unlink()
+        if self._server is None:
+            return
+        self._server.close()
+        with suppress(OSError):
+            (self._folder / SOCKET_FILE).unlink()
         for reader in list(self._readers):
             reader.writer.transport.abort()
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        if self._lock is not None:
+            self._lock.close()
 
     def publish(self, head: Tree, body: bytes = b"") -> None:
         """Send a frame to every reader; its `kind` says what it is. States are kept for readers that come later."""

@@ -122,6 +122,11 @@ class Service:
                 raise failed
         return last
 
+    def claim(self) -> None:
+        """Lock the points, as long as the store can be reached. Raises UsageError where another process has them."""
+        with suppress(StoreFault):
+            self._keeper.store()
+
     async def _patiently(self, work: Callable[[], Any], for_s: float | None = None) -> bool:
         """Do work in a thread that needs the store, again and again while that is away; whether it was done before the
         time was over, or `stop`.

@@ -13,7 +13,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from midspan.service.reasons import sentence
 from midspan.service.run import Service
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import SITE_FILE, ServiceSettings, Site, load_site, require_folders
+from midspan.store.store import is_address
 from midspan.trees import TreeError, read_toml
 
 # How all stands is sent to the server so often, s.
@@ -112,7 +113,7 @@ def listening(listen: str, where: str) -> socket.socket:
 class Supervisor:
     """Runs a site's file until it is stopped. say: takes one line for a person; note: one structured record.
 
-    serve: whether the page's server is started.
+    serve: whether the page's server is started; announce: called before that.
     """
 
     def __init__(
@@ -122,8 +123,10 @@ class Supervisor:
         note: Callable[[dict[str, Any]], None] | None = None,
         *,
         serve: bool = True,
+        announce: Callable[[], None] = lambda: None,
     ) -> None:
         self.settings, self._say, self._note, self._serve = settings, say, note, serve
+        self._announce = announce
         self._socket = LiveSocket(place_of(settings.where), self._command)
         self._service: Service | None = None
         self._stop, self._again = asyncio.Event(), asyncio.Event()
@@ -137,26 +140,37 @@ class Supervisor:
     async def run(self, for_s: float | None = None) -> Tree:
         """Run for this many seconds; None: until `stop`. Returns how all stood.
 
-        Raises UsageError where the address is in use, or another process writes one of the points.
+        Raises UsageError where the address is in use, or another process writes one of the points or runs on the store:
+        before anything is touched.
         """
-        address = self.settings.service.listen
-        listener = listening(address, f"{self.settings.file}: service.listen") if self._serve else None
-        await self._socket.start()
-        tasks = [asyncio.create_task(self._states())]
-        if listener is not None:
-            host, port = address.rpartition(":")[0], listener.getsockname()[1]
-            scheme = "http" if self.settings.service.tls_cert is None else "https"
-            self._say(f"page: {scheme}://{host}:{port}")
-            tasks.append(asyncio.create_task(self._serving(listener)))
-        try:
-            return await self._measuring(for_s)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            await self._socket.stop()
-            if listener is not None:
-                listener.close()
+        address, site = self.settings.service.listen, self.settings.site
+        tasks: list[asyncio.Task[None]] = []
+        with ExitStack() as opened:
+            listener = None
+            if self._serve:
+                listener = opened.enter_context(listening(address, f"{self.settings.file}: service.listen"))
+            if site is not None:
+                self._service = self._service_of(site)
+                if not is_address(site.store):
+                    await asyncio.to_thread(self._service.claim)
+            try:
+                await self._socket.start()
+                tasks.append(asyncio.create_task(self._states()))
+                if listener is not None:
+                    self._announce()
+                    host, port = address.rpartition(":")[0], listener.getsockname()[1]
+                    scheme = "http" if self.settings.service.tls_cert is None else "https"
+                    self._say(f"page: {scheme}://{host}:{port}")
+                    tasks.append(asyncio.create_task(self._serving(listener)))
+                return await self._measuring(for_s)
+            finally:
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+                await self._socket.stop()
+
+    def _service_of(self, site: Site) -> Service:
+        return Service(site, self._say, self._note, self._socket)
 
     async def _measuring(self, for_s: float | None) -> Tree:
         """One set of settings after another."""
@@ -174,7 +188,7 @@ class Supervisor:
         fault = self.settings.fault
         if fault is not None:
             self._say(f"settings: {fault.text} The settings that were in force before hold.")
-        self._service = Service(site, self._say, self._note, self._socket)
+        self._service = self._service or self._service_of(site)
         self._socket.publish({"kind": "hello", "site": site.name, "site_file": str(self.settings.file)})
         if fault is None:
             # What runs is what a wrong change falls back to.

@@ -182,6 +182,15 @@ class FileLocks:
         self._files.close()
 
 
+def lock_file(path: Path) -> IO[bytes] | None:
+    """A file that is locked until it is closed, however its process ends; None where another process has it."""
+    file = path.open("ab")
+    if _locked(file):
+        return file
+    file.close()
+    return None
+
+
 def _locked(file: IO[bytes]) -> bool:
     """Lock a file until it is closed; whether nobody else has. Where a system has no such locks, nobody has."""
     if sys.platform == "win32":
