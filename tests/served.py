@@ -151,7 +151,7 @@ class Served:
 
     def __init__(self, folder, *options):
         self.folder, self.port = folder, free_port()
-        with open(folder / "serve.log", "wb") as log:
+        with open(folder / f"serve-{self.port}.log", "wb") as log:
             self.process = subprocess.Popen(
                 command("serve", folder, "--listen", f"127.0.0.1:{self.port}", *options), stdout=log, stderr=log
             )
@@ -160,7 +160,7 @@ class Served:
     @property
     def log(self):
         """What it printed."""
-        return (self.folder / "serve.log").read_text()
+        return (self.folder / f"serve-{self.port}.log").read_text()
 
     def client(self, token=None, **options):
         """A client that sends a token."""

@@ -113,7 +113,11 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         ),
         (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both, a certificate and its key"),
         (
-            ("[[point]]", '[[point]]\nname = "Quarter-Span"\naccelerometer.source = "mqtt:x"\n[[point]]'),
+            (
+                "[[point]]",
+                '[[point]]\nname = "Quarter-Span"\naccelerometer.source = "mqtt:x"\n'
+                'displacement.source = "mqtt:y"\n[[point]]',
+            ),
             r"point.name: must differ by more than case; received 'Quarter-Span' and 'quarter-span'",
         ),
     ],

@@ -1,6 +1,7 @@
 """`midspan run` with its server: wrong settings, a store that is away, commands, and answers all the while."""
 
 import json
+import os
 import signal
 import subprocess
 import time
@@ -48,7 +49,9 @@ class Run:
 
     def start(self):
         with open(self.folder / "run.log", "ab") as log:
-            self.process = subprocess.Popen(command("run", self.folder / "SITE.toml"), stdout=log, stderr=log)
+            state = {**os.environ, "XDG_STATE_HOME": str(self.folder / "state")}
+            asked = command("run", self.folder / "SITE.toml")
+            self.process = subprocess.Popen(asked, stdout=log, stderr=log, env=state)
         until(self.ready)
 
     def ready(self):
@@ -171,9 +174,10 @@ def test_a_second_run_on_a_store_is_refused_and_takes_nothing_away(site, tmp_pat
 
 
 def test_a_database_that_is_not_up_is_a_reason_and_no_exit(site, postgres):
+    address = postgres.database("late")
     postgres.stop()
     try:
-        run = site(store=f'url = "{postgres.address}"')
+        run = site(store=f'url = "{address}"')
         until(lambda: run.reasons().get("store") == "store_unavailable")
         (point,) = run.ready()["points"]
         assert point["reason"]
@@ -184,7 +188,7 @@ def test_a_database_that_is_not_up_is_a_reason_and_no_exit(site, postgres):
         postgres.start()
     until(lambda: "store" not in run.reasons())
     until(lambda: run.reasons().get("displacement") == "not_found")
-    assert postgres.address not in run.log
+    assert address not in run.log
 
 
 def test_a_broker_that_is_not_up_is_a_reason_and_no_exit(site):

@@ -3,7 +3,7 @@
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Request, Response
-from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import HTTPConnection
 
@@ -37,7 +37,7 @@ class Session(BaseModel):
     csrf: str
 
 
-CookieScheme = APIKeyCookie(name=COOKIE, auto_error=False, scheme_name="session")
+# The session's cookie is the page's, and stands in no description: one way for scripts is enough.
 TokenScheme = HTTPBearer(auto_error=False, scheme_name="token")
 
 
@@ -62,7 +62,6 @@ def require(scope: Scope) -> Any:
     def allowed(
         request: Request,
         serving: Shared,
-        _cookie: Annotated[str | None, Depends(CookieScheme)],
         _token: Annotated[HTTPAuthorizationCredentials | None, Depends(TokenScheme)],
     ) -> Login:
         login, session = login_of(request, serving)

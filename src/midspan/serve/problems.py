@@ -1,5 +1,6 @@
 """What is wrong with a request, as `application/problem+json` (RFC 9457)."""
 
+import re
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -73,9 +74,10 @@ def install(app: FastAPI) -> None:
     """Let every error of an application be a problem."""
 
     @app.exception_handler(HTTPException)
-    async def of_http(_: Request, error: HTTPException) -> JSONResponse:
+    async def of_http(request: Request, error: HTTPException) -> JSONResponse:
         more = error.more if isinstance(error, Problem) else {}
-        return answer(error.status_code, str(error.detail), error.headers, **more)
+        headers = {"Allow": allowed(request)} if error.status_code == 405 else error.headers
+        return answer(error.status_code, str(error.detail), headers, **more)
 
     @app.exception_handler(RequestValidationError)
     async def of_arguments(_: Request, error: RequestValidationError) -> JSONResponse:
@@ -92,6 +94,13 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def of_defect(_: Request, error: Exception) -> JSONResponse:
         return answer(500, f"This is a defect of midspan ({type(error).__name__}); its log says more.")
+
+
+def allowed(request: Request) -> str:
+    """The methods that a request's path has; those that are in no description are for reading."""
+    paths = request.app.openapi()["paths"]
+    found = [of for path, of in paths.items() if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", path), request.url.path)]
+    return ", ".join(sorted({method.upper() for methods in found for method in methods} or {"GET"}))
 
 
 def _sentence(error: Any) -> str:

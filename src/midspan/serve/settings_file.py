@@ -91,6 +91,8 @@ async def change(
     if kind not in ("text/plain", "application/toml"):
         raise Problem(415, "Content-Type: must be text/plain or application/toml.")
     content = await request.body()
+    if not content.strip():
+        raise Problem(422, "The content is empty. Send SITE.toml as text.")
     async with serving.changing:
         file = file_of(serving)
         before = tag_of(file.read_bytes())
