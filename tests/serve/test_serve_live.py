@@ -1,6 +1,7 @@
 """Live rows: numbered, resumed after a cut without a hole, and never held up by who does not take them."""
 
 import asyncio
+import contextlib
 import json
 import socket
 import time
@@ -147,6 +148,43 @@ def test_a_removed_token_sees_nothing_more(served, store_folder):
     assert code == 1008
     # Looked up every two seconds; the rest is what a busy machine may take.
     assert took_s < 10.0
+
+
+def test_a_viewer_that_stalls_is_ended_while_others_see_every_row(served, engine, tokens, begin_ns, reader):
+    """What waits for it is bounded; its end is its own alone."""
+    request = (
+        f"GET /api/v1/live?points=p HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {tokens['read']}\r\n"
+        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n"
+    )
+
+    def dropped():
+        (line,) = [one for one in reader.get("/metrics").text.splitlines() if one.startswith("midspan_viewers_dropped")]
+        return float(line.split()[1])
+
+    async def watch():
+        times = []
+        async with connect(address(served, "?points=p"), max_queue=None, **signed(tokens["read"])) as client:
+            for k in range(20):
+                await asyncio.to_thread(engine.give, rows(begin_ns + (2000 + 100 * k) * NANOSECONDS, 100.0))
+                while len(times) < (k + 1) * 100 * 100:
+                    times += (await received(client, 1))[0]["time"]
+        return times
+
+    with socket.socket() as stalled:
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stalled.connect(("127.0.0.1", served.port))
+        stalled.sendall(request.encode())
+        assert b"101" in stalled.recv(12)
+        before = dropped()
+        times = asyncio.run(watch())
+        assert len(set(times)) == 200_000
+        until(lambda: dropped() == before + 1)
+        # Its connection is ended by force.
+        stalled.settimeout(20.0)
+        with contextlib.suppress(ConnectionResetError):
+            while stalled.recv(1_000_000):
+                pass
 
 
 def given(live, point, chunk):

@@ -21,9 +21,11 @@ from midspan.sinks.table import WORDS
 SEND_S = 0.2
 # What is kept for viewers that come again, s and bytes: longer cuts are filled from the store.
 KEPT_S, MAX_KEPT_BYTES = 60.0, 16_000_000
-# A viewer for which so much waits is dropped: three minutes of four points at 100 Hz. Of what is kept it first gets
-# half of that at most.
-MAX_WAITING_BYTES = 4_000_000
+# A viewer for which this waits is dropped: six minutes of four points at 100 Hz. Of what is kept it first gets half of
+# that at most.
+MAX_WAITING_BYTES = 8_000_000
+# Rows of a message, and of all messages of a time, at most: a point that was opened gives minutes of rows at once.
+MAX_ROWS, MAX_SENT = 1000, 20_000
 STALLED = "what waited for this viewer was not taken; connect again with after= the newest sequence"
 # Why a viewer is dropped, as a websocket's close code: try again later.
 TRY_AGAIN = 1013
@@ -90,21 +92,25 @@ class LiveRows:
 
     def send(self) -> None:
         """Give what came to the viewers."""
-        for point, parts in self._came.items():
-            rows = np.concatenate(parts)
+        room = MAX_SENT
+        for point in list(self._came):
+            rows = np.concatenate(self._came.pop(point))
+            rows, later = rows[:room], rows[room:]
+            room -= len(rows)
+            if len(later):
+                self._came[point] = [later]
+            self._send(point, rows)
+            if not room:
+                return
+
+    def _send(self, point: str, rows: NDArray[Any]) -> None:
+        self.newest[point] = newest_of(rows)
+        for part in np.split(rows, range(MAX_ROWS, len(rows), MAX_ROWS)):
             self._number += 1
-            last = rows[-1]
-            self.newest[point] = {
-                "time_ns": int(last["time_ns"]),
-                "displacement_mm": _finite(float(last["displacement_mm"])),
-                "displacement_std_mm": _finite(float(last["displacement_std_mm"])),
-                "status": WORDS["status"][int(last["status"])],
-            }
-            text = message(self._number, point, rows)
+            text = message(self._number, point, part)
             self._keep(point, text)
             for viewer in [one for one in self._viewers if one.points is None or point in one.points]:
                 self._give(viewer, text)
-        self._came.clear()
 
     def tell(self, message_tree: dict[str, Any]) -> None:
         """Send something other than rows to every viewer; it is not kept."""
@@ -147,6 +153,17 @@ class LiveRows:
         self._kept_bytes += len(text)
         while self._kept_bytes > MAX_KEPT_BYTES or now_ns - self._kept[0][1] > KEPT_S * NANOSECONDS:
             self._kept_bytes -= len(self._kept.popleft()[3])
+
+
+def newest_of(rows: NDArray[Any]) -> dict[str, Any]:
+    """The newest of some rows, as a point's state has it."""
+    last = rows[-1]
+    return {
+        "time_ns": int(last["time_ns"]),
+        "displacement_mm": _finite(float(last["displacement_mm"])),
+        "displacement_std_mm": _finite(float(last["displacement_std_mm"])),
+        "status": WORDS["status"][int(last["status"])],
+    }
 
 
 def message(number: int, point: str, rows: NDArray[Any]) -> str:
