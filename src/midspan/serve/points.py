@@ -21,8 +21,8 @@ from midspan.service.reasons import sentence
 
 # What a file of rows may take, s, and how many are made at a time.
 EXPORT_S = 900.0
-# Buckets of so much time take a thread some tenths of a second at most.
-QUICK_S = 6 * 3600.0
+# Buckets of up to this time take a thread a tenth of a second.
+QUICK_S = 2 * 86_400.0
 Numbers = list[float | None]
 ARROW = "application/vnd.apache.arrow.stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}

@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, Nanoseconds, Status
+from midspan.records import NANOSECONDS, Nanoseconds
 from midspan.serve.viewers import plain
 from midspan.service.journal import rows_stream
 from midspan.service.stored_recording import stored_rows, stored_table
 from midspan.sinks.table import WORDS, words_of
 from midspan.store.chunk import Chunk
 from midspan.store.store import Store, open_store
+from midspan.store.summary import Drawn
 
 Tree = dict[str, Any]
 
 MAX_BUCKETS = 5000
 # Rows that one answer holds at most: half an hour at 100 Hz. More is for `export`, which is a file.
 MAX_ROWS = 200_000
-# Buckets are made of rows up to this length, s; of longer ones the store has least and largest values alone.
-ROWS_S = 2 * 86_400.0
+# Buckets are made of seconds up to this length, s; of longer ones the store has least and largest values alone.
+SECONDS_S = 32 * 86_400.0
 # A spectrum is made of this many rows at most: six hours at 100 Hz.
 MAX_SPECTRUM_ROWS = 2_200_000
 MAX_EVENTS = 1000
@@ -142,49 +143,21 @@ def buckets(where: str, point: str, first_ns: int, end_ns: int, count: int) -> T
     """Least, largest and mean displacement, largest deviation and worst status of `count` equal spans."""
     edges = first_ns + ((end_ns - first_ns) * np.arange(count + 1, dtype=object) // count).astype(np.int64)
     with opened(where) as store:
-        if end_ns - first_ns <= ROWS_S * NANOSECONDS:
-            found = _of_rows(store, point, edges)
+        if end_ns - first_ns <= SECONDS_S * NANOSECONDS:
+            found = store.drawn(point, rows_stream(), edges, "displacement_m")
         else:
             kept = store.buckets(point, rows_stream(), first_ns, end_ns - 1, count)
             nothing = np.full(count, np.nan)
-            found = (1e3 * kept.low, 1e3 * kept.high, nothing, nothing, np.full(count, -1))
-    low, high, mean, std, status = found
+            found = Drawn(kept.low, kept.high, nothing, nothing, np.full(count, -1))
     words = (*WORDS["status"], None)
     return {
         "time": edges[:-1].tolist(),
-        "displacement_mm_min": plain(low),
-        "displacement_mm_max": plain(high),
-        "displacement_mm_mean": plain(mean),
-        "displacement_std_mm": plain(std),
-        "status": [words[code] for code in status.tolist()],
+        "displacement_mm_min": plain(1e3 * found.low),
+        "displacement_mm_max": plain(1e3 * found.high),
+        "displacement_mm_mean": plain(1e3 * found.mean),
+        "displacement_std_mm": plain(1e3 * found.std),
+        "status": [words[code] for code in found.status.tolist()],
     }
-
-
-def _of_rows(store: Store, point: str, edges: Nanoseconds) -> tuple[NDArray[Any], ...]:
-    """The figures of buckets out of their rows; those of lost rows are their status alone."""
-    count = len(edges) - 1
-    low, high, std = np.full(count, np.inf), np.full(count, -np.inf), np.full(count, -np.inf)
-    total, number, status = np.zeros(count), np.zeros(count), np.full(count, -1)
-    for chunk in store.chunks(point, rows_stream(), int(edges[0]), int(edges[-1]) - 1):
-        place = np.searchsorted(edges, chunk.time_ns, side="right") - 1
-        codes = np.asarray(chunk.columns["status"], dtype=np.int64)
-        np.maximum.at(status, place, codes)
-        values = table_columns(chunk)
-        value, deviation = values["displacement_mm"], values["displacement_std_mm"]
-        good = np.isfinite(value) & (codes != Status.LOST)
-        place, value, deviation = place[good], value[good], deviation[good]
-        np.minimum.at(low, place, value)
-        np.maximum.at(high, place, value)
-        np.maximum.at(std, place, deviation)
-        np.add.at(total, place, value)
-        np.add.at(number, place, 1)
-    mean = np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
-    return (
-        *(np.where(np.isfinite(one), one, np.nan) for one in (low, high)),
-        mean,
-        np.where(number, std, np.nan),
-        status,
-    )
 
 
 def events(where: str, point: str, first_ns: int, end_ns: int) -> list[Tree]:

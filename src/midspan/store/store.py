@@ -16,8 +16,11 @@ import numpy as np
 
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
+from midspan.store import summary
 from midspan.store.chunk import Chunk, decode, encode, join
 from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
+from midspan.store.summary import Buckets as SummaryBuckets
+from midspan.store.summary import Drawn, is_summed
 
 SCHEMA = 1
 SITE_FILE, DAYS = "site.sqlite", "days"
@@ -42,6 +45,8 @@ DAY_TABLES = (
     "CREATE TABLE IF NOT EXISTS chunk (point TEXT NOT NULL, stream TEXT NOT NULL, t0_ns BIGINT NOT NULL, "
     "t1_ns BIGINT NOT NULL, n BIGINT NOT NULL, joined BIGINT NOT NULL, low DOUBLE PRECISION, high DOUBLE PRECISION, "
     "calibration BIGINT NOT NULL, body {blob} NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS summary (point TEXT NOT NULL, stream TEXT NOT NULL, t0_ns BIGINT NOT NULL, "
+    "body {blob} NOT NULL, PRIMARY KEY (point, stream, t0_ns))",
     # Histories read this index alone, never the bodies.
     "CREATE INDEX IF NOT EXISTS chunk_place ON chunk (point, stream, t0_ns, t1_ns, n, low, high)",
 )
@@ -158,8 +163,18 @@ class Store:
             # What was made by another calibration stays a chunk of its own.
             for number in dict.fromkeys(one.calibration for one in pieces):
                 _insert(database, join([one for one in pieces if one.calibration == number]), joined=True)
+            if is_summed(piece):
+                self._sum_up(database, pieces, begin_ns)
             if piece.shown:
                 self._raise(database, piece.point, piece.stream, begin_ns)
+
+    def _sum_up(self, database: Database, pieces: list[Chunk], slot_ns: int) -> None:
+        """Keep the seconds of a slot."""
+        database.execute(
+            "INSERT INTO summary VALUES (?, ?, ?, ?) ON CONFLICT (point, stream, t0_ns) "
+            "DO UPDATE SET body = excluded.body",
+            (pieces[0].point, pieces[0].stream, slot_ns, summary.encode(pieces, slot_ns)),
+        )
 
     def _raise(self, database: Database, point: str, stream: str, slot_ns: int) -> None:
         """Make the pyramid's spans above a slot anew, from what is below each: right however often it is done."""
@@ -220,6 +235,8 @@ class Store:
         shown = self._site.execute("SELECT DISTINCT stream FROM pyramid WHERE point = ?", (point,))
         for database in self._days.all():
             database.execute("DELETE FROM chunk WHERE point = ? AND t0_ns >= ?", (point, time_ns))
+            since_ns = _floor(time_ns, CHUNK_S)
+            database.execute("DELETE FROM summary WHERE point = ? AND t0_ns >= ?", (point, since_ns))
         self._newest.clear()
         with self._site.transaction():
             self._site.execute("DELETE FROM event WHERE point = ? AND time_ns >= ?", (point, time_ns))
@@ -306,6 +323,39 @@ class Store:
         np.minimum.at(low, number, lows)
         np.maximum.at(high, number, highs)
         return Buckets(begin_ns, np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan))
+
+    def drawn(self, point: str, stream: str, edges: Nanoseconds, shown: str) -> Drawn:
+        """The figures of a column in buckets between edges (n + 1,) in ns: of seconds where all buckets are as long,
+        of rows where they are shorter, and where no seconds are kept.
+        """
+        found, first_ns, last_ns = SummaryBuckets(edges), int(edges[0]), int(edges[-1]) - 1
+        if len(edges) > 1 and int(np.diff(edges).min()) >= NANOSECONDS:
+            for day in self._days.between(first_ns // DAY_NS, last_ns // DAY_NS):
+                self._draw_day(day, (point, stream, first_ns, last_ns), found, shown)
+            return found.figures
+        for chunk in self.chunks(point, stream, first_ns, last_ns):
+            found.add_rows(chunk, shown)
+        return found.figures
+
+    def _draw_day(self, day: Database, place: tuple[str, str, int, int], found: SummaryBuckets, shown: str) -> None:
+        point, stream, first_ns, last_ns = place
+        reach_ns = round(CHUNK_S * NANOSECONDS)
+        sql = (
+            "SELECT t0_ns, body FROM summary WHERE point = ? AND stream = ? AND t0_ns > ? AND t0_ns <= ? ORDER BY t0_ns"
+        )
+        has_seconds = day.has_table("summary")
+        rows = day.execute(sql, (point, stream, first_ns - reach_ns, last_ns)) if has_seconds else []
+        if rows:
+            found.add_seconds(summary.decode([(int(t0_ns), bytes(body)) for t0_ns, body in rows]))
+        summed = {int(row[0]) for row in rows}
+        sql = "SELECT t0_ns FROM chunk WHERE point = ? AND stream = ? AND t0_ns > ? AND t0_ns <= ?"
+        kept = day.execute(sql, (point, stream, first_ns - reach_ns, last_ns))
+        missing = [int(row[0]) for row in kept if _floor(int(row[0]), CHUNK_S) not in summed]
+        sql = "SELECT calibration, body FROM chunk WHERE point = ? AND stream = ? AND t0_ns = ?"
+        for t0_ns in dict.fromkeys(missing):
+            for number, body in day.execute(sql, (point, stream, t0_ns)):
+                chunk = decode(bytes(body), point, stream, number)
+                found.add_rows(chunk.rows((chunk.time_ns >= first_ns) & (chunk.time_ns <= last_ns)), shown)
 
     def _spans(
         self, point: str, stream: str, first_ns: int, last_ns: int, level: int | None
@@ -430,7 +480,8 @@ class OneDatabase(Days):
 
     def forget_before(self, day: int) -> None:
         """Remove the chunks of the days before."""
-        self._database.execute("DELETE FROM chunk WHERE t0_ns < ?", (day * DAY_NS,))
+        for table in ("chunk", "summary"):
+            self._database.execute(f"DELETE FROM {table} WHERE t0_ns < ?", (day * DAY_NS,))
 
     def close(self) -> None:
         """The connection is the site's."""
