@@ -2,10 +2,13 @@
 
 import json
 import os
+import shutil
+import ssl
 import stat
 import subprocess
 import sys
 
+import httpx
 import pytest
 from benchmarks.live.servers import command
 
@@ -13,7 +16,7 @@ from midspan.cli.main import run
 from midspan.errors import UsageError
 from midspan.serve.access import Access, csrf_of, digest, made_admin
 from midspan.serve.attempts import MAX_OF_ADDRESS, MAX_OF_USER, WINDOW_S, Attempts
-from served import Served, logged_in
+from served import Served, logged_in, until
 
 OF_P = ("", "/series", "/export", "/events", "/spectrum", "/calibrations")
 READ = ["points", *(f"points/p{path}" for path in OF_P)]
@@ -90,7 +93,7 @@ def test_wrong_passwords_are_limited(tmp_path, begin_ns):
     made_store(tmp_path, begin_ns)
     served = Served(tmp_path)
     try:
-        (line,) = [line for line in served.log.splitlines() if "admin" in line]
+        (line,) = until(lambda: [line for line in served.log.splitlines() if "admin" in line])
         secret = line.split("password: ")[1].split()[0]
         with served.client() as client:
             codes = [
@@ -212,3 +215,39 @@ def test_a_folder_that_is_no_store_is_not_served(tmp_path, capsys):
     assert run(["serve", str(tmp_path)]) == 3
     assert "is no store" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_over_tls_the_cookie_is_for_tls_alone(store_folder, password, tmp_path):
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl is not installed")
+    subject = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    made = [
+        openssl,
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:2048",
+        "-nodes",
+        "-days",
+        "2",
+        "-out",
+        cert,
+        "-keyout",
+        key,
+        *subject,
+    ]
+    subprocess.run(made, check=True, capture_output=True)
+    served = Served(store_folder, "--tls-cert", cert, "--tls-key", key)
+    try:
+        trusted = ssl.create_default_context(cafile=str(cert))
+        with httpx.Client(base_url=f"https://127.0.0.1:{served.port}", verify=trusted, timeout=60.0) as client:
+            assert client.get("/healthz").status_code == 200
+            answer = client.post("/api/v1/login", json={"user": "anna", "password": password})
+            assert "secure" in answer.headers["set-cookie"].lower()
+            assert client.get("/api/v1/points").status_code == 200
+        with served.client() as client, pytest.raises(httpx.TransportError):
+            client.get("/healthz")
+    finally:
+        served.stop()
