@@ -68,6 +68,8 @@ class Service:
                 stream.paused = paused.reasons.get(f"{one.name}.{name}", "")
         self._broker: Broker | None = None
         self._stop = asyncio.Event()
+        # Whether all points are begun, and what comes is kept.
+        self.begun = False
         self._acknowledge: deque[Callable[[], None]] = deque()
         self._swept_s, self._dropped = 0.0, 0
         # Why store and broker were away when that was last an event.
@@ -108,6 +110,7 @@ class Service:
             asyncio.create_task(self._every(LOG_S, self._log)),
             *replays,
         ]
+        self.begun = True
         self._say(f"{self.site.name}: {len(self._points)} points run.")
         failed = await self._until_stopped(tasks, for_s)
         notify("STOPPING=1")

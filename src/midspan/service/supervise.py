@@ -62,7 +62,8 @@ def settings_of(path: str | Path) -> Settings:
 
     Raises UsageError and DataError for a wrong file where nothing ever ran with its settings.
     """
-    file = Path(path)
+    # Absolute: the server may stand elsewhere.
+    file = Path(path).absolute()
     file = file / SITE_FILE if file.is_dir() else file
     try:
         site = load_site(file)
@@ -228,7 +229,8 @@ class Supervisor:
     async def _states(self) -> None:
         while True:
             self._socket.publish({"kind": "state", **self._state()})
-            if self._service is None:
+            # Points that are begun are watched by what writes them.
+            if self._service is None or not self._service.begun:
                 notify("WATCHDOG=1")
             await asyncio.sleep(STATE_S)
 
