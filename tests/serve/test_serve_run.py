@@ -117,6 +117,14 @@ def test_wrong_settings_leave_page_login_and_what_was_in_force(site, tmp_path):
     assert run.client.put("/api/v1/settings", content=run.text, headers=headers).status_code == 200
     until(lambda: run.client.get("/api/v1/health").json()["settings"] is None)
     until(lambda: run.reasons().get("displacement") == "not_found")
+    # A right file may name what is not there: what ran before goes on.
+    missing = run.text.replace('name = "p"', 'name = "p"\ncalibration = "none.json"')
+    etag = run.client.get("/api/v1/settings").headers["etag"]
+    headers["If-Match"] = etag
+    assert run.client.put("/api/v1/settings", content=missing, headers=headers).status_code == 200
+    fault = until(lambda: run.client.get("/api/v1/health").json()["settings"])
+    assert "none.json" in fault["text"]
+    until(lambda: run.reasons().get("displacement") == "not_found")
     # The server went on.
     assert pid_of_server(run) == server
     assert run.log.count("password: ") == 1

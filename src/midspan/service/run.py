@@ -101,6 +101,8 @@ class Service:
                 starting.cancel()
             await asyncio.gather(*begun, return_exceptions=True)
             await asyncio.to_thread(self._intake.end)
+            # Another service of this process may have the points then.
+            await asyncio.to_thread(self._keeper.close)
             raise
         replays = self._intake.begin()
         self._begin_broker()

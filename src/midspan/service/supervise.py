@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +130,8 @@ class Supervisor:
         self._announce = announce
         self._socket = LiveSocket(place_of(settings.where), self._command)
         self._service: Service | None = None
+        # The one whose settings are kept.
+        self._kept: Service | None = None
         self._stop, self._again = asyncio.Event(), asyncio.Event()
 
     def stop(self) -> None:
@@ -179,11 +181,28 @@ class Supervisor:
         while True:
             self._again.clear()
             left_s = None if until_s is None else max(until_s - time.monotonic(), 0.0)
-            last = await (
-                self._idle(left_s) if self.settings.site is None else self._run_site(self.settings.site, left_s)
-            )
+            site = self.settings.site
+            try:
+                last = await (self._idle(left_s) if site is None else self._run_site(site, left_s))
+            except (UsageError, DataError) as error:
+                # What a site names may be missing, or damaged, though its file is right.
+                self.settings = self._instead(error)
+                continue
             if self._stop.is_set() or not self._again.is_set():
                 return last
+
+    def _instead(self, error: UsageError | DataError) -> Settings:
+        """What holds where a site cannot run with its settings. Raises `error` where nothing else ever ran."""
+        file, kept = self.settings.file, in_force_file(self.settings.file)
+        if self.settings.fault is not None:
+            return replace(self.settings, site=None)
+        try:
+            if not self._serve or kept.read_bytes() == file.read_bytes():
+                raise error
+            site = load_site(kept)
+        except (OSError, UsageError, DataError):
+            raise error from None
+        return replace(self.settings, site=site, fault=SettingsFault.of(str(error)))
 
     async def _run_site(self, site: Site, for_s: float | None) -> Tree:
         fault = self.settings.fault
@@ -191,11 +210,6 @@ class Supervisor:
             self._say(f"settings: {fault.text} The settings that were in force before hold.")
         self._service = self._service or self._service_of(site)
         self._socket.publish({"kind": "hello", "site": site.name, "site_file": str(self.settings.file)})
-        if fault is None:
-            # What runs is what a wrong change falls back to.
-            with suppress(OSError):
-                shutil.copyfile(site.file, in_force_file(site.file))
-                shutil.copymode(site.file, in_force_file(site.file))
         try:
             if self._stop.is_set():
                 self._service.stop()
@@ -226,8 +240,18 @@ class Supervisor:
             state = {**state, "ready": False, "sources": [source, *state["sources"]]}
         return {**state, "settings": None if fault is None else fault.to_dict()}
 
+    def _keep_settings(self, service: Service) -> None:
+        """What runs is what a wrong change falls back to."""
+        self._kept, file = service, service.site.file
+        if self.settings.fault is None:
+            with suppress(OSError):
+                shutil.copyfile(file, in_force_file(file))
+                shutil.copymode(file, in_force_file(file))
+
     async def _states(self) -> None:
         while True:
+            if self._service is not None and self._service.begun and self._service is not self._kept:
+                self._keep_settings(self._service)
             self._socket.publish({"kind": "state", **self._state()})
             # Points that are begun are watched by what writes them.
             if self._service is None or not self._service.begun:
