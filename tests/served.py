@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import signal
 import subprocess
 import threading
@@ -137,11 +138,11 @@ def state(**changes):
     }  # fmt: skip
 
 
-def logged_in(folder, name, scope):
+def logged_in(folder, name, scope, state=None):
     """A token of a store."""
     done = subprocess.run(
         command("access", folder, "add-token", name, "--scope", scope, "--json"),
-        capture_output=True, text=True, check=True, timeout=120,
+        capture_output=True, text=True, check=True, timeout=120, env={**os.environ, **(state or {})},
     )  # fmt: skip
     return json.loads(done.stdout)["token"]
 

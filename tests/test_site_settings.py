@@ -130,6 +130,13 @@ def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeyp
     assert "hidden" not in str(error.value)
 
 
+def test_a_certificate_that_is_missing_is_named_with_its_key(tmp_path, monkeypatch):
+    text = SITE.replace("[mqtt]", '[service]\nlisten = "0.0.0.0:443"\ntls_cert = "c.pem"\ntls_key = "k.pem"\n[mqtt]')
+    (tmp_path / "c.pem").touch()
+    with pytest.raises(UsageError, match=r"service.tls_key = 'k.pem': must be a file that can be read"):
+        require_folders(loaded(tmp_path, monkeypatch, text))
+
+
 def test_a_name_of_a_site_may_hold_blanks(tmp_path, monkeypatch):
     site = loaded(tmp_path, monkeypatch, SITE.replace('"river-bridge"', '"river bridge, süd"'))
     assert site.name == "river bridge, süd"

@@ -106,6 +106,15 @@ def test_too_many_rows_for_json_are_said(store_folder, begin_ns, monkeypatch):
         reading.series_json(str(store_folder), "p", begin_ns, at(begin_ns, 10.0))
 
 
+def test_too_many_rows_for_a_file_are_said(store_folder, begin_ns, monkeypatch, tmp_path):
+    from midspan.errors import DataError
+    from midspan.serve import reading
+
+    monkeypatch.setattr(reading, "MAX_FILE_ROWS", 100)
+    with pytest.raises(DataError, match="at most 100 rows"):
+        reading.export(str(store_folder), "p", (begin_ns, at(begin_ns, 10.0)), str(tmp_path / "p.csv"))
+
+
 def test_a_file_has_every_row(reader, begin_ns, store_folder):
     import pandas as pd
 

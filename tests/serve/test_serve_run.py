@@ -42,6 +42,7 @@ class Run:
         self.folder, self.port, self.process = folder, free_port(), None
         self.text = SITE.format(port=self.port, **{**NOTHING, **changes})
         self.write(self.text)
+        self.state = {"XDG_STATE_HOME": str(folder / "state")}
         self.client = httpx.Client(base_url=f"http://127.0.0.1:{self.port}", timeout=30.0)
 
     def write(self, text):
@@ -49,9 +50,8 @@ class Run:
 
     def start(self):
         with open(self.folder / "run.log", "ab") as log:
-            state = {**os.environ, "XDG_STATE_HOME": str(self.folder / "state")}
             asked = command("run", self.folder / "SITE.toml")
-            self.process = subprocess.Popen(asked, stdout=log, stderr=log, env=state)
+            self.process = subprocess.Popen(asked, stdout=log, stderr=log, env={**os.environ, **self.state})
         until(self.ready)
 
     def ready(self):
@@ -189,6 +189,11 @@ def test_a_database_that_is_not_up_is_a_reason_and_no_exit(site, postgres):
         until(lambda: run.reasons().get("store") == "store_unavailable")
         (point,) = run.ready()["points"]
         assert point["reason"]
+        # How points stand is said all the same.
+        run.client.headers["Authorization"] = f"Bearer {logged_in(address, 'script', 'read', state=run.state)}"
+        (point,) = run.client.get("/api/v1/points").json()
+        assert (point["name"], point["displacement_mm"]) == ("p", None)
+        assert run.client.get("/api/v1/points/p/series").status_code == 503
         begun_s = time.monotonic()
         assert run.client.get("/healthz").status_code == 200
         assert time.monotonic() - begun_s < 5.0

@@ -1,5 +1,7 @@
 """SITE.toml over the interface: checked before it is written, and nobody's change is lost."""
 
+import stat
+
 import pytest
 
 SITE = """name = "site"
@@ -21,6 +23,7 @@ def file(store_folder):
     """The site's file."""
     file = store_folder.parent / "SITE.toml"
     file.write_text(SITE)
+    file.chmod(0o600)
     return file
 
 
@@ -32,6 +35,8 @@ def test_settings_are_changed_by_who_knows_what_they_were(admin, file, engine):
     done = admin.put("/api/v1/settings", content=changed, headers={"If-Match": tag})
     assert done.status_code == 200, done.text
     assert file.read_text() == changed
+    # What only its owner may read stays so.
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert engine.commands[-1] == {"command": "reload"}
     # The second of two operators is not heard, and learns why.
     answer = admin.put("/api/v1/settings", content=SITE, headers={"If-Match": tag})

@@ -32,7 +32,7 @@ def kept(store, point="p", first_ns=0, last_ns=2**62):
 
 
 def written(where, pieces):
-    store = open_store(store_at)
+    store = open_store(where)
     for piece in pieces:
         store.write(Batch([piece]))
     return store

@@ -20,7 +20,8 @@ from midspan.service.journal import rows_stream
 from midspan.service.stored_recording import stored_rows, stored_table
 from midspan.sinks.table import WORDS, words_of
 from midspan.store.chunk import Chunk
-from midspan.store.store import Store, open_store
+from midspan.store.database import StoreFault
+from midspan.store.store import Store, is_store, open_store
 from midspan.store.summary import Drawn
 
 Tree = dict[str, Any]
@@ -30,6 +31,8 @@ MAX_BUCKETS = 5000
 MAX_ROWS = 200_000
 # Buckets are made of seconds up to this length, s; of longer ones the store has least and largest values alone.
 SECONDS_S = 32 * 86_400.0
+# A file has this many rows at most: a day at 100 Hz, for which a gigabyte of memory is needed.
+MAX_FILE_ROWS = 10_000_000
 # A spectrum is made of this many rows at most: six hours at 100 Hz.
 MAX_SPECTRUM_ROWS = 2_200_000
 MAX_EVENTS = 1000
@@ -37,7 +40,9 @@ MAX_EVENTS = 1000
 
 @contextmanager
 def opened(where: str) -> Iterator[Store]:
-    """A store that is read alone."""
+    """A store that is read alone. Raises StoreFault where there is none, or none that can be reached."""
+    if not is_store(where):
+        raise StoreFault("store_unavailable", "The store is not there yet: nothing was measured so far.")
     with closing(open_store(where, read_only=True)) as store:
         yield store
 
@@ -201,10 +206,16 @@ def spectrum_of(where: str, point: str, first_ns: int, end_ns: int) -> Tree:
 
 
 def export(where: str, point: str, span: tuple[int, int], file: str) -> None:
-    """Write the file that `midspan export` writes. Raises DataError where there are no rows."""
+    """Write the file that `midspan export` writes. Raises DataError where there are no rows, or too many."""
     from midspan.sinks.write import write_result
 
     with opened(where) as store:
+        count = store.count(point, rows_stream(), span[0], span[1] - 1)
+        if count > MAX_FILE_ROWS:
+            raise DataError(
+                f"from, to: must span at most {MAX_FILE_ROWS} rows; these are {count}. Ask for parts, or call "
+                "`midspan export`, or set `archive` for whole days."
+            )
         table = stored_table(store, point, span[0], span[1] - 1)
     write_result(Path(file), table)
 

@@ -1,12 +1,16 @@
 """What the routes of the server share: the store, who has access, the engine, the rows that come, and workers."""
 
 import asyncio
+import ctypes
 import functools
 import multiprocessing
+import signal
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -23,6 +27,7 @@ from midspan.serve.viewers import LiveRows
 from midspan.service.live_socket import Tree, of_ready
 from midspan.service.places import place_of
 from midspan.service.reasons import sentence
+from midspan.store.database import StoreFault
 
 Found = TypeVar("Found")
 
@@ -79,7 +84,21 @@ def thread() -> Executor:
 
 def process() -> Executor:
     """For what takes longer, whose memory and time are not the server's."""
-    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
+
+
+# Of a machine without memory left the kernel ends this process first, never one that measures.
+FIRST_TO_END = "1000"
+PR_SET_PDEATHSIG = 1
+
+
+def _begin_worker() -> None:
+    """A worker ends with the server, however that ends, and not by Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        with suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END)
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 @dataclass(slots=True)
@@ -145,7 +164,9 @@ class Serving:
             return came
         then_s, kept = self._newest.get(name, (-POINTS_S, {}))
         if time.monotonic() - then_s > NEWEST_S:
-            kept = await self.quick.run(reading.newest, self.where, name)
+            # A store that is away, or not yet made, is no reason not to say how the point stands.
+            with suppress(StoreFault):
+                kept = await self.quick.run(reading.newest, self.where, name)
             self._newest[name] = (time.monotonic(), kept)
         return kept
 

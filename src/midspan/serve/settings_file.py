@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import stat
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -100,7 +101,7 @@ async def change(
             text = "Somebody else changed the settings meanwhile. GET them again, and change those."
             raise Problem(412, text, headers={"ETag": before})
         await serving.quick.run(require_valid, file, content)
-        write_whole(file, content)
+        write_whole(file, content, mode=stat.S_IMODE(file.stat().st_mode))
     response.headers["ETag"] = tag_of(content)
     try:
         answer, _ = await serving.link.ask("reload")

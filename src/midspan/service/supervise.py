@@ -8,8 +8,8 @@ import asyncio
 import errno
 import json
 import os
-import shutil
 import socket
+import stat
 import sys
 import time
 from collections.abc import Callable
@@ -28,6 +28,7 @@ from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import SITE_FILE, ServiceSettings, Site, load_site, require_folders
 from midspan.store.store import is_address
 from midspan.trees import TreeError, read_toml
+from midspan.writing import write_whole
 
 # How all stands is sent to the server so often, s.
 STATE_S = 0.5
@@ -42,7 +43,8 @@ SERVER = "from midspan.serve.process import main; main()"
 class Settings:
     """site: what is run, None for nothing; fault: what is wrong with the file, None where nothing is.
 
-    where, service: the store and the address, which hold until the process ends.
+    where, service: the store and the address, which hold until the process ends. content: of the file, where it is
+    right.
     """
 
     file: Path
@@ -50,6 +52,7 @@ class Settings:
     fault: SettingsFault | None
     where: str
     service: ServiceSettings
+    content: bytes | None = None
 
 
 def in_force_file(file: Path) -> Path:
@@ -66,6 +69,7 @@ def settings_of(path: str | Path) -> Settings:
     file = Path(path).absolute()
     file = file / SITE_FILE if file.is_dir() else file
     try:
+        content = file.read_bytes() if file.is_file() else b""
         site = load_site(file)
         require_folders(site)
     except (UsageError, DataError) as error:
@@ -77,7 +81,7 @@ def settings_of(path: str | Path) -> Settings:
         if place is None:
             raise
         return Settings(file, None, fault, *place)
-    return Settings(file, site, None, site.store, site.settings.service)
+    return Settings(file, site, None, site.store, site.settings.service, content)
 
 
 def _lenient(file: Path) -> tuple[str, ServiceSettings] | None:
@@ -147,7 +151,7 @@ class Supervisor:
         before anything is touched.
         """
         address, site = self.settings.service.listen, self.settings.site
-        tasks: list[asyncio.Task[None]] = []
+        tasks: list[asyncio.Task[Any]] = []
         with ExitStack() as opened:
             listener = None
             if self._serve:
@@ -165,7 +169,15 @@ class Supervisor:
                     scheme = "http" if self.settings.service.tls_cert is None else "https"
                     self._say(f"page: {scheme}://{host}:{port}")
                     tasks.append(asyncio.create_task(self._serving(listener)))
-                return await self._measuring(for_s)
+                measuring = asyncio.create_task(self._measuring(for_s))
+                tasks.append(measuring)
+                # Nothing but the measuring ends as it should.
+                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                if measuring not in done:
+                    self.stop()
+                    await measuring
+                    next(iter(done)).result()
+                return measuring.result()
             finally:
                 for task in tasks:
                     task.cancel()
@@ -193,16 +205,16 @@ class Supervisor:
 
     def _instead(self, error: UsageError | DataError) -> Settings:
         """What holds where a site cannot run with its settings. Raises `error` where nothing else ever ran."""
-        file, kept = self.settings.file, in_force_file(self.settings.file)
+        kept = in_force_file(self.settings.file)
         if self.settings.fault is not None:
             return replace(self.settings, site=None)
         try:
-            if not self._serve or kept.read_bytes() == file.read_bytes():
+            if not self._serve or kept.read_bytes() == self.settings.content:
                 raise error
             site = load_site(kept)
         except (OSError, UsageError, DataError):
             raise error from None
-        return replace(self.settings, site=site, fault=SettingsFault.of(str(error)))
+        return replace(self.settings, site=site, fault=SettingsFault.of(str(error)), content=None)
 
     async def _run_site(self, site: Site, for_s: float | None) -> Tree:
         fault = self.settings.fault
@@ -242,11 +254,10 @@ class Supervisor:
 
     def _keep_settings(self, service: Service) -> None:
         """What runs is what a wrong change falls back to."""
-        self._kept, file = service, service.site.file
-        if self.settings.fault is None:
-            with suppress(OSError):
-                shutil.copyfile(file, in_force_file(file))
-                shutil.copymode(file, in_force_file(file))
+        self._kept, file, content = service, self.settings.file, self.settings.content
+        if content is not None:
+            with suppress(OSError, MidspanError):
+                write_whole(in_force_file(file), content, mode=stat.S_IMODE(file.stat().st_mode))
 
     async def _states(self) -> None:
         while True:

@@ -415,10 +415,12 @@ def captures_of(site: Site) -> Path:
 
 
 def require_folders(site: Site) -> None:
-    """Raises UsageError with the key for a store, an archive or captures in a folder that is a file or cannot be made.
+    """Raises UsageError with the key for a store, an archive or captures in a folder that is a file or cannot be made,
+    and for a certificate that is missing.
 
     A folder that this user may not write is refused too: the service's user has to be the one who asks.
     """
+    _require_tls(site)
     store = site.settings.store
     captures = store.captures or (None if store.path else str(captures_of(site)))
     for key, given in (("path", store.path), ("archive", store.archive), ("captures", captures)):
@@ -426,6 +428,17 @@ def require_folders(site: Site) -> None:
             raise UsageError(
                 f"{site.file}: store.{key} = {given!r}: must be a folder that can be made and written; {wrong}. "
                 "Give another folder, or let the user of midspan write this one."
+            )
+
+
+def _require_tls(site: Site) -> None:
+    """UsageError for a certificate or a key that is not there."""
+    service = site.settings.service
+    for key, name in (("tls_cert", service.tls_cert), ("tls_key", service.tls_key)):
+        if name is not None and not os.access(site.file.parent / name, os.R_OK):
+            raise UsageError(
+                f"{site.file}: service.{key} = {name!r}: must be a file that can be read. Write another one, or let "
+                "the user of midspan read it."
             )
 
 
