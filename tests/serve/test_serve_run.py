@@ -201,6 +201,7 @@ def test_a_database_that_is_not_up_is_a_reason_and_no_exit(site, postgres):
         postgres.start()
     until(lambda: "store" not in run.reasons())
     until(lambda: run.reasons().get("displacement") == "not_found")
+    assert run.client.get("/api/v1/points/p/calibrations").json() == []
     assert address not in run.log
 
 
