@@ -10,6 +10,7 @@ name = "river-bridge"
 [store]
 path = "store"
 [mqtt]
+user = "midspan"
 password = "{SITE_SECRET}"
 [[point]]
 name = "quarter-span"
@@ -75,7 +76,10 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (('"river-bridge"', '"a\\u0007"'), r"must be 1 to 64 characters other than \+, #, / and control"),
         (('"river-bridge"', '""'), r"name = ''"),
         (("[[point]]", "[point]"), r"must be one \[\[point\]\]"),
-        (('[mqtt]\npassword = "{SITE_SECRET}"', ""), r"accelerometer.source: is mqtt:…, but \[mqtt\] is missing"),
+        (
+            ('[mqtt]\nuser = "midspan"\npassword = "{SITE_SECRET}"', ""),
+            r"accelerometer.source: is mqtt:…, but \[mqtt\] is missing",
+        ),
         (
             ("[point.accelerometer]", "[point.accelerometre]"),
             r"point 'quarter-span': accelerometre: is not a known section. Did you mean 'accelerometer'\? Known: .*"
@@ -101,6 +105,21 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
             r"accelerometer.source: must be another topic than the site's own results, midspan/v1/river-bridge/",
         ),
         (("rtsp://user:{SITE_SECRET}@127.0.0.1:8554/cam", "usb:x"), r"camera.source: must be usb: and the number"),
+        (('user = "midspan"\n', ""), r"mqtt: must have user with password"),
+        (("[mqtt]", '[mqtt]\nhost = "127.0.0.1:1883"'), r"mqtt.host = '127.0.0.1:1883': must be a host alone"),
+        (
+            ("[mqtt]", '[service]\nlisten = "0.0.0.0:8080"\n[mqtt]'),
+            r"service: must be on loopback, as 127.0.0.1, without",
+        ),
+        (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both, a certificate and its key"),
+        (
+            (
+                "[[point]]",
+                '[[point]]\nname = "Quarter-Span"\naccelerometer.source = "mqtt:x"\n'
+                'displacement.source = "mqtt:y"\n[[point]]',
+            ),
+            r"point.name: must differ by more than case; received 'Quarter-Span' and 'quarter-span'",
+        ),
     ],
 )
 def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeypatch, change, words):
@@ -109,6 +128,13 @@ def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeyp
         loaded(tmp_path, monkeypatch, SITE.replace(*change))
     assert "SITE.toml" in str(error.value)
     assert "hidden" not in str(error.value)
+
+
+def test_a_certificate_that_is_missing_is_named_with_its_key(tmp_path, monkeypatch):
+    text = SITE.replace("[mqtt]", '[service]\nlisten = "0.0.0.0:443"\ntls_cert = "c.pem"\ntls_key = "k.pem"\n[mqtt]')
+    (tmp_path / "c.pem").touch()
+    with pytest.raises(UsageError, match=r"service.tls_key = 'k.pem': must be a file that can be read"):
+        require_folders(loaded(tmp_path, monkeypatch, text))
 
 
 def test_a_name_of_a_site_may_hold_blanks(tmp_path, monkeypatch):

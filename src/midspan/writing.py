@@ -27,9 +27,15 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 _BINARY = getattr(os, "O_BINARY", 0)  # Windows would change line ends
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write one file; it appears whole or not at all. Raises UsageError where it cannot be written."""
+def write_whole(path: Path, content: bytes, *, mode: int | None = None) -> None:
+    """Write one file; it appears whole or not at all. Raises UsageError where it cannot be written.
+
+    mode: who may read and write it; None: as the process makes files.
+    """
     with replacing(path) as (file,):
+        if mode is not None and sys.platform != "win32":
+            # Before there is anything to read.
+            os.fchmod(file.descriptor, mode)
         file.write(content)
 
 

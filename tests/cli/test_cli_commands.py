@@ -1,5 +1,6 @@
 """The commands as a user or a script calls them: output, JSON, quiet, exit codes, files."""
 
+import itertools
 import json
 import os
 import subprocess
@@ -40,6 +41,10 @@ def done(footbridge, tmp_path_factory):
     return folder
 
 
+# Each user of a store needs a name of its own.
+NUMBERS = itertools.count()
+
+
 def calls(footbridge, done, target):
     """Every command of NAMES as it is typed."""
     return {
@@ -56,6 +61,8 @@ def calls(footbridge, done, target):
         "methods": ["methods"],
         "check-config": ["check-config", f"{footbridge}"],
         "run": ["run", f"{site(footbridge, target)}", "--for", "1"],
+        "serve": ["serve", f"{done}/store", "--listen", "127.0.0.1:0", "--for", "0.5"],
+        "access": ["access", f"{done}/store", "add-user", f"user-{next(NUMBERS)}", "--scope", "read"],
         "replay": ["replay", f"{footbridge}", "-o", f"{target}/store", "-c", f"{done}/calibration.json"],
         "export": ["export", f"{done}/store", "-o", f"{target}/rows.csv"],
     }
@@ -74,7 +81,7 @@ def site(footbridge, target):
 
 # `papers` runs for long: tests/papers/test_papers_claims.py has the same three tests of it.
 NAMES = [name for name in COMMANDS if name not in ("demo", "papers")]
-LONG = ("lens", "run")
+LONG = ("lens", "run", "serve")
 QUICK = [name for name in NAMES if name not in LONG]
 
 

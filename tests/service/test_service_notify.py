@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from midspan.service.web import notify
+from midspan.service.notify import notify
 
 
 @pytest.mark.parametrize("abstract", [False, True])

@@ -7,7 +7,7 @@ from midspan.service.reasons import REASONS, sentence
 
 ROOT = Path(__file__).resolve().parents[2]
 # Where codes are given out: of sources, of the store, of points.
-PLACES = ("service", "sources/live", "store", "engine")
+PLACES = ("service", "sources/live", "store", "engine", "serve")
 GIVEN = re.compile(r'(?:SourceFault|Failed|StoreFault)\(\s*"(\w+)"|reason(?:, [\w.]+)* = "(\w+)"|else "(store_\w+)"')
 
 

@@ -293,6 +293,23 @@ def test_one_calibration_at_a_time(tmp_path, monkeypatch):
     assert len(counts) == 8
 
 
+def test_points_go_on_side_by_side(tmp_path, monkeypatch):
+    """Each reads its checkpoint and what was kept since: one after the other a site of many would take minutes."""
+    meeting = threading.Barrier(3, timeout=60.0)
+    monkeypatch.setattr(Service, "_begin_from", lambda _self, _one, _store: meeting.wait())
+    (tmp_path / "SITE.toml").write_text(
+        'name = "site"\n[store]\npath = "store"\n'
+        + "".join(
+            f'[[point]]\nname = "p{k}"\n[point.accelerometer]\nsource = "serial:/dev/none"\n'
+            '[point.displacement]\nsource = "serial:/dev/none"\n'
+            for k in range(3)
+        )
+    )
+    service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+    asyncio.run(asyncio.wait_for(service.run(0.2), 120.0))
+    assert service.begun
+
+
 def test_every_command_is_answered_at_once(tmp_path):
     (tmp_path / "SITE.toml").write_text(
         'name = "site"\n[store]\npath = "store"\n[mqtt]\n[[point]]\nname = "p"\n'

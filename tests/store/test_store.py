@@ -1,5 +1,6 @@
 """The store: nothing that was acknowledged is lost or doubled, and every view shows the same rows."""
 
+import contextlib
 import sqlite3
 from itertools import pairwise
 
@@ -133,4 +134,71 @@ def test_a_store_that_cannot_be_written_is_a_fault_with_a_code(tmp_path):
     # A reader sees what was committed since it was opened.
     np.testing.assert_array_equal(kept(reader).time_ns, rows(0, 2).time_ns)
     reader.close()
+    store.close()
+
+
+def rows_with_figures(length_s, rate_hz, seed=0):
+    """Rows of random values, some lost, with deviations; stamps that are not even."""
+    rng = np.random.default_rng(seed)
+    count = round(length_s * rate_hz)
+    time_ns = BEGIN_NS + np.sort(rng.choice(round(length_s * 1e6), count, replace=False)) * 1000
+    columns = {
+        "displacement_m": rng.normal(0.0, 1e-3, count),
+        "std_m": rng.uniform(1e-5, 1e-4, count).astype(np.float32),
+        "status": rng.choice([0, 0, 0, 1, 2], count).astype(np.int8),
+    }
+    return Chunk("p", "rows", time_ns, columns, 1, "displacement_m")
+
+
+@pytest.mark.parametrize("count", [7, 40, 120, 130, 1000])
+def test_figures_of_buckets_are_those_of_their_rows(store_at, count):
+    """Of whole seconds, and of less than one, exactly; others have each second's extremes in the right bucket."""
+    rows = rows_with_figures(130.0, 50.0)
+    gap = (rows.time_ns < BEGIN_NS + 40 * NANOSECONDS) | (rows.time_ns >= BEGIN_NS + 65 * NANOSECONDS)
+    rows = rows.rows(gap)
+    store = open_store(store_at)
+    for part in rows.split(1.0):
+        store.write(Batch(chunks=[part]))
+    edges = BEGIN_NS + (130 * NANOSECONDS * np.arange(count + 1)) // count
+    found = store.drawn("p", "rows", edges, "displacement_m")
+    status, value = rows.columns["status"], rows.columns["displacement_m"]
+    whole = 130 % count == 0 or count > 130
+    for k in range(count):
+        inside = (rows.time_ns >= edges[k]) & (rows.time_ns < edges[k + 1])
+        good = inside & (status != 2)
+        if not good.any():
+            assert np.isnan([found.low[k], found.high[k]]).all()
+            continue
+        assert np.isnan(found.low[k]) or found.low[k] >= value[good].min() - 1e-9
+        assert np.isnan(found.high[k]) or found.high[k] <= value[good].max() + 1e-9
+        if whole:
+            assert found.low[k] == pytest.approx(value[good].min(), rel=1e-6)
+            assert found.high[k] == pytest.approx(value[good].max(), rel=1e-6)
+            assert found.mean[k] == pytest.approx(value[good].mean(), abs=1e-9)
+            assert found.std[k] == pytest.approx(rows.columns["std_m"][good].max(), rel=1e-6)
+            assert found.status[k] == status[inside].max()
+    # The peak is in its own bucket at every zoom.
+    good = status != 2
+    peak = int(np.searchsorted(edges, rows.time_ns[good][np.argmax(value[good])], side="right")) - 1
+    assert np.nanargmax(found.high) == peak
+    store.close()
+
+
+def test_a_store_without_seconds_is_drawn_from_its_rows(tmp_path):
+    """As those that were begun by an earlier version, read alone."""
+    store = open_store(tmp_path)
+    rows = rows_with_figures(60.0, 50.0)
+    for part in rows.split(1.0):
+        store.write(Batch(chunks=[part]))
+    edges = BEGIN_NS + 2 * NANOSECONDS * np.arange(31)
+    before = store.drawn("p", "rows", edges, "displacement_m")
+    store.close()
+    for day in (tmp_path / "days").glob("*.sqlite"):
+        with contextlib.closing(sqlite3.connect(day)) as database:
+            database.execute("DROP TABLE summary")
+            database.commit()
+    store = open_store(tmp_path, read_only=True)
+    now = store.drawn("p", "rows", edges, "displacement_m")
+    for name in ("low", "high", "mean", "std", "status"):
+        np.testing.assert_allclose(getattr(now, name), getattr(before, name), rtol=1e-6)
     store.close()

@@ -2,15 +2,20 @@
 
 import click
 
+from midspan.cli.access import announce_admin
 from midspan.cli.console import Console, common_options
 
 
 @click.command("run")
 @click.argument("site", type=click.Path())
 @click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")
+@click.option("--serve/--no-serve", default=True, help="Whether page and interface are served, on [service] listen.")
 @common_options
-def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
-    """Run a live site, a SITE.toml or the folder that holds it: sources to estimates to the store, MQTT and /readyz."""
+def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: bool) -> None:
+    """Run a live site, a SITE.toml or the folder that holds it: sources to estimates to the store, the page and MQTT.
+
+    The first start makes the user `admin` and prints its password once (not with --quiet).
+    """
     import asyncio
     import faulthandler
     import json
@@ -19,11 +24,9 @@ def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
     from datetime import UTC, datetime
 
     console = Console(quiet, as_json)
-    from midspan.service.run import Service
-    from midspan.settings.site import load_site, require_folders
+    from midspan.service.supervise import Supervisor, settings_of
 
-    loaded = load_site(site)
-    require_folders(loaded)
+    settings = settings_of(site)
 
     def note(record: dict[str, object]) -> None:
         """A line of the log for programs."""
@@ -35,14 +38,16 @@ def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
         console.say(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {line}")
 
     async def main() -> dict[str, object]:
-        service = Service(loaded, say, note)
+        supervisor = Supervisor(
+            settings, say, note, serve=serve, announce=lambda: announce_admin(settings.where, console)
+        )
         for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, service.stop)
-        return await service.run(for_s)
+            asyncio.get_running_loop().add_signal_handler(number, supervisor.stop)
+        return await supervisor.run(for_s)
 
     if sys.__stderr__ is not None:
         # A crash of the interpreter says where every thread was.
         faulthandler.enable(sys.__stderr__)
     last = asyncio.run(main())
-    say(f"{loaded.name}: stopped; everything that came is kept.")
+    say("stopped; everything that came is kept.")
     console.document(last)

@@ -63,6 +63,11 @@ def accepted(live: LivePoint, store: Store, wanted: str) -> int | None:
     return chosen.number
 
 
+def refused(live: LivePoint, store: Store, number: int) -> bool:
+    """Refuse an offered calibration; whether there was such a one."""
+    return store.refuse(live.name, number)
+
+
 # A calibration of an hour's recording takes minutes.
 LONGEST_S = 1800.0
 # Of the process, as of POSIX (0 usual, 19 least urgent): a tenth of the processor where the engine needs it all.

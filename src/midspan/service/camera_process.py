@@ -16,9 +16,10 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.errors import MidspanError
-from midspan.records import Region
+from midspan.records import Frame, Region
 from midspan.service.cutting import part_of
 from midspan.sources.live.camera import Stamped, StampKind, frames
 from midspan.sources.live.instants import SourceFault
@@ -84,6 +85,8 @@ class ReadingThread:
 
 # A process that sends nothing for so long, not even why, hangs: it is ended and started again, s.
 HUNG_S = 60.0
+# Those who wait for a picture at most.
+MAX_LOOKING = 32
 # Frames that wait for the engine; 30 are a second of a usual camera.
 MAX_WAITING = 30
 
@@ -101,6 +104,34 @@ class Delivered:
     skipped: int
 
 
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A whole frame as JPEG, for people: what does not fit into 8 bits is scaled to its own range."""
+
+    time_ns: int
+    shape: tuple[int, int]
+    jpeg: bytes
+
+
+# Of JPEG (0 to 100): the sharpness of edges that a region is drawn by, at a tenth of the bytes.
+QUALITY = 85
+PICTURE = "picture"
+
+
+def pictured(frame: Frame) -> Picture:
+    """A frame as a picture."""
+    import cv2
+
+    pixels: NDArray[Any] = frame.pixels
+    if pixels.dtype != np.uint8:
+        values = pixels.astype(np.float32)
+        low, high = np.percentile(values, (1.0, 99.0))
+        pixels = np.clip((values - low) * (255.0 / max(float(high - low), 1e-9)), 0.0, 255.0).astype(np.uint8)
+    _, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    rows, columns = pixels.shape[:2]
+    return Picture(frame.time_ns, (rows, columns), jpeg.tobytes())
+
+
 class CameraProcess:
     """Runs a camera's process and hands on what it gives; a process that dies is started again.
 
@@ -116,6 +147,8 @@ class CameraProcess:
         self._ending, self._taking, self._pauses = threading.Event(), threading.Event(), Pauses()
         self._process: Any = None
         self._pipe: Connection | None = None
+        # Who waits for the next picture.
+        self._looking: list[Callable[[Picture], None]] = []
         self._thread = threading.Thread(target=self._watch, daemon=True, name=f"camera {address.partition(':')[0]}")
 
     def start(self) -> None:
@@ -130,6 +163,11 @@ class CameraProcess:
         """From now on only this part of each frame is needed; None: whole frames."""
         self._region = region
         self._send(region)
+
+    def ask_picture(self, came: Callable[[Picture], None]) -> None:
+        """Give the next frame as a picture to `came`, called from a thread; all who ask meanwhile get the same."""
+        self._looking = [*self._looking[1 - MAX_LOOKING :], came]
+        self._send(PICTURE)
 
     def stop(self) -> None:
         """End the process, by force after a second."""
@@ -169,6 +207,11 @@ class CameraProcess:
             while not self._ending.is_set():
                 if self._pipe.poll(0.5):
                     item = self._pipe.recv()
+                    if isinstance(item, Picture):
+                        looking, self._looking = self._looking, []
+                        for came in looking:
+                            came(item)
+                        continue
                     self._stamps = item.kind if isinstance(item, Delivered) else self._stamps
                     self._taken(item)
                     self._pauses.worked()
@@ -220,6 +263,7 @@ class _Sender:
     def __init__(self, pipe: Connection) -> None:
         self._pipe, self.ended = pipe, False
         self._region: Region | None = None
+        self._wanted = False
         self._waiting: deque[Any] = deque()
         self._some = threading.Condition()
         self._count = self._skipped = 0
@@ -228,6 +272,12 @@ class _Sender:
 
     def give(self, stamped: Stamped) -> None:
         """Queue a frame; where too many wait the oldest is skipped."""
+        if self._wanted:
+            self._wanted = False
+            picture = pictured(stamped.frame)
+            with self._some:
+                self._waiting.append(picture)
+                self._some.notify()
         rows, columns = stamped.frame.pixels.shape
         part, place = part_of(stamped.frame.pixels, self._region)
         with self._some:
@@ -272,6 +322,9 @@ class _Sender:
                 found = self._pipe.recv()
                 if found == "end":
                     break
-                self._region = found
+                if found == PICTURE:
+                    self._wanted = True
+                else:
+                    self._region = found
         # The end is asked for, or the service is gone.
         self.ended = True

@@ -106,6 +106,8 @@ class Intake:
     def _block(self, one: Running, name: str, block: Block) -> None:
         """A block of values, unless it was there before; lost ones are an event."""
         stream = one.streams[name]
+        if stream.paused:
+            return
         if self._is_ahead(one, name, block.t0_ns + block.dt_ns * max(len(block.values) - 1, 0)):
             return
         if stream.sequence is None and one.live.opened is not None and len(block.values):
@@ -135,7 +137,9 @@ class Intake:
         return ahead_s > AHEAD_S
 
     def _refused(self, one: Running, name: str, fault: SourceFault) -> None:
-        """Why a source gives nothing that can be used; once an event."""
+        """Why a source gives nothing that can be used; once an event. Of one that is paused nobody asks."""
+        if one.streams[name].paused:
+            return
         if one.streams[name].refused(fault.code, str(fault), time.time()):
             self._tell(one, fault.code, f"{name}: {fault}")
 
@@ -223,6 +227,8 @@ class Intake:
 
     def _heard(self, one: Running, name: str, arrival: Arrival) -> None:
         stream, record = one.streams[name], arrival.record
+        if stream.paused:
+            return
         stream.heard(time.time())
         # A block without any value tells nothing of the sensor.
         if stream.reason and not (isinstance(record, Readings) and not np.isfinite(record.value).any()):

@@ -204,9 +204,16 @@ class LivePoint:
             self.job = Job("calibrate", self._capture.close())
             self._capture, self.phase = None, Phase.CALIBRATING
 
+    @property
+    def can_calibrate(self) -> bool:
+        """Whether nothing of the kind is done already."""
+        return not (
+            self.busy or self._next is not None or (self.opened is not None and self.phase is not Phase.RUNNING)
+        )
+
     def calibrate(self) -> str:
         """Begin a new calibration, or say why not; the rows go on with the one in force until another is accepted."""
-        if self.busy or self._next is not None or (self.opened is not None and self.phase is not Phase.RUNNING):
+        if not self.can_calibrate:
             return f"{self.name}: is being calibrated or opened already; the command is left out."
         self.phase, self._again_ns = Phase.CAPTURING_TO_CALIBRATE, self.newest_ns
         return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
@@ -221,6 +228,12 @@ class LivePoint:
         self.job, self.reason = None, "calibration_offered"
         self.phase = Phase.OFFERED if self.opened is None else Phase.RUNNING
         self._tell("calibration_offered", f"{self.name}: calibration {number} waits to be accepted.")
+
+    def offer_refused(self) -> None:
+        """What was offered is not accepted: without rows a calibration is tried again after a while."""
+        self.reason = "" if self.reason == "calibration_offered" else self.reason
+        if self.phase is Phase.OFFERED:
+            self.phase, self._again_ns = Phase.CAPTURING_TO_CALIBRATE, self.newest_ns + round(AGAIN_S * NANOSECONDS)
 
     def refused(self, why: str) -> None:
         """A calibration or an opening failed: without rows it is tried again after a while."""

@@ -43,6 +43,10 @@ REASONS: dict[str, tuple[str, str]] = {
         "wait for some motion; let NTP slew the clocks of sensors and machine",
     ),
     "no_rows": ("the point gives no rows though its sources bring records", "see its events"),
+    "paused": ("the source is left out on purpose", "resume it once it is there again"),
+    "settings": ("SITE.toml is wrong", "correct what the message names; what was in force before holds meanwhile"),
+    "not_measuring": ("no process measures here", "start `midspan run`; what is stored can be looked at meanwhile"),
+    "engine_silent": ("the measuring process does not answer", "wait; where it lasts, see its log and the load"),
     "lost": ("the sensor's target is lost", "see the image; something may stand in front of it"),
 }
 

@@ -1,13 +1,13 @@
-"""`midspan run`: the shell of a live site. The only place with a clock, threads and an event loop above the engine."""
+"""The shell of a live site's points: the only place with a clock, threads and an event loop above the engine."""
 
 import asyncio
 import json
 import math
-import socket
 import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,24 @@ import numpy as np
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
+from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
+from midspan.service.live_socket import LiveSocket, of_ready, row_bytes
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
+from midspan.service.notify import notify
 from midspan.service.opening import head_of, opened, resumed
+from midspan.service.paused import Paused
+from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, running
-from midspan.service.web import application, figures, listening, notify, server
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site, captures_of
 from midspan.store.archive import archive
+from midspan.store.database import StoreFault
 from midspan.store.store import Batch, Store, open_store
 
 TICK_S, WRITE_S, LOG_S = 0.05, 1.0, 60.0
@@ -40,18 +45,31 @@ MAX_WANTED = 20
 
 
 class Service:
-    """Runs a site until it is stopped. say: takes one line for a person; note: one structured record for a log."""
+    """Runs a site until it is stopped. say: takes one line for a person; note: one structured record for a log; socket:
+    where rows and events go to the page's server.
+    """
 
     def __init__(
-        self, site: Site, say: Callable[[str], None], note: Callable[[dict[str, Any]], None] | None = None
+        self,
+        site: Site,
+        say: Callable[[str], None],
+        note: Callable[[dict[str, Any]], None] | None = None,
+        socket: LiveSocket | None = None,
     ) -> None:
-        self.site, self._say, self._note = site, say, note
+        self.site, self._say, self._note, self._socket = site, say, note, socket
         self._captures = captures_of(site)
         self._keeper = Keeper(site.store, [plan.name for plan in site.points])
         self._points = [running(plan, self._captures / plan.name, site.file.parent) for plan in site.points]
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
+        paused = Paused(place_of(site.store))
+        self._commands = Commands(self._points, paused, self._event, self._in_thread)
+        for one in self._points:
+            for name, stream in one.streams.items():
+                stream.paused = paused.reasons.get(f"{one.name}.{name}", "")
         self._broker: Broker | None = None
         self._stop = asyncio.Event()
+        # Whether all points are begun, and what comes is kept.
+        self.begun = False
         self._acknowledge: deque[Callable[[], None]] = deque()
         self._swept_s, self._dropped = 0.0, 0
         # Why store and broker were away when that was last an event.
@@ -68,40 +86,37 @@ class Service:
     async def run(self, for_s: float | None = None) -> dict[str, Any]:
         """Run for this many seconds; None: until `stop`. Everything that came is kept when it returns how all stands.
 
-        Raises UsageError where the address is in use, or another process writes one of the points.
+        Raises UsageError where another process writes one of the points.
         """
-        with listening(self.site) as listener:
-            return await self._serve(listener, for_s)
-
-    async def _serve(self, listener: socket.socket, for_s: float | None) -> dict[str, Any]:
         self._loop = asyncio.get_running_loop()
-        await asyncio.to_thread(self._keeper.store)
+        notify("READY=1")
+        if not await self._patiently(self._keeper.store, for_s):
+            return self.record()
         self._intake.start_cameras()
+        begun = [asyncio.create_task(self._patiently(partial(self._begin_point, one))) for one in self._points]
         try:
-            for one in self._points:
-                await asyncio.to_thread(self._begin_point, one)
+            await asyncio.gather(*begun)
         except BaseException:
+            for starting in begun:
+                starting.cancel()
+            await asyncio.gather(*begun, return_exceptions=True)
             await asyncio.to_thread(self._intake.end)
+            # Another service of this process may have the points then.
+            await asyncio.to_thread(self._keeper.close)
             raise
         replays = self._intake.begin()
         self._begin_broker()
-        web = server(application(self.standing, lambda: figures(self._points, self._keeper, time.time())))
-        serving = asyncio.create_task(web.serve(sockets=[listener]))
-        tasks = [
+        tasks: list[asyncio.Task[Any]] = [
             asyncio.create_task(self._every(TICK_S, self._tick)),
             asyncio.create_task(self._writing()),
             asyncio.create_task(self._every(LOG_S, self._log)),
-            serving,
             *replays,
         ]
-        self._say(f"{self.site.name}: {len(self._points)} points, http://{self.site.settings.service.listen}/readyz")
-        notify("READY=1")
+        self.begun = True
+        self._say(f"{self.site.name}: {len(self._points)} points run.")
         failed = await self._until_stopped(tasks, for_s)
         notify("STOPPING=1")
-        web.should_exit, last = True, self.record()
-        with suppress(asyncio.TimeoutError):
-            # The server closes its sockets itself.
-            await asyncio.wait_for(serving, 2.0)
+        last = self.record()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -112,7 +127,32 @@ class Service:
                 raise failed
         return last
 
-    async def _until_stopped(self, tasks: Sequence[asyncio.Task[None]], for_s: float | None) -> BaseException | None:
+    def claim(self) -> None:
+        """Lock the points, as long as the store can be reached. Raises UsageError where another process has them."""
+        with suppress(StoreFault):
+            self._keeper.store()
+
+    async def _patiently(self, work: Callable[[], Any], for_s: float | None = None) -> bool:
+        """Do work in a thread that needs the store, again and again while that is away; whether it was done before the
+        time was over, or `stop`.
+        """
+        until_s = math.inf if for_s is None else time.monotonic() + for_s
+        while not self._stop.is_set() and time.monotonic() < until_s:
+            try:
+                await asyncio.to_thread(work)
+            except StoreFault as fault:
+                if not self._keeper.reason:
+                    self._say(f"store: {fault} It is tried again every second.")
+                self._keeper.reason, self._keeper.text = fault.code, str(fault)
+            else:
+                self._keeper.reason = self._keeper.text = ""
+                return True
+            notify("WATCHDOG=1")
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._stop.wait(), WRITE_S)
+        return False
+
+    async def _until_stopped(self, tasks: Sequence[asyncio.Task[Any]], for_s: float | None) -> BaseException | None:
         """Wait until `stop`, the end of the time, or a task's failure, which is returned: without it nothing would be
         kept any more, and a service manager starts the whole again.
         """
@@ -155,8 +195,11 @@ class Service:
     # Points
 
     def _begin_point(self, one: Running) -> None:
-        """A point goes on from its checkpoint, else opens with its calibration, else calibrates."""
-        store = self._keeper.store()
+        """A point goes on from its checkpoint, else opens with its calibration, else calibrates; called in a thread."""
+        with closing(open_store(self.site.store)) as store:
+            self._begin_from(one, store)
+
+    def _begin_from(self, one: Running, store: Store) -> None:
         one.live.number = number_in_force(one.live, store, self.site.file.parent)
         one.live.follows = store.newest_ns(one.name, ROWS) is not None
         kept = store.checkpoint(one.name)
@@ -230,6 +273,9 @@ class Service:
         with closing(open_store(self.site.store)) as store:
             return work(live, store, *arguments, **options)
 
+    async def _in_thread(self, work: Callable[..., Any], live: LivePoint, *arguments: Any) -> Any:
+        return await asyncio.to_thread(self._with_store, work, live, *arguments)
+
     # In
 
     def _begin_broker(self) -> None:
@@ -291,6 +337,8 @@ class Service:
         self._say(f"{point}: {event.kind}: {event.text}")
         if self._note is not None:
             self._note({"point": point, **event_tree(event)})
+        if self._socket is not None:
+            self._socket.publish({"kind": "event", "point": point, "time_ns": event.time_ns, **event_tree(event)})
         if self._broker is not None:
             self._broker.publish(f"{point}/event", json.dumps(event_tree(event)), qos=1)
 
@@ -361,14 +409,19 @@ class Service:
 
     def _publish_rows(self, one: Running) -> None:
         """The newest rows, as soon as they are there."""
-        rows = one.live.fresh() if self._broker is not None else None
-        if self._broker is None or rows is None:
+        rows = one.live.fresh()
+        if rows is None:
             return
-        new = int(np.searchsorted(rows.time_ns, one.published_ns, side="right"))
+        new = rows.rows(slice(int(np.searchsorted(rows.time_ns, one.published_ns, side="right")), None))
         one.published_ns = max(int(rows.time_ns[-1]), one.published_ns)
-        for part in even_parts(rows.rows(slice(new, None))) if new < len(rows.time_ns) else []:
-            self._broker.publish(f"{one.name}/displacement", result_payload(part, one.results))
-            one.results += 1
+        if not len(new.time_ns):
+            return
+        if self._socket is not None:
+            self._socket.publish({"kind": "rows", "point": one.name}, row_bytes(new))
+        if self._broker is not None:
+            for part in even_parts(new):
+                self._broker.publish(f"{one.name}/displacement", result_payload(part, one.results))
+                one.results += 1
 
     def _publish(self, one: Running, batch: Batch) -> None:
         for _, event in batch.events:
@@ -380,17 +433,31 @@ class Service:
         self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), qos=1, retain=True)
 
     def standing(self) -> dict[str, Any]:
-        """As /readyz shows it."""
+        """As the log has it."""
+        state = self.state()
+        return {
+            "ready": state["ready"],
+            "points": [of_ready(one) for one in state["points"]],
+            "sources": state["sources"],
+        }
+
+    def state(self) -> dict[str, Any]:
+        """How points, sources, store and broker stand, as the page's server has it; what is paused is no fault."""
         now_s = time.time()
-        sources = [stream for one in self._points for stream in self._standing_of(one, now_s)["sources"]]
+        points = [one.state(now_s, self._standing_of(one, now_s)) for one in self._points]
+        sources = [stream for one in points for stream in one["sources"]]
         sources += [
             {"point": "", "source": name, "reason": reason, "text": text}
             for name, (reason, text) in self._shared().items()
             if reason
         ]
-        points = [one.ready(now_s) for one in self._points]
-        ready = not any(one["reason"] for one in (*sources, *points))
-        return {"ready": ready, "points": points, "sources": sources}
+        ready = not any(one["reason"] not in ("", "paused") for one in (*sources, *points))
+        store = {"waiting": self._keeper.waiting, "dropped": self._keeper.dropped}
+        return {"ready": ready, "points": points, "sources": sources, "store": store}
+
+    async def command(self, head: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+        """A command of the page's server."""
+        return await self._commands.run(head)
 
     def _shared(self) -> dict[str, tuple[str, str]]:
         """Why store and broker are away, as code and text, by their names; empty texts where they are there."""

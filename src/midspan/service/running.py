@@ -32,6 +32,10 @@ RECENT = 256
 TELL_AGAIN_S = 60.0
 
 
+# Why there are no rows where a sensor is away: of one that is paused that is no fault.
+ABSENT = ("lost", "no_rows", "ended", "silent")
+
+
 @dataclass(slots=True)
 class Stream:
     """How one source stands: its address without secrets, when it was heard last, why it gives nothing, counts."""
@@ -45,6 +49,8 @@ class Stream:
     records: int = 0
     faults: int = 0
     skipped: int = 0
+    # Why it is left out on purpose; empty where it is not.
+    paused: str = ""
     # How a camera's frames are dated, see `StampKind`.
     stamps: str = ""
     interval_s: float = 0.0
@@ -61,15 +67,17 @@ class Stream:
 
     def standing(self, now_s: float, unseen: str) -> dict[str, Any]:
         """As /readyz and the state show it; unseen: why the engine measures nothing with what comes."""
-        reason = self.reason or unseen
+        reason = "paused" if self.paused else self.reason or unseen
         fresh_s = max(FRESH_S, FRESH_INTERVALS * self.interval_s)
-        if not self.reason and self.heard_s is not None and now_s - self.heard_s > fresh_s:
+        if not reason and self.heard_s is not None and now_s - self.heard_s > fresh_s:
             reason = "silent"
         return {
             "point": self.point,
             "source": self.sensor,
             "reason": reason,
-            "text": self.text or (sentence(reason) if reason else ""),
+            "text": self.paused or self.text or (sentence(reason) if reason else ""),
+            "address": self.address,
+            "rate_hz": round(1.0 / self.interval_s, 3) if self.interval_s > 0.0 else None,
             "age_s": None if self.heard_s is None else round(now_s - self.heard_s, 3),
             "records": self.records,
             "faults": self.faults,
@@ -196,9 +204,24 @@ class Running:
     def ready(self, now_s: float) -> dict[str, Any]:
         """As /readyz shows it: whether there are rows."""
         reason = self.no_rows(now_s)
+        if reason in ABSENT and any(stream.paused for stream in self.streams.values()):
+            reason = "paused"
         text = sentence(reason) if reason else ""
         own = {"point": self.name, "status": self.status(now_s), "reason": reason, "text": text}
         return {**own, **self._rows(now_s)}
+
+    def state(self, now_s: float, standing: dict[str, Any]) -> dict[str, Any]:
+        """As the page's server has it; standing: as the topic `state` shows it. notice: what is prepared or waits while
+        there are rows.
+        """
+        notice = standing["reason"]
+        return {
+            **standing,
+            **self.ready(now_s),
+            "notice": notice,
+            "notice_text": sentence(notice) if notice else "",
+            "phase": self.live.phase.value,
+        }
 
     def _rows(self, now_s: float) -> dict[str, Any]:
         """The age of the newest row, and its deviation relative to the usual one."""

@@ -80,6 +80,38 @@ def _is_an_address(value: str) -> str:
     return value
 
 
+def is_loopback(listen: str) -> bool:
+    """Whether HOST:PORT is an address of this machine alone."""
+    host = listen.rpartition(":")[0].strip("[]").lower()
+    return host in ("localhost", "::1") or bool(re.fullmatch(r"127(\.\d{1,3}){3}", host))
+
+
+def require_service(listen: str, tls_cert: str | None, tls_key: str | None, where: str) -> None:
+    """UsageError for no HOST:PORT, for half of TLS, and for an address that others reach without TLS."""
+    try:
+        _is_an_address(listen)
+        _is_safe(listen, tls_cert, tls_key)
+    except ValueError as error:
+        raise UsageError(f"{where}: {error}; received {listen!r}.") from None
+
+
+def _is_safe(listen: str, tls_cert: str | None, tls_key: str | None) -> None:
+    if (tls_cert is None) != (tls_key is None):
+        raise ValueError("must have both, a certificate and its key (tls_cert and tls_key), or neither")
+    if not is_loopback(listen) and tls_cert is None:
+        raise ValueError(
+            "must be on loopback, as 127.0.0.1, without TLS: passwords would go readable over the network. Add "
+            "tls_cert and tls_key, or put a server with TLS before it"
+        )
+
+
+def _is_a_host(value: str) -> str:
+    if value.count(":") == 1:
+        host, _, port = value.partition(":")
+        raise ValueError(f"must be a host alone; the port is a key of its own: host = {host!r}, port = {port}")
+    return value
+
+
 PointName = Annotated[str, AfterValidator(is_a_point)]
 
 
@@ -111,7 +143,9 @@ class StoreSettings(Section):
 class MqttSettings(Section):
     """The broker that blocks come from and results go to."""
 
-    host: str = Field("127.0.0.1", min_length=1, description="name or address of the broker")
+    host: Annotated[str, Field(min_length=1), AfterValidator(_is_a_host)] = Field(
+        "127.0.0.1", description="name or address of the broker"
+    )
     port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(1883, description="its port")
     user: str | None = Field(None, description="user name; left out: none")
     password: SecretStr | None = Field(None, description='password; write "{NAME}" to take it from the environment')
@@ -119,13 +153,28 @@ class MqttSettings(Section):
         "midspan", description="what all topics of results begin with"
     )
 
+    @model_validator(mode="after")
+    def _has_a_user(self) -> "MqttSettings":
+        if self.password is not None and self.user is None:
+            raise ValueError("must have user with password; add it, or take password out")
+        return self
+
 
 class ServiceSettings(Section):
     """The web service of the site."""
 
     listen: Annotated[str, AfterValidator(_is_an_address)] = Field(
-        "127.0.0.1:8080", description="host and port of /healthz, /readyz and /metrics"
+        "127.0.0.1:8080", description="host and port of page, REST, /healthz, /readyz and /metrics"
     )
+    tls_cert: FileName | None = Field(
+        None, description="certificate (PEM) with its chain, relative to this file; needed on any address but loopback"
+    )
+    tls_key: FileName | None = Field(None, description="the certificate's key (PEM), relative to this file")
+
+    @model_validator(mode="after")
+    def _is_protected(self) -> "ServiceSettings":
+        _is_safe(self.listen, self.tls_cert, self.tls_key)
+        return self
 
 
 class PointSettings(Section):
@@ -231,6 +280,10 @@ def load_site(path: str | Path) -> Site:
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
         raise UsageError(f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.")
+    alike = Counter(plan.name.casefold() for plan in plans).most_common(1)[0]
+    if alike[1] > 1:
+        both = " and ".join(repr(plan.name) for plan in plans if plan.name.casefold() == alike[0])
+        raise UsageError(f"{file}: point.name: must differ by more than case; received {both}. Rename one.")
     for plan in plans:
         _require_topics(settings, plan, f"{file}: point {plan.name!r}")
     return Site(file, settings, plans)
@@ -362,10 +415,12 @@ def captures_of(site: Site) -> Path:
 
 
 def require_folders(site: Site) -> None:
-    """Raises UsageError with the key for a store, an archive or captures in a folder that is a file or cannot be made.
+    """Raises UsageError with the key for a store, an archive or captures in a folder that is a file or cannot be made,
+    and for a certificate that is missing.
 
     A folder that this user may not write is refused too: the service's user has to be the one who asks.
     """
+    _require_tls(site)
     store = site.settings.store
     captures = store.captures or (None if store.path else str(captures_of(site)))
     for key, given in (("path", store.path), ("archive", store.archive), ("captures", captures)):
@@ -373,6 +428,17 @@ def require_folders(site: Site) -> None:
             raise UsageError(
                 f"{site.file}: store.{key} = {given!r}: must be a folder that can be made and written; {wrong}. "
                 "Give another folder, or let the user of midspan write this one."
+            )
+
+
+def _require_tls(site: Site) -> None:
+    """UsageError for a certificate or a key that is not there."""
+    service = site.settings.service
+    for key, name in (("tls_cert", service.tls_cert), ("tls_key", service.tls_key)):
+        if name is not None and not os.access(site.file.parent / name, os.R_OK):
+            raise UsageError(
+                f"{site.file}: service.{key} = {name!r}: must be a file that can be read. Write another one, or let "
+                "the user of midspan read it."
             )
 
 

@@ -58,6 +58,10 @@ class SqliteDatabase:
         with sqlite_faults(self.file):
             return self._connection.execute(sql.replace("{blob}", "BLOB"), values).fetchall()
 
+    def has_table(self, name: str) -> bool:
+        """Whether there is a table: files of earlier versions that are only read have fewer."""
+        return bool(self.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", (name,)))
+
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """A block whose statements take effect together, or not at all."""
@@ -113,6 +117,10 @@ class PostgresDatabase:
         except psycopg.OperationalError as error:
             self.close()
             raise _unavailable(error) from None
+
+    def has_table(self, name: str) -> bool:
+        """Whether there is a table."""
+        return bool(self.execute("SELECT 1 WHERE to_regclass(?) IS NOT NULL", (name,)))
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -180,6 +188,15 @@ class FileLocks:
     def close(self) -> None:
         """Let the points go."""
         self._files.close()
+
+
+def lock_file(path: Path) -> IO[bytes] | None:
+    """A file that is locked until it is closed, however its process ends; None where another process has it."""
+    file = path.open("ab")
+    if _locked(file):
+        return file
+    file.close()
+    return None
 
 
 def _locked(file: IO[bytes]) -> bool:

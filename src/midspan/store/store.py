@@ -16,8 +16,11 @@ import numpy as np
 
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
+from midspan.store import summary
 from midspan.store.chunk import Chunk, decode, encode, join
 from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
+from midspan.store.summary import Buckets as SummaryBuckets
+from midspan.store.summary import Drawn, is_summed
 
 SCHEMA = 1
 SITE_FILE, DAYS = "site.sqlite", "days"
@@ -42,6 +45,8 @@ DAY_TABLES = (
     "CREATE TABLE IF NOT EXISTS chunk (point TEXT NOT NULL, stream TEXT NOT NULL, t0_ns BIGINT NOT NULL, "
     "t1_ns BIGINT NOT NULL, n BIGINT NOT NULL, joined BIGINT NOT NULL, low DOUBLE PRECISION, high DOUBLE PRECISION, "
     "calibration BIGINT NOT NULL, body {blob} NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS summary (point TEXT NOT NULL, stream TEXT NOT NULL, t0_ns BIGINT NOT NULL, "
+    "body {blob} NOT NULL, PRIMARY KEY (point, stream, t0_ns))",
     # Histories read this index alone, never the bodies.
     "CREATE INDEX IF NOT EXISTS chunk_place ON chunk (point, stream, t0_ns, t1_ns, n, low, high)",
 )
@@ -60,7 +65,7 @@ class Batch:
 class StoredCalibration:
     """A point's calibration: its number, when it was made (ns UTC), its state and its JSON text.
 
-    state: "in force", "offered" or "retired". settings: of the point's recordings then, as JSON.
+    state: "in force", "offered", "refused" or "retired". settings: of the point's recordings then, as JSON.
     """
 
     point: str
@@ -158,8 +163,18 @@ class Store:
             # What was made by another calibration stays a chunk of its own.
             for number in dict.fromkeys(one.calibration for one in pieces):
                 _insert(database, join([one for one in pieces if one.calibration == number]), joined=True)
+            if is_summed(piece):
+                self._sum_up(database, pieces, begin_ns)
             if piece.shown:
                 self._raise(database, piece.point, piece.stream, begin_ns)
+
+    def _sum_up(self, database: Database, pieces: list[Chunk], slot_ns: int) -> None:
+        """Keep the seconds of a slot."""
+        database.execute(
+            "INSERT INTO summary VALUES (?, ?, ?, ?) ON CONFLICT (point, stream, t0_ns) "
+            "DO UPDATE SET body = excluded.body",
+            (pieces[0].point, pieces[0].stream, slot_ns, summary.encode(pieces, slot_ns)),
+        )
 
     def _raise(self, database: Database, point: str, stream: str, slot_ns: int) -> None:
         """Make the pyramid's spans above a slot anew, from what is below each: right however often it is done."""
@@ -196,6 +211,17 @@ class Store:
         with self._site.transaction():
             self._put_in_force(point, number)
 
+    def refuse(self, point: str, number: int) -> bool:
+        """Refuse an offered calibration; whether there was such a one."""
+        with self._site.transaction():
+            place = (point, number)
+            sql = "SELECT 1 FROM calibration WHERE point = ? AND number = ? AND state = 'offered'"
+            found = bool(self._site.execute(sql, place))
+            self._site.execute(
+                "UPDATE calibration SET state = 'refused' WHERE point = ? AND number = ? AND state = 'offered'", place
+            )
+        return found
+
     def _put_in_force(self, point: str, number: int) -> None:
         self._site.execute("UPDATE calibration SET state = 'retired' WHERE point = ? AND state = 'in force'", (point,))
         self._site.execute("UPDATE calibration SET state = 'in force' WHERE point = ? AND number = ?", (point, number))
@@ -209,6 +235,8 @@ class Store:
         shown = self._site.execute("SELECT DISTINCT stream FROM pyramid WHERE point = ?", (point,))
         for database in self._days.all():
             database.execute("DELETE FROM chunk WHERE point = ? AND t0_ns >= ?", (point, time_ns))
+            since_ns = _floor(time_ns, CHUNK_S)
+            database.execute("DELETE FROM summary WHERE point = ? AND t0_ns >= ?", (point, since_ns))
         self._newest.clear()
         with self._site.transaction():
             self._site.execute("DELETE FROM event WHERE point = ? AND time_ns >= ?", (point, time_ns))
@@ -228,6 +256,21 @@ class Store:
         for database in self._days.all():
             rows += database.execute("SELECT DISTINCT point FROM chunk")
         return sorted({str(row[0]) for row in rows})
+
+    def has_point(self, point: str) -> bool:
+        """Whether anything of a point is kept."""
+        for table in ("pyramid", "calibration", "event"):
+            if self._site.execute(f"SELECT 1 FROM {table} WHERE point = ? LIMIT 1", (point,)):
+                return True
+        sql = "SELECT 1 FROM chunk WHERE point = ? LIMIT 1"
+        return any(database.execute(sql, (point,)) for database in self._days.all(newest_first=True))
+
+    def count(self, point: str, stream: str, first_ns: int, last_ns: int) -> int:
+        """How many rows the chunks have that reach into a time: as many as it has, or some seconds' more."""
+        sql = "SELECT SUM(n) FROM chunk WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns <= ? AND t1_ns >= ?"
+        place = (point, stream, first_ns - round(CHUNK_S * NANOSECONDS), last_ns, first_ns)
+        days = self._days.between(first_ns // DAY_NS, last_ns // DAY_NS)
+        return sum(int(day.execute(sql, place)[0][0] or 0) for day in days)
 
     def streams(self, point: str) -> list[str]:
         """The names of a point's streams, sorted."""
@@ -280,6 +323,39 @@ class Store:
         np.minimum.at(low, number, lows)
         np.maximum.at(high, number, highs)
         return Buckets(begin_ns, np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan))
+
+    def drawn(self, point: str, stream: str, edges: Nanoseconds, shown: str) -> Drawn:
+        """The figures of a column in buckets between edges (n + 1,) in ns: of seconds where all buckets are as long,
+        of rows where they are shorter, and where no seconds are kept.
+        """
+        found, first_ns, last_ns = SummaryBuckets(edges), int(edges[0]), int(edges[-1]) - 1
+        if len(edges) > 1 and int(np.diff(edges).min()) >= NANOSECONDS:
+            for day in self._days.between(first_ns // DAY_NS, last_ns // DAY_NS):
+                self._draw_day(day, (point, stream, first_ns, last_ns), found, shown)
+            return found.figures
+        for chunk in self.chunks(point, stream, first_ns, last_ns):
+            found.add_rows(chunk, shown)
+        return found.figures
+
+    def _draw_day(self, day: Database, place: tuple[str, str, int, int], found: SummaryBuckets, shown: str) -> None:
+        point, stream, first_ns, last_ns = place
+        reach_ns = round(CHUNK_S * NANOSECONDS)
+        sql = (
+            "SELECT t0_ns, body FROM summary WHERE point = ? AND stream = ? AND t0_ns > ? AND t0_ns <= ? ORDER BY t0_ns"
+        )
+        has_seconds = day.has_table("summary")
+        rows = day.execute(sql, (point, stream, first_ns - reach_ns, last_ns)) if has_seconds else []
+        if rows:
+            found.add_seconds(summary.decode([(int(t0_ns), bytes(body)) for t0_ns, body in rows]))
+        summed = {int(row[0]) for row in rows}
+        sql = "SELECT t0_ns FROM chunk WHERE point = ? AND stream = ? AND t0_ns > ? AND t0_ns <= ?"
+        kept = day.execute(sql, (point, stream, first_ns - reach_ns, last_ns))
+        missing = [int(row[0]) for row in kept if _floor(int(row[0]), CHUNK_S) not in summed]
+        sql = "SELECT calibration, body FROM chunk WHERE point = ? AND stream = ? AND t0_ns = ?"
+        for t0_ns in dict.fromkeys(missing):
+            for number, body in day.execute(sql, (point, stream, t0_ns)):
+                chunk = decode(bytes(body), point, stream, number)
+                found.add_rows(chunk.rows((chunk.time_ns >= first_ns) & (chunk.time_ns <= last_ns)), shown)
 
     def _spans(
         self, point: str, stream: str, first_ns: int, last_ns: int, level: int | None
@@ -404,7 +480,8 @@ class OneDatabase(Days):
 
     def forget_before(self, day: int) -> None:
         """Remove the chunks of the days before."""
-        self._database.execute("DELETE FROM chunk WHERE t0_ns < ?", (day * DAY_NS,))
+        for table in ("chunk", "summary"):
+            self._database.execute(f"DELETE FROM {table} WHERE t0_ns < ?", (day * DAY_NS,))
 
     def close(self) -> None:
         """The connection is the site's."""

@@ -1,0 +1,75 @@
+"""The text of /metrics (Prometheus)."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from midspan._version import __version__
+from midspan.engine.point import PointStatus
+from midspan.serve.serving import Serving
+
+COUNTS = {
+    "records": "Records that came.",
+    "faults": "Records that could not be used.",
+    "skipped": "Frames that were skipped because the engine did not keep up.",
+}
+LABELS = ["point", "source"]
+
+
+class _Figures:
+    """A collector of the newest state."""
+
+    def __init__(self, serving: Serving) -> None:
+        self._serving = serving
+
+    def collect(self) -> Iterator[Any]:
+        """All figures."""
+        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
+
+        serving, state = self._serving, self._serving.link.state
+        yield InfoMetricFamily("midspan_build", "The version.", {"version": __version__})
+        ready = serving.standing()["ready"]
+        yield GaugeMetricFamily("midspan_ready", "1 where /readyz answers 200.", float(ready))
+        silent_s = serving.link.silent_s
+        yield GaugeMetricFamily("midspan_engine_age_seconds", "Since the engine was heard.", min(silent_s, 1e9))
+        yield GaugeMetricFamily("midspan_viewers", "Viewers of live rows.", float(serving.live.viewers))
+        yield CounterMetricFamily("midspan_viewers_dropped", "Viewers that did not keep up.", serving.live.dropped)
+        if state:
+            yield from _of_points(state["points"])
+            store = state.get("store", {})
+            yield GaugeMetricFamily("midspan_store_waiting", "Batches that wait.", float(store.get("waiting", 0)))
+            yield CounterMetricFamily("midspan_store_dropped", "Batches that were lost.", store.get("dropped", 0))
+
+
+def _of_points(points: list[dict[str, Any]]) -> Iterator[Any]:
+    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+    counts: dict[str, Any] = {
+        key: CounterMetricFamily(f"midspan_source_{key}", text, labels=LABELS) for key, text in COUNTS.items()
+    }
+    age = GaugeMetricFamily("midspan_source_age_seconds", "Time since the newest record.", labels=LABELS)
+    of_a_point = f"{', '.join(f'{one.value} {one.name.lower()}' for one in PointStatus)}."
+    status = GaugeMetricFamily("midspan_point_status", of_a_point, labels=["point"])
+    row_age = GaugeMetricFamily("midspan_point_rows_age_seconds", "Time since the newest row.", labels=["point"])
+    sigma = GaugeMetricFamily("midspan_point_std_mm", "Standard deviation of the newest row.", labels=["point"])
+    for point in points:
+        name = point["point"]
+        status.add_metric([name], PointStatus[point["status"].upper()].value)
+        for gauge, key in ((row_age, "rows_age_s"), (sigma, "sigma_mm")):
+            if point.get(key) is not None:
+                gauge.add_metric([name], point[key])
+        for source in point["sources"]:
+            for key, family in counts.items():
+                family.add_metric([name, source["source"]], source[key])
+            if source["age_s"] is not None:
+                age.add_metric([name, source["source"]], source["age_s"])
+    yield from (status, row_age, sigma, age, *counts.values())
+
+
+def figures(serving: Serving) -> str:
+    """The text of /metrics: of the site, and of this server's process."""
+    from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+
+    registry = CollectorRegistry()
+    registry.register(_Figures(serving))
+    ProcessCollector(registry=registry)
+    return str(generate_latest(registry).decode())

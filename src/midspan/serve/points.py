@@ -1,0 +1,231 @@
+"""Points: how they stand, their rows, events, spectra and calibrations."""
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import FileResponse, JSONResponse
+from pydantic import BaseModel, Field
+from starlette.background import BackgroundTask
+
+from midspan.records import NANOSECONDS
+from midspan.serve import reading
+from midspan.serve.instants import From, To, span_ns
+from midspan.serve.login import OPERATE, READ
+from midspan.serve.problems import Problem, declared
+from midspan.serve.serving import Serving, Shared
+from midspan.service.live_socket import Tree
+from midspan.service.reasons import sentence
+
+# What a file of rows may take, s, and how many are made at a time.
+EXPORT_S = 900.0
+# Buckets of up to this time take a thread a tenth of a second.
+QUICK_S = 2 * 86_400.0
+Numbers = list[float | None]
+ARROW = "application/vnd.apache.arrow.stream"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+FILES = {
+    "csv": "text/csv",
+    "parquet": "application/vnd.apache.parquet",
+    "h5": "application/x-hdf5",
+    "mat": "application/x-matlab-data",
+    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+    "mseed": "application/vnd.fdsn.mseed",
+    "tdms": "application/octet-stream",
+    "uff": "application/octet-stream",
+}
+Format = Literal["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"]
+
+
+class PointState(BaseModel):
+    """How a point stands: its newest row, with its age, and why there is none that can be relied on."""
+
+    name: str
+    status: str | None = Field(description="tracking, coasting, lost, warming or calibrating; null without any row")
+    reason: str = Field(description="a reason code; empty where all is well")
+    text: str
+    displacement_mm: float | None
+    displacement_std_mm: float | None
+    time: str | None = Field(description="of the newest row, ISO 8601 UTC")
+    age_s: float | None
+    calibration: int | None = None
+
+
+class Series(BaseModel):
+    """Rows, one list for each of the result's columns, or buckets; `time` in ns UTC. A second axis adds columns."""
+
+    model_config = {"extra": "allow"}
+    time: list[int]
+
+
+class EventBody(BaseModel):
+    """An event as it was stored."""
+
+    time: str
+    time_ns: int
+    kind: str
+    text: str
+
+
+class CalibrationBody(BaseModel):
+    """A calibration of the store; state: in force, offered, refused or retired."""
+
+    id: int
+    time: str
+    state: str
+    calibration: dict[str, Any]
+
+
+class SpectrumBody(BaseModel):
+    """One-sided power spectral density, and natural frequencies; `reason` says why there are none."""
+
+    frequency_hz: Numbers
+    density_mm2_hz: Numbers
+    segment_s: float | None
+    modes: list[dict[str, Any]]
+    reason: str
+
+
+class Done(BaseModel):
+    """What a command did, in a sentence."""
+
+    text: str
+
+
+routes = APIRouter(prefix="/points", tags=["points"])
+OF_A_POINT = declared(401, 403, 404, 422)
+COMMANDED = declared(401, 403, 404, 409, 422)
+
+
+@routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403))
+async def points(serving: Shared) -> list[Tree]:
+    """All points of the site."""
+    return [await point_state(serving, name) for name in await serving.points()]
+
+
+@routes.get("/{name}", response_model=PointState, dependencies=READ, responses=OF_A_POINT)
+async def point(name: str, serving: Shared) -> Tree:
+    """One point."""
+    await serving.require_point(name)
+    return await point_state(serving, name)
+
+
+@routes.get(
+    "/{name}/series", response_model=Series, dependencies=READ,
+    responses={**OF_A_POINT, 200: {"content": {ARROW: BINARY}}},
+)  # fmt: skip
+async def series(
+    name: str,
+    serving: Shared,
+    begin: From = None,
+    to: To = None,
+    buckets: Annotated[int | None, Query(ge=1, le=reading.MAX_BUCKETS)] = None,
+    format: Literal["json", "arrow"] = "json",
+) -> Response:
+    """Rows, or least, largest and mean of equal buckets: a peak keeps its height, a gap is null."""
+    await serving.require_point(name)
+    span = span_ns(begin, to)
+    if buckets is not None:
+        if format == "arrow":
+            raise Problem(422, "format: must be json with buckets; arrow is for rows. Leave one of them out.")
+        if span[1] - span[0] < buckets:
+            raise Problem(422, "buckets: must be at least 1 ns long. Ask for fewer.")
+        worker = serving.quick if span[1] - span[0] <= QUICK_S * NANOSECONDS else serving.long
+        return JSONResponse(await worker.run(reading.buckets, serving.where, name, *span, buckets))
+    work = reading.series_json if format == "json" else reading.series_arrow
+    body = await serving.long.run(work, serving.where, name, *span)
+    return Response(body, media_type="application/json" if format == "json" else ARROW)
+
+
+@routes.get(
+    "/{name}/export", dependencies=READ, response_class=FileResponse,
+    responses={**OF_A_POINT, 200: {"content": dict.fromkeys(FILES.values(), BINARY)}},
+)  # fmt: skip
+async def export(name: str, serving: Shared, begin: From = None, to: To = None, format: Format = "csv") -> FileResponse:
+    """Every row, as the file that `midspan export` writes; times are UTC."""
+    await serving.require_point(name)
+    span = span_ns(begin, to)
+    if serving.exporting.locked():
+        raise Problem(503, "Another file is being made. Try again in some seconds.", headers={"Retry-After": "5"})
+    async with serving.exporting:
+        folder = tempfile.TemporaryDirectory(prefix="midspan-export-")
+        file = Path(folder.name) / f"{name}.{format}"
+        try:
+            await serving.files.run(reading.export, serving.where, name, span, str(file), longest_s=EXPORT_S)
+        except BaseException:
+            folder.cleanup()
+            raise
+    return FileResponse(file, media_type=FILES[format], filename=file.name, background=BackgroundTask(folder.cleanup))
+
+
+@routes.get("/{name}/events", response_model=list[EventBody], dependencies=READ, responses=OF_A_POINT)
+async def events(name: str, serving: Shared, begin: From = None, to: To = None) -> list[Tree]:
+    """The newest 1000 events of a time (left out: of a day), in its order."""
+    await serving.require_point(name)
+    return await serving.quick.run(reading.events, serving.where, name, *span_ns(begin, to, 86_400.0))
+
+
+@routes.get("/{name}/spectrum", response_model=SpectrumBody, dependencies=READ, responses=OF_A_POINT)
+async def spectrum(name: str, serving: Shared, begin: From = None, to: To = None) -> Tree:
+    """Spectrum and natural frequencies of the rows of a time."""
+    await serving.require_point(name)
+    return await serving.long.run(reading.spectrum_of, serving.where, name, *span_ns(begin, to))
+
+
+@routes.get("/{name}/calibrations", response_model=list[CalibrationBody], dependencies=READ, responses=OF_A_POINT)
+async def calibrations(name: str, serving: Shared) -> list[Tree]:
+    """All calibrations of a point that the store has."""
+    await serving.require_point(name)
+    return await serving.quick.run(reading.calibrations, serving.where, name)
+
+
+@routes.post(
+    "/{name}/calibrate", response_model=Done, status_code=202, dependencies=OPERATE, responses=COMMANDED
+)  # fmt: skip
+async def calibrate(name: str, serving: Shared) -> Done:
+    """Calibrate a point again; its rows go on meanwhile."""
+    await serving.require_point(name)
+    answer, _ = await serving.link.ask("calibrate", point=name)
+    return Done(text=str(answer["text"]))
+
+
+@routes.post("/{name}/calibrations/{number}/accept", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
+async def accept(name: str, number: int, serving: Shared) -> Done:
+    """Put an offered calibration in force."""
+    return await _decided(serving, "accept", name, number)
+
+
+@routes.post("/{name}/calibrations/{number}/refuse", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
+async def refuse(name: str, number: int, serving: Shared) -> Done:
+    """Refuse an offered calibration; the one in force stays."""
+    return await _decided(serving, "refuse", name, number)
+
+
+async def _decided(serving: Serving, command: str, name: str, number: int) -> Done:
+    await serving.require_point(name)
+    kept = await serving.quick.run(reading.calibrations, serving.where, name)
+    if number not in [one["id"] for one in kept]:
+        raise Problem(404, f"{name} has no calibration {number}. GET its calibrations for those that it has.")
+    answer, _ = await serving.link.ask(command, point=name, number=number)
+    return Done(text=str(answer["text"]))
+
+
+async def point_state(serving: Serving, name: str) -> Tree:
+    """A point as `PointState` has it: of the rows that came last, else of the store's newest."""
+    reason = serving.link.reason
+    state: Tree = next((one for one in serving.link.state.get("points", []) if one["point"] == name), {})
+    known, now_s = await serving.newest(name), time.time()
+    time_ns = known.get("time_ns")
+    return {
+        "name": name,
+        "status": known.get("status") if reason or not state else state["status"],
+        "reason": reason or state.get("reason") or state.get("notice", ""),
+        "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
+        "displacement_mm": known.get("displacement_mm"),
+        "displacement_std_mm": known.get("displacement_std_mm"),
+        "time": None if time_ns is None else reading.iso(time_ns),
+        "age_s": None if time_ns is None else reading.age_s(time_ns, now_s),
+        "calibration": state.get("calibration"),
+    }

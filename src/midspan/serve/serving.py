@@ -1,0 +1,199 @@
+"""What the routes of the server share: the store, who has access, the engine, the rows that come, and workers."""
+
+import asyncio
+import ctypes
+import functools
+import multiprocessing
+import signal
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from midspan.serve import reading
+from midspan.serve.access import Access
+from midspan.serve.attempts import Attempts
+from midspan.serve.engine_link import EngineLink
+from midspan.serve.problems import Problem
+from midspan.serve.viewers import LiveRows
+from midspan.service.live_socket import Tree, of_ready
+from midspan.service.places import place_of
+from midspan.service.reasons import sentence
+from midspan.store.database import StoreFault
+
+Found = TypeVar("Found")
+
+# Points of a store that nothing measures, and their newest rows, are looked for so often, s.
+POINTS_S, NEWEST_S = 30.0, 5.0
+# Requests that wait for a worker at most, and how long: more are turned away.
+MAX_WAITING, LONGEST_S = 16, 60.0
+
+
+class Worker:
+    """One thing at a time, in a thread or a process; what is too much to wait is refused."""
+
+    def __init__(self, make: Callable[[], Executor]) -> None:
+        self._make, self._waiting = make, 0
+        self._executor: Executor | None = None
+
+    async def run(self, work: Callable[..., Found], *arguments: Any, longest_s: float = LONGEST_S) -> Found:
+        """What a function gives. Raises what it does, and Problem where there is too much to do."""
+        if self._waiting >= MAX_WAITING:
+            raise Problem(503, "Too many requests wait for the store. Try again in some seconds.", headers=RETRY)
+        if self._executor is None:
+            self._executor = self._make()
+        self._waiting += 1
+        try:
+            call = functools.partial(work, *arguments)
+            future = asyncio.get_running_loop().run_in_executor(self._executor, call)
+            return await asyncio.wait_for(future, longest_s)
+        except TimeoutError:
+            text = f"This lasted longer than {longest_s:g} s. Ask for a shorter time."
+            raise Problem(503, text, headers=RETRY) from None
+        except BrokenProcessPool:
+            # Ended from outside, as where memory runs out.
+            self._executor = None
+            raise Problem(503, "The worker ended. Try again, for a shorter time.", headers=RETRY) from None
+        finally:
+            self._waiting -= 1
+
+    def close(self) -> None:
+        """End it, without what it does at present."""
+        if isinstance(self._executor, ProcessPoolExecutor):
+            for process in list((self._executor._processes or {}).values()):
+                process.kill()
+        if self._executor is not None:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+RETRY = {"Retry-After": "5"}
+
+
+def thread() -> Executor:
+    """For what takes milliseconds."""
+    return ThreadPoolExecutor(2, thread_name_prefix="store")
+
+
+def process() -> Executor:
+    """For what takes longer, whose memory and time are not the server's."""
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
+
+
+# Of a machine without memory left the kernel ends this process first, never one that measures.
+FIRST_TO_END = "1000"
+PR_SET_PDEATHSIG = 1
+
+
+def _begin_worker() -> None:
+    """A worker ends with the server, however that ends, and not by Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        with suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END)
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+@dataclass(slots=True)
+class Serving:
+    """where: the store; site_file: SITE.toml, None where only the engine, if any, knows it; secure: TLS."""
+
+    where: str
+    site_file: Path | None = None
+    secure: bool = False
+    attempts: Attempts = field(default_factory=Attempts)
+    # The newest picture of each camera, when it came (s), and who waits for another.
+    pictures: dict[str, tuple[float, Tree, bytes]] = field(default_factory=dict)
+    looking: dict[str, asyncio.Lock] = field(default_factory=dict)
+    # One change of the settings, and one file of rows, at a time.
+    changing: asyncio.Lock = field(default_factory=asyncio.Lock)
+    exporting: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
+    access: Access = field(init=False)
+    link: EngineLink = field(init=False)
+    live: LiveRows = field(default_factory=LiveRows)
+    quick: Worker = field(default_factory=lambda: Worker(thread))
+    long: Worker = field(default_factory=lambda: Worker(process))
+    files: Worker = field(default_factory=lambda: Worker(process))
+    hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
+    _points: tuple[float, list[str]] = (-POINTS_S, [])
+    _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        folder = place_of(self.where)
+        self.access = Access(folder)
+        self.link = EngineLink(folder, self._came)
+
+    def _came(self, head: Tree, body: bytes) -> None:
+        if head["kind"] == "rows":
+            self.live.came(str(head["point"]), body)
+        elif head["kind"] in ("event", "alarm"):
+            self.live.tell({"type": head["kind"], **{key: value for key, value in head.items() if key != "kind"}})
+
+    @property
+    def settings_file(self) -> Path | None:
+        """The site's file, where one is known."""
+        named = self.link.hello.get("site_file")
+        return self.site_file or (Path(named) if named else None)
+
+    async def points(self) -> list[str]:
+        """The names of all points: those that are measured, or those that the store has rows of."""
+        if self.link.state:
+            return [str(one["point"]) for one in self.link.state["points"]]
+        then_s, names = self._points
+        if time.monotonic() - then_s > POINTS_S:
+            names = await self.quick.run(reading.known_points, self.where)
+            self._points = (time.monotonic(), names)
+        return names
+
+    async def require_point(self, name: str) -> None:
+        """Raises Problem for a name that is no point's."""
+        if name in await self.points() or await self.quick.run(reading.has_point, self.where, name):
+            return
+        raise Problem(404, f"{name}: is no point of this site. GET /api/v1/points names them.")
+
+    async def newest(self, name: str) -> Tree:
+        """A point's newest row: one that came, else one that is kept; empty without any."""
+        if (came := self.live.newest.get(name)) is not None:
+            return came
+        then_s, kept = self._newest.get(name, (-POINTS_S, {}))
+        if time.monotonic() - then_s > NEWEST_S:
+            # A store that is away, or not yet made, is no reason not to say how the point stands.
+            with suppress(StoreFault):
+                kept = await self.quick.run(reading.newest, self.where, name)
+            self._newest[name] = (time.monotonic(), kept)
+        return kept
+
+    def standing(self) -> Tree:
+        """As /readyz shows it: of the newest state, or why there is none."""
+        reason = self.link.reason
+        if not reason and self.link.state:
+            points = [of_ready(one) for one in self.link.state["points"]]
+            return {**{key: self.link.state[key] for key in ("ready", "sources", "settings")}, "points": points}
+        reason = reason or "starting"
+        source = {"point": "", "source": "engine", "reason": reason, "text": sentence(reason)}
+        old = self.link.state or {"points": [], "sources": [], "settings": None}
+        kept = [one for one in old["sources"] if one["source"] != "engine"] if reason == "engine_silent" else []
+        points = [of_ready(one) for one in old["points"]] if reason == "engine_silent" else []
+        return {"ready": False, "points": points, "sources": [source, *kept], "settings": old["settings"]}
+
+    def close(self) -> None:
+        """End the workers."""
+        for worker in (self.quick, self.long, self.files, self.hashing):
+            worker.close()
+
+
+def serving_of(connection: HTTPConnection) -> Serving:
+    """What a request's application shares."""
+    serving: Serving = connection.app.state.serving
+    return serving
+
+
+Shared = Annotated[Serving, Depends(serving_of)]
+"""A parameter of routes that need it."""

@@ -1,0 +1,110 @@
+"""SITE.toml as text: read, checked and written by one after another."""
+
+import hashlib
+import os
+import stat
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request, Response
+from fastapi.responses import PlainTextResponse
+from pydantic import BaseModel
+
+from midspan.errors import MidspanError
+from midspan.serve.engine_link import AwayError
+from midspan.serve.login import ADMIN
+from midspan.serve.problems import Problem, declared
+from midspan.serve.serving import Serving, Shared
+from midspan.service.settings_fault import SettingsFault
+from midspan.settings.site import load_site, require_folders
+from midspan.writing import write_whole
+
+TEXT = {"text/plain": {"schema": {"type": "string"}}}
+
+
+class SettingsDone(BaseModel):
+    """What became of new settings; restart: keys that hold only once `midspan run` is started again."""
+
+    text: str
+    restart: list[str]
+
+
+def tag_of(content: bytes) -> str:
+    """The ETag of a file's content."""
+    return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+
+
+def require_valid(file: Path, content: bytes) -> None:
+    """Raises Problem 422 with the key for settings that a site could not run with."""
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise Problem(422, f"{file.name}: must be UTF-8; byte {error.start} is not.") from None
+    # In the same folder, which paths are relative to.
+    descriptor, name = tempfile.mkstemp(prefix=".SITE-", suffix=".toml", dir=file.parent)
+    try:
+        with os.fdopen(descriptor, "wb") as trial:
+            trial.write(content)
+        require_folders(load_site(name))
+    except MidspanError as error:
+        fault = SettingsFault.of(str(error).replace(name, str(file)))
+        raise Problem(422, fault.text, file=fault.file, key=fault.key) from None
+    finally:
+        os.unlink(name)
+
+
+routes = APIRouter(prefix="/settings", tags=["settings"])
+
+
+def file_of(serving: Serving) -> Path:
+    """The site's file. Raises Problem where there is none."""
+    file = serving.settings_file
+    if file is None or not file.is_file():
+        raise Problem(404, "No SITE.toml belongs to this store here: no `midspan run` has begun on it.")
+    return file
+
+
+@routes.get(
+    "", dependencies=ADMIN, response_class=PlainTextResponse,
+    responses={**declared(401, 403, 404), 200: {"content": TEXT}},
+)  # fmt: skip
+async def settings(serving: Shared) -> PlainTextResponse:
+    """SITE.toml as text; its ETag is what a change is sent with."""
+    content = file_of(serving).read_bytes()
+    return PlainTextResponse(content, headers={"ETag": tag_of(content)})
+
+
+@routes.put(
+    "", response_model=SettingsDone, dependencies=ADMIN, responses=declared(401, 403, 404, 412, 413, 415, 422, 428),
+    openapi_extra={"requestBody": {"required": True, "content": TEXT}},
+)  # fmt: skip
+async def change(
+    request: Request,
+    response: Response,
+    serving: Shared,
+    if_match: Annotated[str | None, Header(max_length=200)] = None,
+) -> SettingsDone:
+    """Check new settings and put them in force; the measuring begins anew with them."""
+    if if_match is None:
+        raise Problem(428, "If-Match: send the ETag of GET /api/v1/settings that the change was made from.")
+    kind = request.headers.get("content-type", "text/plain").partition(";")[0].strip().lower()
+    if kind not in ("text/plain", "application/toml"):
+        raise Problem(415, "Content-Type: must be text/plain or application/toml.")
+    content = await request.body()
+    if not content.strip():
+        raise Problem(422, "The content is empty. Send SITE.toml as text.")
+    async with serving.changing:
+        file = file_of(serving)
+        before = tag_of(file.read_bytes())
+        if if_match.strip() not in (before, "*"):
+            text = "Somebody else changed the settings meanwhile. GET them again, and change those."
+            raise Problem(412, text, headers={"ETag": before})
+        await serving.quick.run(require_valid, file, content)
+        write_whole(file, content, mode=stat.S_IMODE(file.stat().st_mode))
+    response.headers["ETag"] = tag_of(content)
+    try:
+        answer, _ = await serving.link.ask("reload")
+    except AwayError:
+        return SettingsDone(text="Written. They hold once `midspan run` is started.", restart=[])
+    return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]))

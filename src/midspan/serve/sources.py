@@ -1,0 +1,101 @@
+"""Sources: how each stream stands, its picture, pauses."""
+
+import asyncio
+import time
+from typing import Annotated
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from midspan.serve.login import OPERATE, READ
+from midspan.serve.points import Done
+from midspan.serve.problems import Problem, declared
+from midspan.serve.serving import Serving, Shared
+from midspan.service.live_socket import Tree
+
+# A picture is shown to all who ask within this time, s.
+PICTURE_S = 0.5
+
+
+class SourceState(BaseModel):
+    """How a stream stands; `name` is POINT.KIND, or of several of a kind POINT.NAME."""
+
+    name: str
+    point: str
+    source: str
+    reason: str = Field(description="a reason code; empty where all is well")
+    text: str
+    age_s: float | None
+    records: int
+    faults: int
+    skipped: int
+    stamps: str
+    address: str
+    rate_hz: float | None = Field(None, description="records (frames, or blocks of values) a second")
+
+
+class Pause(BaseModel):
+    """Why a source is paused, as everybody sees it."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+PICTURE_HEADERS = {"X-Midspan-Time": "time_ns", "X-Midspan-Width": "width", "X-Midspan-Height": "height"}
+"""Of a picture: when it was taken (ns UTC), and the size of the frame, which regions count in, px."""
+
+routes = APIRouter(prefix="/sources", tags=["sources"])
+COMMANDED = declared(401, 403, 404, 409, 413, 415, 422)
+
+
+def known(serving: Serving) -> list[Tree]:
+    """The streams of the newest state, with their names."""
+    points = serving.link.state.get("points", [])
+    return [{**source, "name": f"{one['point']}.{source['source']}"} for one in points for source in one["sources"]]
+
+
+def require_source(serving: Serving, name: str) -> None:
+    """Raises Problem for a name that is no source's."""
+    if name not in [one["name"] for one in known(serving)]:
+        raise Problem(404, f"{name}: is no source of this site. GET /api/v1/sources names them, as POINT.KIND.")
+
+
+@routes.get("", response_model=list[SourceState], dependencies=READ, responses=declared(401, 403))
+async def sources(serving: Shared) -> list[Tree]:
+    """All streams of the site; none where no process measures."""
+    return known(serving)
+
+
+@routes.get(
+    "/{name}/picture", dependencies=READ, response_class=Response,
+    responses={
+        **declared(401, 403, 404, 409, 422),
+        200: {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+)  # fmt: skip
+async def picture(name: str, serving: Shared) -> Response:
+    """A camera's newest frame, whole; there are two a second at most."""
+    require_source(serving, name)
+    async with serving.looking.setdefault(name, asyncio.Lock()):
+        taken_s, answer, body = serving.pictures.get(name, (-PICTURE_S, {}, b""))
+        if time.monotonic() - taken_s > PICTURE_S:
+            answer, body = await serving.link.ask("picture", source=name)
+            serving.pictures[name] = (time.monotonic(), answer, body)
+    headers = {key: str(answer[value]) for key, value in PICTURE_HEADERS.items()}
+    return Response(body, media_type="image/jpeg", headers=headers)
+
+
+@routes.post("/{name}/pause", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
+async def pause(name: str, wanted: Pause, serving: Shared) -> Done:
+    """Leave a source out, with a reason: what it brings is not used, and that it is away is no fault."""
+    require_source(serving, name)
+    answer, _ = await serving.link.ask("pause", source=name, reason=wanted.reason)
+    return Done(text=str(answer["text"]))
+
+
+@routes.post("/{name}/resume", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
+async def resume(name: str, serving: Shared) -> Done:
+    """Use a paused source again."""
+    require_source(serving, name)
+    answer, _ = await serving.link.ask("resume", source=name)
+    return Done(text=str(answer["text"]))

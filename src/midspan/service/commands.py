@@ -1,0 +1,127 @@
+"""The commands of the page's server, carried out on the points of a running site."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+from midspan.errors import MidspanError
+from midspan.service.calibrations import accepted, refused
+from midspan.service.camera_process import Picture
+from midspan.service.live_socket import Tree
+from midspan.service.paused import Paused
+from midspan.service.reasons import sentence
+from midspan.service.running import Running, Stream
+
+# A picture is the next frame: a camera of one frame in five seconds is a slow one.
+PICTURE_S = 6.0
+
+Answer = tuple[Tree, bytes]
+
+
+class Commands:
+    """points: of the site; paused: which sources are; tell: takes a point, the kind of an event and its text.
+
+    with_store: runs a function with a store of its own in a thread.
+    """
+
+    def __init__(
+        self,
+        points: Sequence[Running],
+        paused: Paused,
+        tell: Callable[[Running, str, str], None],
+        with_store: Callable[..., Awaitable[Any]],
+    ) -> None:
+        self._points, self._paused, self._tell, self._with_store = points, paused, tell, with_store
+        self._table: dict[str, Callable[[Tree], Awaitable[Answer]]] = {
+            "calibrate": self._calibrate,
+            "accept": self._accept,
+            "refuse": self._refuse,
+            "pause": self._pause,
+            "resume": self._resume,
+            "picture": self._picture,
+        }
+
+    async def run(self, head: Tree) -> Answer:
+        """Carry out one command. Raises MidspanError where that is not possible."""
+        command = self._table.get(str(head.get("command")))
+        if command is None:
+            raise MidspanError(f"{head.get('command')}: is no command. Commands: {', '.join(self._table)}.")
+        return await command(head)
+
+    async def _calibrate(self, head: Tree) -> Answer:
+        one = self._point(head)
+        possible, text = one.live.can_calibrate, one.live.calibrate()
+        self._tell(one, "command", text)
+        if not possible:
+            raise MidspanError(text)
+        return {"text": text}, b""
+
+    async def _accept(self, head: Tree) -> Answer:
+        one, number = self._point(head), int(head["number"])
+        if await self._with_store(accepted, one.live, str(number)) is None:
+            raise MidspanError(f"{one.name}: calibration {number} is not offered; only such a one can be accepted.")
+        one.live.calibrated(number)
+        return {"text": f"{one.name}: calibration {number} is in force."}, b""
+
+    async def _refuse(self, head: Tree) -> Answer:
+        one, number = self._point(head), int(head["number"])
+        if not await self._with_store(refused, one.live, number):
+            raise MidspanError(f"{one.name}: calibration {number} is not offered; only such a one can be refused.")
+        text = f"{one.name}: calibration {number} is refused."
+        one.live.offer_refused()
+        self._tell(one, "command", text)
+        return {"text": text}, b""
+
+    async def _pause(self, head: Tree) -> Answer:
+        one, stream = self._stream(head)
+        reason = str(head["reason"])[:200]
+        await asyncio.to_thread(self._paused.put, str(head["source"]), reason)
+        stream.paused = reason
+        text = f"{stream.sensor}: is paused: {reason}"
+        self._tell(one, "paused", text)
+        return {"text": text}, b""
+
+    async def _resume(self, head: Tree) -> Answer:
+        one, stream = self._stream(head)
+        if not stream.paused:
+            raise MidspanError(f"{head['source']}: is not paused.")
+        await asyncio.to_thread(self._paused.put, str(head["source"]), None)
+        # What it was before it was paused says nothing now.
+        stream.paused, stream.reason, stream.text, stream.heard_s = "", "starting", "", None
+        text = f"{stream.sensor}: is used again."
+        self._tell(one, "resumed", text)
+        return {"text": text}, b""
+
+    async def _picture(self, head: Tree) -> Answer:
+        one, stream = self._stream(head)
+        camera = one.cameras.get(stream.sensor)
+        if camera is None:
+            raise MidspanError(f"{head['source']}: has no picture; only cameras have.")
+        if stream.reason and not stream.paused:
+            raise MidspanError(f"{head['source']}: brings no picture. {stream.text or sentence(stream.reason)}")
+        loop = asyncio.get_running_loop()
+        coming: asyncio.Future[Picture] = loop.create_future()
+
+        def came(picture: Picture) -> None:
+            loop.call_soon_threadsafe(lambda: None if coming.done() else coming.set_result(picture))
+
+        camera.ask_picture(came)
+        try:
+            picture = await asyncio.wait_for(coming, PICTURE_S)
+        except TimeoutError:
+            raise MidspanError(f"{head['source']}: no frame came within {PICTURE_S:g} s.") from None
+        rows, columns = picture.shape
+        return {"time_ns": picture.time_ns, "width": columns, "height": rows, "now_s": time.time()}, picture.jpeg
+
+    def _point(self, head: Tree) -> Running:
+        return next((one for one in self._points if one.name == head.get("point")), None) or _no("point", head)
+
+    def _stream(self, head: Tree) -> tuple[Running, Stream]:
+        point, _, sensor = str(head.get("source")).partition(".")
+        one = next((one for one in self._points if one.name == point and sensor in one.streams), None)
+        return (one, one.streams[sensor]) if one is not None else _no("source", head)
+
+
+def _no(key: str, head: Tree) -> Any:
+    raise MidspanError(f"{head.get(key)}: is no {key} of this site.")

@@ -1,0 +1,18 @@
+"""Where a store's service has its own files: who has access, the socket of the live rows, what is paused."""
+
+import hashlib
+import os
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from midspan.store.store import is_address
+
+
+def place_of(where: str | Path) -> Path:
+    """The store's folder; of a PostgreSQL store a folder of this user, named after its address without a password."""
+    if not is_address(where):
+        return Path(where)
+    parts = urlsplit(str(where))
+    known = f"{parts.hostname}:{parts.port or 5432}{parts.path}".encode()
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return state / "midspan" / hashlib.sha256(known).hexdigest()[:16]

@@ -1,0 +1,49 @@
+"""Sources, and what the engine refuses."""
+
+import pytest
+
+
+def test_sources_say_how_they_stand(reader):
+    (one,) = reader.get("/api/v1/sources").json()
+    assert (one["name"], one["reason"], one["stamps"], one["rate_hz"]) == ("p.camera", "", "sender", 20.0)
+
+
+def test_a_picture_is_a_jpeg_with_its_time_and_size(reader, engine):
+    answer = reader.get("/api/v1/sources/p.camera/picture")
+    assert answer.headers["content-type"] == "image/jpeg"
+    assert answer.content.startswith(b"\xff\xd8")
+    assert (answer.headers["x-midspan-width"], answer.headers["x-midspan-height"]) == ("2", "3")
+    assert reader.get("/api/v1/sources/p.none/picture").status_code == 404
+
+
+def test_a_source_is_paused_with_a_reason(operator, engine):
+    wanted = {"reason": "camera <b>taken</b> down"}
+    assert operator.post("/api/v1/sources/p.camera/pause", json=wanted).status_code == 200
+    assert engine.commands[-1] == {"command": "pause", "source": "p.camera", **wanted}
+    assert operator.post("/api/v1/sources/p.camera/resume").status_code == 200
+    for wrong in ({}, {"reason": ""}, {"reason": "x" * 201}, {"reason": "x", "until": "y"}, [], "x"):
+        answer = operator.post("/api/v1/sources/p.camera/pause", json=wrong)
+        assert answer.status_code == 422, wrong
+    assert operator.post("/api/v1/sources/nobody/pause", json={"reason": "x"}).status_code == 404
+
+
+@pytest.mark.parametrize("path", ["points/p/calibrate", "points/p/calibrations/2/accept"])
+def test_what_the_engine_refuses_is_said(operator, engine, path):
+    engine.refuse = "p: is being calibrated or opened already; the command is left out."
+    try:
+        answer = operator.post(f"/api/v1/{path}")
+    finally:
+        engine.refuse = ""
+    assert answer.status_code == 409
+    assert answer.json()["detail"] == "p: is being calibrated or opened already; the command is left out."
+    assert operator.post("/api/v1/points/p/calibrations/77/accept").status_code == 404
+
+
+def test_too_much_is_not_read(operator, served):
+    answer = operator.post("/api/v1/sources/p.camera/pause", content=b'{"reason": "' + b"x" * 1_100_000)
+    assert answer.status_code == 413
+    chunks = (b"x" * 100_000 for _ in range(20))
+    answer = operator.post("/api/v1/sources/p.camera/pause", content=chunks)
+    assert answer.status_code == 413
+    assert operator.get("/api/v1/points", params={"x": "y" * 5000}).status_code == 414
+    assert operator.get("/healthz", headers={"X-Large": "x" * 100_000}).status_code in (400, 431)

@@ -1,0 +1,104 @@
+"""What the page's server asks of points and sources that run."""
+
+import asyncio
+import json
+
+import pytest
+
+from midspan.errors import MidspanError
+from midspan.service.point import Phase
+from midspan.service.run import Service
+from midspan.settings.site import load_site
+from midspan.store.store import open_store
+
+SITE = """name = "site"
+[store]
+path = "store"
+[[point]]
+name = "p"
+accept = "manual"
+[point.accelerometer]
+source = "serial:/dev/none"
+[point.displacement]
+source = "serial:/dev/none"
+"""
+
+
+@pytest.fixture
+def service(tmp_path):
+    """A service that was not begun, on a store with an offered calibration."""
+    (tmp_path / "SITE.toml").write_text(SITE)
+    store = open_store(tmp_path / "store")
+    store.add_calibration("p", 1, json.dumps({"version": 1}), "{}", accept=False)
+    store.close()
+    return Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+
+
+def asked(service, command, **values):
+    return asyncio.run(service.command({"command": command, **values}))[0]["text"]
+
+
+def states(tmp_path):
+    store = open_store(tmp_path / "store", read_only=True)
+    found = [one.state for one in store.calibrations("p")]
+    store.close()
+    return found
+
+
+def test_an_offered_calibration_is_refused_and_another_one_is_tried(service, tmp_path):
+    live = service._points[0].live
+    live.offered(1)
+    assert live.phase is Phase.OFFERED
+    assert asked(service, "refuse", point="p", number=1) == "p: calibration 1 is refused."
+    assert states(tmp_path) == ["refused"]
+    assert (live.phase, live.reason) == (Phase.CAPTURING_TO_CALIBRATE, "")
+    for command in ("refuse", "accept"):
+        with pytest.raises(MidspanError, match="calibration 1 is not offered"):
+            asked(service, command, point="p", number=1)
+
+
+def test_an_offered_calibration_comes_into_force(service, tmp_path):
+    service._points[0].live.offered(1)
+    assert asked(service, "accept", point="p", number=1) == "p: calibration 1 is in force."
+    assert states(tmp_path) == ["in force"]
+    assert service._points[0].live.phase is Phase.CAPTURING_TO_OPEN
+
+
+def test_a_pause_is_no_fault_and_outlasts_a_restart(service, tmp_path):
+    reasons = lambda one: {s["source"]: s["reason"] for s in one.state()["points"][0]["sources"]}  # noqa: E731
+    assert (
+        asked(service, "pause", source="p.displacement", reason="taken down") == "displacement: is paused: taken down"
+    )
+    again = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+    for one in (service, again):
+        assert reasons(one) == {"accelerometer": "starting", "displacement": "paused"}
+    asked(service, "pause", source="p.accelerometer", reason="taken down")
+    # Whatever is left is why the point gives no rows, and that it is being calibrated is one.
+    assert {one["reason"] for one in service.state()["sources"]} == {"paused"}
+    asked(service, "resume", source="p.displacement")
+    assert reasons(service)["displacement"] == "starting"
+    with pytest.raises(MidspanError, match="is not paused"):
+        asked(service, "resume", source="p.displacement")
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        ({"command": "calibrate", "point": "nobody"}, "is no point"),
+        ({"command": "pause", "source": "p", "reason": "x"}, "is no source"),
+        ({"command": "pause", "source": "p.camera", "reason": "x"}, "is no source"),
+        ({"command": "picture", "source": "p.displacement"}, "has no picture"),
+        ({"command": "format", "point": "p"}, "is no command"),
+    ],
+)
+def test_what_is_not_there_is_said(service, head, words):
+    with pytest.raises(MidspanError, match=words):
+        asyncio.run(service.command(head))
+
+
+def test_a_calibration_is_asked_for_once(service):
+    assert "records 60 s" in asked(service, "calibrate", point="p")
+    service._points[0].live.phase = Phase.CALIBRATING
+    service._points[0].live.job = object()
+    with pytest.raises(MidspanError, match="is being calibrated"):
+        asked(service, "calibrate", point="p")
