@@ -175,8 +175,9 @@ def calibrate_scale(
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     drift = gain_drift(search.pair, search.fit)
-    errs_with_motion = drift > 0.0 or response.accelerometer_errs
-    own, felt_alone = _own_error(search, typical, errs_with_motion=errs_with_motion)
+    own, felt_alone = _own_error(search, typical, errs_with_motion=drift > 0.0 or response.accelerometer_errs)
+    # What a mounting that resonates errs by is more than its shape.
+    felt_alone = felt_alone and Kind.RESONANCE not in response.known
     search = axis.widened(search if own is None or not own.taken else replace(search, pair=own.pair, fit=own.fit))
     fit = search.fit
     return ScaleCalibration(
