@@ -20,11 +20,13 @@ from midspan.calibration.fit import (
 )
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
+from midspan.calibration.own_error import OwnError, find_own_error
 from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
 from midspan.calibration.scale import MIN_GAIN as MIN_AGREEMENT
 from midspan.calibration.sensor_response import Exposed, LowPass, Play, find_exposure, find_low_pass
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
+from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.checks import instance
 from midspan.notices import Notice
 from midspan.records import InputNoise, TimeOffset
@@ -50,6 +52,8 @@ DRIFT_HZ = 0.2
 EXPOSURES = 3
 # The corner is raised by this factor until the sensor's noise is no more than its readings show.
 HIGHER = 1.05
+# A variance of measurements of which nothing is known, m².
+NOT_KNOWN = 1e-30
 # How well the logarithm of the corner of a motion's noise is found: far better than any record tells it.
 MOTION_TOLERANCE = 1e-5
 
@@ -88,8 +92,9 @@ class NoiseCalibration:
     metres in one metre read, where that was estimated as well: the other figures hold for readings times this factor. 1
     and 0: readings are taken as they are. noise_share: of the response to the acceleration that white noise alone would
     make; where it is large the motion tells no scale. gain: of the accelerometer relative to the sensor, where it was
-    estimated, and its relative standard deviation, else 0. slow_std_m, slow_time_s: standard deviation and correlation
-    time of the sensor's slow error; 0: its noise is white. unseen_m: how far the sensor may drift, and step, without
+    estimated, and its relative standard deviation, else 0. slow_std_m, slow_time_s, slow_hz: standard deviation,
+    correlation time and frequency (0 Hz: first-order Gauss-Markov) of the sensor's slow error; 0: its noise is white.
+    sway: an oscillation that only one of both sensors shows. unseen_m: how far the sensor may drift, and step, without
     that showing, see `SlowError`. exposure_s: time over which the sensor averages, as given or found; exposure_doubt,
     open_exposure_s, play: as of `Exposed`. direction: of the
     sensor's axis, None where the accelerometer's other axes were not recorded. warnings: sentences. low_pass: of the
@@ -111,6 +116,8 @@ class NoiseCalibration:
     gain_std: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = np.inf
+    slow_hz: float = 0.0
+    sway: OwnError | None = None
     unseen_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
     exposure_doubt: float = 1.0
@@ -123,9 +130,15 @@ class NoiseCalibration:
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
     @property
-    def slow(self) -> tuple[float, float]:
-        """Standard deviation (m) and correlation time (s) of its slow error."""
-        return self.slow_std_m, self.slow_time_s
+    def slow(self) -> tuple[float, float, float]:
+        """Standard deviation (m), correlation time (s) and frequency (Hz) of its slow error."""
+        return self.slow_std_m, self.slow_time_s, self.slow_hz
+
+    @property
+    def sway_m(self) -> float:
+        """Standard deviation (m) of an oscillation that either of both sensors may have."""
+        nobodys = self.sway is not None and not (self.sway.alone and self.sway.taken)
+        return abs(self.factor) * self.sway.std if nobodys and self.sway is not None else 0.0
 
 
 def calibrate_noise(
@@ -161,8 +174,10 @@ def calibrate_noise(
     # A wrong gain is no slow error.
     free = pair.changed(ratio=None) if gain_std > 0.0 else pair
     slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s, whole)
-    if slow.pair.slow[0] > 0.0:
-        pair = pair.changed(slow=slow.pair.slow)
+    sway = _sway(free, slow.fit) if noise_time_s is None else None
+    errs = slow.pair.slow if sway is None else sway.pair.slow if sway.taken else NO_SLOW_ERROR
+    if errs[0] > 0.0:
+        pair = pair.changed(slow=errs)
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
     estimated = _with_scale(pair, floored_fit, offset, search, max_offset_s, edge, floored=floored_fit is not fit)
@@ -170,6 +185,7 @@ def calibrate_noise(
         estimated,
         scale_std=float(np.hypot(estimated.scale_std, used.spread)),
         low_pass=low_pass,
+        sway=sway,
         unseen_m=slow.unseen,
         exposure_doubt=used.doubt,
         open_exposure_s=used.open_s,
@@ -183,6 +199,13 @@ def calibrate_noise(
         findings = replace(estimated.findings, levelled=(levelled, fit))
         estimated = replace(estimated, **levels_of(levelled, fit), findings=findings)
     return estimated if gain_std == 0.0 else _without_gain(estimated, gain_std, used.spread)
+
+
+def _sway(pair: Pair, slow: Fit) -> OwnError | None:
+    """The oscillation that one of both sensors shows alone, where it is likelier than the slow error of a fit."""
+    white = pair.changed(slow=NO_SLOW_ERROR)
+    own, _ = find_own_error(white, best_corner(white, slow.offset_s), NOT_KNOWN)
+    return own if own is not None and own.sways and own.fit.likelihood > slow.likelihood else None
 
 
 def levels_of(pair: Pair, fit: Fit, factor: float = 1.0) -> dict[str, Any]:
@@ -297,6 +320,7 @@ def _with_scale(
         drifts=local.gain < MIN_AGREEMENT and _drifts(pair, offset.value_s),
         reversed_gain=max(turned, default=-np.inf) - max(upright),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
+        slow_hz=pair.slow[2] / (2.0 * np.pi),
         exposure_s=pair.exposure_s,
         # What no white noise explains decides the ratio then.
         noise_share=np.inf if floored else noise_share(pair, local, white_noise(pair.samples[:, 1])),

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range
-from midspan.calibration.own_noise import exceeds_own_noise, most_density, narrow_motion
+from midspan.calibration.own_noise import most_density
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.notices import rounded
 from midspan.records import Floats
@@ -130,7 +130,7 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> tuple[OwnError 
     pair, fit: as calibrated without one; own_variance: what the measurements are said to vary by, of which OWN_SHARE
     is noise for certain.
     """
-    if pair.lines or (not exceeds_own_noise(pair, fit) and narrow_motion(pair, fit) == 0.0):
+    if pair.lines:
         # An accelerometer with lines is known to err itself.
         return None, False
     here, bounds = aligned(pair, fit.offset_s), (most_density(pair), OWN_SHARE * own_variance)

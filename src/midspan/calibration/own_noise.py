@@ -133,20 +133,33 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     power = np.abs(np.fft.rfft(residual - np.mean(residual)))[1:] ** 2
     if len(power) < 4 * MIN_ORDINATES or not np.any(power):
         return np.empty(0)
+    # Of the powers, which are exponentially distributed, the median is no line's.
+    power /= float(np.median(power)) / np.log(2.0)
+    count = min(int(SLOW_HZ / (pair.rate_hz / n)), len(power))
+    power /= _bias_walk(power[:count], len(power))
     starts = np.arange(0, len(power) - MIN_ORDINATES + 1, MIN_ORDINATES // 2)
     means = np.array([np.mean(power[k : k + MIN_ORDINATES]) for k in starts])
-    # Of the powers, which are exponentially distributed, the median is no line's.
-    usual = float(np.median(power)) / np.log(2.0)
-    most = usual * gammainccinv(MIN_ORDINATES, NARROW_BY_CHANCE / len(starts)) / MIN_ORDINATES
+    most = gammainccinv(MIN_ORDINATES, NARROW_BY_CHANCE / len(starts)) / MIN_ORDINATES
     index = np.unique(starts[means > most][:, None] + np.arange(MIN_ORDINATES))
     # Those that hold next to nothing, or what leaks from a line, would be fitted for their noise.
-    enough = max(STRONG * usual, LEAKED * float(np.max(power)))
+    enough = max(STRONG, LEAKED * float(np.max(power)))
     # Of slow motion each ordinate counts that is stronger than chance makes any.
-    count = min(int(SLOW_HZ / (pair.rate_hz / n)), len(power))
-    slow = np.flatnonzero(power[:count] > usual * np.log(max(count, 1) / SLOW_BY_CHANCE))
+    slow = np.flatnonzero(power[:count] > np.log(max(count, 1) / SLOW_BY_CHANCE))
     strong = sorted({*index[power[index] > enough], *slow}, key=lambda k: -power[k])[:MAX_ORDINATES]
     hertz = np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
     return hertz[away_from_lines(hertz, pair.lines)]
+
+
+def _bias_walk(slow: Floats, count: int) -> Floats:
+    """How much stronger than white noise an accelerometer may make the powers of the innovations (count,).
+
+    slow: the lowest of them, in units of the white noise. A bias walks (1/f noise, warm-up): its power is as 1/f², or
+    less steep. Nothing that a camera errs by rises so towards low frequencies: a first-order process is as f² there,
+    and a mast is a peak, of which a median takes no notice.
+    """
+    squares = np.arange(1.0, count + 1.0) ** 2
+    walk = float(np.median((slow / np.log(2.0) - 1.0) * squares[: len(slow)])) if len(slow) else 0.0
+    return np.asarray(1.0 + max(walk, 0.0) / squares)
 
 
 def _wave(time_s: Floats, shape: Callable[[Floats], Floats], hertz: float) -> Floats:

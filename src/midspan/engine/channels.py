@@ -176,6 +176,7 @@ def plain_channel(
         reverting_s=REVERTING_S,
         slow_std_m=known.slow_std_m,
         slow_time_s=known.slow_time_s,
+        slow_hz=known.slow_hz,
         exposure_s=known.exposure_s,
     )
     number = table.add(channel)

@@ -198,7 +198,7 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
-    slow_std_m, slow_time_s = GNSS_SLOW if _has_usual_slow_error(given, estimated) else estimated.slow
+    slow_std_m, slow_time_s, slow_hz = (*GNSS_SLOW, 0.0) if _has_usual_slow_error(given, estimated) else estimated.slow
     # A slow error that is in the band is not left out of it.
     drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if slow_std_m > 0.0 else estimated.unseen_m
     return DisplacementCalibration(
@@ -210,6 +210,7 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         resolution_m=resolution(estimated.factor * given.series.value),
         slow_std_m=slow_std_m,
         slow_time_s=slow_time_s,
+        slow_hz=slow_hz,
         exposure_s=estimated.exposure_s,
         apart_std_m=_lost_m(given, estimated),
         unseen_drift_m=drift_m,
@@ -225,7 +226,7 @@ def _has_usual_slow_error(given: Given, estimated: NoiseCalibration) -> bool:
 
 def _lost_m(given: Given, estimated: NoiseCalibration) -> float:
     """Motion (m, rms) that one of both may not have seen: late clocks, a logger's low-pass, an undeclared exposure."""
-    lost = [estimated.late_m]
+    lost = [estimated.late_m, estimated.sway_m]
     if estimated.low_pass is not None:
         # What it takes away altogether looks like noise of the sensor, of which no more is known than what is given.
         known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(estimated.factor)
@@ -373,7 +374,10 @@ def _lateness_warnings(given: Given, estimated: NoiseCalibration, part: Displace
 
 def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice]:
     """A sentence on a slow error that was estimated."""
-    if estimated.slow_std_m > 0.0 and given.noise_time_s is None:
+    if estimated.sway is not None:
+        size_m = abs(estimated.factor) * estimated.sway.std
+        yield Notice("motion-not-shared", estimated.sway.text("displacement", size_m))
+    elif estimated.slow_std_m > 0.0 and given.noise_time_s is None:
         yield Notice(
             "slow-error",
             f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "

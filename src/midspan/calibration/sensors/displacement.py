@@ -14,8 +14,8 @@ class DisplacementCalibration:
     scale: displacement in one unit read, which is 1 for a sensor of known unit; scale_std: its standard deviation, 0
     where it was not estimated; name: where there are several of these sensors. resolution_m: what its values, scaled,
     are rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held there:
-    such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
-    (first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that only one of the
+    such values are left out. slow_std_m, slow_time_s, slow_hz: standard deviation, correlation time and frequency of
+    its slow error (0 Hz: first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that only one of the
     two sensors may have seen (rms), which the error band holds whole. clock_rate: what is added to its stamps for each
     second since `clock_reference_s` on its own clock, before the offset, in a record that holds that instant.
     unseen_drift_m, unseen_step_m, unseen_gap_m: how far it may have drifted within 10 s, and its zero have stepped,
@@ -32,6 +32,7 @@ class DisplacementCalibration:
     high_m: float = math.inf
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
+    slow_hz: float = 0.0
     exposure_s: float = 0.0
     apart_std_m: float = 0.0
     clock_rate: float = 0.0

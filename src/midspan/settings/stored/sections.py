@@ -544,6 +544,7 @@ class StoredDisplacement(StoredSensor):
     high_m: NumberOrInf = math.inf
     slow_std_mm: Std = 0.0
     slow_time_s: StdOrInf = math.inf
+    slow_hz: Std = 0.0
     exposure_s: Duration = 0.0
     apart_std_mm: Std = 0.0
     scale: Factor = 1.0
