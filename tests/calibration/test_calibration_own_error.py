@@ -7,6 +7,8 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 
 from midspan.calibration.fit import Pair
+from midspan.calibration.noise import calibrate_noise
+from midspan.calibration.own_noise import contradiction
 from midspan.calibration.scale import calibrate_scale
 
 
@@ -80,3 +82,45 @@ def test_an_error_that_is_smooth_over_some_frames_has_its_size(lasts_s):
         assert found.own is not None
         # Half a minute holds ten of its times at most.
         assert 0.5 < found.own.std / 0.4 < 2.5
+
+
+def measured(seed, size_m, **kind):
+    """A displacement sensor (0.4 mm) with an error of so many m rms, beside the same structure."""
+    pair = observed(broadband(seed), seed, noise_px=0.4e-3, scale=1.0, offset_s=0.0)
+    rows = pair.rows.copy()
+    rows[:, 1] += size_m * course(seed, rows[:, 0], **kind)
+    rows[:, 2] = 1.0
+    return Pair(pair.samples, rows)
+
+
+@pytest.mark.parametrize("hertz", [0.2, 0.5])
+def test_a_displacement_sensor_that_nods_on_its_mast_is_found(hertz):
+    for seed in range(2):
+        found = calibrate_noise(measured(seed, 1.5e-3, rate=0.02 * hertz, omega=2.0 * np.pi * hertz), 0.0)
+        assert found.sway is not None
+        assert found.sway.hertz == pytest.approx(hertz, rel=0.1)
+        # As many oscillations as a minute holds tell its size to a half.
+        assert found.sway.std == pytest.approx(1.5e-3, rel=0.5)
+
+
+def test_a_clean_displacement_sensor_does_not_nod():
+    assert all(calibrate_noise(measured(seed, 0.0, rate=1.0, omega=0.0), 0.0).sway is None for seed in range(4))
+
+
+def test_air_that_shimmers_less_than_the_accelerometer_notices_is_found():
+    # 0.1 px over 4 s: too little for the accelerometer's noise to have to grow, and ten times a frame's noise.
+    for seed in (1, 2):
+        found = calibrate_scale(erring(seed, 0.1, rate=1.0 / 4.0, omega=0.0), 0.1)
+        assert found.own is not None
+        assert 0.04 < found.own.std < 0.3
+
+
+def test_a_bias_that_walks_is_no_motion_of_the_camera():
+    # Warm-up: 3 mm/s² of a random walk within the minute, which is metres of displacement.
+    for seed in range(3):
+        pair = observed(broadband(seed), seed)
+        samples = pair.samples.copy()
+        samples[:, 1] += 4e-5 * np.cumsum(np.random.default_rng(seed).normal(size=len(samples)))
+        found = calibrate_scale(Pair(samples, pair.rows), 0.1)
+        assert found.own is None
+        assert contradiction(found.search.pair, found.search.fit) == 0.0

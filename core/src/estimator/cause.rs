@@ -22,13 +22,32 @@ pub const VAGUE: f64 = 25.0;
 const P_NOISIER: f64 = 0.01;
 /// What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 const BIAS_TOO: f64 = 0.05;
+/// How fast a shift comes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Pace {
+    /// In the channel's time.
+    Slow,
+    /// In a fifth of it: a process of one time follows neither one that is three times as fast nor as slow.
+    Fast,
+}
+
+impl Pace {
+    /// How many times as fast as the channel's.
+    fn factor(self) -> f64 {
+        match self {
+            Self::Slow => 1.0,
+            Self::Fast => 5.0,
+        }
+    }
+}
+
 /// What is known of a shift's size beforehand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Prior {
     /// Nothing: the innovation tells it.
     AnySize,
     /// Nothing either, and what is left of it comes back in time.
-    Reverting,
+    Reverting(Pace),
     /// Nothing, nor does the innovation tell it, but those after it.
     ReportedLater,
     /// The zero is where it was before its last shift.
@@ -84,11 +103,12 @@ impl Decision {
 
 impl Cause {
     /// What a measurement is asked for, in this order.
-    pub const CANDIDATES: [Self; 8] = [
+    pub const CANDIDATES: [Self; 9] = [
         Self::Good,
         Self::Outlier,
         Self::Shift(Prior::AnySize),
-        Self::Shift(Prior::Reverting),
+        Self::Shift(Prior::Reverting(Pace::Slow)),
+        Self::Shift(Prior::Reverting(Pace::Fast)),
         Self::Shift(Prior::FormerZero),
         Self::Wrong,
         Self::Lost,
@@ -107,8 +127,10 @@ impl Cause {
                 at.wrong_or_kept() + at.p_outlier().ln()
             }
             Self::Shift(Prior::FormerZero) if at.mark.shifted && !at.inside => weight_of_return(at),
-            Self::Shift(Prior::AnySize) if at.asked() => weight_of_shift(at) + at.share_of_shifts(false).ln(),
-            Self::Shift(Prior::Reverting) if at.asked() => weight_of_shift(at) + at.share_of_shifts(true).ln(),
+            Self::Shift(Prior::AnySize) if at.asked() => weight_of_shift(at) + at.share_of_shifts(None).ln(),
+            Self::Shift(Prior::Reverting(pace)) if at.asked() => {
+                weight_of_shift(at) + at.share_of_shifts(Some(pace)).ln()
+            }
             Self::Wrong if at.asked() => met_within(rates.wrong, at.lapse).ln() + at.any_size(),
             Self::Lost => weight_of_lost(at),
             Self::Noise if at.asked() => noise_within(at).ln() + at.any_size(),
@@ -255,8 +277,11 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
             hyp.p[(s, s)] += unknown_m2;
             let mark = &mut hyp.marks[c];
             mark.shifted = true;
-            if prior == Prior::Reverting || mark.reverting_m2 > 0.0 {
-                begin_reverting(hyp, scene, unknown_m2);
+            if mark.reverting_m2 > 0.0 {
+                grow_reverting(hyp, scene, unknown_m2);
+            } else if let Prior::Reverting(pace) = prior {
+                mark.reverting_pace = pace.factor();
+                grow_reverting(hyp, scene, unknown_m2);
             }
             hyp.memory.shift = Some(LastShift { at_s: scene.at_s, sensor: channel.sensor, size_m: size });
         }
@@ -303,7 +328,7 @@ fn restore_zero(hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) {
 }
 
 /// Lets the shift that has just begun, or has grown by this variance (m²), revert from here on.
-fn begin_reverting(hyp: &mut Hypothesis, scene: &Scene, size_m2: f64) {
+fn grow_reverting(hyp: &mut Hypothesis, scene: &Scene, size_m2: f64) {
     let Some(velocity) = scene.channel.reverting.and_then(|one| one.velocity) else { return };
     let mark = &mut hyp.marks[scene.row.channel];
     (mark.reverting_s, mark.reverting_m2) = (scene.at_s, mark.reverting_m2 + size_m2);
@@ -312,7 +337,9 @@ fn begin_reverting(hyp: &mut Hypothesis, scene: &Scene, size_m2: f64) {
 
 /// The shift is gone; returns whether it reverted.
 fn stop_reverting(hyp: &mut Hypothesis, scene: &Scene) -> bool {
-    let reverted = std::mem::take(&mut hyp.marks[scene.row.channel].reverting_m2) > 0.0;
+    let mark = &mut hyp.marks[scene.row.channel];
+    let reverted = std::mem::take(&mut mark.reverting_m2) > 0.0;
+    mark.reverting_pace = 1.0;
     if let Some(velocity) = scene.channel.reverting.and_then(|one| one.velocity) {
         scale_state(&mut hyp.x, &mut hyp.p, velocity, 0.0);
     }

@@ -246,7 +246,9 @@ fn alike(one: &Hypothesis, other: &Hypothesis) -> bool {
         return false;
     }
     let marks = one.marks.iter().zip(&other.marks).all(|(mine, its)| {
-        (mine.outliers > 0.0) == (its.outliers > 0.0) && (its.factor / mine.factor - 1.0).abs() <= SAME_NOISE
+        (mine.outliers > 0.0) == (its.outliers > 0.0)
+            && mine.reverting_pace == its.reverting_pace
+            && (its.factor / mine.factor - 1.0).abs() <= SAME_NOISE
     });
     marks
         && (0..one.p.width()).all(|i| {

@@ -23,6 +23,8 @@ pub struct Mark {
     pub shifted: bool,
     /// Variance of a shift that reverts, m²; 0: the zero stays as it has shifted.
     pub reverting_m2: f64,
+    /// How many times as fast as the channel's it reverts.
+    pub reverting_pace: f64,
     /// Up to when that shift is carried, s.
     pub reverting_s: f64,
     /// Whether its zero has begun with its first measurement.
@@ -217,6 +219,7 @@ impl Mark {
             kept: 0.0,
             shifted: false,
             reverting_m2: 0.0,
+            reverting_pace: 1.0,
             reverting_s: begin.time_s - START_S,
             begun: false,
             reference: 0.0,

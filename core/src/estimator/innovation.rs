@@ -115,7 +115,7 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> Scaled {
     if let Some(reverting) = channel.reverting.filter(|_| hyp.marks[row.channel].reverting_m2 > 0.0) {
         let mark = &mut hyp.marks[row.channel];
         let lapse_s = scene.at_s - std::mem::replace(&mut mark.reverting_s, scene.at_s);
-        let reverting = reverting.of_variance(mark.reverting_m2);
+        let reverting = reverting.of_variance(mark.reverting_m2).faster(mark.reverting_pace);
         made.shift = carry_slow(&mut hyp.x, &mut hyp.p, &reverting, lapse_s);
         turn_changed(&mut hyp.tests, &reverting, made.shift);
     }

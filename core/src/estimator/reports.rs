@@ -176,7 +176,7 @@ fn reported(cause: Cause) -> Option<(What, Kind)> {
         Cause::Good => None,
         Cause::Outlier => Some((What::Wild, Kind::Wild)),
         Cause::Shift(Prior::FormerZero) => Some((What::Returned, Kind::Zero)),
-        Cause::Shift(Prior::AnySize | Prior::Reverting | Prior::ReportedLater) | Cause::StepBefore => {
+        Cause::Shift(Prior::AnySize | Prior::Reverting(_) | Prior::ReportedLater) | Cause::StepBefore => {
             Some((What::Shifted, Kind::Zero))
         }
         Cause::Wrong => Some((What::Wrong, Kind::Wrong)),

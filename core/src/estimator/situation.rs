@@ -1,5 +1,6 @@
 //! A measurement in one hypothesis before it is decided what it is, and the densities that its causes are weighed by.
 
+use super::cause::Pace;
 use super::hypothesis::{Hypothesis, Mark, Memory};
 use super::innovation::{Innovation, Scene};
 
@@ -76,12 +77,16 @@ impl<'a> Situation<'a> {
     }
 
     /// Of shifts the share that reverts, or stays; one that is added to a shift is as that is.
-    pub(super) fn share_of_shifts(&self, revert: bool) -> f64 {
-        let stays = match self.scene.channel.reverting {
-            Some(_) if self.mark.reverting_m2 == 0.0 => 1.0 - self.scene.model.rates.revert,
-            _ => 1.0,
+    pub(super) fn share_of_shifts(&self, revert: Option<Pace>) -> f64 {
+        let reverts = match self.scene.channel.reverting {
+            Some(_) if self.mark.reverting_m2 == 0.0 => self.scene.model.rates.revert,
+            _ => 0.0,
         };
-        if revert { 1.0 - stays } else { stays }
+        match revert {
+            None => 1.0 - reverts,
+            // Either pace is as likely.
+            Some(Pace::Slow | Pace::Fast) => 0.5 * reverts,
+        }
     }
 
     pub(super) fn normal(&self) -> f64 {

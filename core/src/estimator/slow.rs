@@ -82,6 +82,11 @@ impl SlowError {
         Self { variance_m2, ..*self }
     }
 
+    /// The same one, so many times as fast.
+    pub fn faster(&self, factor: f64) -> Self {
+        Self { rate_s: factor * self.rate_s, omega: factor * self.omega, ..*self }
+    }
+
     /// What becomes of it over some time, s.
     pub fn after(&self, lapse_s: f64) -> Turn {
         Turn::over(lapse_s, self.rate_s, self.omega)

@@ -1,6 +1,6 @@
 //! The filter and the smoother against plain matrices, and a state and a channel that neither knows.
 
-use super::cause::{Cause, Decision, Prior};
+use super::cause::{Cause, Decision, Pace, Prior};
 use super::decided::Decided;
 use super::hypothesis::Hypothesis;
 use super::innovation::{Scene, Work, meet_zero};
@@ -351,7 +351,7 @@ fn a_shift_that_reverts_opens_the_band_until_it_is_gone() {
     let off = |k: i32| if (10..30).contains(&k) { size } else { 0.0 };
     let mut items: Vec<Timed> = (0..40).map(|k| measured(0.03 + 0.047 * f64::from(k), 0, off(k), 1e-6)).collect();
     let mut decisions = vec![Decision::GOOD; items.len()];
-    decisions[10] = Decision::of(Cause::Shift(Prior::Reverting));
+    decisions[10] = Decision::of(Cause::Shift(Prior::Reverting(Pace::Slow)));
     decisions[30] = Decision::of(Cause::Shift(Prior::FormerZero));
     let (before, last, rows, way) = run_decided(&model, &set, &mut items, &decisions);
     // Samples at 0.49 s, before the shift, at 1.43 s, before it is gone, and after.
