@@ -57,6 +57,11 @@ impl Hypotheses {
         self.count = 1;
     }
 
+    /// Leaves the best one alone.
+    pub fn keep_best(&mut self) {
+        self.count = 1;
+    }
+
     /// How many there are.
     pub fn count(&self) -> usize {
         self.count
