@@ -178,12 +178,8 @@ impl Filter {
                 }
             }
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
-            self.leave_sample(
-                model,
-                (block, k),
-                &mut Leave { rows: rows.as_deref_mut(), back: judge.back(), ahead_s: &[] },
-                work,
-            );
+            let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back(), ahead_s: &[] };
+            self.leave_sample(model, (block, k), leave, work);
             k += 1;
             if matches!(judge, Judge::Open { stops: true, .. }) && self.watch.suspect.is_some() {
                 break;
@@ -230,15 +226,7 @@ impl Filter {
             axis.input = input;
         }
         // What is open must not grow with the time in which nothing tells hypotheses apart.
-        if self.hyps.count() > 1 && self.is_lost(model) {
-            self.hyps.keep_best();
-        }
-    }
-
-    /// Whether all sensors are lost.
-    fn is_lost(&self, model: &Model) -> bool {
-        let mut marks = self.hyps.best().marks.iter().zip(&model.channels);
-        marks.all(|(mark, channel)| self.clock.time_s - mark.met_s > channel.lost_s)
+        self.hyps.end_where_lost(end_s, model);
     }
 
     /// Finds the uncertain states of the best hypothesis.

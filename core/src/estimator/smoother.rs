@@ -13,8 +13,9 @@ use super::innovation::Mixed;
 use super::layout::{MOTION_STATES, motion_of};
 #[cfg(test)]
 use super::matrix::Matrix;
-use super::matrix::quadratic;
+use super::matrix::{quadratic, squared};
 use super::model::Model;
+use super::predict::move_on;
 use super::row::Entry;
 use super::rows::zero_variance;
 use super::slow::Turn;
@@ -382,29 +383,12 @@ fn turn_rows(rows: &mut [[f64; LANES]], (first, second): (usize, usize), turn: T
     }
 }
 
-/// Φ times covariances with the motion of all axes, `dt` seconds on.
-#[inline]
-fn move_on(covariances: &mut [f64], dt: f64) {
-    let half = 0.5 * dt * dt;
-    for motion in covariances.chunks_exact_mut(MOTION_STATES) {
-        let (v, b) = (motion[1], motion[2]);
-        motion[0] += dt * v - half * b;
-        motion[1] = v - dt * b;
-    }
-}
-
 /// Adds elements times a factor.
 #[inline(always)]
 fn add_times(to: &mut [f64; LANES], elements: &[f64; LANES], factor: f64) {
     for (sum, one) in to.iter_mut().zip(elements) {
         *sum += factor * one;
     }
-}
-
-/// Σ of the squares.
-#[inline(always)]
-fn squared(v: &[f64]) -> f64 {
-    v.iter().map(|a| a * a).sum()
 }
 
 /// How the pass back counts the states, and by which parameters.
