@@ -18,7 +18,8 @@ use serde::{Deserialize, Serialize};
 /// inside the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one
 /// leaves.
 pub const VAGUE: f64 = 25.0;
-/// So often a sensor that is back is noisier than before it was away.
+/// So often a sensor that is back is noisier than before it was away. A guess, which counts as much as one measurement at
+/// three deviations (ln 100).
 const P_NOISIER: f64 = 0.01;
 /// What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 const BIAS_TOO: f64 = 0.05;

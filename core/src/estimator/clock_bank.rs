@@ -29,18 +29,21 @@ pub const BETWEEN_STD_S: f64 = 0.01;
 /// A step is looked for among the measurements of this time before it is suspected, s: where it shows later, the
 /// structure did not move.
 pub const REACH_S: f64 = 2.0;
-/// And at this many of them at most.
+/// And at this many of them at most, 83 ms apart: 51 offsets of each bound the work, and what was measured between is
+/// an outlier to the nearest.
 const MAX_INSTANTS: usize = 24;
 /// Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
 const P_STEPPED: f64 = 0.1;
 /// So often a clock is off by some frames, one step of the bank at most, after a gap: one that starts anew is set to that.
+/// A guess, which counts as much as one measurement at 2.8 deviations (ln 52).
 const P_NEARLY: f64 = 0.3;
-/// A clock's offset is found where its standard deviation is below this, s: what is left is linear to 0.1 mm at
-/// 10 m/s².
-const FOUND_STD_S: f64 = 5e-3;
-/// All filters are run anew with what has come no more often than this, s: a radar measures more often.
+/// An offset of a clock is linear up to this, s: to 0.1 mm at 10 m/s². It is found where its standard deviation is below.
+pub const LINEAR_S: f64 = 5e-3;
+/// All filters are run anew with what has come no more often than this, s: at each measurement of a sensor at 10 Hz, as
+/// a step is found after some tenths of a second; a radar measures more often.
 const WEIGHED_EACH_S: f64 = 0.09;
-/// After this time the likelier of a step and none is taken, s.
+/// After this time the likelier of a step and none is taken, s: a period of the slowest motion that bridges have (0.1 Hz),
+/// and what bounds the memory.
 const MAX_SEARCH_S: f64 = 10.0;
 
 /// A step of a clock that may have been.
@@ -54,6 +57,8 @@ pub struct Step {
     pub channel: Option<usize>,
     /// Whether samples were missing or went back as well: the motion's state is that of another instant.
     pub moved: bool,
+    /// Whether the clock has drifted by this, which its parameter has followed: nothing is unknown of it.
+    pub drifted: bool,
 }
 
 /// A step with its filter.
@@ -100,7 +105,7 @@ pub struct Bank {
 
 /// What the bank comes to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Verdict {
+pub enum Search {
     /// It does not know yet.
     Open,
     /// There was none.
@@ -139,7 +144,12 @@ impl Step {
             let mark = |(place, parameter)| {
                 // The state moves once, not with each sensor.
                 let moved_s = if place == 0 { moved_s } else { 0.0 };
-                (Timed { at_s: mark_s, item: Item::ClockStep { parameter, variance, moved_s } }, true)
+                let item = if self.drifted {
+                    Item::Relinearised { parameter, by_s: 1e-9 * self.shift_ns as f64 }
+                } else {
+                    Item::ClockStep { parameter, variance, moved_s }
+                };
+                (Timed { at_s: mark_s, item }, true)
             };
             timed.extend(own.into_iter().enumerate().map(mark));
         }
@@ -207,7 +217,7 @@ impl Bank {
             let begins_s = from_s.min(from_s + 1e-9 * shift_ns as f64);
             let Some(before) = self.befores.iter().rposition(|one| one.clock.time_s < begins_s) else { continue };
             for (&channel, &moved) in clocks.iter().flat_map(|one| states.iter().map(move |other| (one, other))) {
-                let step = Step { shift_ns, from_s, channel, moved };
+                let step = Step { shift_ns, from_s, channel, moved, drifted: false };
                 let filter = self.befores[before].best_alone();
                 self.members.push(Member {
                     step,
@@ -298,6 +308,11 @@ impl Bank {
         }
     }
 
+    /// Whether it has been looked for long enough.
+    pub fn is_over(&self, now_s: f64) -> bool {
+        now_s - self.since_s > MAX_SEARCH_S
+    }
+
     /// Whether it is time to run all filters anew with what has come.
     pub fn is_due(&self, now_s: f64) -> bool {
         now_s >= self.weighed_s + WEIGHED_EACH_S
@@ -327,7 +342,7 @@ impl Bank {
     }
 
     /// Compares all steps with none, whose filter is now; drops what falls behind.
-    pub fn compare(&mut self, now: &Filter, model: &Model) -> Verdict {
+    pub fn compare(&mut self, now: &Filter, model: &Model) -> Search {
         let channel = &model.channels[self.suspect.channel];
         // What makes innovations larger than their variance makes them less likely at all instants.
         let (odds, misfit) = (model.rates.odds, model.misfit[channel.row.axis].max(1.0));
@@ -335,7 +350,7 @@ impl Bank {
         // None is dropped for its prior, nor for what is not known yet.
         self.members.retain(|one| one.weight - one.prior + one.open > top - odds * misfit);
         let best = self.members.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
-        let (Some(best), Some(q)) = (best, channel.clock) else { return Verdict::None };
+        let (Some(best), Some(q)) = (best, channel.clock) else { return Search::None };
         let (step, met) = (best.step, best.met);
         let mut offsets = Mixture::default();
         for one in &self.members {
@@ -346,17 +361,17 @@ impl Bank {
         }
         let (none, offset) = (self.none < top - odds * misfit, offsets.mixed());
         let std_s = offset.variance.max(0.0).sqrt();
-        let is_over = now.clock.time_s - self.since_s > MAX_SEARCH_S;
+        let is_over = self.is_over(now.clock.time_s);
         let is_likely = if is_over { self.none < top } else { none };
         // One that has met no more than a motion has states agrees with anything.
-        if is_likely && met > MOTION_STATES && std_s < FOUND_STD_S {
+        if is_likely && met > MOTION_STATES && std_s < LINEAR_S {
             let shift_ns = (1e9 * offset.value).round() as i64;
-            return Verdict::Stepped(Step { shift_ns, ..step }, std_s);
+            return Search::Stepped(Step { shift_ns, ..step }, std_s);
         }
         if is_over {
-            return Verdict::None;
+            return Search::None;
         }
-        Verdict::Open
+        Search::Open
     }
 
     /// Moves all filters over one sample in which nothing was measured.
@@ -379,7 +394,7 @@ impl Bank {
 
     /// The rows of all members at the sample that they are at.
     pub fn rows(&self, model: &Model, sample: View, first_ns: i64, work: &mut Work) -> Vec<Rows> {
-        self.members.iter().map(|one| one.filter.row_now(model, sample, first_ns, work)).collect()
+        self.members.iter().map(|one| one.filter.row_now(model, (sample, first_ns), &[], work)).collect()
     }
 }
 

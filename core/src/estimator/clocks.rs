@@ -6,7 +6,7 @@
 //! on to the newest sample. So what is decided holds items at their instants alone, and what runs by that (the second
 //! pass, the lag) knows of clocks nothing but that a parameter begins anew.
 
-use super::clock_bank::{Bank, MAX_OFFSET_NS, REACH_S, Step, Verdict};
+use super::clock_bank::{Bank, LINEAR_S, MAX_OFFSET_NS, REACH_S, Search, Step};
 use super::decided::Undecided;
 use super::innovation::Work;
 use super::model::{Model, instant, since};
@@ -74,25 +74,31 @@ impl Clocks {
         1e-9 * self.offsets_ns[c] as f64
     }
 
+    /// By how much each channel's stamps are ahead of the instants that its measurements are taken at, s.
+    fn ahead_s(&self) -> Vec<f64> {
+        self.offsets_ns.iter().map(|&one| -1e-9 * one.min(0) as f64).collect()
+    }
+
     /// From when on (s) what is decided may change.
     pub fn open_from_s(&self) -> Option<f64> {
         self.kept.front().map(|one| one.clock.time_s)
     }
 
-    /// Keeps a filter where it is time to, and drops what is too old.
-    fn keep(&mut self, filter: &Filter, origin_ns: i64) {
+    /// Keeps a filter where it is time to, and drops what is too old; returns whether it is kept.
+    fn keep(&mut self, filter: &Filter, origin_ns: i64) -> bool {
         let now_s = filter.clock.time_s;
         if self.bank.is_some() || self.kept.back().is_some_and(|one| now_s < one.clock.time_s + KEPT_EACH_S) {
-            return;
+            return false;
         }
         self.kept.push_back(filter.clone());
         while self.kept.get(1).is_some_and(|one| one.clock.time_s <= now_s - KEPT_S) {
             self.kept.pop_front();
         }
-        let Some(first_s) = self.open_from_s() else { return };
+        let first_s = self.open_from_s().unwrap_or(now_s);
         self.items.retain(|one| one.at_s > first_s);
         let first_ns = instant(first_s, origin_ns);
         self.samples.drop_first(self.samples.time_ns.partition_point(|&one| one <= first_ns));
+        true
     }
 }
 
@@ -103,6 +109,10 @@ impl Estimator {
         while first < samples.len() {
             let output = outputs.get_or_insert_default();
             output.innovations.resize_with(self.settings.channels.len(), Innovations::default);
+            if self.keep_filter() {
+                // What was left for a pass back is of before.
+                back = None;
+            }
             first += if self.memory.clocks.is_plain() {
                 self.run_plain(samples.part(first, samples.len()), back.as_deref_mut(), output)
             } else {
@@ -119,7 +129,6 @@ impl Estimator {
         let steps = self.model.channels.iter().any(|one| one.clock.is_some());
         samples.seconds(origin_ns, &mut self.time_s);
         if steps {
-            self.memory.clocks.keep(&filter, origin_ns);
             let kept_s = self.memory.clocks.kept.back().map_or(0.0, |one| one.clock.time_s);
             let count = self.time_s.partition_point(|&one| one < kept_s + KEPT_EACH_S) + 1;
             self.time_s.truncate(count);
@@ -156,13 +165,72 @@ impl Estimator {
         count
     }
 
+    /// Keeps the filter where it is time to; then, where a clock has drifted farther than its parameter is linear, its
+    /// stamps take what that has come to. Returns whether they did: the filter was run anew.
+    fn keep_filter(&mut self) -> bool {
+        let origin_ns = self.origin_ns();
+        let Some(filter) =
+            self.memory.filter.as_ref().filter(|_| self.model.channels.iter().any(|one| one.clock.is_some()))
+        else {
+            return false;
+        };
+        let newest_ns = self.memory.clocks.samples.time_ns.last().copied();
+        let alone = filter.hyps.count() == 1 && filter.watch.suspect.is_none();
+        let best = filter.hyps.best();
+        let drifts = self.model.channels.iter().map(|one| one.clock.map_or(0.0, |q| best.parameters[q]));
+        let drifted = drifts.enumerate().find(|one| alone && one.1.abs() > LINEAR_S);
+        if !self.memory.clocks.keep(filter, origin_ns) {
+            return false;
+        }
+        let (Some((c, offset_s)), Some(before), Some(now_ns)) =
+            (drifted, self.memory.clocks.kept.front().cloned(), newest_ns)
+        else {
+            return false;
+        };
+        let shift_ns = (1e9 * offset_s).round() as i64;
+        // Nothing comes before the filter.
+        let from_s = before.clock.time_s + offset_s.abs();
+        let step = Step { shift_ns, from_s, channel: Some(c), moved: false, drifted: true };
+        let items = self.items_since(&before, now_ns);
+        let is_moved = |one: &Timed| one.at_s >= from_s && one.channel().is_some_and(|c| step.concerns(c, &self.model));
+        if !items.iter().any(is_moved) {
+            return false;
+        }
+        self.adopt(&before, &items, step, now_ns);
+        true
+    }
+
+    /// A sensor that is lost is not waited for: its stamps count as they come, and when it is back its clock is looked
+    /// into anyway.
+    fn release_lost(&mut self, now_ns: i64) {
+        let (origin_ns, channels) = (self.origin_ns(), &self.model.channels);
+        let now_s = since(now_ns, origin_ns);
+        let Some(filter) = self.memory.filter.as_ref().filter(|_| self.memory.clocks.bank.is_none()) else { return };
+        let ahead_s = self.memory.clocks.ahead_s();
+        let is_lost = |&c: &usize| {
+            let own = |k: &usize| channels[*k].sensor == channels[c].sensor;
+            let stamped_s = |k: usize| filter.hyps.best().marks[k].met_s + ahead_s[k];
+            let last_s = (0..channels.len()).filter(own).map(stamped_s).fold(f64::NEG_INFINITY, f64::max);
+            let is_back = |one: &Timed| one.channel().is_some_and(|k| own(&k)) && self.stamp_ns(one) <= now_ns;
+            ahead_s[c] > 0.0 && now_s - last_s > channels[c].lost_s && !self.memory.waiting.iter().any(is_back)
+        };
+        let lost: Vec<usize> = (0..channels.len()).filter(is_lost).collect();
+        for c in lost {
+            let offset_ns = std::mem::take(&mut self.memory.clocks.offsets_ns[c]);
+            for one in self.memory.waiting.iter_mut().filter(|one| one.channel() == Some(c)) {
+                one.at_s = since(instant(one.at_s, origin_ns) - offset_ns, origin_ns);
+            }
+            put_in_order(self.memory.waiting.make_contiguous());
+        }
+    }
+
     /// Runs over one sample, while a step is looked into or the filter stays back.
     fn run_one(&mut self, sample: View, output: &mut Output) {
-        let (origin_ns, now_ns) = (self.origin_ns(), sample.time_ns[0]);
+        let now_ns = sample.time_ns[0];
         let before_ns = self.memory.clocks.samples.time_ns.last().copied().unwrap_or(i64::MIN);
         self.memory.clocks.samples.extend(sample);
+        self.release_lost(now_ns);
         let Some(mut filter) = self.memory.filter.take() else { return };
-        self.memory.clocks.keep(&filter, origin_ns);
         self.run_behind(&mut filter, now_ns - self.memory.clocks.behind_ns(), output);
         let arrived = self.arrived(before_ns, now_ns);
         self.lead(&filter, arrived, now_ns);
@@ -223,14 +291,7 @@ impl Estimator {
         let mut items = if anew { self.waiting_until(now_ns) } else { Vec::new() };
         let mut leader = match self.memory.clocks.leader.take() {
             Some(leader) if !anew => leader,
-            _ => {
-                let mut leader = filter.clone();
-                for mark in leader.hyps.all_mut().iter_mut().flat_map(|hyp| hyp.marks.iter_mut().enumerate()) {
-                    // Rows tell how old the newest measurement is by its stamp.
-                    mark.1.accepted_s -= self.memory.clocks.offset_s(mark.0).min(0.0);
-                }
-                leader
-            }
+            _ => filter.clone(),
         };
         let samples = self.memory.clocks.samples.view();
         let done_ns = instant(leader.clock.time_s, origin_ns);
@@ -245,7 +306,9 @@ impl Estimator {
     fn look(&mut self, arrived: bool, sample: View, output: &mut Output) {
         let suspect = self.memory.filter.as_ref().and_then(|one| one.watch.suspect);
         let now_s = since(sample.time_ns[0], self.origin_ns());
-        let due = self.memory.clocks.bank.as_ref().map(|bank| arrived && bank.is_due(now_s));
+        // A sensor that dies must not keep the search open.
+        let is_due = |bank: &Bank| bank.is_over(now_s) || arrived && bank.is_due(now_s);
+        let due = self.memory.clocks.bank.as_ref().map(is_due);
         match (due, suspect) {
             (Some(true), _) => self.weigh(sample.time_ns[0], output),
             (Some(false), _) => {
@@ -295,9 +358,16 @@ impl Estimator {
         let Some(now) = self.memory.clocks.leader.as_ref().or(self.memory.filter.as_ref()) else { return };
         bank.weigh(now, &self.model, (samples, &self.time_s), origin_ns, &mut self.work);
         match bank.compare(now, &self.model) {
-            Verdict::Open => self.memory.clocks.bank = Some(bank),
-            Verdict::None => self.calm(output),
-            Verdict::Stepped(step, std_s) => self.adopt(&bank, step, std_s, now_ns),
+            Search::Open => self.memory.clocks.bank = Some(bank),
+            Search::None => self.calm(output),
+            Search::Stepped(step, std_s) => {
+                let offset_ns = step.channel.map_or(0, |c| self.memory.clocks.offsets_ns[c]);
+                let channel = step.channel.unwrap_or(bank.suspect.channel);
+                let (size_mm, std_mm) = (1e-6 * step.shift_ns as f64, 1e3 * std_s);
+                let time_ns = instant(step.from_s, origin_ns) - offset_ns;
+                self.memory.pending.push(Report { time_ns, channel, what: What::Clock, size_mm, std_mm });
+                self.adopt(bank.before(), &bank.items, step, now_ns);
+            }
         }
     }
 
@@ -310,14 +380,14 @@ impl Estimator {
         self.report(output);
     }
 
-    /// Takes a step as found: all since the filter before it is decided anew, with its items at their instants.
-    fn adopt(&mut self, bank: &Bank, step: Step, std_s: f64, now_ns: i64) {
-        let (origin_ns, before_s) = (self.origin_ns(), bank.before().clock.time_s);
-        let stamp_ns = instant(step.from_s, origin_ns) - step.channel.map_or(0, |c| self.memory.clocks.offsets_ns[c]);
-        let (items, before) = step.applied(&bank.items, &self.model, origin_ns);
-        let (mut items, _, _) = step.without_unseen(items, before);
+    /// Takes a step as found: all since the filter before it is decided anew, with what was measured since at its
+    /// instants.
+    fn adopt(&mut self, before: &Filter, measured: &[Timed], step: Step, now_ns: i64) {
+        let (origin_ns, before_s) = (self.origin_ns(), before.clock.time_s);
+        let (items, untaken) = step.applied(measured, &self.model, origin_ns);
+        let (mut items, _, _) = step.without_unseen(items, untaken);
         let mut waiting: Vec<Timed> = self.memory.waiting.drain(..).collect();
-        waiting.retain(|one| !bank.items.contains(one));
+        waiting.retain(|one| !measured.contains(one));
         for one in &mut waiting {
             if one.channel().is_some_and(|c| step.concerns(c, &self.model)) {
                 one.at_s = since(instant(one.at_s, origin_ns) + step.shift_ns, origin_ns);
@@ -333,7 +403,7 @@ impl Estimator {
         let met = items.partition_point(|one| self.time_s.last().is_some_and(|&end_s| one.at_s <= end_s));
         waiting.extend(items.drain(met..));
         put_in_order(&mut waiting);
-        let (mut filter, mut undecided) = (bank.before().best_alone(), Undecided::default());
+        let (mut filter, mut undecided) = (before.best_alone(), Undecided::default());
         let block = &mut Block { samples, time_s: &self.time_s, items: &mut items, first_ns: i64::MIN };
         run_open(&mut filter, &self.model, block, (&mut undecided, origin_ns), &mut self.work);
         filter.watch.calm();
@@ -344,9 +414,6 @@ impl Estimator {
         clocks.kept.clear();
         clocks.items.clear();
         clocks.keep(&filter, origin_ns);
-        let channel = step.channel.unwrap_or(bank.suspect.channel);
-        let (size_mm, std_mm) = (1e-6 * step.shift_ns as f64, 1e3 * std_s);
-        self.memory.pending.push(Report { time_ns: stamp_ns, channel, what: What::Clock, size_mm, std_mm });
         self.lead(&filter, true, now_ns);
         self.memory.filter = Some(filter);
     }
@@ -372,7 +439,7 @@ impl Estimator {
         let first_ns = instant(self.memory.first_s, self.origin_ns());
         let clocks = &self.memory.clocks;
         let Some(now) = clocks.leader.as_ref().or(self.memory.filter.as_ref()) else { return };
-        let own = now.row_now(&self.model, sample, first_ns, &mut self.work);
+        let own = now.row_now(&self.model, (sample, first_ns), &clocks.ahead_s(), &mut self.work);
         let row = match &clocks.bank {
             Some(bank) if !own.is_empty() => {
                 let mut rows: Vec<Rows> = vec![own];

@@ -27,6 +27,8 @@ pub struct Leave<'a> {
     pub rows: Option<&'a mut Rows>,
     /// What the way back needs.
     pub back: Option<&'a mut WayBack>,
+    /// See [`Standing::at`].
+    pub ahead_s: &'a [f64],
 }
 
 /// A quantity along one axis at each sample of a segment, of the displacement and of the velocity.
@@ -172,7 +174,7 @@ impl Filter {
         let mut standing = [Standing::default(); MAX_AXES];
         if leave.back.is_some() || (leave.rows.is_some() && is_row) {
             for (a, standing) in standing.iter_mut().enumerate().take(axes) {
-                *standing = Standing::at(self.hyps.best(), model, a, block.time_s[first], kind);
+                *standing = Standing::at(self.hyps.best(), model, a, (block.time_s[first], kind), leave.ahead_s);
                 until_s = until_s.min(standing.until_s);
             }
         }
@@ -200,13 +202,14 @@ impl Filter {
         let hyp = self.hyps.best_mut();
         for (a, standing) in standing.iter().enumerate().take(axes) {
             coast_along(hyp, model, (a, &mut self.motion[a], self.clock.time_s), (segment, time_s), uncertain, course);
+            let doubt_m2 = self.watch.variance_m2(&model.usual[a]);
             if let Some(back) = leave.back.as_deref_mut() {
                 back.add_nodes(hyp, model, a, course);
-                back.add_statuses(time_s.len(), (standing.source, standing.status as u8));
+                back.add_statuses(time_s.len(), standing, doubt_m2);
             }
             if let Some(rows) = leave.rows.as_deref_mut().filter(|_| is_row) {
                 course.relate(hyp, model, a, uncertain);
-                let unseen = model.unseen_m2[a] + self.watch.variance_m2(&model.usual[a]);
+                let unseen = model.unseen_m2[a] + doubt_m2;
                 course.add_rows(zero_variance(hyp, a, model), unseen, a, standing, rows);
             }
         }
@@ -224,11 +227,11 @@ impl Filter {
 }
 
 impl Filter {
-    /// The row at the sample that it is at, where that is one.
-    pub fn row_now(&self, model: &Model, sample: View, first_ns: i64, work: &mut Work) -> Rows {
+    /// The row at the sample that it is at, where that is one; ahead_s: see [`Standing::at`].
+    pub fn row_now(&self, model: &Model, (sample, first_ns): (View, i64), ahead_s: &[f64], work: &mut Work) -> Rows {
         let mut rows = Rows::default();
         let block = Block { samples: sample, time_s: &[], items: &mut [], first_ns };
-        self.leave_sample(model, (&block, 0), &mut Leave { rows: Some(&mut rows), back: None }, work);
+        self.leave_sample(model, (&block, 0), &mut Leave { rows: Some(&mut rows), back: None, ahead_s }, work);
         rows
     }
 
@@ -249,7 +252,7 @@ impl Filter {
                 if self.hyps.count() > 1 {
                     course.set_row(mixture.mixed());
                 }
-                let standing = Standing::at(best, model, a, self.clock.time_s, samples.kind[k]);
+                let standing = Standing::at(best, model, a, (self.clock.time_s, samples.kind[k]), leave.ahead_s);
                 let unseen = model.unseen_m2[a] + self.watch.variance_m2(&model.usual[a]);
                 course.add_rows(zero_variance(best, a, model), unseen, a, &standing, rows);
             }
@@ -262,8 +265,8 @@ impl Filter {
             others.extend((0..moving).filter(|i| !own.contains(i)).chain(uncertain.iter().copied()));
             course.set(best, a, axis.ahead(), others);
             back.add_nodes(best, model, a, course);
-            let standing = Standing::at(best, model, a, self.clock.time_s, samples.kind[k]);
-            back.add_statuses(1, (standing.source, standing.status as u8));
+            let standing = Standing::at(best, model, a, (self.clock.time_s, samples.kind[k]), leave.ahead_s);
+            back.add_statuses(1, &standing, self.watch.variance_m2(&model.usual[a]));
         }
     }
 }

@@ -57,6 +57,14 @@ impl Hypotheses {
         self.count = 1;
     }
 
+    /// Leaves the best one alone where all sensors are lost at a time (s).
+    pub fn end_where_lost(&mut self, time_s: f64, model: &Model) {
+        let mut marks = self.best().marks.iter().zip(&model.channels);
+        if self.count > 1 && marks.all(|(mark, channel)| time_s - mark.met_s > channel.lost_s) {
+            self.count = 1;
+        }
+    }
+
     /// How many there are.
     pub fn count(&self) -> usize {
         self.count

@@ -18,7 +18,8 @@ use super::way_back::Scaled;
 /// A zero of which nothing is known is taken to lie within this many times (in variance) what the first measurement is
 /// off, where it is asked whether that is an outlier.
 const UNKNOWN_ZERO: f64 = 1e6;
-/// No device starts, and no clock that is set leaves out, less than this, s: what is shorter the innovations show.
+/// No device starts, and no clock that is set leaves out, less than this, s: what is shorter, lost frames, the
+/// innovations show. A guess: six frames at 25 Hz.
 const STARTS_S: f64 = 0.25;
 
 /// A measurement at its instant.

@@ -121,3 +121,9 @@ pub fn quadratic(u: &[f64], m: &Matrix) -> f64 {
     }
     total
 }
+
+/// Σ of the squares.
+#[inline(always)]
+pub fn squared(v: &[f64]) -> f64 {
+    v.iter().map(|a| a * a).sum()
+}

@@ -197,3 +197,14 @@ pub fn add_noise(p: &mut Matrix, axis: usize, dt: f64, density: f64) {
     let i = motion_of(axis);
     MotionCovariance::of(p, i).with_noise(dt, density).put(p, i);
 }
+
+/// Φ times covariances with the motion of all axes, `dt` seconds on.
+#[inline]
+pub fn move_on(covariances: &mut [f64], dt: f64) {
+    let half = 0.5 * dt * dt;
+    for motion in covariances.chunks_exact_mut(MOTION_STATES) {
+        let (v, b) = (motion[1], motion[2]);
+        motion[0] += dt * v - half * b;
+        motion[1] = v - dt * b;
+    }
+}

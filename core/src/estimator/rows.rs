@@ -125,7 +125,7 @@ impl Rows {
 
 /// What became of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Acceptance {
     /// It was accepted.
     Accepted,
     /// It was left out as an outlier.
@@ -144,7 +144,7 @@ pub struct Innovations {
     /// Its predicted variance, m².
     pub variance: Vec<f64>,
     /// Codes of what became of it.
-    pub verdict: Vec<i8>,
+    pub acceptance: Vec<i8>,
 }
 
 impl Innovations {
@@ -154,10 +154,10 @@ impl Innovations {
         self.time_ns.push(time_ns);
         self.value.push(evidence.size / units_per_m);
         self.variance.push(evidence.variance / (units_per_m * units_per_m));
-        self.verdict.push(match decision.cause {
-            Cause::Outlier => Verdict::Rejected,
-            Cause::Lost => Verdict::Reacquired,
-            Cause::Good | Cause::Shift(_) | Cause::Wrong | Cause::Noise | Cause::StepBefore => Verdict::Accepted,
+        self.acceptance.push(match decision.cause {
+            Cause::Outlier => Acceptance::Rejected,
+            Cause::Lost => Acceptance::Reacquired,
+            Cause::Good | Cause::Shift(_) | Cause::Wrong | Cause::Noise | Cause::StepBefore => Acceptance::Accepted,
         } as i8);
     }
 }
@@ -187,15 +187,18 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// At a time, of a sample of this kind.
+    /// At a time, of a sample of this kind; ahead_s: by how much the stamps of each channel are ahead of the instants
+    /// that its measurements are taken at, as the age of a row counts from stamps; empty: of none.
     #[inline]
-    pub fn at(hyp: &Hypothesis, model: &Model, axis: usize, time_s: f64, kind: u8) -> Self {
+    pub fn at(hyp: &Hypothesis, model: &Model, axis: usize, (time_s, kind): (f64, u8), ahead_s: &[f64]) -> Self {
         // Ages are differences that are rounded: near a limit each row is looked at.
         const NEAR_S: f64 = 1e-6;
         let mut standing = Self { until_s: f64::INFINITY, ..Self::default() };
         let mut best = f64::INFINITY;
-        for (mark, channel) in hyp.marks.iter().zip(&model.channels).filter(|one| one.1.row.axis == axis) {
-            let age = time_s - mark.accepted_s;
+        let marks = hyp.marks.iter().zip(&model.channels).enumerate();
+        for (c, (mark, channel)) in marks.filter(|(_, one)| one.1.row.axis == axis) {
+            let accepted_s = mark.accepted_s + ahead_s.get(c).unwrap_or(&0.0);
+            let age = time_s - accepted_s;
             if age <= channel.coasting_s {
                 standing.status = Status::Tracking;
                 if mark.accepted_variance < best {
@@ -204,7 +207,7 @@ impl Standing {
             } else if age <= channel.lost_s {
                 standing.status = standing.status.min(Status::Coasting);
             }
-            for limit in [mark.accepted_s + channel.coasting_s, mark.accepted_s + channel.lost_s] {
+            for limit in [accepted_s + channel.coasting_s, accepted_s + channel.lost_s] {
                 if limit + NEAR_S >= time_s {
                     standing.until_s = standing.until_s.min(limit - NEAR_S);
                 }

@@ -23,7 +23,7 @@ use super::slow::Turn;
 use super::start::{Beginning, START_S};
 use super::steps::SURE;
 use super::suspicion::Watch;
-use super::update::{move_motion, renew_parameter, set_datum};
+use super::update::{move_motion, relinearise, renew_parameter, set_datum};
 use super::waiting::{Item, Measurement, Timed};
 use super::way_back::{Scaled, WayBack};
 use serde::{Deserialize, Serialize};
@@ -170,7 +170,7 @@ impl Filter {
         while k < block.time_s.len() {
             if self.hyps.count() == 1 {
                 let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
-                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back() };
+                let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back(), ahead_s: &[] };
                 let reached = self.coast(model, block, (k, before_s), leave, work);
                 if reached > k {
                     k = reached;
@@ -178,7 +178,8 @@ impl Filter {
                 }
             }
             self.step(model, block, (k, &mut next, &mut ordered), judge, work);
-            self.leave_sample(model, (block, k), &mut Leave { rows: rows.as_deref_mut(), back: judge.back() }, work);
+            let leave = &mut Leave { rows: rows.as_deref_mut(), back: judge.back(), ahead_s: &[] };
+            self.leave_sample(model, (block, k), leave, work);
             k += 1;
             if matches!(judge, Judge::Open { stops: true, .. }) && self.watch.suspect.is_some() {
                 break;
@@ -224,6 +225,8 @@ impl Filter {
         for (axis, &input) in self.motion.iter_mut().zip(&now) {
             axis.input = input;
         }
+        // What is open must not grow with the time in which nothing tells hypotheses apart.
+        self.hyps.end_where_lost(end_s, model);
     }
 
     /// Finds the uncertain states of the best hypothesis.
@@ -294,6 +297,9 @@ impl Filter {
         let Timed { at_s, item: Item::Measured(row) } = items[j] else { return };
         let Self { hyps, motion, judged, watch, .. } = self;
         let scene = scene_of(model, motion, &row, at_s, place);
+        if *judged == 0 {
+            watch.end_lapse();
+        }
         match judge {
             Judge::Open { undecided, innovations, origin_ns, back, .. } => {
                 let left = judge_open((hyps, judged, watch), &scene, back.as_deref_mut(), work);
@@ -327,6 +333,9 @@ impl Filter {
         }
         if let Judge::Decided { back: Some(back), .. } = judge {
             back.pass_mark(mark, &self.hyps.best().parameters);
+        }
+        if let Item::Relinearised { parameter, by_s } = mark.item {
+            self.hyps.all_mut().iter_mut().for_each(|hyp| relinearise(hyp, parameter, by_s));
         }
         if let Item::ClockStep { parameter, variance, moved_s } = mark.item {
             for hyp in self.hyps.all_mut() {

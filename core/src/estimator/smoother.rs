@@ -13,8 +13,9 @@ use super::innovation::Mixed;
 use super::layout::{MOTION_STATES, motion_of};
 #[cfg(test)]
 use super::matrix::Matrix;
-use super::matrix::quadratic;
+use super::matrix::{quadratic, squared};
 use super::model::Model;
+use super::predict::move_on;
 use super::row::Entry;
 use super::rows::zero_variance;
 use super::slow::Turn;
@@ -55,6 +56,8 @@ pub struct Adjoint {
     least: Vec<f64>,
     /// The parameters (k,), those of the record's end until one is begun anew.
     parameters: Vec<f64>,
+    /// Whether no measurement of later agrees with the accelerometer's clock: none was accepted, or one stepped before it.
+    doubts_clock: bool,
 }
 
 impl Adjoint {
@@ -79,6 +82,7 @@ impl Adjoint {
             sensitivity: vec![0.0; columns],
             least: Vec::new(),
             parameters: Vec::new(),
+            doubts_clock: true,
         }
     }
 
@@ -87,6 +91,7 @@ impl Adjoint {
         self.rows.fill([0.0; LANES]);
         self.used = self.columns;
         self.parameters.clear();
+        self.doubts_clock = true;
         if recounted {
             self.live_rows.clear();
         }
@@ -189,10 +194,12 @@ impl Adjoint {
         let (channel, total, scaled) = match way.records[place].what {
             Recorded::Doubt => return,
             Recorded::ClockStep { parameter, value } => return self.back_through_clock_step(parameter, value),
+            Recorded::Relinearised { parameter, by } => return self.back_through_relinearised(parameter, by),
             Recorded::Datum => return self.back_through_datum(view),
             Recorded::Measured { channel, total, scaled } => (channel, total, scaled),
         };
         if let Some(total) = total {
+            self.doubts_clock = false;
             let stride = way.columns + way.size;
             let (e, gain) = way.details[place * stride..(place + 1) * stride].split_at(way.columns);
             if view.counting.counts() {
@@ -264,9 +271,16 @@ impl Adjoint {
 
     /// Before a clock's offset was begun anew: what comes later says nothing of the one before.
     fn back_through_clock_step(&mut self, parameter: usize, value: f64) {
-        self.parameters[parameter] = value;
+        (self.parameters[parameter], self.doubts_clock) = (value, true);
         let (rows, width) = (self.rows.as_flattened_mut(), self.width * LANES);
         rows.iter_mut().skip(1 + parameter).step_by(width).for_each(|value| *value = 0.0);
+    }
+
+    /// Before a parameter counted from another value: innovations are counted from the value before.
+    fn back_through_relinearised(&mut self, parameter: usize, by: f64) {
+        self.parameters[parameter] += by;
+        let (rows, width) = (self.rows.as_flattened_mut(), self.width * LANES);
+        rows.chunks_exact_mut(width).for_each(|row| row[0] -= by * row[1 + parameter]);
     }
 
     /// Before the datum was copied from the displacement.
@@ -353,7 +367,8 @@ impl Adjoint {
         let known = squared(&met[columns..used]);
         let uncertain = quadratic(&sensitivity[1..], &last.spread);
         let variance = model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
-        Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a], velocity }
+        let doubt_m2 = if self.doubts_clock { way.doubt_m2(k, a) } else { 0.0 };
+        Mixed { value, variance: variance.max(self.least[a]) + model.unseen_m2[a] + doubt_m2, velocity }
     }
 }
 
@@ -368,29 +383,12 @@ fn turn_rows(rows: &mut [[f64; LANES]], (first, second): (usize, usize), turn: T
     }
 }
 
-/// Φ times covariances with the motion of all axes, `dt` seconds on.
-#[inline]
-fn move_on(covariances: &mut [f64], dt: f64) {
-    let half = 0.5 * dt * dt;
-    for motion in covariances.chunks_exact_mut(MOTION_STATES) {
-        let (v, b) = (motion[1], motion[2]);
-        motion[0] += dt * v - half * b;
-        motion[1] = v - dt * b;
-    }
-}
-
 /// Adds elements times a factor.
 #[inline(always)]
 fn add_times(to: &mut [f64; LANES], elements: &[f64; LANES], factor: f64) {
     for (sum, one) in to.iter_mut().zip(elements) {
         *sum += factor * one;
     }
-}
-
-/// Σ of the squares.
-#[inline(always)]
-fn squared(v: &[f64]) -> f64 {
-    v.iter().map(|a| a * a).sum()
 }
 
 /// How the pass back counts the states, and by which parameters.

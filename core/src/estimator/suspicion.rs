@@ -11,7 +11,7 @@ const MEMORY_S: f64 = 2.0;
 /// A clock is suspected where the innovations' squares are this many standard deviations more than is expected, which
 /// chance makes once in many days; it only begins the search ([`super::clock_bank`]), which decides.
 const SUSPICIOUS: f64 = 5.0;
-/// Fewer measurements than this count as this many: one that is wrong is not suspicious.
+/// Fewer measurements than this count as this many, the others as expected: one that is wrong is not suspicious.
 const MIN_COUNT: f64 = 8.0;
 /// Or where an offset of the clock explains them by this much of a logarithm of the likelihood, at 3.5 standard
 /// deviations: by chance twice an hour.
@@ -89,10 +89,15 @@ impl Watch {
         self.suspect = None;
     }
 
+    /// A measurement tells where the structure is: until then its samples' clock may have stepped.
+    #[inline]
+    pub fn end_lapse(&mut self) {
+        self.lapsed_s = 0.0;
+    }
+
     /// Takes note of an innovation of the best hypothesis and its sensitivities `e` (1 + k); back: its sensor was away.
     #[inline]
     pub fn note(&mut self, scene: &Scene, innovation: &Innovation, e: &[f64], back: bool) {
-        self.lapsed_s = 0.0;
         let (c, Some(q)) = (scene.row.channel, scene.channel.clock) else { return };
         let (sums, total, sensitivity) = (&mut self.sums[c], innovation.total(), e[1 + q]);
         let kept = (-(scene.at_s - sums.last_s) / MEMORY_S).exp();
@@ -106,7 +111,8 @@ impl Watch {
             last_s: scene.at_s,
         };
         let many = sums.surplus > SUSPICIOUS * (0.5 * sums.count.max(MIN_COUNT)).sqrt();
-        let explained = sums.matched * sums.matched > 2.0 * EXPLAINED * sums.known;
+        let fewer = (MIN_COUNT / sums.count).max(1.0);
+        let explained = sums.matched * sums.matched > 2.0 * EXPLAINED * fewer * sums.known;
         let back = std::mem::take(&mut self.doubted[c]) || back;
         if back || many || explained {
             self.suspect = Some(Suspicion { channel: c, back });

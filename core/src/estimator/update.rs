@@ -150,6 +150,16 @@ pub fn renew_parameter(hyp: &mut Hypothesis, q: usize, variance: f64) {
     hyp.clear_tests();
 }
 
+/// Lets a parameter count from what it has come to: the states and what is measured hold the rest (A. Gelb, Applied
+/// optimal estimation, MIT Press 1974, section 6.1: relinearisation); nothing is forgotten.
+pub fn relinearise(hyp: &mut Hypothesis, q: usize, by: f64) {
+    for i in 0..hyp.p.width() {
+        hyp.x[(i, 0)] += by * hyp.x[(i, 1 + q)];
+    }
+    hyp.parameters[q] -= by;
+    hyp.clear_tests();
+}
+
 /// Lets an axis' motion from state `i` on be that of an instant some time later or earlier (s); usual: standard deviation
 /// of its displacement (m) and middle angular frequency (1/s).
 pub fn move_motion(p: &mut Matrix, i: usize, usual: &(f64, f64), moved_s: f64) {

@@ -37,13 +37,20 @@ pub enum Item {
         /// By how much another instant the motion's state is of, s.
         moved_s: f64,
     },
+    /// A sensor's clock has drifted: from the next measurement on its stamps take what its parameter has come to.
+    Relinearised {
+        /// The parameter that is its offset.
+        parameter: usize,
+        /// What is added to its stamps, s.
+        by_s: f64,
+    },
 }
 
 impl Item {
     /// What comes first at one instant; channels by their number.
     fn order(&self) -> usize {
         match self {
-            Self::WentBack | Self::ClockStep { .. } => 0,
+            Self::WentBack | Self::ClockStep { .. } | Self::Relinearised { .. } => 0,
             Self::Datum => 1,
             Self::Measured(one) => 2 + one.channel,
         }
@@ -53,7 +60,7 @@ impl Item {
     pub fn measured(&self) -> Option<&Measurement> {
         match self {
             Self::Measured(one) => Some(one),
-            Self::Datum | Self::WentBack | Self::ClockStep { .. } => None,
+            Self::Datum | Self::WentBack | Self::ClockStep { .. } | Self::Relinearised { .. } => None,
         }
     }
 }

@@ -6,6 +6,7 @@ use super::hypothesis::Hypothesis;
 use super::innovation::Work;
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
+use super::rows::Standing;
 use super::slow::Turn;
 use super::waiting::{Item, Timed};
 
@@ -49,6 +50,11 @@ pub(super) enum Recorded {
         parameter: usize,
         value: f64,
     },
+    /// A parameter counts from another value: by how much it is less than before.
+    Relinearised {
+        parameter: usize,
+        by: f64,
+    },
 }
 
 /// Samples of which the same states are uncertain.
@@ -79,6 +85,8 @@ pub struct WayBack {
     live: Vec<usize>,
     /// Source and status of each sample (n · axes).
     statuses: Vec<(u8, u8)>,
+    /// Variance (n · axes) of where the structure is, as the accelerometer's clock may have stepped, m².
+    doubts_m2: Vec<f64>,
     pub(super) records: Vec<Record>,
     /// Of each record its sensitivities (1 + k) and gain (n).
     pub(super) details: Vec<f64>,
@@ -105,6 +113,7 @@ impl WayBack {
         self.spans.clear();
         self.live.clear();
         self.statuses.clear();
+        self.doubts_m2.clear();
         self.records.clear();
         self.details.clear();
         self.uncertain.clear();
@@ -177,9 +186,15 @@ impl WayBack {
         self.time_s.extend_from_slice(time_s);
     }
 
-    /// Adds source and status of this many samples' rows along the next axis.
-    pub fn add_statuses(&mut self, count: usize, status: (u8, u8)) {
-        self.statuses.extend(std::iter::repeat_n(status, count));
+    /// Variance (m²) of a sample's row along an axis, as the accelerometer's clock may have stepped since a measurement.
+    pub fn doubt_m2(&self, k: usize, axis: usize) -> f64 {
+        self.doubts_m2[k * self.axes + axis]
+    }
+
+    /// Adds what this many samples' rows along the next axis rest on, and the doubt about the accelerometer's clock.
+    pub fn add_statuses(&mut self, count: usize, standing: &Standing, doubt_m2: f64) {
+        self.statuses.extend(std::iter::repeat_n((standing.source, standing.status as u8), count));
+        self.doubts_m2.extend(std::iter::repeat_n(doubt_m2, count));
     }
 
     /// Adds the nodes of the next samples along the next axis, of what the filter left; its other states are the live
@@ -238,6 +253,7 @@ impl WayBack {
         let what = match mark.item {
             Item::Datum => Recorded::Datum,
             Item::ClockStep { parameter, .. } => Recorded::ClockStep { parameter, value: parameters[parameter] },
+            Item::Relinearised { parameter, by_s } => Recorded::Relinearised { parameter, by: by_s },
             Item::WentBack | Item::Measured(_) => Recorded::Doubt,
         };
         self.records.push(Record { sample: self.time_s.len(), at_s: mark.at_s, what });

@@ -28,7 +28,7 @@ type AxisArrays<'py> = (
 );
 /// Stamps (n,), and the rows of each axis.
 type RowArrays<'py> = (Bound<'py, PyArray1<i64>>, Vec<AxisArrays<'py>>);
-/// Stamps, values, variances and verdicts (m,) of one channel.
+/// Stamps, values, variances and codes of what became of each measurement (m,) of one channel.
 type InnovationArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i8>>);
 /// What happened (see [`code`]): when (ns), to which channel, size (mm), its standard deviation (mm), of outliers in a
@@ -95,7 +95,7 @@ fn innovation_arrays<'py>(py: Python<'py>, one: Innovations) -> InnovationArrays
         one.time_ns.into_pyarray(py),
         one.value.into_pyarray(py),
         one.variance.into_pyarray(py),
-        one.verdict.into_pyarray(py),
+        one.acceptance.into_pyarray(py),
     )
 }
 
@@ -310,13 +310,13 @@ impl Estimator {
         (samples, decided, own.memory.undecided.len())
     }
 
-    /// Times (s) and channels of what waits for samples, -1 for the datum, -2 for stamps that went back, -3 for a clock's step.
+    /// Times (s) and channels of what waits for samples, -1 for the datum, -2 for stamps that went back, -3 for a clock's step or drift.
     fn waiting(&self) -> (Vec<f64>, Vec<i64>) {
         let channel = |item: &Item| match item {
             Item::Measured(one) => one.channel as i64,
             Item::Datum => -1,
             Item::WentBack => -2,
-            Item::ClockStep { .. } => -3,
+            Item::ClockStep { .. } | Item::Relinearised { .. } => -3,
         };
         self.own().memory.waiting.iter().map(|one| (one.at_s, channel(&one.item))).unzip()
     }
