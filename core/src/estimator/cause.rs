@@ -163,7 +163,13 @@ fn weight_of_shift(at: &Situation) -> f64 {
         None => {
             // A solution that has not converged jumps on its way as often as it comes back.
             let rate = if at.mark.reverting_m2 > 0.0 { rates.back } else { rates.shift };
-            met_within(rate, at.lapse).ln() + at.any_size()
+            let shifted = met_within(rate, at.lapse).ln();
+            if at.mark.outliers > 0.0 {
+                // It had shifted before the first of them, as a state that is wrong was.
+                shifted.min(rates.outlier.ln()) + at.wrong_or_kept()
+            } else {
+                shifted + at.any_size()
+            }
         }
     }
 }
