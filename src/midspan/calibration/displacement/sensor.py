@@ -20,10 +20,11 @@ from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.averaging import taken_by_averaging
+from midspan.signals.clipping import range_limits, resolution
 from midspan.signals.health import Mask, runs
 from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
-from midspan.signals.stuck import range_limits, resolution, stuck
+from midspan.signals.stuck import stuck
 
 # A scale that was not estimated is reported when off by this share and this many deviations, refused beyond the third.
 REPORTED, CERTAIN, REFUSED = 0.015, 4.5, 0.5

@@ -151,6 +151,8 @@ class StoredUsual(Stored):
     dominant_hz: Std
     low_m_s2: Number
     high_m_s2: Number
+    range_low_m_s2: Annotated[Number, _null(-math.inf)] = -math.inf
+    range_high_m_s2: NumberOrInf = math.inf
     resolution_m_s2: StdOrInf = math.inf
     moved_m: Std
 
