@@ -150,6 +150,27 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> tuple[OwnError 
     return replace(own, alone=alone, taken=taken), False
 
 
+def averaged(pair: Pair, count: int) -> Pair:
+    """The pair with the weighted mean of each `count` rows for one of them: of each n-th row alone a motion near a
+    multiple of the rate that is left would be aliased.
+
+    The variance of a mean is relative to that of a row; its exposure is that of a row and of the block together.
+    """
+    if count < 2:
+        return pair
+    blocks = pair.rows[: len(pair.rows) // count * count].reshape(-1, count, 3)
+    weight = 1.0 / blocks[:, :, 2]
+    total = np.sum(weight, axis=1)
+    share = np.where(total[:, None] > 0.0, weight, 1.0)
+    share /= np.sum(share, axis=1, keepdims=True)
+    means = np.einsum("bk,bkc->bc", share, np.nan_to_num(blocks[:, :, :2]))
+    with np.errstate(divide="ignore"):
+        rows = np.column_stack((means, 1.0 / total))
+    # The second moment of `count` instants that are evenly spaced is that of an exposure.
+    block_s = np.sqrt(count**2 - 1.0) / pair.rate_hz
+    return pair.changed(rows=rows, exposure_s=float(np.hypot(pair.exposure_s, block_s)))
+
+
 def _sway(climb: "_Climb", none: Fit) -> OwnError | None:
     """The oscillator that makes the measurements clearly likelier; None where none does, or that hardly oscillates."""
     rate_hz = climb.pair.rate_hz
