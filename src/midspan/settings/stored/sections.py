@@ -554,7 +554,7 @@ class StoredDisplacement(StoredSensor):
     clock_reference_s: Number = 0.0
     unseen_drift_mm: StdOrInf = 0.0
     unseen_step_mm: StdOrInf = 0.0
-    unseen_gap_mm: Std = 0.0
+    unseen_gap_mm: StdOrInf = 0.0
 
     def record(self, _kind: str) -> DisplacementCalibration:
         """The displacement sensor."""
