@@ -122,11 +122,6 @@ class NoiseCalibration:
     late_m: float = 0.0
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
-    @property
-    def slow(self) -> tuple[float, float]:
-        """Standard deviation (m) and correlation time (s) of its slow error."""
-        return self.slow_std_m, self.slow_time_s
-
 
 def calibrate_noise(
     pair: Pair,

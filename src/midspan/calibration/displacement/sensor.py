@@ -199,7 +199,9 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
-    slow_std_m, slow_time_s = GNSS_SLOW if _has_usual_slow_error(given, estimated) else estimated.slow
+    slow_std_m, slow_time_s = estimated.slow_std_m, estimated.slow_time_s
+    if _has_usual_slow_error(given, estimated):
+        slow_std_m, slow_time_s = GNSS_SLOW
     # A slow error that is in the band is not left out of it.
     drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if slow_std_m > 0.0 else estimated.unseen_m
     return DisplacementCalibration(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.slow_error import BEYOND_DOUBT, STEP_SHOWS, change_innovations
+from midspan.calibration.slow_error import BEYOND_DOUBT, STEP_SHOWS, change_shown
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeSeries
 from midspan.signals.stamps import shown
@@ -74,8 +74,5 @@ def _step(pair: Pair, fit: Fit, k: int) -> tuple[float, float, float]:
     # Readings that are left out before it belong to what follows the step.
     first = int(used[k - 1]) + 1 if k > 0 else int(used[k])
     at_s = float(pair.rows[first, 0])
-    signature, left, noise = change_innovations(pair, fit, at_s, 0.0)
-    known, matched = float(signature @ signature), float(signature @ left)
-    if not (known > 0.0 and noise > 0.0):
-        return 0.0, at_s, 0.0
-    return matched * matched / (known * noise), at_s, matched / known
+    change = change_shown(pair, fit, at_s)
+    return change.chi_square, at_s, change.size
