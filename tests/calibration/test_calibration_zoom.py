@@ -1,4 +1,4 @@
-"""The zoom of a picture in which nothing moves is left alone."""
+"""The zoom of images in which nothing moves is left alone."""
 
 from types import SimpleNamespace
 

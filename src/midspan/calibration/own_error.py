@@ -44,7 +44,7 @@ PERIODS_SEEN = 0.5
 SLOWEST = 1.05
 # Errors that do not sway are looked at at instants so far apart, s: what exposures and shimmering air smooth them by is
 # less, and what errs faster the accelerometer shows. Close by, how smooth an error is counts more than how large it is.
-APART_S = 0.3
+SPARSE_STEP_S = 0.3
 # A process of LONGEST_S shows two thirds of its standard deviation in twice that time, on average, and seldom a half.
 MAX_SHOWN = 2.0
 # Powers at a frequency are means over this many ordinates.
@@ -183,9 +183,9 @@ def _sway(climb: "_Climb", none: Fit) -> OwnError | None:
 
 
 def _drift(here: Aligned, fit: Fit, bounds: tuple[float, float]) -> OwnError | None:
-    """The Gauss-Markov process that makes measurements APART_S apart clearly likelier."""
+    """The Gauss-Markov process that makes measurements SPARSE_STEP_S apart clearly likelier."""
     pair = here.pair
-    sparse = pair.changed(rows=pair.rows[:: max(round(APART_S * pair.rate_hz), 1)])
+    sparse = pair.changed(rows=pair.rows[:: max(round(SPARSE_STEP_S * pair.rate_hz), 1)])
     climb = _Climb(Aligned(sparse, aligned(sparse, fit.offset_s).columns), *bounds)
     none = climb.best([np.log([fit.corner])])
     starts = [[size, 1.0 / (share * climb.span_s)] for size in SIZES for share in SHARES]
