@@ -6,7 +6,7 @@ applied); seconds appear only as differences. A record that holds arrays is a bl
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -164,12 +164,16 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth reporting: when, of what kind, in one sentence; axis: that it concerns, 0 the main one."""
+    """Something worth reporting: when, of what kind, in one sentence; axis: that it concerns, 0 the main one.
+
+    sensor: whose measurements it is about, empty where it is about none; the text says it as well.
+    """
 
     time_ns: int
     kind: str
     text: str
     axis: int = 0
+    sensor: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ from midspan.engine.merge import Merge
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.errors import UsageError
 from midspan.records import Arrival, Event, Measured, Readings, Samples, joined, part
-from midspan.signals.stuck import resolution, stuck
+from midspan.signals.clipping import resolution
+from midspan.signals.stuck import stuck
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 
 NOISE = 2e-3

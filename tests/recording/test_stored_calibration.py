@@ -89,11 +89,15 @@ def radars(draw):
 
 
 levels = st.floats(-1e3, 1e3)
-usual = st.one_of(st.none(), st.builds(AxisFigures, levels, stds, stds, signed, signed, stds, stds))
+ends = {"range_low_m_s2": st.sampled_from((-math.inf, -19.6)), "range_high_m_s2": st.sampled_from((math.inf, 19.6))}
+usual = st.one_of(st.none(), st.builds(AxisFigures, levels, stds, stds, signed, signed, stds, stds, **ends))
+UNSEEN, maybe = ("drift", "step", "gap"), st.one_of(st.just(math.inf), sized(1e-6, 1e3))
 displacements = st.one_of(
     st.builds(DisplacementCalibration, noises, offsets, resolution_m=stds),
     st.builds(DisplacementCalibration, noises, offsets, low_m=st.just(-0.008), high_m=st.just(0.0123)),
     st.builds(DisplacementCalibration, noises, offsets),
+    # Of what a record tells nothing the size is infinite.
+    st.builds(DisplacementCalibration, noises, offsets, **{f"unseen_{what}_m": maybe for what in UNSEEN}),
     st.builds(DisplacementCalibration, noises, offsets, signed, sized(1e-9, 1.0)),
 )
 

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from midspan.signals.health import bridged, clipped, clock, dominant_frequency, frozen, runs
+from midspan.signals.clipping import clipped
+from midspan.signals.health import bridged, clock, dominant_frequency, frozen, runs
 
 
 def stamps(*steps_s):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from midspan.signals.stuck import range_limits, resolution, stuck
+from midspan.signals.clipping import range_limits, resolution
+from midspan.signals.stuck import stuck
 from midspan.simulate.motion.motion import Sines, Sum, Window, random_motion
 
 NOISE = 2e-3

@@ -22,7 +22,7 @@ BIAS_ORDERS = range(4, 9)
 # Blocks of time whose sums are taken as independent.
 BLOCKS = 24
 # A scale that does not change seems to with this probability; and a change of less than this is of no importance.
-BY_CHANCE, LEAST = 1e-4, 1e-3
+BY_CHANCE, MIN_CHANGE = 1e-4, 1e-3
 # Instants at which the course is looked at.
 GRID = 100
 
@@ -62,14 +62,14 @@ def gain_drift(pair: Pair, fit: Fit) -> float:
         return 0.0
     courses = np.stack([course(k, np.linspace(middle - half, middle + half, GRID)) for k in range(1, ORDER + 1)])
     most = float(np.ptp(size[:, 0] @ courses))
-    return most if most > LEAST else 0.0
+    return most if most > MIN_CHANGE else 0.0
 
 
 def drift_text(sensor: str, most: float) -> list[Notice]:
     """A sentence on a scale factor that changes, by so much (relative)."""
     text = (
         f"{sensor}: the scale factor between it and the accelerometer changes by {100.0 * most:.2g} % in the "
-        "course of the record, as where an accelerometer warms up, and the error band holds it. Let the accelerometer "
-        "run for some minutes before."
+        "course of the record, as where an accelerometer warms up. The error band holds its mean size; rows at the "
+        "begin may lie farther off. Let the accelerometer run for some minutes before."
     )
     return [Notice("gain-drifts", text)] if most > 0.0 else []

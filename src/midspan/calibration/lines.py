@@ -33,7 +33,7 @@ ABOVE_NOISE, LOWEST, SHARE_OF_LOWEST = 50.0, 0.25, 0.4
 SHOWN, NOT_SHOWN = 0.6, 0.2
 # Of what both hold, at least this share must be motion by this rule: else powers do not tell what both share, as
 # where a clock steps, something bends a radar's phase, or a gap hides a part (0.79 and less; with machines 0.85).
-MOSTLY = 0.8
+MIN_MOVING_SHARE = 0.8
 # A line is taken out where motion has no more than this share of the power in its band: it is lost with it.
 MAX_MOTION = 0.02
 # A sensor that averages or follows late shows fast motion less: one that shows all of it at a frequency shows a fifth
@@ -103,7 +103,7 @@ def unconfirmed_lines(samples: Floats, shown: Shown) -> tuple[Line, ...]:
     weight = np.where(both.moved > ABOVE_NOISE * noise, np.sqrt(ratio) * felt, 0.0)
     factor = _weighted_median(ratio, weight)
     moves = (weight > 0.0) & (ratio > SHOWN * factor) & (ratio < factor / SHOWN)
-    if not np.sum(weight[moves]) > MOSTLY * np.sum(weight):
+    if not np.sum(weight[moves]) > MIN_MOVING_SHARE * np.sum(weight):
         return ()
     alone = felt * np.clip(1.0 - ratio / factor, 0.0, 1.0)
     peak, belongs = _peaks(alone, hertz, both.white)

@@ -130,11 +130,6 @@ class NoiseCalibration:
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
     @property
-    def slow(self) -> tuple[float, float, float]:
-        """Standard deviation (m), correlation time (s) and frequency (Hz) of its slow error."""
-        return self.slow_std_m, self.slow_time_s, self.slow_hz
-
-    @property
     def sway_m(self) -> float:
         """Standard deviation (m) of an oscillation that either of both sensors may have."""
         nobodys = self.sway is not None and not (self.sway.alone and self.sway.taken)

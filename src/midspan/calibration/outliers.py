@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, refine
 from midspan.calibration.whitening import SETTLING, whiten_columns
 from midspan.records import Floats
+from midspan.signals.clipping import resolution
 from midspan.signals.medians import SIGMA_OF_MEDIAN
-from midspan.signals.stuck import resolution
 
 # An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
 OUTLIER_LIMIT = 5.0

@@ -44,7 +44,7 @@ PERIODS_SEEN = 0.5
 SLOWEST = 1.05
 # Errors that do not sway are looked at at instants so far apart, s: what exposures and shimmering air smooth them by is
 # less, and what errs faster the accelerometer shows. Close by, how smooth an error is counts more than how large it is.
-APART_S = 0.3
+SPARSE_STEP_S = 0.3
 # A process of LONGEST_S shows two thirds of its standard deviation in twice that time, on average, and seldom a half.
 MAX_SHOWN = 2.0
 # Powers at a frequency are means over this many ordinates.
@@ -150,6 +150,27 @@ def find_own_error(pair: Pair, fit: Fit, own_variance: float) -> tuple[OwnError 
     return replace(own, alone=alone, taken=taken), False
 
 
+def averaged(pair: Pair, count: int) -> Pair:
+    """The pair with the weighted mean of each `count` rows for one of them: of each n-th row alone a motion near a
+    multiple of the rate that is left would be aliased.
+
+    The variance of a mean is relative to that of a row; its exposure is that of a row and of the block together.
+    """
+    if count < 2:
+        return pair
+    blocks = pair.rows[: len(pair.rows) // count * count].reshape(-1, count, 3)
+    weight = 1.0 / blocks[:, :, 2]
+    total = np.sum(weight, axis=1)
+    share = np.where(total[:, None] > 0.0, weight, 1.0)
+    share /= np.sum(share, axis=1, keepdims=True)
+    means = np.einsum("bk,bkc->bc", share, np.nan_to_num(blocks[:, :, :2]))
+    with np.errstate(divide="ignore"):
+        rows = np.column_stack((means, 1.0 / total))
+    # The second moment of `count` instants that are evenly spaced is that of an exposure.
+    block_s = np.sqrt(count**2 - 1.0) / pair.rate_hz
+    return pair.changed(rows=rows, exposure_s=float(np.hypot(pair.exposure_s, block_s)))
+
+
 def _sway(climb: "_Climb", none: Fit) -> OwnError | None:
     """The oscillator that makes the measurements clearly likelier; None where none does, or that hardly oscillates."""
     rate_hz = climb.pair.rate_hz
@@ -162,9 +183,9 @@ def _sway(climb: "_Climb", none: Fit) -> OwnError | None:
 
 
 def _drift(here: Aligned, fit: Fit, bounds: tuple[float, float]) -> OwnError | None:
-    """The Gauss-Markov process that makes measurements APART_S apart clearly likelier."""
+    """The Gauss-Markov process that makes measurements SPARSE_STEP_S apart clearly likelier."""
     pair = here.pair
-    sparse = pair.changed(rows=pair.rows[:: max(round(APART_S * pair.rate_hz), 1)])
+    sparse = pair.changed(rows=pair.rows[:: max(round(SPARSE_STEP_S * pair.rate_hz), 1)])
     climb = _Climb(Aligned(sparse, aligned(sparse, fit.offset_s).columns), *bounds)
     none = climb.best([np.log([fit.corner])])
     starts = [[size, 1.0 / (share * climb.span_s)] for size in SIZES for share in SHARES]

@@ -228,27 +228,35 @@ def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[flo
     """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: deviations at which a drift does."""
     middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)
     longest = int(np.argmax(lapses))
-    drift = _shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)
+    drift = change_shown(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S).std
     # Away from a gap.
-    steps = [_shown_std(pair, fit, rows[0] + share * (rows[-1] - rows[0]), 0.0) for share in (0.25, 0.5, 0.75)]
+    steps = [change_shown(pair, fit, rows[0] + share * (rows[-1] - rows[0])).std for share in (0.25, 0.5, 0.75)]
     missing = lapses[longest] > MISSING * float(np.median(lapses))
-    gap = _shown_std(pair, fit, rows[longest] + 0.5 * lapses[longest], 0.0) if missing else 0.0
+    gap = change_shown(pair, fit, rows[longest] + 0.5 * lapses[longest]).std if missing else 0.0
     shows = float(np.sqrt(STEP_SHOWS))
     return float(drift_shows) * drift, shows * float(np.median(steps)), shows * gap
 
 
-def _shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
-    """Standard deviation with which the measurements tell the size of a change of theirs from an instant on (s, on
-    their own clock) that takes so long (s; 0: a step), in the translation's unit; infinite where they do not tell it.
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change of the measurements: its size and that one's standard deviation, in the translation's unit.
+
+    Where the measurements tell nothing of it the size is 0 and the deviation infinite.
     """
 
-    signature, _, noise = change_innovations(pair, fit, from_s, lasting_s)
-    known = float(np.sum(signature * signature)) / noise
-    return float(1.0 / np.sqrt(known)) if known > 0.0 else float("inf")
+    size: float
+    std: float
+
+    @property
+    def chi_square(self) -> float:
+        """Twice the logarithm of how much likelier it makes the measurements, of one degree of freedom."""
+        return (self.size / self.std) ** 2
 
 
-def change_innovations(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> tuple[Floats, Floats, float]:
-    """Signature of a change as of `_shown_std`, the innovations (k,), both standardised, and the noise's variance."""
+def change_shown(pair: Pair, fit: Fit, from_s: float, lasting_s: float = 0.0) -> Change:
+    """What the innovations show of a change from an instant on (s, on the sensor's own clock) that takes so long (s; 0:
+    a step): the generalised likelihood ratio (A. S. Willsky, H. L. Jones, 1976, doi 10.1109/TAC.1976.1101146).
+    """
 
     def change(time_s: Floats) -> Floats:
         since = time_s - fit.offset_s - from_s
@@ -257,7 +265,11 @@ def change_innovations(pair: Pair, fit: Fit, from_s: float, lasting_s: float) ->
 
     w = aligned(pair, fit.offset_s, change).whitened(fit.corner)
     root = np.sqrt(w.variance)
-    return w.columns[:, -1] / root, (w.translation - fit.ratio * w.response) / root, fit.noise
+    signature, innovations = w.columns[:, -1] / root, (w.translation - fit.ratio * w.response) / root
+    known = float(signature @ signature)
+    if not (known > 0.0 and fit.noise > 0.0):
+        return Change(0.0, np.inf)
+    return Change(float(signature @ innovations) / known, float(np.sqrt(fit.noise / known)))
 
 
 def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
@@ -270,11 +282,9 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
         return False
     first = int(np.argmax(within))
     used = found.whitened.index
-    for j in range(used[max(first - 1, 0)] + 1, used[min(first + long, len(used) - 1)] + 1):
-        signature, left, noise = change_innovations(pair, without, float(pair.rows[j, 0]), 0.0)
-        if np.sum(signature * left) ** 2 > BEYOND_DOUBT * STEP_SHOWS * noise * np.sum(signature * signature):
-            return True
-    return False
+    rows = pair.rows[used[max(first - 1, 0)] + 1 : used[min(first + long, len(used) - 1)] + 1, 0]
+    least = BEYOND_DOUBT * STEP_SHOWS
+    return any(change_shown(pair, without, float(at_s)).chi_square > least for at_s in rows)
 
 
 def _lost(pair: Pair, without: Fit, found: Fit) -> float:

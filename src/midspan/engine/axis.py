@@ -9,8 +9,8 @@ import numpy as np
 
 from midspan.fusion.entry import MAX_M_S2
 from midspan.records import Event, Floats, Nanoseconds
+from midspan.signals.clipping import Levels, clipped, is_clipped, range_limits, with_crests
 from midspan.signals.health import (
-    CLIPPED_RUN,
     EQUAL_AT_FIRST,
     MIN_HZ,
     NEIGHBOURS,
@@ -20,18 +20,15 @@ from midspan.signals.health import (
     EqualRuns,
     Mask,
     bridged,
-    clipped,
     dominant_frequency,
     equal_runs,
     frozen,
-    is_clipped,
     lone_spikes,
     mean_square,
     missed_share,
     runs,
     smallest_step,
     spikes,
-    with_crests,
 )
 
 # Samples already given out that are still looked at: a run counts as reached gently by the five steps before it.
@@ -44,7 +41,8 @@ class AxisFigures:
     """What is usual of an axis, from its calibration.
 
     mean_m_s2, variance (m²/s⁴), dominant_hz: of what was measured; low_m_s2, high_m_s2: the smallest and largest value
-    seen; resolution_m_s2: smallest step of values; moved_m: standard deviation of the displacement. noise_density:
+    seen; range_low_m_s2, range_high_m_s2: the ends of the range where it is held there, ∓ infinite where not;
+    resolution_m_s2: smallest step of values; moved_m: standard deviation of the displacement. noise_density:
     (m/s²)²/Hz; name: file and channel, for messages; motion_noise_s: what the noise density has besides per mean square
     (m²/s⁴) of the motion, s. gain: of the accelerometer, by which its samples are divided after all.
     """
@@ -60,6 +58,14 @@ class AxisFigures:
     name: str = ""
     motion_noise_s: float = 0.0
     gain: float = 1.0
+    range_low_m_s2: float = -np.inf
+    range_high_m_s2: float = np.inf
+
+    @property
+    def levels(self) -> Levels:
+        """By these clipped samples are found."""
+        std, ends = float(np.sqrt(self.variance)), (self.range_low_m_s2, self.range_high_m_s2)
+        return Levels(self.mean_m_s2, std, self.resolution_m_s2, *ends)
 
     @property
     def frequency_hz(self) -> float:
@@ -94,12 +100,15 @@ def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
     still = frozen(value, rate_hz)
     known = np.isfinite(value)
     seen = value[known & ~still & ~(clipped(value) & ~still)]
+    low, high = range_limits(value)
     return AxisFigures(
         mean_m_s2=float(np.mean(seen)),
         variance=float(np.var(seen)),
         dominant_hz=dominant_frequency(seen, rate_hz),
         low_m_s2=float(value[known].min()),
         high_m_s2=float(value[known].max()),
+        range_low_m_s2=low,
+        range_high_m_s2=high,
         resolution_m_s2=smallest_step(value),
         moved_m=displacement_std(seen, rate_hz),
     )
@@ -312,13 +321,13 @@ def _clipped(
         # The run that the last sample given out is in goes on.
         begins = np.append(max(memory.given - memory.equal, 0), begins)
     ends = np.append(begins[1:], count)
-    mean, std = figures.mean_m_s2, float(np.sqrt(figures.variance))
-    far = np.abs(value[begins] - mean) > std
+    levels = figures.levels
+    far = np.abs(value[begins] - levels.mean) > levels.std
     for start, stop in zip(begins[far].tolist(), ends[far].tolist(), strict=True):
-        if not end and stop - start > 1 and (stop == count or (stop - start >= CLIPPED_RUN and stop + 1 == count)):
+        if not end and stop - start > 1 and stop + 1 >= count:
             # How the run ends, and how steep the signal is after it, is not yet known.
             return held, start + 1
-        held[start + 1 : stop] = is_clipped(value, (start, stop), mean, std, figures.resolution_m_s2)
+        held[start + 1 : stop] = is_clipped(value, (start, stop), levels)
     return held, count
 
 

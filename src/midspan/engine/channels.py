@@ -22,7 +22,7 @@ from midspan.fusion.model import Parameter, ParameterKind
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import bin_m_of
 from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
-from midspan.signals.stuck import resolution
+from midspan.signals.clipping import resolution
 
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.

@@ -14,7 +14,7 @@ from midspan.signals.stamps import shown
 NOTABLE_REJECTED = 0.02
 # Events of one kind that are warnings.
 MAX_WARNED = 3
-# A clock that was set is set once or twice in a record; one of more steps runs unevenly.
+# A sensor's clock that was set is set once or twice in a record; one of more steps runs unevenly.
 MAX_CLOCK_STEPS = 2
 # Coasting is reported where it holds more than this share of the rows' summed variance. Less widens the rms band by
 # 2.5 % at most, and each row's own band says it.
@@ -47,23 +47,30 @@ def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
     found = list[Notice]()
     events = tuple(event for event in events if event.kind != "seen")
     for kind in dict.fromkeys(event.kind for event in events):
-        texts = [event.text for event in events if event.kind == kind]
-        if kind == "clock" and len(texts) > MAX_CLOCK_STEPS:
-            texts = [uneven_clock([event.time_ns for event in events if event.kind == kind])]
+        of_kind = [event for event in events if event.kind == kind]
+        texts = _clock_texts(of_kind) if kind == "clock" else [event.text for event in of_kind]
         if len(texts) > MAX_WARNED:
             texts[MAX_WARNED:] = [f"{len(texts) - MAX_WARNED} more such segments stand in the events."]
         found += [Notice(EVENT_CODES[kind], text) for text in texts]
     return found
 
 
-def uneven_clock(steps_ns: Sequence[int]) -> str:
-    """A sentence on a clock that was corrected at many instants (n,), ns."""
-    return (
-        f"The sensors' clocks run unevenly relative to each other: from {shown(min(steps_ns))} to "
-        f"{shown(max(steps_ns))} the time stamps were corrected {len(steps_ns)} times, as where readings are stamped "
-        "when they arrive (a delay that varies) or a clock is regulated over a network. Take the stamps of the "
-        "sensor's own clock. The events have each correction."
-    )
+def _clock_texts(events: Sequence[Event]) -> list[str]:
+    """The texts of steps of clocks; of a sensor whose clock was corrected at many instants one sentence."""
+    found = list[str]()
+    for sensor in dict.fromkeys(event.sensor for event in events):
+        steps = [event for event in events if event.sensor == sensor]
+        if len(steps) <= MAX_CLOCK_STEPS:
+            found += [event.text for event in steps]
+            continue
+        name, steps_ns = sensor or "a sensor", [event.time_ns for event in steps]
+        found.append(
+            f"The clocks of {name} and of the accelerometer run unevenly relative to each other: from "
+            f"{shown(min(steps_ns))} to {shown(max(steps_ns))} the time stamps were corrected {len(steps_ns)} times, "
+            "as where readings are stamped when they arrive (a delay that varies) or a clock is regulated over a "
+            "network. Take the stamps of the sensor's own clock. The events have each correction."
+        )
+    return found
 
 
 def rejected_share(innovation: Innovation) -> float:

@@ -117,4 +117,4 @@ def _event(report: Report, channels: Sequence[Channel], max_waiting: int) -> Eve
         lasting_s=lasting_s,
         max_waiting=max_waiting,
     )
-    return Event(time_ns, kind, reported, 0 if kind in OF_THE_POINT else channel.axis)
+    return Event(time_ns, kind, reported, 0 if kind in OF_THE_POINT else channel.axis, channel.sensor)

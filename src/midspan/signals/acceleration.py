@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
+from midspan.signals.clipping import clipped, with_crests
 from midspan.signals.health import (
     GAP_STEPS,
     LONG_SHARE,
@@ -16,7 +17,6 @@ from midspan.signals.health import (
     Clock,
     Mask,
     bridged,
-    clipped,
     clock,
     dominant_frequency,
     frozen,
@@ -25,7 +25,6 @@ from midspan.signals.health import (
     missed_share,
     runs,
     unknown_density,
-    with_crests,
 )
 from midspan.signals.lines import Line, unresolved
 from midspan.signals.stamps import inside, shown

@@ -1,4 +1,4 @@
-"""What is wrong with a channel (gaps, missing values, frozen segments, clipping, jitter of its clock), what is not
+"""What is wrong with a channel (gaps, missing values, frozen segments, jitter of its clock), what is not
 known of a motion while it is not seen, and how lively it is.
 
 Gain, cross axis sensitivity, attitude and lever arm all make an error in proportion to the motion itself, so that the
@@ -33,13 +33,6 @@ CLIPPED_S = 1.0
 # A structure at rest before or after the motion may give exactly equal values too: then at the channel's mean, within
 # this share of its standard deviation.
 REST_SHARE = 0.05
-# A level counts as clipped when the largest (or smallest) value is held by runs of at least this many samples.
-CLIPPED_RUN = 2
-# A crest of a coarsely quantised signal also holds its largest value; its slopes carry it at most this many steps
-# beyond.
-CREST_STEPS = 3.0
-# A run is cut off where the slopes carry the signal beyond it by this factor more than a rounded parabola's.
-CREST = 2.0
 # Steps up to this many usual ones are jitter or a single lost sample, which the filter takes as they are.
 GAP_STEPS = 2.5
 # A gap is long when its density is above this share of that of a wholly unknown motion.
@@ -113,7 +106,7 @@ def frozen(value: Floats, rate_hz: float) -> Mask:
     channel all.
 
     A run at the channel's mean at either end of the record is rest, not frozen. A run of less than a second at the
-    channel's largest or smallest value is left to `clipped`.
+    channel's largest or smallest value is left to `clipping.clipped`.
     """
     mask = np.zeros(len(value), dtype=bool)
     if len(value) < 2 or bool(np.all(value == value[0])):
@@ -138,78 +131,6 @@ def _is_rest(value: Floats, start: int, end: int) -> bool:
     small = REST_SHARE * float(np.std(others))
     neighbours = np.concatenate((value[max(start - 5, 0) : start + 1], value[end - 1 : end + 5]))
     return bool(abs(value[start] - np.mean(others)) < small and np.nanmax(np.abs(np.diff(neighbours))) < small)
-
-
-def clipped(value: Floats) -> Mask:
-    """Samples (n,) held at an end of the range, at whatever level that is; the first of a run is taken as it is."""
-    mask = np.zeros(len(value), dtype=bool)
-    finite = value[np.isfinite(value)]
-    if not len(finite):
-        return mask
-    mean, std, resolution = float(np.mean(finite)), float(np.std(finite)), smallest_step(finite)
-    for second, end in runs(np.concatenate(([False], np.diff(value) == 0.0))).tolist():
-        mask[second:end] = is_clipped(value, (second - 1, end), mean, std, resolution)
-    return mask
-
-
-def is_clipped(value: Floats, run: tuple[int, int], mean: float, std: float, resolution: float) -> bool:
-    """Whether a run (start, end) of equal values (n,) is a crest that was cut off.
-
-    It is one where the signal comes to it from the side of its mean and goes back there, farther than its standard
-    deviation from it, and where the slopes on both sides would carry it clearly beyond.
-    """
-    start, end = run
-    if end - start < CLIPPED_RUN or not abs(value[start] - mean) > std:
-        return False
-    above = value[start] > mean
-    came = start == 0 or (value[start - 1] < value[start]) == above
-    went = end == len(value) or (value[end] < value[start]) == above
-    # How many steps beyond it the slopes carry a parabola of which this many samples are rounded to one value.
-    count = end - start
-    steps = (count + 1) * (count + 2) / (count - 1) ** 2
-    return bool(came and went) and overshoot(value, start, end) > CREST * steps * resolution
-
-
-def overshoot(value: Floats, start: int, end: int) -> float:
-    """How far the slopes on both sides of a run would carry the signal beyond it, were it not held."""
-    before = abs(value[start - 1] - value[start - 2]) if start >= 2 else np.inf
-    after = abs(value[end + 1] - value[end]) if end + 1 < len(value) else np.inf
-    slope = before + after if np.isfinite(before + after) else 2.0 * min(before, after)
-    return float(0.25 * (end - start + 1) * 0.5 * slope)
-
-
-def crest(value: Floats, start: int, end: int) -> Floats:
-    """The samples (end - start,) of a crest of which a run is left: a cubic with the values and slopes on either side.
-
-    Where a side is missing the crest is as steep there as on the other.
-    """
-    before = value[start - 1] - value[start - 2] if start >= 2 else np.nan
-    after = value[end + 1] - value[end] if end + 1 < len(value) else np.nan
-    up = before if np.isfinite(before) else -after
-    down = after if np.isfinite(after) else -before
-    low = value[start - 1] if start >= 1 else value[start]
-    high = value[end] if end < len(value) else value[end - 1]
-    if not np.isfinite([up, down, low, high]).all():
-        return value[start:end]
-    length = end - start + 1
-    x = np.arange(1, length) / length
-    rise = length * (up * x * (1.0 - x) ** 2 - down * x**2 * (1.0 - x))
-    found = low + (high - low) * x**2 * (3.0 - 2.0 * x) + rise
-    # The signal was beyond what it was held at.
-    return np.asarray(np.maximum(found, value[start]) if up > 0.0 else np.minimum(found, value[start]))
-
-
-def with_crests(value: Floats, held: Mask) -> Floats:
-    """`value` (n,) with the samples that are `held` on the crests that were cut off."""
-    if not held.any():
-        return value
-    drawn = value.copy()
-    for start, end in runs(held).tolist():
-        first, *rest = crest(value, start - 1, end)
-        drawn[start:end] = rest
-        # What the first sample of the run was short of is made up for by the next one: the velocity is right then.
-        drawn[start] += first - value[start - 1]
-    return drawn
 
 
 def spikes(value: Floats, mean: float, std: float) -> Mask:

@@ -1,9 +1,9 @@
-"""A slow sensor that repeats one value while the structure moves, or is held at the end of its range."""
+"""A slow sensor that repeats one value while the structure moves."""
 
 import numpy as np
 
 from midspan.records import Floats
-from midspan.signals.health import CLIPPED_RUN, CREST_STEPS, Mask, overshoot, runs
+from midspan.signals.health import Mask, runs
 from midspan.signals.integrate import path
 
 # This many exactly equal values in a row are looked at.
@@ -17,11 +17,6 @@ RESOLUTIONS = 2.0
 NOISE_SPAN = 0.5
 # Values that differ by this share differ by rounding alone.
 LAST_DIGITS = 1e-9
-# Values this many steps of the resolution from the largest are looked at; one record in a million without an end of the
-# range seems to have one.
-NEAR_STEPS, RECURS = 100.0, 1e-6
-# Differences below this share of the values' span are rounding, not resolution.
-ROUNDING = 1e-6
 
 
 def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float) -> Mask:
@@ -49,48 +44,6 @@ def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float
 def at_limits(value: Floats, low: float, high: float) -> Mask:
     """Which values (n,) are held at an end of the range; both may have been scaled, so the last digits do not count."""
     return np.asarray((value <= low + LAST_DIGITS * abs(low)) | (value >= high - LAST_DIGITS * abs(high)))
-
-
-def range_limits(value: Floats) -> tuple[float, float]:
-    """The ends of the sensor's range, in the unit of the values (n,), where they are held there; ∓ infinite where not.
-
-    It is held at its smallest or largest value where that comes back, once at least for three values that the slopes
-    on both sides would have carried clearly beyond, or for fewer, more often than chance makes it.
-    """
-    known = value[np.isfinite(value)]
-    limits = [-np.inf, np.inf]
-    if len(known) < MIN_EQUAL:
-        return -np.inf, np.inf
-    clear = CREST_STEPS * resolution(known)
-    for side, level in enumerate((float(known.min()), float(known.max()))):
-        visits = [(int(a), int(b)) for a, b in runs(known == level) if a >= 2 and b + 1 < len(known)]
-        beyond = [b - a >= CLIPPED_RUN and overshoot(known, a, b) > clear for a, b in visits]
-        if (len(visits) > 1 and any(beyond)) or _recurs(known, level):
-            limits[side] = level
-    return limits[0], limits[1]
-
-
-def _recurs(value: Floats, level: float) -> bool:
-    """Whether values (n,) come to their smallest or largest one more often than those of a motion do.
-
-    Of all motions a sine stays near its crests for longest: within d of a crest as the root of d. So of the values
-    within this number of steps of the crest one over the root of that number are on it at most. Long runs may be rest.
-    """
-    from scipy.special import bdtrc
-
-    step = resolution(value)
-    steps = min(NEAR_STEPS, 0.5 * float(np.ptp(value)) / step) if step > 0.0 else 0.0
-    brief = [int(b - a) for a, b in runs(value == level) if b - a < CLIPPED_RUN]
-    near = int(np.count_nonzero(np.abs(value - level) <= steps * step))
-    return steps > 1.0 and len(brief) > 1 and float(bdtrc(sum(brief) - 1, near, steps**-0.5)) < RECURS
-
-
-def resolution(value: Floats) -> float:
-    """The smallest step between the values (n,) that occur, in their unit; 0 where they all are one."""
-    levels = np.unique(value[np.isfinite(value)])
-    steps = np.diff(levels)
-    clear = steps[steps > ROUNDING * float(levels[-1] - levels[0])] if len(levels) > 1 else steps
-    return float(clear.min()) if len(clear) else 0.0
 
 
 def piece_length(step_s: float) -> int:

@@ -14,7 +14,8 @@ from midspan.radar.following import peaks
 from midspan.radar.frames import RadarFrames, collected, without_holes
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
 from midspan.signals.acceleration import unusable_samples
-from midspan.signals.health import clipped, clock, frozen
+from midspan.signals.clipping import clipped
+from midspan.signals.health import clock, frozen
 from midspan.signals.stamps import shown
 from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME

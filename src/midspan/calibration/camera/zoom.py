@@ -35,7 +35,8 @@ def without_zoom(views: Sequence[View], target: SeenTarget) -> SeenTarget:
     zoom, variance = target.rows.zoom, target.rows.variance_zoom
     place = target.rows.along(views[0].axis)[0]
     known = np.isfinite(place) & np.isfinite(zoom) & np.isfinite(variance)
-    if np.count_nonzero(known) < MIN_FRAMES:
+    # A zoom moves nothing of a target that stays exactly where it is.
+    if np.count_nonzero(known) < MIN_FRAMES or np.ptp(place[known]) == 0.0:
         return target
     own = float(np.mean(variance[known]))
     # What grows with the place is the lens' distortion or the target's turning: it goes with the scale factor.

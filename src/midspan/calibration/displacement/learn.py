@@ -11,8 +11,8 @@ from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
-from midspan.calibration.displacement.zero_steps import without_steps, zero_steps
-from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, measured_rows
+from midspan.calibration.displacement.zero_steps import MAX_STEPS, ZeroStep, steps_taken_out, without_steps, zero_steps
+from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, best_corner, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s, without_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
@@ -144,10 +144,13 @@ def clock_rate(given: Given) -> ClockRate | None:
     return find_clock_rate(replace(overlap.pair(0.0), cross=None), overlap.max_offset_s, overlap.first_ns)
 
 
-def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> NoiseCalibration:
+def learn(
+    given: Given, series: TimeSeries, *, clock_steps: bool = True, steps: tuple[ZeroStep, ...] = ()
+) -> NoiseCalibration:
     """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal.
 
-    clock_steps: where many values would be outliers, a clock that steps is looked for.
+    clock_steps: where many values would be outliers, a clock that steps is looked for. steps: of the zero, which were
+    taken out of the values.
     """
     overlap = _Overlap(given, series)
     prepared, first, max_offset = given.prepared, overlap.first_ns, overlap.max_offset_s
@@ -155,14 +158,10 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     pair = axis.pair
     notes: list[Notice] = []
     if given.learns_scale:
-        learned = calibrate_sensor_scale(
-            pair,
-            max_offset,
-            one_clock=overlap.one_clock,
-            length_s=overlap.overlap_s,
-            look=lambda fit: notes.extend(_refuse_farther(overlap, fit, axis)),
-            noise_time_s=given.noise_time_s,
-        )
+        try:
+            learned = _with_scale(overlap, axis, notes)
+        except UntrustedError as error:
+            return _without_hiding_steps(overlap, pair, steps, error)
         found = learned.findings
         assert found is not None
     else:
@@ -184,17 +183,18 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         _refuse_wrong_scale(learned, found)
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
-        return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
+        return _without_held(given, series, steps, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
     # Of the usable values.
     usable = pair.rows[:, 2] < np.inf
     share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
     if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
-        even = _on_one_even_clock(given, series, pair)
+        even = _on_one_even_clock(given, series, pair, steps)
         if even is not None:
             return even
         refuse_step(pair, found.fit)
-    if steps := _steps_of_zero(given, learned, found):
-        return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
+    if _may_step(given, learned, found, steps) and (more := zero_steps(found.pair, found.fit, first)):
+        return learn(given, without_steps(series, more), clock_steps=clock_steps, steps=(*steps, *more))
+    notes += [steps_taken_out(steps, learned.factor)] if steps else []
     if share > MANY_LEFT_OUT:
         notes.append(many_left_out(pair, found.fit, share))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
@@ -206,14 +206,45 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
 
 
-def _steps_of_zero(given: Given, learned: NoiseCalibration, found: Findings) -> list[tuple[float, float]]:
-    """Instants (s) and sizes (m) of steps of the zero that were taken for the accelerometer's noise or a slow error."""
-    taken = exceeds_own_noise(*found.noise) or (learned.slow_std_m > 0.0 and given.noise_time_s is None)
-    return zero_steps(found.pair, found.fit) if taken else []
+def _with_scale(overlap: _Overlap, axis: Turned, notes: list[Notice]) -> NoiseCalibration:
+    """The calibration with the sensor's scale; what is to be reported of its clock is added to `notes`."""
+    return calibrate_sensor_scale(
+        axis.pair,
+        overlap.max_offset_s,
+        one_clock=overlap.one_clock,
+        length_s=overlap.overlap_s,
+        look=lambda fit: notes.extend(_refuse_farther(overlap, fit, axis)),
+        noise_time_s=overlap.given.noise_time_s,
+    )
 
 
-def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
-    learned = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
+def _may_step(given: Given, learned: NoiseCalibration, found: Findings, steps: tuple[ZeroStep, ...]) -> bool:
+    """Whether steps of the zero, besides those taken out, may be in the accelerometer's noise or a slow error."""
+    slow = learned.slow_std_m > 0.0 and given.noise_time_s is None
+    return len(steps) < MAX_STEPS and (slow or exceeds_own_noise(*found.noise))
+
+
+def _without_hiding_steps(
+    overlap: _Overlap, pair: Pair, steps: tuple[ZeroStep, ...], refusal: UntrustedError
+) -> NoiseCalibration:
+    """The calibration where steps of the zero hid the scale; the refusal where none are found, or they did not.
+
+    They are looked for where the clocks are one: at a wrong offset what the motion leaves looks like steps.
+    """
+    if steps:
+        raise UntrustedError(f"{refusal} {steps_taken_out(steps)}") from refusal
+    free = pair.changed(ratio=None)
+    more = zero_steps(free, best_corner(free, 0.0), overlap.first_ns) if overlap.one_clock else ()
+    if not more:
+        raise refusal
+    return learn(overlap.given, without_steps(overlap.series, more), steps=more)
+
+
+def _without_held(
+    given: Given, series: TimeSeries, steps: tuple[ZeroStep, ...], held_ns: Nanoseconds
+) -> NoiseCalibration:
+    usable = np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)
+    learned = learn(given, replace(series, value=usable), steps=steps)
     text = (
         f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
         "the motion, as of a sensor that is stuck; they were left out of the calibration. Check the sensor and what "
@@ -222,13 +253,15 @@ def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> Noi
     return replace(learned, warnings=(*learned.warnings, Notice("outliers", text)))
 
 
-def _on_one_even_clock(given: Given, series: TimeSeries, pair: Pair) -> NoiseCalibration | None:
+def _on_one_even_clock(
+    given: Given, series: TimeSeries, pair: Pair, steps: tuple[ZeroStep, ...]
+) -> NoiseCalibration | None:
     """The calibration without the steps of the sensor's clock, where both sensors then agree to their own noise."""
     even = on_one_clock(series, _Overlap(given, series).first_ns, pair)
     if even is None:
         return None
     try:
-        estimated = learn(given, even, clock_steps=False)
+        estimated = learn(given, even, clock_steps=False, steps=steps)
     except UntrustedError:
         return None
     assert estimated.findings is not None

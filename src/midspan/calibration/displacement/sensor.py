@@ -20,10 +20,11 @@ from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.averaging import taken_by_averaging
+from midspan.signals.clipping import range_limits, resolution
 from midspan.signals.health import Mask, runs
 from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
-from midspan.signals.stuck import range_limits, resolution, stuck
+from midspan.signals.stuck import stuck
 
 # A scale that was not estimated is reported when off by this share and this many deviations, refused beyond the third.
 REPORTED, CERTAIN, REFUSED = 0.015, 4.5, 0.5
@@ -198,7 +199,9 @@ def _part(given: Given, estimated: NoiseCalibration) -> DisplacementCalibration:
         own = given.noise_std_m * abs(estimated.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MAX_OPTIMISTIC * own else std
-    slow_std_m, slow_time_s, slow_hz = (*GNSS_SLOW, 0.0) if _has_usual_slow_error(given, estimated) else estimated.slow
+    slow_std_m, slow_time_s, slow_hz = estimated.slow_std_m, estimated.slow_time_s, estimated.slow_hz
+    if _has_usual_slow_error(given, estimated):
+        slow_std_m, slow_time_s = GNSS_SLOW
     # A slow error that is in the band is not left out of it.
     drift_m, step_m, gap_m = (0.0, 0.0, 0.0) if slow_std_m > 0.0 else estimated.unseen_m
     return DisplacementCalibration(

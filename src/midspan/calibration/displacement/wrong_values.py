@@ -23,9 +23,10 @@ from midspan.calibration.fit import MIN_MEASUREMENTS, Fit, Pair, aligned, best_c
 from midspan.calibration.outliers import OUTLIER_LIMIT, both_ways, shaken_rows
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, seconds
+from midspan.signals.clipping import resolution
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 from midspan.signals.stamps import inside
-from midspan.signals.stuck import resolution, stuck
+from midspan.signals.stuck import stuck
 
 # This many readings tell that they do not follow a motion: three are the line that the acceleration leaves open.
 MIN_HELD = 8

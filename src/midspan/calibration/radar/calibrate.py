@@ -10,7 +10,7 @@ from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD, weighted
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Fit, Pair, best_corner, measured_rows
 from midspan.calibration.frequency_response import Kind, kinds_of
-from midspan.calibration.own_error import find_own_error
+from midspan.calibration.own_error import averaged, find_own_error
 from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
 from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.jitter import JITTER, frames_jitter
@@ -323,7 +323,7 @@ def _with_slow_motion(
     target, own_hz = used[0].target, SLOW_HZ
     pair, fit = _sparse(search)
     own, felt_alone = find_own_error(pair, fit, stated / target.conversion_factor**2)
-    own_m = 0.0 if felt_alone else narrow_motion(search.pair, search.fit) * target.conversion_factor
+    own_m = 0.0 if felt_alone else narrow_motion(search.pair, search.fit) * abs(target.conversion_factor)
     if own is not None:
         own_m, own_hz = own.std * abs(target.conversion_factor), own.hertz or 0.5 / (np.pi * own.time_s)
     if not own_m > max(target.noise_m, target.own_m):
@@ -339,7 +339,7 @@ def _with_slow_motion(
 
 def _sparse(search: OffsetSearch) -> tuple[Pair, Fit]:
     """The pair with as many frames as its slow errors need, and its fit."""
-    pair = search.pair.changed(rows=search.pair.rows[:: max(int(search.pair.rate_hz / OWN_RATE_HZ), 1)])
+    pair = averaged(search.pair, max(int(search.pair.rate_hz / OWN_RATE_HZ), 1))
     return pair, best_corner(pair, search.fit.offset_s)
 
 

@@ -151,6 +151,8 @@ class StoredUsual(Stored):
     dominant_hz: Std
     low_m_s2: Number
     high_m_s2: Number
+    range_low_m_s2: Annotated[Number, _null(-math.inf)] = -math.inf
+    range_high_m_s2: NumberOrInf = math.inf
     resolution_m_s2: StdOrInf = math.inf
     moved_m: Std
 
@@ -553,7 +555,7 @@ class StoredDisplacement(StoredSensor):
     clock_reference_s: Number = 0.0
     unseen_drift_mm: StdOrInf = 0.0
     unseen_step_mm: StdOrInf = 0.0
-    unseen_gap_mm: Std = 0.0
+    unseen_gap_mm: StdOrInf = 0.0
 
     def record(self, _kind: str) -> DisplacementCalibration:
         """The displacement sensor."""

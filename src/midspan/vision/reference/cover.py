@@ -20,7 +20,7 @@ GONE = 0.5  # agreement below which the target is not seen in a cell; light alon
 BACK = 0.7  # above which a hidden cell is seen again
 PALING = 0.1  # agreement that light may take from a cell in a second; bodies take it at once
 FRONT = 0.08  # share of cells hidden from which something stands in front: three of 36
-LEAST = 0.25  # share of cells in which the target must be seen
+MIN_SEEN_SHARE = 0.25  # share of cells in which the target must be seen
 EDGE = 0.9  # share of the usual agreement below which a cell with a hidden one is not trusted
 ROUNDS = 3
 ALL_SEEN: Cells = np.zeros(CELLS**2, dtype=np.bool_)
@@ -62,7 +62,7 @@ def uncovered(mix: Mix, view: Sight, start: Floats, before: tuple[Floats32, Cell
         agreed, hidden = whole.agreement, _hidden(whole.agreement, sure, lately)
     found = None
     for _ in range(ROUNDS):
-        if np.mean(~hidden) < LEAST:
+        if np.mean(~hidden) < MIN_SEEN_SHARE:
             return Uncovered(None, hidden, hidden, absent=True)
         found = placed(mix, view, start, (~doubtful(agreed, hidden))[mix.cell].astype(np.float32))
         if found is None:
@@ -71,7 +71,7 @@ def uncovered(mix: Mix, view: Sight, start: Floats, before: tuple[Floats32, Cell
         before_round, hidden = hidden, _hidden(agreed, sure, lately)
         if (hidden == before_round).all():
             break
-    if np.mean(~hidden) < LEAST:
+    if np.mean(~hidden) < MIN_SEEN_SHARE:
         return Uncovered(None, hidden, hidden, absent=True)
     if np.mean(hidden) < FRONT:
         return Uncovered(found, ALL_SEEN, ALL_SEEN)
