@@ -87,7 +87,7 @@ def test_the_error_of_the_printed_filter_is_its_lag_of_half_a_sample(recorded, r
     assert results("shaking-table", "adaptive-kalman").fused_mm["sine"] < 0.1 * error_mm
 
 
-@pytest.mark.parametrize("name", CUT)
+@pytest.mark.parametrize("name", SCENES)
 def test_scale_factor_and_clock_offset_are_found_without_a_known_size(recorded, name):
     scene, folder = recorded(name)
     camera = calibrate(open_recording(folder)).camera
