@@ -9,25 +9,35 @@ DEV    := $(VENV)/.ready-for-tests
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
 
-.PHONY: demo test check docs bench live faults fuzz slow wheel lock audit clean setup
+# What the environment is made of.
+PARTS  := pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
+
+.PHONY: demo test check servers core-check static docs bench live faults fuzz slow wheel lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
 
 test: check
 
-check: $(DEV)
+# Packages are fetched and types are checked on one core at a time: the core's own tests are built next to that.
+check:
+	$(MAKE) -j 4 servers core-check static
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+servers:
 	sh tools/servers.sh
+
+core-check:
 	sh tools/core.sh check
+
+static: $(DEV)
 	$(BIN)/ruff format --check src tests benchmarks examples
 	$(BIN)/ruff check src tests benchmarks examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 # What `make test` shows, again with more seeds, sizes and sensors, and the papers' claims that take minutes.
-slow: $(DEV)
-	sh tools/servers.sh
+slow: $(DEV) servers
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 # The documentation as a site in site/; a link that leads nowhere fails.
@@ -38,13 +48,11 @@ bench: $(DEV)
 	$(BIN)/python -m benchmarks
 
 # Three points through an RTSP camera, an MQTT broker and the store, on loopback.
-live: $(DEV)
-	sh tools/servers.sh
+live: $(DEV) servers
 	$(BIN)/python -m benchmarks.live.show
 
 # What can go wrong with cameras, sensors, broker and store, one after another: reason, recovery, band.
-faults: $(DEV)
-	sh tools/servers.sh
+faults: $(DEV) servers
 	$(BIN)/python -m benchmarks.live.faults
 
 # 10 000 damaged files, settings and results: about 49 readers with 210 inputs each.
@@ -53,13 +61,14 @@ fuzz: $(DEV)
 
 setup: $(DEV)
 
-$(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
+$(STAMP): $(PARTS)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
 	@touch $(STAMP)
 
-$(DEV): $(STAMP)
+# All in one go: midspan is built once.
+$(DEV): $(PARTS)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh dev
-	@touch $(DEV)
+	@touch $(STAMP) $(DEV)
 
 # The wheel for every Python from 3.11 on and the source distribution, in dist/; the wheel is tried without a compiler.
 wheel: $(DEV)

@@ -1,5 +1,6 @@
 """Fixtures of all tests: simulated recordings, rendered once a session, and the folder of real data."""
 
+import hashlib
 import os
 import shutil
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.scenarios.stage import CameraSetup, Scenario
 from midspan.simulate.scenarios.table import SCENARIOS, pedestrians
 from midspan.simulate.scenarios.write import write
+from midspan.thermal import cleaning
 
 # How long an example takes says how busy the machine is.
 settings.register_profile("any machine", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
@@ -30,6 +32,27 @@ FOOTBRIDGE = Scenario(
     # Small pictures are rendered and tracked in a fraction of a second.
     camera=CameraSetup(size_px=(96, 96)),
 )
+
+
+@pytest.fixture(scope="session", autouse=True)
+def patterns_estimated_once():
+    """The fixed pattern of the same thermal pictures is estimated once in a session.
+
+    It takes most of the time of a short infrared recording; calibration and estimate learn it from the same pictures,
+    and tests of one recording again and again. tests/thermal call `estimate_pattern` itself.
+    """
+    real, known = cleaning.estimate_pattern, {}
+
+    def once(frames, translation_px):
+        key = frames.shape, hashlib.sha256(frames.tobytes() + translation_px.tobytes()).digest()
+        if key not in known:
+            known[key] = real(frames, translation_px)
+            known[key].values_k.setflags(write=False)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cleaning, "estimate_pattern", once)
+        yield
 
 
 @pytest.fixture(scope="session")

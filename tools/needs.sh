@@ -9,7 +9,10 @@ as_root() {
     fi
 }
 
-install_debian() { as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null; }
+# One at a time: parts of `make check` run next to each other.
+debian() { as_root env DEBIAN_FRONTEND=noninteractive flock /var/lib/apt apt-get "$@"; }
+
+install_debian() { debian install -y -qq --no-install-recommends "$@" >/dev/null; }
 
 recent_rust() {
     cargo --version >/dev/null 2>&1 &&
@@ -22,7 +25,7 @@ need_cargo() {
     recent_rust && return
     command -v apt-get >/dev/null 2>&1 ||
         fail "Rust 1.85 or newer is needed to build midspan from its sources; install it, or install a wheel of midspan."
-    as_root apt-get update -qq
+    debian update -qq
     # Debian 12 has a recent compiler under other names, Debian 13 under the usual ones.
     install_debian gcc libc6-dev cargo-web rustc-web || install_debian gcc libc6-dev cargo rustc ||
         fail "Rust could not be installed; install Rust 1.85 or newer."
@@ -37,6 +40,6 @@ need_libpython() {
 print("-L" + s.get_config_var("LIBDIR"), "-lpython" + s.get_config_var("LDVERSION"))') 2>/dev/null && return
     command -v apt-get >/dev/null 2>&1 ||
         fail "Python's library is needed by the core's tests; install it (libpython3-dev)."
-    as_root apt-get update -qq
+    debian update -qq
     install_debian libpython3-dev
 }

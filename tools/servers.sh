@@ -3,12 +3,7 @@
 # report's tests. Debian's packages, only where they are missing; without apt-get their tests are skipped.
 set -eu
 
-as_root() {
-    if [ "$(id -u)" = 0 ]; then "$@"
-    elif command -v sudo >/dev/null 2>&1; then sudo "$@"
-    else echo "servers: '$*' needs root; the tests that need it are skipped." >&2; return 1
-    fi
-}
+. tools/needs.sh
 
 missing=""
 PATH="$PATH:/usr/sbin:/sbin"
@@ -22,6 +17,6 @@ command -v chromium >/dev/null 2>&1 || command -v chromium-browser >/dev/null 2>
     command -v google-chrome >/dev/null 2>&1 || missing="$missing chromium"
 [ -n "$missing" ] || exit 0
 command -v apt-get >/dev/null 2>&1 || { echo "servers: no apt-get; tests with$missing are skipped." >&2; exit 0; }
-as_root apt-get update -qq || exit 0
+# A `fail` of what needs root ends the brackets only.
 # shellcheck disable=SC2086
-as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $missing >/dev/null || exit 0
+(debian update -qq && install_debian $missing) || echo "servers: tests with$missing are skipped." >&2

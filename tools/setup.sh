@@ -12,7 +12,7 @@ command -v "$python" >/dev/null 2>&1 || fail "'$python' was not found; install P
 
 if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
     command -v apt-get >/dev/null 2>&1 || fail "Python's venv module is missing; install it (python3-venv)."
-    as_root apt-get update -qq
+    debian update -qq
     install_debian python3-venv
 fi
 need_cargo

@@ -11,6 +11,7 @@ from midspan.calibration.noise import calibrate_noise, learn_motion
 from midspan.calibration.sensors.fit import bias_of
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
 from midspan.records import Acceleration, Displacement, nanoseconds
+from repeats import slow
 
 
 def metres(motion, seed, noise_m=1e-4, **given):
@@ -19,7 +20,7 @@ def metres(motion, seed, noise_m=1e-4, **given):
     return replace(pair, rows=np.column_stack((pair.rows[:, :2], np.ones(len(pair.rows)))))
 
 
-@pytest.mark.parametrize("noise_m", [2e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("noise_m", [1e-4, *slow(2e-5, 1e-3)])
 def test_noise_of_both_sensors_is_estimated(noise_m):
     fits = [calibrate_noise(metres(broadband(s), 200 + s, noise_m), 0.5) for s in range(4)]
     # 590 measurements give each variance to ± 6 %, the mean of four to ± 3 %.
@@ -35,7 +36,7 @@ def test_the_variance_given_with_a_measurement_counts_relatively():
     assert four.variance_factor == pytest.approx(one.variance_factor / 4.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("offset_s", [-0.3, 0.05, 0.3])
+@pytest.mark.parametrize("offset_s", [-0.3, *slow(0.05, 0.3)])
 def test_the_clock_offset_is_estimated_where_the_motion_tells_it(offset_s):
     fit = calibrate_noise(metres(broadband(4), 4, offset_s=offset_s), 0.5)
     assert fit.offset.value_s == pytest.approx(offset_s, abs=1e-3)
@@ -159,7 +160,7 @@ def test_the_strength_of_a_motion_without_an_accelerometer_is_estimated_from_its
     assert np.exp(np.mean(np.log(found))) == pytest.approx(density, rel=0.25)
 
 
-@pytest.mark.parametrize(("offset_s", "max_offset_s"), [(0.0, 0.0), (0.1, 0.0), (0.1, 0.5)])
+@pytest.mark.parametrize(("offset_s", "max_offset_s"), [(0.1, 0.5), *slow((0.0, 0.0), (0.1, 0.0))])
 def test_a_reversed_sign_is_far_more_likely_turned_round(offset_s, max_offset_s):
     pair = metres(broadband(8), 8, offset_s=offset_s if max_offset_s else 0.0)
     turned = replace(pair, rows=pair.rows * [1.0, -1.0, 1.0])

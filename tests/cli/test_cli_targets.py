@@ -112,7 +112,7 @@ def boards(tmp_path_factory):
     return folder, lens_from_pictures(folder, LensRequest(Board(9, 6, 25.0)))
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".jpg"])
+@pytest.mark.parametrize("suffix", [".png", *slow(".svg", ".pdf", ".jpg")])
 def test_a_lens_and_its_picture_replace_their_like_only(suffix, boards, tmp_path, capsys):
     folder, found = boards
     lens, picture = tmp_path / "lens.json", tmp_path / f"drawn{suffix}"

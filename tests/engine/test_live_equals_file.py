@@ -30,6 +30,7 @@ from midspan.simulate.scenarios.stage import CameraSetup
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.write import write as write_scenario
 from recording_edits import append, set_keys
+from repeats import slow
 
 LIVELY = Lively(duration_s=14.0, band_hz=(1.0, 3.0), rms_m=2e-3)
 METHODS = ("kalman", "lag")
@@ -252,12 +253,14 @@ CASES["two radars"] = two_radars
 
 
 # A method reads what the sensors gave: each case goes through one; where the estimator is asked more, through both.
-BOTH = ("lossless", "displacement", "averaging", "two axes")
-PAIRS = [
-    (case, method) for k, case in enumerate(CASES) for method in (METHODS if case in BOTH else METHODS[k % 2 :][:1])
-]
 # A thermal camera is in "day and night" as well.
+PAIRS = [(case, METHODS[k % 2]) for k, case in enumerate(CASES) if case != "infrared"]
 OTHERS = [(case, METHODS[(k + 1) % 2]) for k, case in enumerate(CASES) if case != "infrared"]
+BOTH = [pair for pair in OTHERS if pair[0] == "displacement"]
+AGAIN = [("infrared", "kalman"), *(pair for pair in OTHERS if pair[0] in ("lossless", "averaging", "two axes"))]
+# A sensor of each kind, one that averages, and streams that begin and end: what times are subtracted in.
+TIMED = [pair for pair in OTHERS if pair[0] in ("frozen", "displacement", "radar", "one ends early", "averaging")]
+REST = [pair for pair in OTHERS if pair not in TIMED]
 
 
 @pytest.fixture(scope="module")
@@ -266,7 +269,7 @@ def made(tmp_path_factory):
     return cache(lambda case: Site(CASES[case](tmp_path_factory.mktemp("live") / "site")))
 
 
-@pytest.mark.parametrize(("case", "method"), PAIRS)
+@pytest.mark.parametrize(("case", "method"), [*PAIRS, *BOTH, *slow(*AGAIN)])
 def test_rows_of_the_file_are_rows_of_the_point(case, method, made):
     site = made(case)
     result = midspan.estimate(midspan.open_recording(site.folder), site.calibration, method=method)
@@ -319,7 +322,7 @@ def test_a_stream_that_ends_or_has_not_begun_holds_no_frame_back(tmp_path, monke
     assert max(waiting) <= 1
 
 
-@pytest.mark.parametrize(("case", "method"), [("two targets", "lag"), ("day and night", "kalman")])
+@pytest.mark.parametrize(("case", "method"), [("two targets", "lag"), *slow(("day and night", "kalman"))])
 def test_a_point_goes_on_from_what_the_calibration_has_tracked(case, method, tmp_path):
     site = Site(CASES[case](tmp_path / "site"), given=False)
     result = midspan.estimate(midspan.open_recording(site.folder), method=method)
@@ -334,7 +337,7 @@ def shifted(record):
     return replace(record, time_ns=record.time_ns + EPOCH_NS)
 
 
-@pytest.mark.parametrize(("case", "method"), OTHERS)
+@pytest.mark.parametrize(("case", "method"), [*TIMED, *slow(*REST)])
 def test_the_start_of_time_has_no_effect(case, method, made):
     """Times in s are differences: what is left is their rounding to ns."""
     site = made(case)

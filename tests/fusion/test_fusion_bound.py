@@ -86,8 +86,14 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.mark.parametrize(("method", "limit"), [("kalman", 1.06), ("smoother", 1.05)])
-@pytest.mark.parametrize("noise", ["known", "learnt"])
+@pytest.mark.parametrize(
+    ("noise", "method", "limit"),
+    [
+        ("known", "kalman", 1.06),
+        ("learnt", "smoother", 1.05),
+        *slow(("known", "smoother", 1.05), ("learnt", "kalman", 1.06)),
+    ],
+)
 def test_beam_error_is_near_the_bound_and_the_band_is_honest(method, limit, noise):
     # Six seeds of 90 s hold some 2000 independent errors each way: ± 1 % on the ratio, ± 1 % on the coverage.
     found, inside = [], []

@@ -32,7 +32,7 @@ MAX_WALL_S = 200.0
 MAX_BYTES, GRANTED_BYTES = 2 * 1024**3, 3 * 1024**3
 # Files that are read again and again at the end of a reader's cases, how often in each round, and the most rounds: the
 # buffers of a decoder with threads settle later on a busy machine.
-REPEATED_FILES, REPEATS, ROUNDS = 2, 4, 24
+REPEATED_FILES, REPEATS, ROUNDS = 2, 2, 48
 # Growth of one such reading from each round to the next, bytes: a leak grows in every round, what an allocator
 # settles does so in some. A frame of the smallest videos has 3 kB, and a reading keeps all of them or none.
 MAX_GROWTH_BYTES = 16 * 1024

@@ -17,6 +17,7 @@ from midspan.simulate.scenarios.stage import stage
 from midspan.simulate.scenarios.table import NAMES, SCENARIOS, pixel_bound
 from midspan.simulate.scenarios.write import write
 from midspan.simulate.scene.camera import Camera
+from repeats import slow
 
 
 def table(path):
@@ -44,7 +45,7 @@ def small(monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("seed", [0, 7])
+@pytest.mark.parametrize("seed", [0, *slow(7)])
 def test_every_scenario_stays_within_its_scene_and_its_streams_overlap(name, seed):
     scenario = SCENARIOS[name]
     staged = stage(scenario, seed)
