@@ -247,7 +247,10 @@ def _named(compared: Comparison) -> Explained | None:
         parameters = PARAMETERS.get(cause, 1)
         return -0.5 * count * math.log(squares[cause] / count) - 0.5 * parameters * math.log(count)
 
-    first, second = sorted(Cause, key=score, reverse=True)[:2]
+    # A constant offset is a step of none: where the step's parameters buy nothing the two are one explanation.
+    order = sorted(Cause, key=score, reverse=True)
+    first, *others = (cause for cause in order if order[0] is not Cause.CLOCK or cause is not Cause.STEP)
+    second = others[0]
     difference = compared.difference()
     left = squares[first] / difference
     named = left < MAX_LEFT and score(first) - score(second) > least_lead(count)
@@ -301,6 +304,11 @@ def cause_of_lateness(pair: Pair, offset_s: float) -> str:
         # Late readings need a negative offset, which a logger's low-pass does not make.
         excluded = (Cause.SLOW_SENSOR, Cause.PLAY) if offset_s > 0.0 else (Cause.LOW_PASS,)
         return f"Its readings do not tell a clock from {_listed(Cause.CLOCK, Cause.UNIT, Cause.TONE, *excluded)}. "
+    return likelier_than_offset(found)
+
+
+def likelier_than_offset(found: Explained) -> str:
+    """A sentence on a cause that explains readings which are late better than a constant offset; empty for that."""
     if found.cause is Cause.CLOCK:
         return ""
     return (

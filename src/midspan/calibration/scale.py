@@ -12,7 +12,7 @@ from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner,
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.gain_drift import drift_text, gain_drift
 from midspan.calibration.own_error import OwnError, find_own_error
-from midspan.calibration.own_noise import contradiction, exceeds_own_noise
+from midspan.calibration.own_noise import contradiction, exceeds_own_noise, narrow_motion
 from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyond, search_offset
 from midspan.calibration.whitening import SETTLING
 from midspan.checks import instance
@@ -164,7 +164,9 @@ def calibrate_scale(
         refuse(search)
     except UntrustedError as error:
         refusal = error
-    if refusal is not None or np.mean(np.isinf(search.pair.rows[:, 2])) > MANY_LEFT_OUT:
+    many = np.mean(np.isinf(search.pair.rows[:, 2])) > MANY_LEFT_OUT
+    # A clock that steps leaves the motion's own frequencies, as a camera that sways does: it is looked for first.
+    if refusal is not None or many or _contradicts(search.pair, search.fit):
         moved, jumps = without_jumps(pair, max_offset_s, refuse)
         if jumps:
             pair = moved
@@ -192,6 +194,11 @@ def calibrate_scale(
         own=own,
         felt_alone=felt_alone,
     )
+
+
+def _contradicts(pair: Pair, fit: Fit) -> bool:
+    """Whether the two differ by more than both sensors' noise."""
+    return exceeds_own_noise(pair, fit) or narrow_motion(pair, fit) > 0.0
 
 
 def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice, ...]:
