@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better, compared_by, offset_variance_factor, unexplained
+from midspan.calibration.agreement import clearly_better, compared_by, misfit, offset_variance_factor, unexplained
 from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
-from midspan.calibration.clock_jumps import clock_jumps, lateness
+from midspan.calibration.clock_jumps import clock_jumps, lateness, outages
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
@@ -181,18 +181,27 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         assert found is not None
         if found.search is not None and (not overlap.one_clock or unexplained(found.pair, found.fit)):
             notes += _refuse_farther(overlap, found.free, axis)
-        _refuse_wrong_scale(learned, found)
+        try:
+            _refuse_wrong_scale(learned, found)
+        except UntrustedError:
+            # A clock that steps by half a period turns the motion round.
+            even = _on_one_even_clock(given, series, pair) if clock_steps else None
+            if even is None:
+                raise
+            return even
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
     # Of the usable values.
     usable = pair.rows[:, 2] < np.inf
     share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
-    if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
+    noisy = share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)
+    if clock_steps and (noisy or len(outages(pair.rows[usable, 0])) or misfit(*found.noise).factor > 1.0):
         even = _on_one_even_clock(given, series, pair)
         if even is not None:
             return even
-        refuse_step(pair, found.fit)
+        if noisy:
+            refuse_step(pair, found.fit)
     if steps := _steps_of_zero(given, learned, found):
         return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
     if share > MANY_LEFT_OUT:
@@ -240,9 +249,9 @@ def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries |
 
     origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
     """
-    # A step leaves one half without any, where the sensors agree; in the other it looks like the accelerometer's noise.
+    # A step leaves one half without any, where the sensors agree; in the other it looks like noise of one of them.
     halves = [without_outliers(pair.changed(rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
-    fit = min(halves, key=lambda one: one.input_density)
+    fit = min(halves, key=lambda one: np.log(one.noise) + np.mean(np.log(one.whitened.variance)))
     used = pair.used(fit.offset_s)
     jumps = clock_jumps(compared_by(pair, fit, pair.rows[used]))
     if not jumps:
