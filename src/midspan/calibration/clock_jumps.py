@@ -265,14 +265,16 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
     if not min(np.mean(good[: guess.row]), np.mean(good[guess.row :])) >= EXPLAINED:
         return None
     none = [replace(guess, after_s=guess.before_s), replace(guess, before_s=guess.after_s), guess]
-    *others, least = segment.loss(segment.stamps(none))
-    if min(others) - least < MIN_GAIN:
-        return None
-    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < MIN_NEXT_TO:
+    *others, stepped = segment.loss(segment.stamps(none))
+    if min(others) - stepped < MIN_GAIN:
         return None
     first, last = _possible(segment, guess)
-    if len(inside := [int(row) for row in outages(segment.part.rows[:, 0]) if first <= row <= last]):
-        # Where it may have been set in an outage it was.
+    # Where a clock may have been set in an outage it was; a drift is then no simpler, and must only be less likely.
+    inside = [int(row) for row in outages(segment.part.rows[:, 0]) if first <= row <= last]
+    least = 0.0 if inside else MIN_NEXT_TO
+    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < least:
+        return None
+    if inside:
         first = last = inside[0]
         guess = replace(guess, row=first)
     return ClockJump(guess.row, late_s, std_s, first, last, guess.before_s, _rival(segment, guess))
