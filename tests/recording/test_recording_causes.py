@@ -115,6 +115,22 @@ def test_a_clock_that_steps_in_the_calibration_window_is_corrected(step_s, seed,
     assert any("its clock jumped" in str(line) for line in result.warnings)
 
 
+@pytest.mark.parametrize(("step_s", "seed"), [(0.06, 1), (0.02, 2)])
+def test_a_step_that_looks_like_noise_of_either_sensor_is_corrected(step_s, seed, tmp_path):
+    # 60 ms were refused, 20 ms made the band 2.5 times too wide: the half with the step has less noise of the
+    # accelerometer and more of the sensor.
+    write(tmp_path, "step", step_s, seed, rms_mm=3.0, noise_mm=0.4)
+    result = midspan.estimate(tmp_path)
+    time, moved, _ = swaying(np.random.default_rng(seed))
+    error = result.displacement_mm - 3.0 * np.interp(result.time_s, time, moved)
+    away = np.abs(result.time_s - 30.0) > 1.5
+    error = (error - np.mean(error))[away]
+    # Some 0.11 mm as without a step; twice that is no honest band any more.
+    assert np.std(error) < 0.15
+    assert np.sqrt(np.mean(result.displacement_std_mm[away] ** 2)) < 1.5 * np.std(error)
+    assert [line.code for line in result.warnings if line.code != "coasting"] == ["clock-corrected"]
+
+
 @pytest.mark.parametrize(("step_s", "seed"), [(0.5, 1), *slow((1.0, 2))])
 def test_a_clock_that_steps_farther_than_is_found_is_refused_and_named(step_s, seed, tmp_path):
     write(tmp_path, "step", step_s, seed)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.agreement import compared_by
 from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_variance, knots
-from midspan.calibration.fit import MIN_FRAMES, Pair
+from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, best_corner, refine
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
@@ -35,6 +35,8 @@ WINDOW_S, WINDOW_ROWS, SUSPICIOUS, CONTRADICTING = 8.0, 12, 5.0, 3.0
 # Without values for this long, s, and for this many of their intervals, a clock may have been set unseen: such an outage
 # is suspicious whatever the windows say. As of the bank of clocks in `core/src/estimator`.
 OUTAGE_S, OUTAGE_ROWS = 1.0, 3
+# The offsets of both halves are sought so near that of the whole, s: a larger step shows in its outliers.
+HALVES_S = 0.1
 # One measurement contradicts by this many squared deviations at most: it may be an outlier.
 MAX_SQUARE = 25.0
 # Price of a jump; what it must gain over none and over a clock that drifts; what its rival may come near to.
@@ -110,8 +112,7 @@ def _rows_in(one: Compared, seconds: float, least: int) -> int:
 
 
 def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
-    """First row from `begin` on after an outage, or of a window that contradicts the acceleration or the offset before.
-    """
+    """First row from `begin` on after an outage, or of a window that contradicts the acceleration or the offset before."""
     # The filter needs a way to settle.
     start = max(0, begin - _rows_in(one, REACH_S, 0)) if len(one.rows) > 1 else 0
     if len(one.rows) - max(start, begin) < 2 * MIN_ROWS:
@@ -327,6 +328,19 @@ def _rival(segment: _Segment, guess: _Guess) -> float | None:
     best = int(np.argmin(found))
     alike = found[best] < losses(np.array([guess.after_s]), RIVAL_STEP_S)[0] + RIVAL
     return float(near[best]) - guess.before_s if alike else None
+
+
+def lead_of_halves(pair: Pair, fit: Fit) -> float:
+    """By how much (logarithm) both halves of a pair are likelier, each by its own fit near that of the whole.
+
+    A clock that steps anywhere leaves one half without a step (G. C. Chow, Econometrica 28, 1960, 591,
+    doi 10.2307/1910133); 0 where a half has too few rows.
+    """
+    halves = [pair.changed(rows=rows) for rows in np.array_split(pair.rows, 2)]
+    if min(np.count_nonzero(np.isfinite(half.rows[:, 2])) for half in halves) < MIN_FRAMES:
+        return 0.0
+    fits = [refine(half, best_corner(half, fit.offset_s, fit.corner), HALVES_S) for half in halves]
+    return sum(one.likelihood for one in fits) - fit.likelihood
 
 
 def without_jumps(

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
-from midspan.calibration.clock_jumps import ClockJump, jumps_text, without_jumps
+from midspan.calibration.clock_jumps import ClockJump, jumps_text, lead_of_halves, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.gain_drift import drift_text, gain_drift
 from midspan.calibration.own_error import OwnError, find_own_error
-from midspan.calibration.own_noise import contradiction, exceeds_own_noise, narrow_motion
+from midspan.calibration.own_noise import contradiction, exceeds_own_noise
 from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyond, search_offset
 from midspan.calibration.whitening import SETTLING
 from midspan.checks import instance
@@ -165,8 +165,8 @@ def calibrate_scale(
     except UntrustedError as error:
         refusal = error
     many = np.mean(np.isinf(search.pair.rows[:, 2])) > MANY_LEFT_OUT
-    # A clock that steps leaves the motion's own frequencies, as a camera that sways does: it is looked for first.
-    if refusal is not None or many or _contradicts(search.pair, search.fit):
+    # What a clock that steps leaves is noise of either, or the motion's own frequencies, as where a camera sways.
+    if refusal is not None or many or lead_of_halves(search.pair, search.fit) > MIN_GAIN:
         moved, jumps = without_jumps(pair, max_offset_s, refuse)
         if jumps:
             pair = moved
@@ -194,11 +194,6 @@ def calibrate_scale(
         own=own,
         felt_alone=felt_alone,
     )
-
-
-def _contradicts(pair: Pair, fit: Fit) -> bool:
-    """Whether the two differ by more than both sensors' noise."""
-    return exceeds_own_noise(pair, fit) or narrow_motion(pair, fit) > 0.0
 
 
 def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice, ...]:
