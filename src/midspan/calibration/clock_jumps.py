@@ -32,8 +32,8 @@ REACH_S, REACH_ROWS = 30.0, 40
 # A window of this many s, or measurements, whose offset leaves the one before by this many deviations is suspicious; so
 # is one whose clipped squared innovations are on average beyond the last value.
 WINDOW_S, WINDOW_ROWS, SUSPICIOUS, CONTRADICTING = 8.0, 12, 5.0, 3.0
-# Without values for this long, s, and for this many of their intervals, a clock may have been set unseen: such an outage
-# is suspicious whatever the windows say. As of the bank of clocks in `core/src/estimator`.
+# Without values for this long, s, and for this many of their intervals, a clock may have been set unseen: whatever the
+# windows say, such an outage is suspicious. As of the bank of clocks in `core/src/estimator`.
 OUTAGE_S, OUTAGE_ROWS = 1.0, 3
 # The offsets of both halves are sought so near that of the whole, s: a larger step shows in its outliers.
 HALVES_S = 0.1
@@ -112,7 +112,7 @@ def _rows_in(one: Compared, seconds: float, least: int) -> int:
 
 
 def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
-    """First row from `begin` on after an outage, or of a window that contradicts the acceleration or the offset before."""
+    """The first row from `begin` on after an outage, or of a window that contradicts the acceleration or the offset."""
     # The filter needs a way to settle.
     start = max(0, begin - _rows_in(one, REACH_S, 0)) if len(one.rows) > 1 else 0
     if len(one.rows) - max(start, begin) < 2 * MIN_ROWS:
