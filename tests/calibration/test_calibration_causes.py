@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+import midspan
 from midspan.calibration.causes import Cause, named_cause
 from midspan.calibration.fit import Pair
+from recording_edits import write_displacement
 
 RATE_HZ, LENGTH_S = 100.0, 60.0
 
@@ -47,3 +49,15 @@ def test_an_offset_is_no_step_of_the_same_size(late_s):
 
 def test_sensors_that_agree_have_no_cause():
     assert named_cause(compared(3)) is None
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_step_of_a_third_of_a_period_is_no_reversed_sign(seed, tmp_path):
+    # It was refused: turned round, or with an offset that is that of the longer part.
+    pair = compared(seed)
+    stamps = pair.rows[:, 0] + np.where(pair.rows[:, 0] > 22.0, 0.3, 0.0)
+    write_displacement(tmp_path, pair.samples[:, :2].T, (stamps, 1e3 * pair.rows[:, 1]))
+    sensor = midspan.calibrate(tmp_path).displacement
+    assert sensor.offset.value_s == 0.0
+    # The sensor's own noise, which 600 readings tell to 3 %.
+    assert sensor.noise_std_m == pytest.approx(0.4e-3, rel=0.15)
