@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -153,11 +154,7 @@ def calibrate_scale(
     kinds = kinds_of(pair, exposure_declared=exposure_declared)
     jumps: Sequence[ClockJump] = ()
 
-    def refuse(search: OffsetSearch) -> None:
-        _refuse_no_motion(search.pair, search.fit, float(np.sqrt(typical)))
-        _refuse_disagreement(search.pair, search.fit, float(np.sqrt(typical)))
-        _refuse_ambiguity(search, max_offset_s)
-
+    refuse = partial(_refuse_untrusted, noise=float(np.sqrt(typical)), max_offset_s=max_offset_s)
     refusal: UntrustedError | None = None
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
     try:
@@ -198,6 +195,12 @@ def calibrate_scale(
 
 def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice, ...]:
     return (*response.texts(fit.motion_hz), *drift_text("camera", drift))
+
+
+def _refuse_untrusted(search: OffsetSearch, *, noise: float, max_offset_s: float) -> None:
+    _refuse_no_motion(search.pair, search.fit, noise)
+    _refuse_disagreement(search.pair, search.fit, noise)
+    _refuse_ambiguity(search, max_offset_s)
 
 
 def _own_error(search: OffsetSearch, typical: float, *, errs_with_motion: bool) -> tuple[OwnError | None, bool]:

@@ -153,6 +153,46 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
     prepared, first, max_offset = given.prepared, overlap.first_ns, overlap.max_offset_s
     axis = turned(overlap.pair(overlap.reach_s), 0.0 if overlap.one_clock else max_offset)
     pair = axis.pair
+    learned, found, notes = _estimated(overlap, axis)
+    if not given.learns_scale:
+        try:
+            _refuse_wrong_scale(learned, found)
+        except UntrustedError:
+            # A clock that steps by half a period turns the motion round.
+            even = _on_one_even_clock(given, series, pair) if clock_steps else None
+            if even is None:
+                raise
+            return even
+    held = held_values(found.pair, found.fit, pair.rows)
+    if held.any():
+        return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
+    # Of the usable values.
+    usable = pair.rows[:, 2] < np.inf
+    share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
+    noisy = share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)
+    # In a unit that is not known yet only what is noisy all the same shows a step.
+    open_clock = len(outages(pair.rows[usable, 0])) > 0 or misfit(*found.noise).factor > 1.0
+    if clock_steps and (noisy or (open_clock and not given.learns_scale)):
+        even = _on_one_even_clock(given, series, pair)
+        if even is not None:
+            return even
+        if noisy:
+            refuse_step(pair, found.fit)
+    if steps := _steps_of_zero(given, learned, found):
+        return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
+    if share > MANY_LEFT_OUT:
+        notes.append(many_left_out(pair, found.fit, share))
+    along = prepared if axis.direction is None else prepared.along(axis.direction.components)
+    _refuse_jumps(along, first, found)
+    learned = replace(_widened(learned, axis), warnings=(*learned.warnings, *notes))
+    if overlap.one_clock:
+        return _on_one_clock(learned, found)
+    learned = _accepted_offset(overlap, learned, found)
+    return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
+
+
+def _estimated(overlap: _Overlap, axis: Turned) -> tuple[NoiseCalibration, Findings, list[Notice]]:
+    given, max_offset, pair = overlap.given, overlap.max_offset_s, axis.pair
     notes: list[Notice] = []
     if given.learns_scale:
         learned = calibrate_sensor_scale(
@@ -181,38 +221,7 @@ def learn(given: Given, series: TimeSeries, *, clock_steps: bool = True) -> Nois
         assert found is not None
         if found.search is not None and (not overlap.one_clock or unexplained(found.pair, found.fit)):
             notes += _refuse_farther(overlap, found.free, axis)
-        try:
-            _refuse_wrong_scale(learned, found)
-        except UntrustedError:
-            # A clock that steps by half a period turns the motion round.
-            even = _on_one_even_clock(given, series, pair) if clock_steps else None
-            if even is None:
-                raise
-            return even
-    held = held_values(found.pair, found.fit, pair.rows)
-    if held.any():
-        return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
-    # Of the usable values.
-    usable = pair.rows[:, 2] < np.inf
-    share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
-    noisy = share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)
-    if clock_steps and (noisy or len(outages(pair.rows[usable, 0])) or misfit(*found.noise).factor > 1.0):
-        even = _on_one_even_clock(given, series, pair)
-        if even is not None:
-            return even
-        if noisy:
-            refuse_step(pair, found.fit)
-    if steps := _steps_of_zero(given, learned, found):
-        return learn(given, without_steps(series, steps, first), clock_steps=clock_steps)
-    if share > MANY_LEFT_OUT:
-        notes.append(many_left_out(pair, found.fit, share))
-    along = prepared if axis.direction is None else prepared.along(axis.direction.components)
-    _refuse_jumps(along, first, found)
-    learned = replace(_widened(learned, axis), warnings=(*learned.warnings, *notes))
-    if overlap.one_clock:
-        return _on_one_clock(learned, found)
-    learned = _accepted_offset(overlap, learned, found)
-    return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
+    return learned, found, notes
 
 
 def _steps_of_zero(given: Given, learned: NoiseCalibration, found: Findings) -> list[tuple[float, float]]:
