@@ -101,7 +101,7 @@ def test_a_delay_that_several_causes_make_is_called_none_of_them(tmp_path):
     assert any(DELAY in line for line in result.not_in_band)
 
 
-@pytest.mark.parametrize(("step_s", "seed"), [(0.3, 1), (0.5, 0), *slow((0.3, 0), (0.3, 2))])
+@pytest.mark.parametrize(("step_s", "seed"), [(0.3, 1), (0.5, 0), *slow((0.3, 0), (0.3, 2), (0.5, 1))])
 def test_a_clock_that_steps_in_the_calibration_window_is_corrected(step_s, seed, tmp_path):
     # Half of the readings were left out as outliers, or the step was taken for the accelerometer's noise, and the rest
     # of the record was 3.7 mm wrong at a stated 0.2.
@@ -131,7 +131,7 @@ def test_a_step_that_looks_like_noise_of_either_sensor_is_corrected(step_s, seed
     assert [line.code for line in result.warnings if line.code != "coasting"] == ["clock-corrected"]
 
 
-@pytest.mark.parametrize(("step_s", "seed"), [(0.5, 1), *slow((1.0, 2))])
+@pytest.mark.parametrize(("step_s", "seed"), [(1.5, 0), *slow((1.0, 2))])
 def test_a_clock_that_steps_farther_than_is_found_is_refused_and_named(step_s, seed, tmp_path):
     write(tmp_path, "step", step_s, seed)
     with pytest.raises(UntrustedError, match="clock"):
