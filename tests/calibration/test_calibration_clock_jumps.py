@@ -15,10 +15,12 @@ TONE = Sines(np.array([4e-3]), np.array([2.0]))
 STILL = Sines(np.array([0.0]), np.array([1.0]))
 
 
-def companions(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.ones_like(t), extra=0.0) -> Compared:
+def companions(
+    stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.ones_like(t), extra=0.0, noise=NOISE
+) -> Compared:
     """Measurements of a motion at true instants (m,) with stamps (m,), next to 100 Hz of acceleration.
 
-    loud: the motion's size, which changes slowly; extra (m,): added to the measurements, m.
+    loud: the motion's size, which changes slowly; extra (m,): added to the measurements, m; noise: as NOISE.
     """
     rng = np.random.default_rng(4)
     time, step = np.arange(0.0, true_s[-1] + 1.0, 0.01), 1e-3
@@ -27,9 +29,9 @@ def companions(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: 
         return loud(t) * motion.displacement(t)
 
     acceleration = (moved(time + step) - 2.0 * moved(time) + moved(time - step)) / step**2
-    acceleration += rng.normal(0.0, NOISE[0], time.size)
-    value = moved(true_s) + rng.normal(0.0, NOISE[1], true_s.size) + extra
-    density, variance = np.full(time.size, NOISE[0] ** 2 / 100.0), np.full(true_s.size, NOISE[1] ** 2)
+    acceleration += rng.normal(0.0, noise[0], time.size)
+    value = moved(true_s) + rng.normal(0.0, noise[1], true_s.size) + extra
+    density, variance = np.full(time.size, noise[0] ** 2 / 100.0), np.full(true_s.size, noise[1] ** 2)
     return Compared(np.column_stack((time, acceleration, density)), np.column_stack((stamps, value, variance)))
 
 
@@ -48,6 +50,28 @@ def test_a_clock_that_was_set_is_found_with_its_size_and_instant(late_s):
     # A measurement a second or two away from the jump is on a known side.
     assert found.last - found.first <= 16
     assert found.rival_s is None
+
+
+# A sensor of 0.4 mm: the offset of 8 s of readings is known to 3 ms only.
+COARSE = (5e-3, 4e-4)
+
+
+@pytest.mark.parametrize(("late_s", "outage_s"), [(0.02, 15.0), (-0.02, 30.0)])
+def test_an_outage_is_where_a_step_is_tried_first(late_s, outage_s):
+    true_s = even(90.0, 10.0)
+    true_s = true_s[(true_s < 30.0) | (true_s >= 30.0 + outage_s)]
+    after = true_s >= 30.0
+    (found,) = clock_jumps(companions(true_s - np.where(after, late_s, 0.0), true_s, noise=COARSE))
+    # The offset before it is as calibrated: nothing of the step is smeared into it.
+    assert found.before_s == 0.0
+    assert found.row == found.first == found.last == np.argmax(after)
+    assert found.late_s == pytest.approx(late_s, abs=5.0 * found.std_s)
+
+
+def test_an_outage_is_no_step():
+    true_s = even(90.0, 10.0)
+    true_s = true_s[(true_s < 30.0) | (true_s >= 45.0)]
+    assert clock_jumps(companions(true_s, true_s, noise=COARSE)) == []
 
 
 @pytest.mark.parametrize(("rate_hz", "lost"), [(8.0, 1), (8.0, 3), (30.0, 1), (100.0, 1)])

@@ -45,6 +45,18 @@ def test_a_mast_that_nods_is_found_by_its_frequency_and_size(hertz, lasts_s):
         assert abs(found.scale.value_m_per_px / SCALE - 1.0) < 4.0 * np.sqrt(found.scale.variance) / abs(SCALE)
 
 
+@pytest.mark.parametrize("late_s", [0.02, -0.02])
+def test_a_clock_that_steps_is_no_mast_that_nods(late_s):
+    pair = observed(broadband(1), 1)
+    rows = pair.rows.copy()
+    after = rows[:, 0] > np.mean(rows[[0, -1], 0])
+    rows[after, 0] += late_s
+    found = calibrate_scale(Pair(pair.samples, rows[np.r_[True, np.diff(rows[:, 0]) > 0.0]]), 0.1)
+    assert found.own is None
+    assert any("clock jumps" in str(line) for line in found.warnings)
+    assert abs(found.scale.value_m_per_px / SCALE - 1.0) < 4.0 * np.sqrt(found.scale.variance) / abs(SCALE) < 0.02
+
+
 def test_hot_air_is_found():
     for seed in (1, 2, 3):
         found = calibrate_scale(erring(seed, 0.4, rate=1.0 / 2.0, omega=0.0), 0.1)

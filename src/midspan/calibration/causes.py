@@ -8,6 +8,7 @@ Each cause is one model of the readings y(t) made of the displacement x(t) that 
     low-pass      x = h_f ∗ y, a low-pass in the accelerometer's logger, on one clock or besides an offset
     slow sensor   y = h_f ∗ x, a first-order low-pass in the sensor
     play          y follows x with a play of width w in its joint (backlash)
+    resonance     x is felt through a mounting of one mode, (1 + 2jζr) / (1 − r² + 2jζr) with r = frequency over its own
     tone          y = x(t) + a·sin 2πft + b·cos 2πft: a vibration that only the accelerometer has, or that it aliases
 
 All are compared on the same readings with slow motion left out, by Schwarz's criterion (Annals of Statistics 6, 1978,
@@ -41,6 +42,8 @@ BY_CHANCE = 1e-3
 # Frequencies (Hz) of low-passes that are tried, widths of a play in rms of the motion, step of a clock's offsets, s.
 LOW_PASSES_HZ, PLAYS = np.geomspace(0.5, 40.0, 30), np.geomspace(0.05, 3.0, 36)
 OFFSET_STEP_S = 0.01
+# Resonances (Hz) of a mounting, 5 % apart: nearer ones differ by less than noise. Dampings of steel and of concrete.
+RESONANCES_HZ, DAMPINGS = np.geomspace(2.0, 40.0, 62), (0.01, 0.03, 0.1)
 # Butterworth low-passes of second and fourth order: polynomials in s over the corner frequency.
 BUTTERWORTH = (Polynomial([1.0, 1.4142, 1.0]), Polynomial([1.0, 2.6131, 3.4142, 2.6131, 1.0]))
 MAX_OFFSET_S, MAX_RAISED = 0.6, 20.0
@@ -59,6 +62,7 @@ class Cause(StrEnum):
     STEP = "a clock that steps"
     LOW_PASS = "a low-pass in the accelerometer's logger"
     SLOW_SENSOR = "a displacement sensor that follows late"
+    RESONANCE = "an accelerometer on a mounting that resonates (a railing, a bracket)"
     PLAY = "play (backlash) in the displacement sensor's joint"
     TONE = "a vibration that only the accelerometer has, or that it aliases (a machine above half its rate)"
 
@@ -162,6 +166,7 @@ class Comparison:
                 for late in (True, False)
             ),
             Cause.SLOW_SENSOR: self._least(y, delayed),
+            Cause.RESONANCE: self._least(y, self._unmounted()),
             Cause.PLAY: self._with_play(y, plain),
             Cause.TONE: self._with_tone(y - x),
         }
@@ -179,8 +184,13 @@ class Comparison:
     def _raised(self, frequency_hz: float, filtered: Polynomial, *, late: bool) -> NDArray[np.complex128]:
         """What undoes a low-pass, as far as it does not raise noise; late False: but for its delay of slow motion."""
         s = 1j * self._hertz / frequency_hz
-        undone = filtered(s) if late else filtered(s) * np.exp(-s * filtered.coef[1])
-        return np.asarray(undone * np.minimum(1.0, MAX_RAISED / np.abs(undone)), dtype=np.complex128)
+        return _bounded(filtered(s) if late else filtered(s) * np.exp(-s * filtered.coef[1]))
+
+    def _unmounted(self) -> list[NDArray[np.complex128]]:
+        """What undoes the transmissibility of a mounting (A. K. Chopra, Dynamics of structures, section 3.6)."""
+        below_nyquist = RESONANCES_HZ[: np.searchsorted(RESONANCES_HZ, 0.5 * self.rate_hz)]
+        shapes = [(self._hertz / f, z) for f in below_nyquist for z in DAMPINGS]
+        return [_bounded((1.0 - r**2 + 2j * z * r) / (1.0 + 2j * z * r)) for r, z in shapes]
 
     def _clocks(self, y: Floats, plain: Callable[[Floats], Floats]) -> tuple[float, float]:
         count = round(MAX_STEP_S / OFFSET_STEP_S)
@@ -216,6 +226,10 @@ class Comparison:
         return _without(columns, difference)
 
 
+def _bounded(undone: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    return np.asarray(undone * np.minimum(1.0, MAX_RAISED / np.maximum(np.abs(undone), 1e-9)), dtype=np.complex128)
+
+
 def slow_motion(time_s: Floats, slowest_hz: float) -> Floats:
     """Orthonormal columns (n, k) of motion below a frequency at instants (n,), level and trend included."""
     length = float(time_s[-1] - time_s[0])
@@ -236,7 +250,7 @@ def _main_hz(shaken: Floats, rate_hz: float) -> float:
     return float(np.sqrt(np.sum(hertz**2 * power) / np.sum(power)))
 
 
-PARAMETERS = {Cause.STEP: 3, Cause.TONE: 1 + 2 * TONES}  # of a model, 1 of any other
+PARAMETERS = {Cause.STEP: 3, Cause.RESONANCE: 2, Cause.TONE: 1 + 2 * TONES}  # of a model, 1 of any other
 
 
 def _named(compared: Comparison) -> Explained | None:
@@ -247,7 +261,10 @@ def _named(compared: Comparison) -> Explained | None:
         parameters = PARAMETERS.get(cause, 1)
         return -0.5 * count * math.log(squares[cause] / count) - 0.5 * parameters * math.log(count)
 
-    first, second = sorted(Cause, key=score, reverse=True)[:2]
+    # A constant offset is a step of none: where the step's parameters buy nothing the two are one explanation.
+    order = sorted(Cause, key=score, reverse=True)
+    first, *others = (cause for cause in order if order[0] is not Cause.CLOCK or cause is not Cause.STEP)
+    second = others[0]
     difference = compared.difference()
     left = squares[first] / difference
     named = left < MAX_LEFT and score(first) - score(second) > least_lead(count)
@@ -277,6 +294,7 @@ REMEDIES = {
     Cause.STEP: "Cut the recording where the clock steps, or correct the time column.",
     Cause.LOW_PASS: "Use a logger whose low-pass lies far above the motion.",
     Cause.SLOW_SENSOR: "Use a sensor that follows the motion, or declare what it averages over: exposure_s.",
+    Cause.RESONANCE: "Mount the accelerometer on the structure itself.",
     Cause.PLAY: "Tighten the sensor's rod, wire or joint.",
     Cause.TONE: "Use a logger with an anti-alias filter, or mount the accelerometer away from the machine.",
 }
@@ -300,7 +318,13 @@ def cause_of_lateness(pair: Pair, offset_s: float) -> str:
     if found is None:
         # Late readings need a negative offset, which a logger's low-pass does not make.
         excluded = (Cause.SLOW_SENSOR, Cause.PLAY) if offset_s > 0.0 else (Cause.LOW_PASS,)
-        return f"Its readings do not tell a clock from {_listed(Cause.CLOCK, Cause.UNIT, Cause.TONE, *excluded)}. "
+        others = _listed(Cause.CLOCK, Cause.UNIT, Cause.RESONANCE, Cause.TONE, *excluded)
+        return f"Its readings do not tell a clock from {others}. "
+    return likelier_than_offset(found)
+
+
+def likelier_than_offset(found: Explained) -> str:
+    """A sentence on a cause that explains readings which are late better than a constant offset; empty for that."""
     if found.cause is Cause.CLOCK:
         return ""
     return (

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.agreement import compared_by
 from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_variance, knots
-from midspan.calibration.fit import MIN_FRAMES, Pair
+from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, best_corner, refine
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
@@ -32,6 +32,11 @@ REACH_S, REACH_ROWS = 30.0, 40
 # A window of this many s, or measurements, whose offset leaves the one before by this many deviations is suspicious; so
 # is one whose clipped squared innovations are on average beyond the last value.
 WINDOW_S, WINDOW_ROWS, SUSPICIOUS, CONTRADICTING = 8.0, 12, 5.0, 3.0
+# Without values for this long, s, and for this many of their intervals, a clock may have been set unseen: whatever the
+# windows say, such an outage is suspicious. As of the bank of clocks in `core/src/estimator`.
+OUTAGE_S, OUTAGE_ROWS = 1.0, 3
+# The offsets of both halves are sought so near that of the whole, s: a larger step shows in its outliers.
+HALVES_S = 0.1
 # One measurement contradicts by this many squared deviations at most: it may be an outlier.
 MAX_SQUARE = 25.0
 # Price of a jump; what it must gain over none and over a clock that drifts; what its rival may come near to.
@@ -85,6 +90,13 @@ def clock_jumps(one: Compared) -> list[ClockJump]:
     return found
 
 
+def outages(time_s: Floats) -> NDArray[np.int64]:
+    """The first rows after outages of readings at times (m,)."""
+    apart = np.diff(time_s)
+    least = max(OUTAGE_S, OUTAGE_ROWS * float(np.median(apart))) if len(apart) else 0.0
+    return np.flatnonzero(apart > least) + 1
+
+
 def lateness(jumps: Sequence[ClockJump], count: int) -> Floats:
     """What is to be added to each of `count` stamps, s."""
     late_s, begin = np.zeros(count), 0
@@ -100,24 +112,28 @@ def _rows_in(one: Compared, seconds: float, least: int) -> int:
 
 
 def _suspicious(one: Compared, late_s: Floats, begin: int) -> int | None:
-    """First row of the first window from `begin` on that contradicts the acceleration or the offset before."""
+    """The first row from `begin` on after an outage, or of a window that contradicts the acceleration or the offset."""
     # The filter needs a way to settle.
     start = max(0, begin - _rows_in(one, REACH_S, 0)) if len(one.rows) > 1 else 0
     if len(one.rows) - max(start, begin) < 2 * MIN_ROWS:
         return None
     part = one.since(start)
     windows = knots(part, late_s[start:], np.arange(0, len(part.rows), _rows_in(part, WINDOW_S, WINDOW_ROWS)))
+    after = outages(one.rows[:, 0])
+    outage = next((int(row) for row in after if row > begin), None)
     reference, known = 0.0, 0.0
     columns = (windows.first, windows.late_s, windows.information, windows.square)
     for first, late, reported, square in zip(*columns, strict=True):
         variance = 1.0 / max(reported, NO_INFORMATION) + (1.0 / known if known else 0.0)
         moved = known > 0.0 and abs(late - reference) > SUSPICIOUS * np.sqrt(variance)
+        if outage is not None and start + first >= outage:
+            return outage
         if (square > CONTRADICTING or moved) and start + first >= begin:
             return int(start + first)
         # What lies far back says little of a clock that drifts.
         known = 0.5 * known + reported
         reference += (late - reference) * reported / max(known, NO_INFORMATION)
-    return None
+    return outage
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,12 +266,18 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
     if not min(np.mean(good[: guess.row]), np.mean(good[guess.row :])) >= EXPLAINED:
         return None
     none = [replace(guess, after_s=guess.before_s), replace(guess, before_s=guess.after_s), guess]
-    *others, least = segment.loss(segment.stamps(none))
-    if min(others) - least < MIN_GAIN:
-        return None
-    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < MIN_NEXT_TO:
+    *others, stepped = segment.loss(segment.stamps(none))
+    if min(others) - stepped < MIN_GAIN:
         return None
     first, last = _possible(segment, guess)
+    # Where a clock may have been set in an outage it was; a drift is then no simpler, and must only be less likely.
+    inside = [int(row) for row in outages(segment.part.rows[:, 0]) if first <= row <= last]
+    least = 0.0 if inside else MIN_NEXT_TO
+    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < least:
+        return None
+    if inside:
+        first = last = inside[0]
+        guess = replace(guess, row=first)
     return ClockJump(guess.row, late_s, std_s, first, last, guess.before_s, _rival(segment, guess))
 
 
@@ -306,6 +328,19 @@ def _rival(segment: _Segment, guess: _Guess) -> float | None:
     best = int(np.argmin(found))
     alike = found[best] < losses(np.array([guess.after_s]), RIVAL_STEP_S)[0] + RIVAL
     return float(near[best]) - guess.before_s if alike else None
+
+
+def lead_of_halves(pair: Pair, fit: Fit) -> float:
+    """By how much (logarithm) both halves of a pair are likelier, each by its own fit near that of the whole.
+
+    A clock that steps anywhere leaves one half without a step (G. C. Chow, Econometrica 28, 1960, 591,
+    doi 10.2307/1910133); 0 where a half has too few rows.
+    """
+    halves = [pair.changed(rows=rows) for rows in np.array_split(pair.rows, 2)]
+    if min(np.count_nonzero(np.isfinite(half.rows[:, 2])) for half in halves) < MIN_FRAMES:
+        return 0.0
+    fits = [refine(half, best_corner(half, fit.offset_s, fit.corner), HALVES_S) for half in halves]
+    return sum(one.likelihood for one in fits) - fit.likelihood
 
 
 def without_jumps(

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
-from midspan.calibration.clock_jumps import ClockJump, jumps_text, without_jumps
+from midspan.calibration.clock_jumps import ClockJump, jumps_text, lead_of_halves, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
@@ -153,18 +154,16 @@ def calibrate_scale(
     kinds = kinds_of(pair, exposure_declared=exposure_declared)
     jumps: Sequence[ClockJump] = ()
 
-    def refuse(search: OffsetSearch) -> None:
-        _refuse_no_motion(search.pair, search.fit, float(np.sqrt(typical)))
-        _refuse_disagreement(search.pair, search.fit, float(np.sqrt(typical)))
-        _refuse_ambiguity(search, max_offset_s)
-
+    refuse = partial(_refuse_untrusted, noise=float(np.sqrt(typical)), max_offset_s=max_offset_s)
     refusal: UntrustedError | None = None
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
     try:
         refuse(search)
     except UntrustedError as error:
         refusal = error
-    if refusal is not None or np.mean(np.isinf(search.pair.rows[:, 2])) > MANY_LEFT_OUT:
+    many = np.mean(np.isinf(search.pair.rows[:, 2])) > MANY_LEFT_OUT
+    # What a clock that steps leaves is noise of either, or the motion's own frequencies, as where a camera sways.
+    if refusal is not None or many or lead_of_halves(search.pair, search.fit) > MIN_GAIN:
         moved, jumps = without_jumps(pair, max_offset_s, refuse)
         if jumps:
             pair = moved
@@ -196,6 +195,12 @@ def calibrate_scale(
 
 def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice, ...]:
     return (*response.texts(fit.motion_hz), *drift_text("camera", drift))
+
+
+def _refuse_untrusted(search: OffsetSearch, *, noise: float, max_offset_s: float) -> None:
+    _refuse_no_motion(search.pair, search.fit, noise)
+    _refuse_disagreement(search.pair, search.fit, noise)
+    _refuse_ambiguity(search, max_offset_s)
 
 
 def _own_error(search: OffsetSearch, typical: float, *, errs_with_motion: bool) -> tuple[OwnError | None, bool]:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better, compared_by, offset_variance_factor, unexplained
+from midspan.calibration.agreement import clearly_better, compared_by, misfit, offset_variance_factor, unexplained
 from midspan.calibration.causes import Cause, cause_of_lateness, disagreement, named_cause
-from midspan.calibration.clock_jumps import clock_jumps, lateness
+from midspan.calibration.clock_jumps import clock_jumps, lateness, outages
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.displacement.wrong_values import crowd_of_outliers, held_values
@@ -155,43 +155,28 @@ def learn(
     overlap = _Overlap(given, series)
     prepared, first, max_offset = given.prepared, overlap.first_ns, overlap.max_offset_s
     axis = turned(overlap.pair(overlap.reach_s), 0.0 if overlap.one_clock else max_offset)
-    pair = axis.pair
-    notes: list[Notice] = []
-    if given.learns_scale:
+    pair, notes = axis.pair, list[Notice]()
+    try:
+        learned, found = _estimated(overlap, axis, notes)
+    except UntrustedError as error:
+        if not given.learns_scale:
+            raise
+        return _without_hiding_steps(overlap, pair, steps, error)
+    if not given.learns_scale:
         try:
-            learned = _with_scale(overlap, axis, notes)
-        except UntrustedError as error:
-            return _without_hiding_steps(overlap, pair, steps, error)
-        found = learned.findings
-        assert found is not None
-    else:
-        rows = pair.rows.copy()
-        rows[crowd_of_outliers(pair), 2] = np.inf
-        learned = calibrate_noise(
-            pair.changed(rows=rows),
-            max_offset,
-            one_clock=overlap.one_clock,
-            length_s=overlap.overlap_s,
-            gain_std=given.gain_std,
-            noise_time_s=given.noise_time_s,
-            exposure_declared=given.exposure_s is not None,
-        )
-        found = learned.findings
-        assert found is not None
-        if found.search is not None and (not overlap.one_clock or unexplained(found.pair, found.fit)):
-            notes += _refuse_farther(overlap, found.free, axis)
-        _refuse_wrong_scale(learned, found)
+            _refuse_wrong_scale(learned, found)
+        except UntrustedError:
+            # A clock that steps by half a period turns the motion round.
+            even = _on_one_even_clock(given, series, pair, steps) if clock_steps else None
+            if even is None:
+                raise
+            return even
     held = held_values(found.pair, found.fit, pair.rows)
     if held.any():
         return _without_held(given, series, steps, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
-    # Of the usable values.
-    usable = pair.rows[:, 2] < np.inf
-    share = float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
-    if clock_steps and (share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)):
-        even = _on_one_even_clock(given, series, pair, steps)
-        if even is not None:
-            return even
-        refuse_step(pair, found.fit)
+    share = _share_left_out(pair, found)
+    if clock_steps and (even := _without_clock_steps(given, series, pair, steps, (found, share))) is not None:
+        return even
     if _may_step(given, learned, found, steps) and (more := zero_steps(found.pair, found.fit, first)):
         return learn(given, without_steps(series, more), clock_steps=clock_steps, steps=(*steps, *more))
     notes += [steps_taken_out(steps, learned.factor)] if steps else []
@@ -204,6 +189,57 @@ def learn(
         return _on_one_clock(learned, found)
     learned = _accepted_offset(overlap, learned, found)
     return replace(learned, warnings=(*learned.warnings, *_offset_warnings(overlap, learned)))
+
+
+def _share_left_out(pair: Pair, found: Findings) -> float:
+    """Of the usable values the share that was left out as outliers."""
+    usable = pair.rows[:, 2] < np.inf
+    return float(np.mean(np.isinf(found.pair.rows[usable, 2]))) if usable.any() else 0.0
+
+
+def _without_clock_steps(
+    given: Given, series: TimeSeries, pair: Pair, steps: tuple[ZeroStep, ...], at: tuple[Findings, float]
+) -> NoiseCalibration | None:
+    """The calibration without steps of the sensor's clock; None where none is suspected or found, or a refusal.
+
+    at: what was found with them, and the share that was left out.
+    """
+    found, share = at
+    noisy = share > FEW_LEFT_OUT or exceeds_own_noise(*found.noise)
+    # In a unit that is not known yet only what is noisy all the same shows a step.
+    usable = pair.rows[:, 2] < np.inf
+    open_clock = len(outages(pair.rows[usable, 0])) > 0 or misfit(*found.noise).factor > 1.0
+    if not (noisy or (open_clock and not given.learns_scale)):
+        return None
+    even = _on_one_even_clock(given, series, pair, steps)
+    if even is None and noisy:
+        refuse_step(pair, found.fit)
+    return even
+
+
+def _estimated(overlap: _Overlap, axis: Turned, notes: list[Notice]) -> tuple[NoiseCalibration, Findings]:
+    """The calibration as it is at first; what is to be reported of the clock is added to `notes`."""
+    given, pair = overlap.given, axis.pair
+    if given.learns_scale:
+        learned = _with_scale(overlap, axis, notes)
+        assert learned.findings is not None
+        return learned, learned.findings
+    rows = pair.rows.copy()
+    rows[crowd_of_outliers(pair), 2] = np.inf
+    learned = calibrate_noise(
+        pair.changed(rows=rows),
+        overlap.max_offset_s,
+        one_clock=overlap.one_clock,
+        length_s=overlap.overlap_s,
+        gain_std=given.gain_std,
+        noise_time_s=given.noise_time_s,
+        exposure_declared=given.exposure_s is not None,
+    )
+    found = learned.findings
+    assert found is not None
+    if found.search is not None and (not overlap.one_clock or unexplained(found.pair, found.fit)):
+        notes += _refuse_farther(overlap, found.free, axis)
+    return learned, found
 
 
 def _with_scale(overlap: _Overlap, axis: Turned, notes: list[Notice]) -> NoiseCalibration:
@@ -273,9 +309,9 @@ def on_one_clock(series: TimeSeries, origin_ns: int, pair: Pair) -> TimeSeries |
 
     origin_ns: what the pair's times count from. Values that may lie on either side of a step are NaN.
     """
-    # A step leaves one half without any, where the sensors agree; in the other it looks like the accelerometer's noise.
+    # A step leaves one half without any, where the sensors agree; in the other it looks like noise of one of them.
     halves = [without_outliers(pair.changed(rows=rows, ratio=1.0))[1] for rows in np.array_split(pair.rows, 2)]
-    fit = min(halves, key=lambda one: one.input_density)
+    fit = min(halves, key=lambda one: np.log(one.noise) + np.mean(np.log(one.whitened.variance)))
     used = pair.used(fit.offset_s)
     jumps = clock_jumps(compared_by(pair, fit, pair.rows[used]))
     if not jumps:

@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.calibration.accelerometer_clock import refuse_forward_step
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.causes import REMEDIES, Cause, cause_of_lateness, disagreement, named_cause
+from midspan.calibration.causes import REMEDIES, Cause, disagreement, likelier_than_offset, named_cause
 from midspan.calibration.clock_rate import ClockRate
 from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
@@ -90,8 +90,7 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     """What is estimated of the sensor on one clock with the accelerometer or on its own, and which of the two it was.
 
     rate: of its clock, where that was taken out of the stamps. Where it is not said whether the clocks are one, they
-    are unless the motion shows an offset that nothing speaks against. With an acceleration that is late the band holds
-    the offset as well: a logger's low-pass delays it alike.
+    are unless the motion shows an offset that nothing speaks against.
     """
     if given.learns_offset is not None:
         try:
@@ -118,9 +117,7 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     if apart is not None and rate is not None:
         return own, with_rate(apart, rate)
     if apart is not None and apart.offset.value_s != 0.0 and apart.low_pass is None:
-        assert apart.findings is not None
-        delays = apart.offset.value_s > 0.0
-        return own, with_offset(replace(apart, late_m=late_m(apart, apart.findings)) if delays else apart)
+        return own, with_offset(apart)
     if refused is not None:
         raise refused
     return (shared, found) if found is not None else (shared, with_rate(_estimated(shared), rate))
@@ -157,30 +154,29 @@ def with_rate(estimated: NoiseCalibration, rate: ClockRate | None) -> NoiseCalib
 def with_offset(estimated: NoiseCalibration) -> NoiseCalibration:
     """The calibration with a sentence on an offset that was not asked for.
 
-    late_m: what it makes of the displacement where it may be a logger's delay.
+    A clock that is off is the simplest of what makes readings late: another cause is named where it explains them
+    clearly better. Of these only a logger's low-pass makes the result late, by as much as the offset: late_m.
     """
+    assert estimated.findings is not None
+    cause = named_cause(estimated.findings.pair)
     text = (
         f"displacement: its readings come as if its clock differs from the accelerometer's by "
         f"{1e3 * estimated.offset.value_s:+.4g} ± {1e3 * np.sqrt(estimated.offset.variance):.2g} ms; corrected. "
-        f"{_cause_of_lateness(estimated)}"
     )
-    if estimated.late_m > 0.0:
+    if estimated.play is not None and estimated.offset.value_s < 0.0:
+        text += "Play in its joint makes them late. "
+    elif cause is not None:
+        text += likelier_than_offset(cause)
+    if estimated.offset.value_s > 0.0 and cause is not None and cause.cause is Cause.LOW_PASS:
+        estimated = replace(estimated, late_m=late_m(estimated, estimated.findings))
         text += (
-            "With a low-pass in the accelerometer's logger the result is late by as much: the error band holds what "
-            f"that makes, {1e3 * estimated.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the "
-            "clock; "
+            "The result is late by as much then: the error band holds what that makes, "
+            f"{1e3 * estimated.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the clock; "
         )
     else:
         text += "displacement.estimate_offset = true asks for that; "
     text += "false says that both have one clock."
     return replace(estimated, warnings=(*estimated.warnings, Notice("clock-corrected", text)))
-
-
-def _cause_of_lateness(estimated: NoiseCalibration) -> str:
-    assert estimated.findings is not None
-    if estimated.play is not None and estimated.offset.value_s < 0.0:
-        return "Play in its joint makes them late. "
-    return cause_of_lateness(estimated.findings.pair, estimated.offset.value_s)
 
 
 def two_rates(rate: ClockRate) -> UntrustedError:

@@ -16,8 +16,9 @@ class DisplacementCalibration:
     are rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held there:
     such values are left out. slow_std_m, slow_time_s, slow_hz: standard deviation, correlation time and frequency of
     its slow error (0 Hz: first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that
-    only one of the two sensors may have seen (rms), which the error band holds whole. clock_rate: what is added to its stamps for each
-    second since `clock_reference_s` on its own clock, before the offset, in a record that holds that instant.
+    only one of the two sensors may have seen (rms), which the error band holds whole. clock_rate: what is added to its
+    stamps for each second since `clock_reference_s` on its own clock, before the offset, in a record that holds that
+    instant.
     unseen_drift_m, unseen_step_m, unseen_gap_m: how far it may have drifted within 10 s, and its zero have stepped,
     anywhere and across its longest gap, without that showing in the calibration's record; 0: nothing was looked for.
     """
