@@ -26,7 +26,7 @@ def course(seed, time_s, *, rate, omega):
 
 
 def erring(seed, size_px, **kind):
-    """Half a minute and more of a structure of 3 mm, seen with an error of so many px rms."""
+    """Half a minute and more of a structure of 3 mm, seen with an error of a size in px rms."""
     pair = observed(broadband(seed), seed)
     rows = pair.rows.copy()
     error = course(seed, rows[:, 0], **kind)
@@ -97,10 +97,11 @@ def test_an_error_that_is_smooth_over_some_frames_has_its_size(lasts_s):
 
 
 def measured(seed, size_m, **kind):
-    """A displacement sensor (0.4 mm) with an error of so many m rms, beside the same structure."""
+    """A displacement sensor (0.4 mm) with an error of a size in m rms, on the same structure."""
     pair = observed(broadband(seed), seed, noise_px=0.4e-3, scale=1.0, offset_s=0.0)
     rows = pair.rows.copy()
-    rows[:, 1] += size_m * course(seed, rows[:, 0], **kind)
+    error = course(seed, rows[:, 0], **kind)
+    rows[:, 1] += size_m * error / np.std(error)
     rows[:, 2] = 1.0
     return Pair(pair.samples, rows)
 
@@ -111,7 +112,7 @@ def test_a_displacement_sensor_that_nods_on_its_mast_is_found(hertz):
         found = calibrate_noise(measured(seed, 1.5e-3, rate=0.02 * hertz, omega=2.0 * np.pi * hertz), 0.0)
         assert found.sway is not None
         assert found.sway.hertz == pytest.approx(hertz, rel=0.1)
-        # As many oscillations as a minute holds tell its size to a half.
+        # A minute is one draw of what forgets in a minute: its size is told to a half.
         assert found.sway.std == pytest.approx(1.5e-3, rel=0.5)
 
 
@@ -120,11 +121,11 @@ def test_a_clean_displacement_sensor_does_not_nod():
 
 
 def test_air_that_shimmers_less_than_the_accelerometer_notices_is_found():
-    # 0.1 px over 4 s: too little for the accelerometer's noise to have to grow, and ten times a frame's noise.
-    for seed in (1, 2):
-        found = calibrate_scale(erring(seed, 0.1, rate=1.0 / 4.0, omega=0.0), 0.1)
+    # 0.15 px over 4 s: too little for the accelerometer's noise to have to grow, and seven times a frame's noise.
+    for seed in (1, 2, 3):
+        found = calibrate_scale(erring(seed, 0.15, rate=1.0 / 4.0, omega=0.0), 0.1)
         assert found.own is not None
-        assert 0.04 < found.own.std < 0.3
+        assert 0.07 < found.own.std < 0.3
 
 
 def test_a_bias_that_walks_is_no_motion_of_the_camera():

@@ -82,7 +82,7 @@ impl SlowError {
         Self { variance_m2, ..*self }
     }
 
-    /// The same one, so many times as fast.
+    /// The same one, faster by a factor.
     pub fn faster(&self, factor: f64) -> Self {
         Self { rate_s: factor * self.rate_s, omega: factor * self.omega, ..*self }
     }
