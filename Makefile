@@ -8,17 +8,21 @@ DEV    := $(VENV)/.ready-for-tests
 # Two processes of tests share the cores: no threads of the libraries besides.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
+# The page as the server sends it.
+PAGE   := src/midspan/serve/page/index.html
+WEB    := $(wildcard web/*.json web/*.html web/*.ts) $(shell find web/src web/public -type f)
 
-.PHONY: demo test check docs bench live faults fuzz slow wheel lock audit clean setup
+.PHONY: demo test check page docs bench live faults fuzz slow wheel lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
 
 test: check
 
-check: $(DEV)
+check: $(DEV) $(PAGE)
 	sh tools/servers.sh
 	sh tools/core.sh check
+	VENV="$(VENV)" sh tools/page.sh check
 	$(BIN)/ruff format --check src tests benchmarks examples
 	$(BIN)/ruff check src tests benchmarks examples
 	$(BIN)/mypy
@@ -26,7 +30,7 @@ check: $(DEV)
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 # What `make test` shows, again with more seeds, sizes and sensors, and the papers' claims that take minutes.
-slow: $(DEV)
+slow: $(DEV) $(PAGE)
 	sh tools/servers.sh
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
@@ -38,7 +42,7 @@ bench: $(DEV)
 	$(BIN)/python -m benchmarks
 
 # Three points through an RTSP camera, an MQTT broker and the store, on loopback.
-live: $(DEV)
+live: $(DEV) $(PAGE)
 	sh tools/servers.sh
 	$(BIN)/python -m benchmarks.live.show
 
@@ -51,7 +55,10 @@ faults: $(DEV)
 fuzz: $(DEV)
 	PYTHONPATH=tests:tests/sources $(BIN)/python -m fuzz --inputs 210
 
-setup: $(DEV)
+setup: $(DEV) $(PAGE)
+
+# The page of the live site, which `midspan run` and `midspan serve` send.
+page: $(PAGE)
 
 $(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
@@ -61,8 +68,11 @@ $(DEV): $(STAMP)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh dev
 	@touch $(DEV)
 
+$(PAGE): tools/page.sh $(WEB) | $(STAMP)
+	VENV="$(VENV)" sh tools/page.sh build
+
 # The wheel for every Python from 3.11 on and the source distribution, in dist/; the wheel is tried without a compiler.
-wheel: $(DEV)
+wheel: $(DEV) $(PAGE)
 	BIN="$(BIN)" sh tools/wheel.sh
 
 # Renew the pinned versions, what users get apart from the developers' tools: names and versions only, no addresses.
@@ -75,4 +85,4 @@ audit:
 	PYTHON="$(PYTHON)" sh tools/audit.sh
 
 clean:
-	rm -rf $(VENV) .audit-venv demo site dist core/target .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .audit-venv demo site dist core/target web/node_modules src/midspan/serve/page .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,165 @@
+// The REST interface below /api/v1 and its schemas (GET /api/v1/openapi.json).
+
+export interface Session { user: string; scope: "read" | "operate" | "admin"; csrf: string }
+export interface PointState {
+  name: string;
+  status: string | null;
+  reason: string;
+  text: string;
+  displacement_mm: number | null;
+  displacement_std_mm: number | null;
+  time: string | null;
+  age_s: number | null;
+  since: string | null;
+  calibration: number | null;
+}
+export interface SourceState {
+  name: string;
+  point: string;
+  source: string;
+  reason: string;
+  text: string;
+  age_s: number | null;
+  records: number;
+  faults: number;
+  skipped: number;
+  stamps: string;
+  address: string;
+  rate_hz: number | null;
+}
+export interface Health {
+  ready: boolean;
+  points: { point: string; reason: string; text: string }[];
+  sources: { point: string; source: string; reason: string; text: string }[];
+  settings: { text: string; file: string | null; key: string | null } | null;
+}
+type Numbers = (number | null)[];
+export interface Buckets {
+  time: number[];
+  displacement_mm_min: Numbers;
+  displacement_mm_max: Numbers;
+  displacement_mm_mean: Numbers;
+  displacement_std_mm: Numbers;
+  status: (string | null)[];
+}
+export interface Rows { time: number[]; displacement_mm: Numbers; displacement_std_mm: Numbers; status: string[] }
+export interface EventBody { time: string; time_ns: number; kind: string; text: string }
+export interface CalibrationBody { id: number; time: string; state: string; calibration: Record<string, unknown> }
+export interface SpectrumBody {
+  frequency_hz: Numbers;
+  density_mm2_hz: Numbers;
+  segment_s: number | null;
+  modes: Record<string, number>[];
+  reason: string;
+}
+
+/** What the server refused, with its own sentence: what, the rule, the remedy. */
+export class Refused extends Error {
+  status: number;
+  key: string | null;
+  constructor(status: number, detail: string, key: string | null) {
+    super(detail);
+    this.status = status;
+    this.key = key;
+  }
+}
+
+/** The server was not reached. */
+export class Away extends Error {}
+
+const ROOT = "/api/v1";
+// An answer that takes longer than the server's own limits comes no more, ms.
+const LONGEST_MS = 70_000;
+
+let csrf = "";
+let over: () => void = () => undefined;
+
+/** What is done when a login is over. */
+export function whenOver(done: () => void): void {
+  over = done;
+}
+
+async function ask(path: string, options: RequestInit = {}): Promise<Response> {
+  const headers = new Headers(options.headers);
+  if (options.method && options.method !== "GET") headers.set("X-CSRF-Token", csrf);
+  let answer: Response;
+  try {
+    answer = await fetch(ROOT + path, { ...options, headers, signal: options.signal ?? AbortSignal.timeout(LONGEST_MS) });
+  } catch (error) {
+    if (options.signal?.aborted) throw error;
+    throw new Away("The server cannot be reached.");
+  }
+  if (answer.ok) return answer;
+  const body = (await answer.json().catch(() => ({}))) as { detail?: string; key?: string };
+  if (answer.status === 401 && path !== "/login") over();
+  throw new Refused(answer.status, body.detail ?? `The server answered ${answer.status}.`, body.key ?? null);
+}
+
+export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
+  return (await (await ask(path, signal ? { signal } : {})).json()) as T;
+}
+
+export async function post<T>(path: string, body?: unknown): Promise<T> {
+  const content = body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
+  const answer = await ask(path, { method: "POST", ...content });
+  return (answer.status === 204 ? undefined : await answer.json()) as T;
+}
+
+/** A session that goes on, or null. */
+export async function session(): Promise<Session | null> {
+  try {
+    const found = await get<Session>("/session");
+    csrf = found.csrf;
+    return found;
+  } catch (error) {
+    if (error instanceof Refused && error.status === 401) return null;
+    throw error;
+  }
+}
+
+export async function login(user: string, password: string): Promise<Session> {
+  const begun = await post<Session>("/login", { user, password });
+  csrf = begun.csrf;
+  return begun;
+}
+
+export async function logout(): Promise<void> {
+  await post("/logout");
+}
+
+export async function settings(): Promise<{ text: string; tag: string }> {
+  const answer = await ask("/settings");
+  return { text: await answer.text(), tag: answer.headers.get("ETag") ?? "*" };
+}
+
+export async function putSettings(text: string, tag: string): Promise<{ text: string; restart: string[]; tag: string }> {
+  const headers = { "Content-Type": "text/plain", "If-Match": tag };
+  const answer = await ask("/settings", { method: "PUT", body: text, headers });
+  const body = (await answer.json()) as { text: string; restart: string[] };
+  return { ...body, tag: answer.headers.get("ETag") ?? "*" };
+}
+
+export interface Picture { blob: Blob; ms: number; width: number; height: number }
+
+export async function picture(source: string): Promise<Picture> {
+  const answer = await ask(`/sources/${encodeURIComponent(source)}/picture`);
+  const number = (name: string) => Number(answer.headers.get(name) ?? 0);
+  return {
+    blob: await answer.blob(),
+    ms: number("X-Midspan-Time") / 1e6,
+    width: number("X-Midspan-Width"),
+    height: number("X-Midspan-Height"),
+  };
+}
+
+/** The address of something of a point. */
+export function ofPoint(name: string, what: string, query: Record<string, string | number> = {}): string {
+  const asked = new URLSearchParams(Object.entries(query).map(([key, value]) => [key, String(value)])).toString();
+  return `/points/${encodeURIComponent(name)}/${what}${asked ? `?${asked}` : ""}`;
+}
+
+/** From and to as the interface takes them: whole ns, from ms; BigInt, as a double has 16 digits. */
+export function span(fromMs: number, toMs: number): { from: string; to: string } {
+  const ns = (ms: number) => String(BigInt(Math.round(ms * 1000)) * 1000n);
+  return { from: ns(fromMs), to: ns(toMs) };
+}

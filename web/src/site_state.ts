@@ -1,0 +1,103 @@
+// How the site stands, for every view: asked for every few seconds, and from each live row in between.
+
+import type { Health, PointState, Session } from "./api.ts";
+import { Away, get, Refused } from "./api.ts";
+import { Live, type Message } from "./live.ts";
+import { Newest } from "./rows.ts";
+
+// States change in seconds, and rows come in between, ms.
+const ASK_MS = 3000;
+// What is kept of live rows for traces, s.
+export const KEPT_S = 130;
+
+export class SiteState {
+  live = new Live();
+  points: PointState[] = [];
+  health: Health | null = null;
+  newest = new Map<string, Newest>();
+  session: Session;
+  /** When the server answered last, ms of performance.now(); what it last failed with. */
+  answered = performance.now();
+  trouble = "";
+  /** The server's clock less this machine's, ms. */
+  clockMs = 0;
+  #timer = 0;
+  #changed = new Set<() => void>();
+
+  constructor(session: Session) {
+    this.session = session;
+    this.live.listen((message) => this.#came(message));
+  }
+
+  /** Whether what is shown is of now. */
+  get fresh(): boolean {
+    return this.live.connected && !this.trouble;
+  }
+
+  start(): void {
+    this.live.open();
+    void this.#ask();
+  }
+
+  stop(): void {
+    window.clearTimeout(this.#timer);
+    this.live.close();
+  }
+
+  changed(listener: () => void): () => void {
+    this.#changed.add(listener);
+    return () => void this.#changed.delete(listener);
+  }
+
+  point(name: string): PointState | undefined {
+    return this.points.find((one) => one.name === name);
+  }
+
+  /** The server's time, ms since 1970. */
+  now(): number {
+    return Date.now() + this.clockMs;
+  }
+
+  /** How old a point's newest row is, s. */
+  ageS(point: PointState): number | null {
+    return point.time === null ? null : Math.max(this.now() - Date.parse(point.time), 0) / 1000;
+  }
+
+  rowsOf(name: string): Newest {
+    let found = this.newest.get(name);
+    if (!found) this.newest.set(name, (found = new Newest(KEPT_S)));
+    return found;
+  }
+
+  async #ask(): Promise<void> {
+    window.clearTimeout(this.#timer);
+    try {
+      const [points, health] = await Promise.all([get<PointState[]>("/points"), get<Health>("/health")]);
+      const dated = points.find((one) => one.time !== null && one.age_s !== null);
+      if (dated) this.clockMs = Date.parse(dated.time ?? "") + 1000 * (dated.age_s ?? 0) - Date.now();
+      [this.points, this.health, this.trouble, this.answered] = [points, health, "", performance.now()];
+    } catch (error) {
+      if (error instanceof Refused && error.status === 401) return;
+      this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
+    }
+    this.live.check();
+    this.#tell();
+    this.#timer = window.setTimeout(() => void this.#ask(), ASK_MS);
+  }
+
+  #came(message: Message): void {
+    if (!("sequence" in message)) return;
+    this.rowsOf(message.point).add(message);
+    const point = this.point(message.point);
+    const last = message.time.length - 1;
+    if (point && last >= 0) {
+      point.time = new Date((message.time[last] ?? 0) / 1e6).toISOString();
+      point.displacement_mm = message.displacement_mm[last] ?? null;
+      point.displacement_std_mm = message.displacement_std_mm[last] ?? null;
+    }
+  }
+
+  #tell(): void {
+    for (const listener of this.#changed) listener();
+  }
+}

@@ -1,0 +1,237 @@
+// A point: live traces with their band, every zoom, events, statistics, spectrum, export.
+
+import { type EventBody, get, ofPoint, span, type SpectrumBody } from "../api.ts";
+import { Chart, type Mark, spectrumChart } from "../charts/chart.ts";
+import { joined, load, type Loaded, rowStep } from "../charts/series.ts";
+import { SPANS, TimeWindow } from "../charts/window.ts";
+import { button, choice, el, mark, say } from "../dom.ts";
+import { emptyEnvelope, ofRows, statistics, within } from "../rows.ts";
+import type { SiteState } from "../site_state.ts";
+import { clock, duration, signed, withBand, ZONE } from "../words.ts";
+import { OLD_S, standing, trouble } from "./site.ts";
+import { repeat, sentenceOf, type View } from "./view.ts";
+
+// A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
+const DRAW_MS = 250;
+// What is kept is asked for again while it is followed, between, s: a part of what is shown, and before live rows end.
+const [AGAIN_MIN_S, AGAIN_MAX_S, AGAIN_PART] = [3, 100, 300];
+const FORMATS = ["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"];
+const LISTED = 200;
+
+export const showPoint: View = (root, site, name) => {
+  if (!name && site.points[0]) {
+    location.replace(`#/point/${encodeURIComponent(site.points[0].name)}`);
+    return () => undefined;
+  }
+  if (!name) {
+    root.replaceChildren(el("h1", {}, "Point"), el("p", {}, "Waiting for the points of this site."));
+    return site.changed(() => site.points[0] && showPoint(root, site, ""));
+  }
+  const shown = new PointView(root, site, name);
+  return () => shown.end();
+};
+
+class PointView {
+  #site: SiteState;
+  #name: string;
+  #window: TimeWindow;
+  #chart: Chart;
+  #loaded: Loaded = { envelope: emptyEnvelope(), areRows: false };
+  #events: EventBody[] = [];
+  #asking: AbortController | null = null;
+  #askedMs = 0;
+  #ends: (() => void)[] = [];
+  #endSpectrum: () => void = () => undefined;
+  #now = el("p", { class: "value" });
+  #words = el("p", { class: "words" });
+  #why = el("p", { class: "why" });
+  #wrong = el("p", { class: "wrong", role: "status" });
+  #spanText = el("p", { class: "quiet" });
+  #readout = el("p", { class: "quiet" }, " ");
+  #figures = el("dl", { class: "figures" });
+  #eventList = el("tbody");
+  #spectrum = el("div", {});
+  #follow = button("Freeze", () => this.#toggle());
+
+  constructor(root: HTMLElement, site: SiteState, name: string) {
+    [this.#site, this.#name] = [site, name];
+    this.#window = new TimeWindow(60, () => this.#newestMs());
+    const frame = el("div", {
+      class: "chart", tabindex: 0, role: "img",
+      "aria-label": `Displacement of ${name} over time. Keys: left and right move, plus and minus zoom, F follows or freezes.`,
+      keydown: (event) => this.#key(event as KeyboardEvent),
+    });
+    root.replaceChildren(...this.#parts(frame));
+    this.#chart = new Chart(
+      frame, ["trace"],
+      ([from, to]) => this.#change(() => this.#window.show(1000 * from, 1000 * to)),
+      (x, values) => this.#read(x, values),
+    );
+    this.#ends.push(
+      site.live.listen((message) => {
+        if (!("sequence" in message)) this.#askedMs = 0;
+      }),
+      repeat(() => this.#tick(), DRAW_MS),
+    );
+  }
+
+  end(): void {
+    this.#asking?.abort();
+    for (const end of this.#ends) end();
+    this.#endSpectrum();
+    this.#chart.destroy();
+  }
+
+  #parts(frame: HTMLElement): HTMLElement[] {
+    const names = this.#site.points.map((one): [string, string] => [one.name, one.name]);
+    const spans = SPANS.map(([seconds, text]): [string, string] => [String(seconds), text]);
+    const zoom = (factor: number) => this.#change(() => this.#window.zoom(factor));
+    const move = (part: number) => this.#change(() => this.#window.move(part));
+    const bar = el(
+      "div", { class: "bar" },
+      choice("Point", names.length ? names : [[this.#name, this.#name]], this.#name, (name) => (location.hash = `#/point/${encodeURIComponent(name)}`)),
+      choice("Shown", spans, "60", (seconds) => this.#change(() => (this.#window.seconds = Number(seconds)))),
+      this.#follow,
+      button("Earlier", () => move(-0.5)), button("Later", () => move(0.5)),
+      button("Zoom in", () => zoom(0.5)), button("Zoom out", () => zoom(2)),
+    );
+    const head = el("thead", {}, el("tr", {}, ...["Time", "Event", "What"].map((text) => el("th", { scope: "col" }, text))));
+    const table = el("table", { class: "stacked" }, head, this.#eventList);
+    const below = el("div", { class: "bar" }, button("Spectrum of what is shown", () => void this.#askSpectrum()), this.#exportForm());
+    return [
+      el("h1", {}, this.#name), this.#now, this.#words, this.#why, bar, this.#wrong, frame, this.#readout, this.#spanText,
+      this.#figures, below, this.#spectrum, el("h2", {}, "Events of what is shown"), el("div", { class: "wide" }, table),
+    ];
+  }
+
+  #exportForm(): HTMLElement {
+    let format = "csv";
+    const pick = choice("as", FORMATS.map((one): [string, string] => [one, one]), format, (value) => (format = value));
+    const save = button("Save every row of what is shown", () => {
+      const { fromMs, toMs } = this.#window;
+      location.assign(`/api/v1${ofPoint(this.#name, "export", { ...span(fromMs, toMs), format })}`);
+    });
+    return el("span", { class: "bar" }, save, pick, el("span", { class: "quiet" }, "times in the file are UTC"));
+  }
+
+  #newestMs(): number {
+    const { time } = this.#site.rowsOf(this.#name).rows;
+    const point = this.#site.point(this.#name);
+    const newest = (time[time.length - 1] ?? 0) / 1e6 || Date.parse(point?.time ?? "") || this.#site.now();
+    // Rows that stay away are a gap that is seen to grow; of a store that nothing measures the newest rows are shown.
+    const isAway = point?.reason !== "not_measuring" && this.#site.now() - newest > 1000 * OLD_S;
+    return isAway ? this.#site.now() : newest;
+  }
+
+  #change(how: () => void): void {
+    how();
+    this.#askedMs = 0;
+    this.#tick();
+  }
+
+  #toggle(): void {
+    this.#change(() => (this.#window.following ? this.#window.freeze() : this.#window.follow()));
+  }
+
+  #key(event: KeyboardEvent): void {
+    const acts: Record<string, () => void> = {
+      ArrowLeft: () => this.#window.move(-0.25), ArrowRight: () => this.#window.move(0.25),
+      "+": () => this.#window.zoom(0.5), "-": () => this.#window.zoom(2),
+    };
+    const act = acts[event.key];
+    if (act) this.#change(act);
+    else if (event.key === "f") this.#toggle();
+    else return;
+    event.preventDefault();
+  }
+
+  #tick(): void {
+    const { following, seconds } = this.#window;
+    say(this.#follow, following ? "Freeze" : "Follow");
+    this.#follow.setAttribute("aria-pressed", String(!following));
+    this.#showState();
+    const again = 1000 * Math.min(Math.max(seconds / AGAIN_PART, AGAIN_MIN_S), AGAIN_MAX_S);
+    const late = performance.now() - this.#askedMs > again;
+    if (this.#askedMs === 0 || (following && late)) void this.#ask();
+    if (following && !document.hidden) this.#draw();
+  }
+
+  #showState(): void {
+    const point = this.#site.point(this.#name);
+    if (!point) return;
+    const { state, words } = standing(point, this.#site);
+    const since = point.since ? ` since ${clock(Date.parse(point.since))}` : "";
+    say(this.#now, withBand(point.displacement_mm, point.displacement_std_mm));
+    say(this.#words, `${words[0]?.toUpperCase() ?? ""}${words.slice(1)}${since}`);
+    mark(this.#words, state);
+    say(this.#why, trouble(point, this.#site));
+  }
+
+  async #ask(): Promise<void> {
+    this.#askedMs = performance.now();
+    this.#asking?.abort();
+    const asking = (this.#asking = new AbortController());
+    const { fromMs, toMs } = this.#window;
+    try {
+      const step = await rowStep(this.#name, this.#newestMs(), this.#site.rowsOf(this.#name).rows);
+      const loading = load(this.#name, fromMs, toMs, this.#chart.width, step, asking.signal);
+      const events = get<EventBody[]>(ofPoint(this.#name, "events", span(fromMs, toMs)), asking.signal);
+      [this.#loaded, this.#events] = await Promise.all([loading, events]);
+      say(this.#wrong, "");
+      this.#draw();
+      this.#listEvents();
+    } catch (error) {
+      if (!asking.signal.aborted) say(this.#wrong, sentenceOf(error));
+    }
+  }
+
+  #draw(): void {
+    const [from, to] = [this.#window.fromMs / 1000, this.#window.toMs / 1000];
+    const came = ofRows(within(this.#site.rowsOf(this.#name).rows, from, to));
+    const all = this.#window.following ? joined(this.#loaded.envelope, came) : this.#loaded.envelope;
+    const marks: Mark[] = this.#events.map((one) => ({ x: one.time_ns / 1e9, kind: one.kind }));
+    this.#chart.draw([from, to], [{ envelope: all }], marks);
+    say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
+    const found = statistics(all, this.#loaded.areRows);
+    const figures: [string, string][] = found
+      ? [["least", `${signed(found.low, 3)} mm`], ["largest", `${signed(found.high, 3)} mm`], ["range", `${(found.high - found.low).toFixed(3)} mm`], ["mean", `${signed(found.mean, 3)} mm`]]
+      : [["shown", "no rows"]];
+    if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
+    this.#figures.replaceChildren(...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))));
+  }
+
+  #read(x: number | null, values: (number | null)[]): void {
+    const [lower, upper, low, high] = values;
+    if (x === null) say(this.#readout, " ");
+    else if (low == null || high == null) say(this.#readout, `${clock(1000 * x)}: no value`);
+    else {
+      const range = low === high ? signed(low, 3) : `${signed(low, 3)} to ${signed(high, 3)}`;
+      const band = lower == null || upper == null ? "" : `, with the band ${signed(lower, 3)} to ${signed(upper, 3)}`;
+      const ms = new Date(1000 * x).getMilliseconds().toString().padStart(3, "0");
+      say(this.#readout, `${clock(1000 * x)}.${ms}: ${range} mm${band}`);
+    }
+  }
+
+  #listEvents(): void {
+    const rows = this.#events.slice(-LISTED).reverse().map((one) =>
+      el("tr", {}, el("td", { "data-name": "Time" }, clock(one.time_ns / 1e6)), el("td", { "data-name": "Event" }, one.kind), el("td", { "data-name": "What" }, one.text)),
+    );
+    this.#eventList.replaceChildren(...(rows.length ? rows : [el("tr", {}, el("td", { colspan: 3 }, "None."))]));
+  }
+
+  async #askSpectrum(): Promise<void> {
+    this.#endSpectrum();
+    this.#endSpectrum = () => undefined;
+    this.#spectrum.replaceChildren(el("p", { role: "status" }, "The spectrum is being computed."));
+    try {
+      const found = await get<SpectrumBody>(ofPoint(this.#name, "spectrum", span(this.#window.fromMs, this.#window.toMs)));
+      if (!found.frequency_hz.length) throw new Error(`There is no spectrum: ${found.reason}`);
+      const frame = el("div", { class: "chart", role: "img", "aria-label": "Spectrum of displacement" });
+      const modes = found.modes.map((one) => `${(one["frequency_hz"] ?? NaN).toFixed(3)} Hz`).join(", ");
+      this.#spectrum.replaceChildren(el("h2", {}, "Spectrum"), el("p", {}, modes ? `Natural frequencies: ${modes}` : "No natural frequency stands out."), frame);
+      this.#endSpectrum = spectrumChart(frame, found.frequency_hz.map((one) => one ?? 0), found.density_mm2_hz);
+    } catch (error) {
+      this.#spectrum.replaceChildren(el("p", { class: "wrong" }, sentenceOf(error)));
+    }
+  }
+}

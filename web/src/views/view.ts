@@ -1,0 +1,17 @@
+// What every view is: it fills an element and says how to end what it began.
+
+import type { SiteState } from "../site_state.ts";
+
+export type View = (root: HTMLElement, site: SiteState, name: string) => () => void;
+
+/** Call something now and then, until the end that it gives. */
+export function repeat(work: () => void, ms: number): () => void {
+  work();
+  const timer = window.setInterval(work, ms);
+  return () => window.clearInterval(timer);
+}
+
+/** What went wrong, in the server's sentence. */
+export function sentenceOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
+}
