@@ -64,6 +64,8 @@ class Engine:
     def __init__(self, folder):
         self.folder, self.commands, self.refuse = folder, [], ""
         self.site_file = ""
+        # A camera's frame as JPEG, its width and height, px.
+        self.picture = b"\xff\xd8jpeg", 2, 3
         self.state = state()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
@@ -108,13 +110,9 @@ class Engine:
         self.commands.append(head)
         if self.refuse:
             raise MidspanError(self.refuse)
-        return {
-            "text": f"{head['command']} done",
-            "restart": [],
-            "time_ns": 1,
-            "width": 2,
-            "height": 3,
-        }, b"\xff\xd8jpeg"
+        jpeg, width, height = self.picture
+        answer = {"text": f"{head['command']} done", "restart": [], "time_ns": 1, "width": width, "height": height}
+        return answer, jpeg
 
     def _do(self, work):
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(30.0)
@@ -138,13 +136,13 @@ def state(**changes):
     }  # fmt: skip
 
 
-def logged_in(folder, name, scope, state=None):
-    """A token of a store."""
+def logged_in(folder, name, scope, state=None, kind="token"):
+    """A token of a store, or with kind "user" a password."""
     done = subprocess.run(
-        command("access", folder, "add-token", name, "--scope", scope, "--json"),
+        command("access", folder, f"add-{kind}", name, "--scope", scope, "--json"),
         capture_output=True, text=True, check=True, timeout=120, env={**os.environ, **(state or {})},
     )  # fmt: skip
-    return json.loads(done.stdout)["token"]
+    return json.loads(done.stdout)["token" if kind == "token" else "password"]
 
 
 class Served:

@@ -86,6 +86,8 @@ export class SiteState {
   }
 
   #came(message: Message): void {
+    // What is missing is in the store alone: rows on both sides of it would look like a gap.
+    if ("type" in message && message.type === "gap") this.newest.clear();
     if (!("sequence" in message)) return;
     this.rowsOf(message.point).add(message);
     const point = this.point(message.point);

@@ -65,7 +65,7 @@ class CameraView {
       el("h1", {}, "Camera"),
       el("div", { class: "bar" }, choice("Camera", names, source.name, (name) => (location.hash = `#/camera/${encodeURIComponent(name)}`)), button("New picture", () => void this.#ask()), this.#watch, this.#may && this.#save),
       this.#said, el("div", { class: "picture" }, this.#canvas), this.#taken, this.#where,
-      this.#may && el("p", { class: "quiet" }, `${hint.trim()} A new region begins a new calibration.`) || el("p"),
+      this.#may && el("p", { class: "quiet" }, `${hint.trim()} It is written into SITE.toml.`) || el("p"),
     );
     if (this.#may) this.#listen();
     void this.#begin();

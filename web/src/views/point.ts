@@ -40,6 +40,7 @@ class PointView {
   #events: EventBody[] = [];
   #asking: AbortController | null = null;
   #askedMs = 0;
+  #failed = false;
   #ends: (() => void)[] = [];
   #endSpectrum: () => void = () => undefined;
   #now = el("p", { class: "value" });
@@ -148,12 +149,12 @@ class PointView {
   #tick(): void {
     const { following, seconds } = this.#window;
     say(this.#follow, following ? "Freeze" : "Follow");
-    this.#follow.setAttribute("aria-pressed", String(!following));
     this.#showState();
     const again = 1000 * Math.min(Math.max(seconds / AGAIN_PART, AGAIN_MIN_S), AGAIN_MAX_S);
     const late = performance.now() - this.#askedMs > again;
-    if (this.#askedMs === 0 || (following && late)) void this.#ask();
-    if (following && !document.hidden) this.#draw();
+    if (document.hidden) return;
+    if (this.#askedMs === 0 || ((following || this.#failed) && late)) void this.#ask();
+    if (following) this.#draw();
   }
 
   #showState(): void {
@@ -177,11 +178,14 @@ class PointView {
       const loading = load(this.#name, fromMs, toMs, this.#chart.width, step, asking.signal);
       const events = get<EventBody[]>(ofPoint(this.#name, "events", span(fromMs, toMs)), asking.signal);
       [this.#loaded, this.#events] = await Promise.all([loading, events]);
+      this.#failed = false;
       say(this.#wrong, "");
       this.#draw();
       this.#listEvents();
     } catch (error) {
-      if (!asking.signal.aborted) say(this.#wrong, sentenceOf(error));
+      if (asking.signal.aborted) return;
+      this.#failed = true;
+      say(this.#wrong, sentenceOf(error));
     }
   }
 

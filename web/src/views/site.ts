@@ -27,7 +27,7 @@ export function standing(point: PointState, site: SiteState): { state: "good" | 
 /** What is wrong with a point, in one sentence; empty where nothing is. */
 export function trouble(point: PointState, site: SiteState): string {
   const source = site.health?.sources.find((one) => one.point === point.name && one.reason);
-  if (source) return `${source.source}: ${source.text}`;
+  if (source) return `${source.source}: ${source.reason === "paused" ? "paused: " : ""}${source.text}`;
   return point.text;
 }
 

@@ -11,6 +11,7 @@ const COLUMNS = ["Stream", "State", "Age", "Rate", "Records", "Skipped", "Faults
 
 /** A stream's state in one sentence. */
 function words(source: SourceState): string {
+  if (source.reason === "paused") return `paused: ${source.text}`;
   return source.reason ? source.text : "fresh";
 }
 

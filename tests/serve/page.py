@@ -1,0 +1,135 @@
+"""A site whose rows come at real time, and a wire to its server that can be cut, for the page's tests."""
+
+import contextlib
+import socket
+import threading
+import time
+
+import cv2
+import numpy as np
+from benchmarks.live.servers import free_port
+
+from midspan.records import NANOSECONDS
+from midspan.store.store import Batch, open_store
+from served import SECONDS, Engine, Served, logged_in, made_store, rows, state, until
+
+# Rows are given so often, s.
+STEP_S = 0.2
+WIDTH, HEIGHT = 320, 240
+SITE = """name = "site"
+[store]
+path = "store"
+[[point]]
+name = "p"
+[point.accelerometer]
+source = "serial:/dev/a"
+unit = "m/s^2"
+[point.camera]
+source = "rtsp://camera/x"
+roi = [10, 20, 64, 48]  # the bolt
+"""
+HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+class LiveSite:
+    """A store whose rows end now, an engine that goes on with them, and the server's process."""
+
+    def __init__(self, folder):
+        self.store, self.file = folder / "store", folder / "SITE.toml"
+        self.begin_ns = (time.time_ns() // NANOSECONDS - SECONDS) * NANOSECONDS
+        made_store(self.store, self.begin_ns)
+        self.file.write_text(SITE)
+        self.password = logged_in(self.store, "anna", "admin", kind="user")
+        self.engine = Engine(self.store)
+        self.engine.site_file = str(self.file)
+        self.engine.picture = picture(), WIDTH, HEIGHT
+        self.engine.state = state()
+        self.engine.start()
+        self.served = Served(self.store)
+        self._ending = threading.Event()
+        self._feeding = threading.Thread(target=self._feed, daemon=True)
+        self._feeding.start()
+        token = logged_in(self.store, "reader", "read")
+        with self.served.client(token) as client:
+            until(lambda: len(client.get("/api/v1/points").json()) == 2)
+
+    def _feed(self):
+        count = 0
+        with contextlib.closing(open_store(self.store)) as store:
+            while not self._ending.wait(0.01):
+                at_ns = self.begin_ns + round((SECONDS + count * STEP_S) * NANOSECONDS)
+                if at_ns + STEP_S * NANOSECONDS > time.time_ns():
+                    continue
+                chunks = [rows(at_ns, STEP_S, point=point) for point in ("p", "q")]
+                store.write(Batch(chunks=chunks))
+                for chunk in chunks:
+                    self.engine.give(chunk)
+                count += 1
+
+    def stop(self):
+        """End it all."""
+        self._ending.set()
+        self._feeding.join(10.0)
+        self.served.stop()
+        self.engine.end()
+
+
+def picture():
+    """A frame with something in it, as JPEG."""
+    frame = np.random.default_rng(1).integers(60, 200, (HEIGHT // 8, WIDTH // 8, 3), dtype=np.uint8)
+    frame = cv2.resize(frame, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    return cv2.imencode(".jpg", frame)[1].tobytes()
+
+
+class Wire:
+    """A port that leads to another one, until it is cut."""
+
+    def __init__(self, port):
+        self.to, self.port = port, free_port()
+        self._lock, self._ends = threading.Lock(), set()
+        self.whole = threading.Event()
+        self.whole.set()
+        self._listener = socket.create_server(("127.0.0.1", self.port))
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self):
+        """End what is there; what comes is ended at once."""
+        self.whole.clear()
+        with self._lock:
+            for end in self._ends:
+                with contextlib.suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)
+            self._ends.clear()
+
+    def mend(self):
+        """Lead on again."""
+        self.whole.set()
+
+    def close(self):
+        """End the port."""
+        self.cut()
+        self._listener.close()
+
+    def _accept(self):
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                if not self.whole.is_set():
+                    near.close()
+                    continue
+                far = socket.create_connection(("127.0.0.1", self.to))
+                with self._lock:
+                    self._ends |= {near, far}
+                for pair in ((near, far), (far, near)):
+                    threading.Thread(target=self._carry, args=pair, daemon=True).start()
+
+    def _carry(self, source, sink):
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+        for end in (source, sink):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+        source.close()
+        with self._lock:
+            self._ends.discard(source)

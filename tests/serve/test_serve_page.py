@@ -1,0 +1,272 @@
+"""The page in a browser, against the server's own process: login, values, every zoom, a cut, region, settings."""
+
+import gzip
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from page import HEIGHT, HOSTILE, SITE, WIDTH, LiveSite, Wire
+
+from midspan.serve.application import PAGE
+from served import PEAK_MM, state, until
+
+play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
+
+WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 800}
+VIEWS = ("site", "point/p", "sources", "calibration/p", "camera", "compare", "settings")
+AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
+# What the browser itself says of an answer that the page expects: a wrong login, wrong settings, a cut.
+EXPECTED = re.compile(r"Failed to load resource|WebSocket connection to")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium is on the PATH")
+    with play.sync_playwright() as running:
+        started = running.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    made = LiveSite(tmp_path_factory.mktemp("page"))
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
+def cookie(browser, site):
+    """A session that the tests share: each login is a hash of a quarter of a second."""
+    context = browser.new_context()
+    answer = context.request.post(address(site), data={"user": "anna", "password": site.password})
+    assert answer.ok
+    kept = context.cookies()
+    context.close()
+    return kept
+
+
+def address(site):
+    return f"http://127.0.0.1:{site.served.port}/api/v1/login"
+
+
+@pytest.fixture
+def opened(browser, site, cookie):
+    """A function that opens a view; what goes wrong on it, or leaves the host, is seen at the end."""
+    contexts, wrong, asked = [], [], []
+
+    def open_view(view="site", port=None, logged_in=True, viewport=WIDE, **options):
+        context = browser.new_context(viewport=viewport, **options)
+        contexts.append(context)
+        if logged_in:
+            context.add_cookies(cookie)
+        page = context.new_page()
+        page.set_default_timeout(10_000)
+        page.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(f"http://127.0.0.1:{port or site.served.port}/#/{view}")
+        return page
+
+    yield open_view
+    for context in contexts:
+        context.close()
+    assert [text for text in wrong if not EXPECTED.search(text)] == []
+    assert [url for url in asked if not re.match(r"(blob:)?(http|ws)://127\.0\.0\.1:", url)] == []
+
+
+def traced(page, part=(0.0, 1.0)):
+    """Which columns of the plot, in a part of its width, hold anything of the trace's colour."""
+    return page.evaluate(
+        """([from, to]) => {
+            const canvas = document.querySelector(".chart canvas"), over = document.querySelector(".u-over");
+            const scale = canvas.width / canvas.clientWidth, left = over.offsetLeft * scale;
+            const width = over.clientWidth * scale, begin = Math.round(left + from * width);
+            const size = Math.round((to - from) * width);
+            const top = over.offsetTop * scale, height = over.clientHeight * scale;
+            const data = canvas.getContext("2d").getImageData(begin, top, size, height).data;
+            const found = [];
+            for (let x = 0; x < size; x++) {
+                let hit = false;
+                for (let y = 0; y < height; y++) {
+                    const at = 4 * (y * size + x);
+                    hit ||= data[at + 3] > 0 && data[at + 2] - data[at] > 60;
+                }
+                found.push(hit);
+            }
+            return found;
+        }""",
+        list(part),
+    )
+
+
+def test_a_login_shows_every_point_with_its_newest_value(opened, site):
+    page = opened(logged_in=False)
+    page.get_by_label("User").fill("anna")
+    page.get_by_label("Password").fill("wrong")
+    page.keyboard.press("Enter")
+    play.expect(page.get_by_role("alert")).to_have_text("User or password is wrong.")
+    page.get_by_label("Password").fill(site.password)
+    page.keyboard.press("Enter")
+    card = page.locator(".card", has_text="p")
+    play.expect(card.first).to_have_attribute("data-state", "good")
+    play.expect(page.locator(".summary")).to_have_attribute("data-state", "good")
+    play.expect(card.first.locator(".value")).to_have_text(re.compile(r"^−?\d\.\d{3} ± 0\.020 mm$"))
+    before = card.first.locator(".value").inner_text()
+    play.expect(card.first.locator(".value")).not_to_have_text(before)
+
+
+def test_a_source_that_is_wrong_is_said_in_a_sentence_as_text(opened, site):
+    source = {**state()["sources"][0], "reason": "silent", "text": f"Nothing has come: {HOSTILE}."}
+    point = {**state()["points"][0], "sources": [source]}
+    try:
+        site.engine.state = state(ready=False, points=[point, state()["points"][1]], sources=[source])
+        page = opened()
+        card = page.locator(".card").first
+        play.expect(card).to_have_attribute("data-state", "notice")
+        play.expect(card.locator(".why")).to_have_text(f"camera: Nothing has come: {HOSTILE}.")
+        play.expect(page.locator(".summary")).to_have_attribute("data-state", "notice")
+        assert page.locator("img").count() == 0
+    finally:
+        site.engine.state = state()
+
+
+def test_a_peak_keeps_its_height_at_every_zoom_and_a_gap_is_open(opened, site):
+    page = opened("point/p")
+    largest = page.locator("dl.figures div", has_text="largest").locator("dd")
+    for span in ("3600", "10800", "86400", "31622400"):
+        page.get_by_label("Shown").select_option(span)
+        play.expect(largest).to_have_text(f"{PEAK_MM:.3f} mm")
+    # A minute of gap is 20 px of an hour, and more of less.
+    page.get_by_label("Shown").select_option("3600")
+    for act in ("", "Zoom in", "Later", "Later", "Zoom in"):
+        if act:
+            page.get_by_role("button", name=act, exact=True).click()
+        play.expect(largest).to_have_text(f"{PEAK_MM:.3f} mm")
+        until(lambda: gap_px(page) >= 15, 5.0)
+
+
+def gap_px(page):
+    """How wide the widest gap within the trace is."""
+    drawn = "".join("x" if hit else " " for hit in traced(page)).strip()
+    return max(map(len, drawn.split("x")))
+
+
+def test_a_cut_is_said_and_leaves_no_hole(opened, site):
+    wire = Wire(site.served.port)
+    try:
+        page = opened("point/p", port=wire.port)
+        page.get_by_label("Shown").select_option("10")
+        until(lambda: all(traced(page, (0.05, 0.95))), 5.0)
+        wire.cut()
+        play.expect(page.locator("#connection")).to_have_text(re.compile(r"No connection .* old"))
+        play.expect(page.locator(".words").first).to_have_text(re.compile("no connection"))
+        page.wait_for_timeout(1500)
+        wire.mend()
+        play.expect(page.locator("#connection")).to_have_text("")
+        # The cut is still within the ten seconds that are shown.
+        until(lambda: all(traced(page, (0.05, 0.95))), 2.0)
+    finally:
+        wire.close()
+
+
+def test_the_region_is_drawn_by_mouse_moved_by_keys_and_written_for_its_point(opened, site):
+    site.file.write_text(SITE)
+    page = opened("camera")
+    canvas = page.locator(".picture canvas")
+    play.expect(page.get_by_text("Region: 64 × 48 px at 10, 20")).to_be_visible()
+    assert (canvas.get_attribute("width"), canvas.get_attribute("height")) == (str(WIDTH), str(HEIGHT))
+    box = canvas.bounding_box()
+    scale = box["width"] / WIDTH
+    page.mouse.move(box["x"] + 100 * scale, box["y"] + 100 * scale)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 180 * scale, box["y"] + 150 * scale, steps=4)
+    page.mouse.up()
+    play.expect(page.get_by_text("Region: 80 × 50 px at 100, 100 (not in force yet)")).to_be_visible()
+    canvas.focus()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("Shift+ArrowDown")
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")
+    play.expect(page.get_by_text("Region: 80 × 50 px at 240, 101")).to_be_visible()
+    page.get_by_role("button", name="Put the region in force").click()
+    play.expect(page.get_by_text("reload done")).to_be_visible()
+    assert site.file.read_text() == SITE.replace("[10, 20, 64, 48]", "[240, 101, 80, 50]")
+
+
+def test_wrong_settings_are_said_with_their_key_and_change_nothing(opened, site):
+    site.file.write_text(SITE)
+    page = opened("settings")
+    area = page.get_by_label("SITE.toml")
+    play.expect(area).to_have_value(SITE)
+    area.fill(SITE.replace("unit =", "unt ="))
+    page.get_by_role("button", name="Check and put in force").click()
+    play.expect(page.get_by_role("alert")).to_contain_text("unt")
+    assert site.file.read_text() == SITE
+    area.fill(SITE.replace('"site"', '"bridge"'))
+    page.get_by_role("button", name="Check and put in force").click()
+    play.expect(page.locator(".done")).to_have_text("reload done")
+    assert 'name = "bridge"' in site.file.read_text()
+
+
+def test_a_source_is_paused_with_a_reason_and_a_calibration_accepted(opened, site):
+    page = opened("sources")
+    page.once("dialog", lambda dialog: dialog.accept("camera taken down"))
+    page.get_by_role("button", name="Pause or resume p.camera").click()
+    play.expect(page.get_by_text("pause done")).to_be_visible()
+    assert site.engine.commands[-1] == {"command": "pause", "source": "p.camera", "reason": "camera taken down"}
+    page.goto(page.url.replace("sources", "calibration/p"))
+    page.get_by_role("button", name="Accept").click()
+    play.expect(page.get_by_text("accept done")).to_be_visible()
+    assert site.engine.commands[-1]["number"] == 2
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_view_fits_a_phone_and_is_accessible(opened, scheme):
+    page = opened(viewport=PHONE, color_scheme=scheme)
+    for view in VIEWS:
+        page.evaluate("view => location.hash = '#/' + view", view)
+        page.wait_for_selector("main h1")
+        page.wait_for_load_state("networkidle") if view == "settings" else page.wait_for_timeout(300)
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], view
+        if not AXE.is_file():
+            continue
+        page.evaluate(AXE.read_text())
+        found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
+        assert [(view, one["id"], one["nodes"][0]["html"]) for one in found["violations"]] == []
+
+
+def test_keys_alone_lead_from_the_login_to_a_frozen_trace(opened, site):
+    page = opened(logged_in=False)
+    page.wait_for_selector("form.login")
+    page.keyboard.type("anna")
+    page.keyboard.press("Tab")
+    page.keyboard.type(site.password)
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".card")
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.textContent") == "p":
+            break
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".chart canvas")
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.classList.contains('chart')"):
+            break
+    page.keyboard.press("f")
+    play.expect(page.get_by_role("button", name="Follow")).to_be_visible()
+    shown = page.locator("p.quiet", has_text=" to ").inner_text()
+    page.keyboard.press("ArrowLeft")
+    play.expect(page.locator("p.quiet", has_text=" to ")).not_to_have_text(shown)
+
+
+def test_what_is_shipped_is_small_and_asks_for_nothing_inline():
+    scripts = list((PAGE / "assets").glob("*.js"))
+    assert sum(len(gzip.compress(one.read_bytes())) for one in scripts) <= 150_000
+    text = (PAGE / "index.html").read_text()
+    assert not re.search(r"<script>|<style|style=|https?://", text)
