@@ -1,6 +1,10 @@
 // The REST interface below /api/v1 and its schemas (GET /api/v1/openapi.json).
 
-export interface Session { user: string; scope: "read" | "operate" | "admin"; csrf: string }
+export interface Session {
+  user: string;
+  scope: "read" | "operate" | "admin";
+  csrf: string;
+}
 export interface PointState {
   name: string;
   status: string | null;
@@ -42,9 +46,24 @@ export interface Buckets {
   displacement_std_mm: Numbers;
   status: (string | null)[];
 }
-export interface Rows { time: number[]; displacement_mm: Numbers; displacement_std_mm: Numbers; status: string[] }
-export interface EventBody { time: string; time_ns: number; kind: string; text: string }
-export interface CalibrationBody { id: number; time: string; state: string; calibration: Record<string, unknown> }
+export interface Rows {
+  time: number[];
+  displacement_mm: Numbers;
+  displacement_std_mm: Numbers;
+  status: string[];
+}
+export interface EventBody {
+  time: string;
+  time_ns: number;
+  kind: string;
+  text: string;
+}
+export interface CalibrationBody {
+  id: number;
+  time: string;
+  state: string;
+  calibration: Record<string, unknown>;
+}
 export interface SpectrumBody {
   frequency_hz: Numbers;
   density_mm2_hz: Numbers;
@@ -84,7 +103,11 @@ async function ask(path: string, options: RequestInit = {}): Promise<Response> {
   if (options.method && options.method !== "GET") headers.set("X-CSRF-Token", csrf);
   let answer: Response;
   try {
-    answer = await fetch(ROOT + path, { ...options, headers, signal: options.signal ?? AbortSignal.timeout(LONGEST_MS) });
+    answer = await fetch(ROOT + path, {
+      ...options,
+      headers,
+      signal: options.signal ?? AbortSignal.timeout(LONGEST_MS),
+    });
   } catch (error) {
     if (options.signal?.aborted) throw error;
     throw new Away("The server cannot be reached.");
@@ -100,7 +123,8 @@ export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
 }
 
 export async function post<T>(path: string, body?: unknown): Promise<T> {
-  const content = body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
+  const content =
+    body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
   const answer = await ask(path, { method: "POST", ...content });
   return (answer.status === 204 ? undefined : await answer.json()) as T;
 }
@@ -132,14 +156,22 @@ export async function settings(): Promise<{ text: string; tag: string }> {
   return { text: await answer.text(), tag: answer.headers.get("ETag") ?? "*" };
 }
 
-export async function putSettings(text: string, tag: string): Promise<{ text: string; restart: string[]; tag: string }> {
+export async function putSettings(
+  text: string,
+  tag: string,
+): Promise<{ text: string; restart: string[]; tag: string }> {
   const headers = { "Content-Type": "text/plain", "If-Match": tag };
   const answer = await ask("/settings", { method: "PUT", body: text, headers });
   const body = (await answer.json()) as { text: string; restart: string[] };
   return { ...body, tag: answer.headers.get("ETag") ?? "*" };
 }
 
-export interface Picture { blob: Blob; ms: number; width: number; height: number }
+export interface Picture {
+  blob: Blob;
+  ms: number;
+  width: number;
+  height: number;
+}
 
 export async function picture(source: string): Promise<Picture> {
   const answer = await ask(`/sources/${encodeURIComponent(source)}/picture`);

@@ -2,9 +2,22 @@
 
 import type { Rows } from "./api.ts";
 
-export interface RowsMessage extends Rows { sequence: number; point: string }
-export interface EventMessage { type: "event"; point: string; time_ns: number; kind: string; text: string }
-export interface GapMessage { type: "gap"; after: number; first: number }
+export interface RowsMessage extends Rows {
+  sequence: number;
+  point: string;
+}
+export interface EventMessage {
+  type: "event";
+  point: string;
+  time_ns: number;
+  kind: string;
+  text: string;
+}
+export interface GapMessage {
+  type: "gap";
+  after: number;
+  first: number;
+}
 export type Message = RowsMessage | EventMessage | GapMessage;
 
 // Tried again after, ms: at first at once, later as a server's restart takes seconds.

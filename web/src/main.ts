@@ -15,7 +15,12 @@ import { showSite } from "./views/site.ts";
 import { showSources } from "./views/sources.ts";
 import { sentenceOf, type View } from "./views/view.ts";
 
-interface Entry { path: string; text: string; show: View; scope?: "admin" }
+interface Entry {
+  path: string;
+  text: string;
+  show: View;
+  scope?: "admin";
+}
 
 const VIEWS: Entry[] = [
   { path: "site", text: "Site", show: showSite },
@@ -56,12 +61,19 @@ function show(): void {
 function showHead(of: Session): void {
   const links = VIEWS.filter((one) => !one.scope || one.scope === of.scope);
   const list = el("ul");
-  for (const one of links) list.append(el("li", {}, el("a", { href: `#/${one.path}`, "data-path": one.path }, one.text)));
+  for (const one of links)
+    list.append(el("li", {}, el("a", { href: `#/${one.path}`, "data-path": one.path }, one.text)));
   const who = el("span", { class: "quiet" }, `${of.user} (${of.scope})`);
   head.replaceChildren(
     el("strong", {}, "midspan"),
     el("nav", { "aria-label": "Views" }, list),
-    el("span", { class: "who" }, who, " ", button("Log out", () => void leave())),
+    el(
+      "span",
+      { class: "who" },
+      who,
+      " ",
+      button("Log out", () => void leave()),
+    ),
   );
 }
 
@@ -96,7 +108,10 @@ function showConnection(): void {
   const cut = !site.fresh;
   mark(connection, cut ? "cut" : "");
   const since = duration((performance.now() - Math.max(site.answered, site.live.heard)) / 1000);
-  say(connection, cut && site.health ? `No connection to the server. What is shown is ${since} old; it is tried again.` : "");
+  say(
+    connection,
+    cut && site.health ? `No connection to the server. What is shown is ${since} old; it is tried again.` : "",
+  );
 }
 
 async function start(): Promise<void> {

@@ -1,7 +1,15 @@
 // A region of interest in the frame's pixels, and its place in SITE.toml.
 
-export interface Region { x: number; y: number; width: number; height: number }
-export interface Size { width: number; height: number }
+export interface Region {
+  x: number;
+  y: number;
+  width: number;
+  height: number;
+}
+export interface Size {
+  width: number;
+  height: number;
+}
 
 // The trackers need some texture; a region of less has none, px.
 export const MIN_PX = 16;
@@ -26,7 +34,11 @@ export function holds(of: Region, x: number, y: number): boolean {
   return x >= of.x && y >= of.y && x < of.x + of.width && y < of.y + of.height;
 }
 
-interface Place { header: number; roi: number | null; region: Region | null }
+interface Place {
+  header: number;
+  roi: number | null;
+  region: Region | null;
+}
 
 const HEADER = /^\s*\[{1,2}\s*([^\]]+?)\s*\]{1,2}\s*(#.*)?$/;
 const ROI = /^\s*roi\s*=\s*\[\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,?\s*\]\s*(#.*)?$/;
@@ -51,7 +63,8 @@ function placeOf(lines: string[], point: string, kind: string): Place | null {
     const numbers = ROI.exec(line)?.slice(1, 5).map(Number);
     const [x, y, width, height] = numbers ?? [];
     place.roi = at;
-    if (x !== undefined && y !== undefined && width !== undefined && height !== undefined) place.region = { x, y, width, height };
+    if (x !== undefined && y !== undefined && width !== undefined && height !== undefined)
+      place.region = { x, y, width, height };
   });
   return places.length === 1 ? (places[0] ?? null) : null;
 }

@@ -19,7 +19,14 @@ export function emptyEnvelope(): Envelope {
   return { x: [], low: [], high: [], lower: [], upper: [], mean: [] };
 }
 
-function push(into: Envelope, x: number, low: number | null, high: number | null, mean: number | null, std: number | null) {
+function push(
+  into: Envelope,
+  x: number,
+  low: number | null,
+  high: number | null,
+  mean: number | null,
+  std: number | null,
+) {
   into.x.push(x);
   into.low.push(low);
   into.high.push(high);
@@ -36,7 +43,14 @@ export function ofBuckets(buckets: Buckets, toMs: number): Envelope {
   const half = time.length ? (toMs * 1e6 - (time[0] ?? 0)) / time.length / 2 : 0;
   time.forEach((ns, at) => {
     const [low, high] = [buckets.displacement_mm_min[at] ?? null, buckets.displacement_mm_max[at] ?? null];
-    push(made, (ns + half) / 1e9, low, high, buckets.displacement_mm_mean[at] ?? null, buckets.displacement_std_mm[at] ?? null);
+    push(
+      made,
+      (ns + half) / 1e9,
+      low,
+      high,
+      buckets.displacement_mm_mean[at] ?? null,
+      buckets.displacement_std_mm[at] ?? null,
+    );
   });
   return made;
 }
@@ -44,7 +58,10 @@ export function ofBuckets(buckets: Buckets, toMs: number): Envelope {
 /** The usual step of rows, s; null for fewer than three. */
 export function usualStep(time: number[]): number | null {
   if (time.length < 3) return null;
-  const steps = time.slice(1).map((ns, at) => ns - (time[at] ?? ns)).sort((a, b) => a - b);
+  const steps = time
+    .slice(1)
+    .map((ns, at) => ns - (time[at] ?? ns))
+    .sort((a, b) => a - b);
   return (steps[steps.length >> 1] ?? 0) / 1e9;
 }
 
@@ -106,7 +123,13 @@ export function within(rows: Rows, fromS: number, toS: number): Rows {
   return part(rows, begin, end);
 }
 
-export interface Statistics { low: number; high: number; mean: number; rms: number | null; parts: number }
+export interface Statistics {
+  low: number;
+  high: number;
+  mean: number;
+  rms: number | null;
+  parts: number;
+}
 
 /** Of what is drawn: extremes hold for every row; the mean is of rows, or of buckets' means. rms about the mean, of rows alone. */
 export function statistics(of: Envelope, areRows: boolean): Statistics | null {

@@ -11,12 +11,22 @@ import { duration, withBand } from "../src/words.ts";
 // Ten rows a second from a whole second on, three missing.
 const rows = (from: number, to: number, value = 1) => {
   const time = Array.from({ length: to - from }, (_, at) => 1e9 + (from + at) * 1e8);
-  return { time, displacement_mm: time.map(() => value), displacement_std_mm: time.map(() => 0.5), status: time.map(() => "tracking") };
+  return {
+    time,
+    displacement_mm: time.map(() => value),
+    displacement_std_mm: time.map(() => 0.5),
+    status: time.map(() => "tracking"),
+  };
 };
 
 test("missing rows are a gap, and a lost row has no value", () => {
   const [a, b] = [rows(0, 5), rows(8, 12)];
-  const all = { time: [...a.time, ...b.time], displacement_mm: [...a.displacement_mm, ...b.displacement_mm], displacement_std_mm: [...a.displacement_std_mm, ...b.displacement_std_mm], status: [...a.status, ...b.status] };
+  const all = {
+    time: [...a.time, ...b.time],
+    displacement_mm: [...a.displacement_mm, ...b.displacement_mm],
+    displacement_std_mm: [...a.displacement_std_mm, ...b.displacement_std_mm],
+    status: [...a.status, ...b.status],
+  };
   all.status[8] = "lost";
   const drawn = ofRows(all);
   assert.deepEqual(drawn.low, [1, 1, 1, 1, 1, null, 1, 1, 1, null]);
@@ -24,9 +34,25 @@ test("missing rows are a gap, and a lost row has no value", () => {
 });
 
 test("a bucket is drawn at its middle, and an empty one is a gap", () => {
-  const drawn = ofBuckets({ time: [0, 1e9], displacement_mm_min: [-1, null], displacement_mm_max: [7, null], displacement_mm_mean: [0, null], displacement_std_mm: [1, null], status: ["tracking", null] }, 2000);
+  const drawn = ofBuckets(
+    {
+      time: [0, 1e9],
+      displacement_mm_min: [-1, null],
+      displacement_mm_max: [7, null],
+      displacement_mm_mean: [0, null],
+      displacement_std_mm: [1, null],
+      status: ["tracking", null],
+    },
+    2000,
+  );
   assert.deepEqual(drawn.x, [0.5, 1.5]);
-  assert.deepEqual([drawn.high, drawn.low], [[7, null], [-1, null]]);
+  assert.deepEqual(
+    [drawn.high, drawn.low],
+    [
+      [7, null],
+      [-1, null],
+    ],
+  );
 });
 
 test("rows that came stand behind what is kept, none twice", () => {
@@ -44,7 +70,15 @@ test("what comes again after a cut is not added twice, and old rows go", () => {
 });
 
 test("statistics have the extremes of every row", () => {
-  const found = statistics(ofRows({ time: [0, 1e8, 2e8, 3e8], displacement_mm: [1, -1, 1, -1], displacement_std_mm: [0, 0, 0, 0], status: ["", "", "", ""] }), true);
+  const found = statistics(
+    ofRows({
+      time: [0, 1e8, 2e8, 3e8],
+      displacement_mm: [1, -1, 1, -1],
+      displacement_std_mm: [0, 0, 0, 0],
+      status: ["", "", "", ""],
+    }),
+    true,
+  );
   assert.deepEqual(found, { low: -1, high: 1, mean: 0, rms: 1, parts: 4 });
 });
 
@@ -82,7 +116,13 @@ test("a region goes into its own point's section, and nowhere else", () => {
   assert.equal(regionOf(SITE, "a", "camera"), null);
   assert.deepEqual(regionOf(SITE, "b", "camera"), { x: 1, y: 2, width: 30, height: 40 });
   assert.equal(withRegion(SITE, "b", "camera", region), SITE.replace("[1, 2, 30, 40]", "[5, 6, 70, 80]"));
-  assert.equal(withRegion(SITE, "a", "camera", region), SITE.replace('[point.camera]\nsource = "rtsp://one"', '[point.camera]\nroi = [5, 6, 70, 80]\nsource = "rtsp://one"'));
+  assert.equal(
+    withRegion(SITE, "a", "camera", region),
+    SITE.replace(
+      '[point.camera]\nsource = "rtsp://one"',
+      '[point.camera]\nroi = [5, 6, 70, 80]\nsource = "rtsp://one"',
+    ),
+  );
   assert.equal(withRegion(SITE, "c", "camera", region), null);
   assert.equal(withRegion(SITE.replace("[1, 2, 30, 40]", "[1,\n2, 30, 40]"), "b", "camera", region), null);
 });

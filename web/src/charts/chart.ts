@@ -4,7 +4,10 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Envelope } from "../rows.ts";
 
-export interface Mark { x: number; kind: string }
+export interface Mark {
+  x: number;
+  kind: string;
+}
 type Range = [fromS: number, toS: number];
 
 // Ticks in the 24 h form. Each: smallest step (s), text, and what stands below it where year, day or minute begin.
@@ -25,7 +28,9 @@ export function colour(name: string): string {
 
 const faded = (name: string, percent: number) => `color-mix(in srgb, ${colour(name)} ${percent}%, transparent)`;
 
-export interface Drawn { envelope: Envelope }
+export interface Drawn {
+  envelope: Envelope;
+}
 
 export class Chart {
   #plot: uPlot;
@@ -58,11 +63,16 @@ export class Chart {
       bands,
       legend: { show: false },
       scales: { x: { time: true, range: () => this.#range } },
-      axes: [{ ...axis(), values: TIME_TEXTS, space: 70 }, { ...axis(), label: "Displacement, mm", labelSize: 20, size: 60 }],
+      axes: [
+        { ...axis(), values: TIME_TEXTS, space: 70 },
+        { ...axis(), label: "Displacement, mm", labelSize: 20, size: 60 },
+      ],
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false } },
       hooks: {
         setSelect: [(plot) => this.#selected(plot, selected)],
-        setCursor: [(plot) => read(plot.cursor.idx == null ? null : (plot.data[0][plot.cursor.idx] ?? null), valuesAt(plot))],
+        setCursor: [
+          (plot) => read(plot.cursor.idx == null ? null : (plot.data[0][plot.cursor.idx] ?? null), valuesAt(plot)),
+        ],
         draw: [(plot) => this.#drawMarks(plot)],
       },
     };
@@ -79,10 +89,19 @@ export class Chart {
 
   draw(range: Range, drawn: Drawn[], marks: Mark[]): void {
     [this.#range, this.#drawn, this.#marks] = [range, drawn, marks];
-    const tables = this.#drawn.map(({ envelope: of }) => [of.x, of.lower, of.upper, of.low, of.high] as uPlot.AlignedData);
+    const tables = this.#drawn.map(
+      ({ envelope: of }) => [of.x, of.lower, of.upper, of.low, of.high] as uPlot.AlignedData,
+    );
     const first = tables[0];
     if (!first) return;
-    this.#plot.setData(tables.length > 1 ? uPlot.join(tables, tables.map((one) => one.map(() => 2))) : first);
+    this.#plot.setData(
+      tables.length > 1
+        ? uPlot.join(
+            tables,
+            tables.map((one) => one.map(() => 2)),
+          )
+        : first,
+    );
   }
 
   destroy(): void {
@@ -146,7 +165,10 @@ export function spectrumChart(root: HTMLElement, frequency: number[], density: (
     series: [{}, { stroke: () => colour("trace"), width: 1, points: { show: false } }],
     legend: { show: false },
     scales: { x: { time: false }, y: { distr: 3 } },
-    axes: [{ ...axis(), label: "Frequency, Hz", labelSize: 20 }, { ...axis(), label: "mm²/Hz", labelSize: 20, size: 80 }],
+    axes: [
+      { ...axis(), label: "Frequency, Hz", labelSize: 20 },
+      { ...axis(), label: "mm²/Hz", labelSize: 20, size: 80 },
+    ],
     cursor: { points: { show: false } },
   };
   const plot = new uPlot(options, [frequency, density.map((one) => (one !== null && one > 0 ? one : null))], root);

@@ -11,7 +11,10 @@ const MAX_BUCKETS = 2000;
 // Where no row says how far they are apart, s.
 const UNKNOWN_STEP_S = 0.1;
 
-export interface Loaded { envelope: Envelope; areRows: boolean }
+export interface Loaded {
+  envelope: Envelope;
+  areRows: boolean;
+}
 
 const steps = new Map<string, number>();
 
@@ -29,7 +32,14 @@ export async function rowStep(point: string, newestMs: number, came: Rows): Prom
 }
 
 /** What is kept of a point of a time. */
-export async function load(point: string, fromMs: number, toMs: number, pixels: number, stepS: number, signal: AbortSignal): Promise<Loaded> {
+export async function load(
+  point: string,
+  fromMs: number,
+  toMs: number,
+  pixels: number,
+  stepS: number,
+  signal: AbortSignal,
+): Promise<Loaded> {
   const seconds = (toMs - fromMs) / 1000;
   if (seconds <= ROWS_S) {
     return { envelope: ofRows(await get<Rows>(ofPoint(point, "series", span(fromMs, toMs)), signal)), areRows: true };
@@ -47,7 +57,11 @@ export function joined(kept: Envelope, came: Envelope): Envelope {
   while (end > 0 && (kept.x[end - 1] ?? 0) >= first) end -= 1;
   const both = (name: keyof Envelope) => [...kept[name].slice(0, end), ...came[name]];
   return {
-    x: both("x") as number[], low: both("low"), high: both("high"),
-    lower: both("lower"), upper: both("upper"), mean: both("mean"),
+    x: both("x") as number[],
+    low: both("low"),
+    high: both("high"),
+    lower: both("lower"),
+    upper: both("upper"),
+    mean: both("mean"),
   };
 }

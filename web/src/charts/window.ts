@@ -1,8 +1,17 @@
 // The time that is shown: one that follows the newest rows, or one that is held.
 
 export const SPANS: [seconds: number, text: string][] = [
-  [1, "1 s"], [10, "10 s"], [60, "1 minute"], [600, "10 minutes"], [3600, "1 hour"], [10800, "3 hours"],
-  [43200, "12 hours"], [86400, "1 day"], [604800, "1 week"], [2764800, "32 days"], [31622400, "1 year"],
+  [1, "1 s"],
+  [10, "10 s"],
+  [60, "1 minute"],
+  [600, "10 minutes"],
+  [3600, "1 hour"],
+  [10800, "3 hours"],
+  [43200, "12 hours"],
+  [86400, "1 day"],
+  [604800, "1 week"],
+  [2764800, "32 days"],
+  [31622400, "1 year"],
 ];
 // From some rows of a fast sensor to more than a year, s.
 const SHORTEST_S = 0.05;

@@ -50,8 +50,19 @@ function compared(shown: CalibrationBody[]): HTMLElement {
   const columns = shown.map((one) => figures(one.calibration));
   const names = [...new Set(columns.flatMap((one) => [...one.keys()]))];
   const heads = shown.map((one) => el("th", { scope: "col" }, `${one.id}, ${one.state}`));
-  const lines = names.map((name) => el("tr", {}, el("th", { scope: "row" }, name), ...columns.map((of) => el("td", {}, of.get(name) ?? "–"))));
-  return el("div", { class: "wide" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads)), el("tbody", {}, ...lines)));
+  const lines = names.map((name) =>
+    el("tr", {}, el("th", { scope: "row" }, name), ...columns.map((of) => el("td", {}, of.get(name) ?? "–"))),
+  );
+  return el(
+    "div",
+    { class: "wide" },
+    el(
+      "table",
+      {},
+      el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads)),
+      el("tbody", {}, ...lines),
+    ),
+  );
 }
 
 function warnings(of: CalibrationBody): string[] {
@@ -63,7 +74,9 @@ export const showCalibration: View = (root, site, given) => {
   const name = given || site.points[0]?.name;
   if (!name) {
     root.replaceChildren(el("h1", {}, "Calibration"), el("p", {}, "Waiting for the points of this site."));
-    return site.changed(() => site.points[0] && (location.hash = `#/calibration/${encodeURIComponent(site.points[0].name)}`));
+    return site.changed(
+      () => site.points[0] && (location.hash = `#/calibration/${encodeURIComponent(site.points[0].name)}`),
+    );
   }
   return shownOf(root, site, name);
 };
@@ -86,14 +99,38 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   function show(all: CalibrationBody[]): void {
     const inForce = all.filter((one) => one.state === "in force");
     const waiting = all.filter((one) => one.state === "offered");
-    offered.replaceChildren(...(inForce.length || waiting.length ? [compared([...inForce, ...waiting])] : [el("p", {}, "No calibration is kept yet.")]));
+    offered.replaceChildren(
+      ...(inForce.length || waiting.length
+        ? [compared([...inForce, ...waiting])]
+        : [el("p", {}, "No calibration is kept yet.")]),
+    );
     for (const one of waiting) {
-      const bar = el("div", { class: "bar" }, `Calibration ${one.id}:`, button("Accept", () => void command(`calibrations/${one.id}/accept`)), button("Refuse", () => void command(`calibrations/${one.id}/refuse`)));
+      const bar = el(
+        "div",
+        { class: "bar" },
+        `Calibration ${one.id}:`,
+        button("Accept", () => void command(`calibrations/${one.id}/accept`)),
+        button("Refuse", () => void command(`calibrations/${one.id}/refuse`)),
+      );
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const lines = [...all].reverse().map((one) => el("tr", {}, el("td", { "data-name": "Number" }, String(one.id)), el("td", { "data-name": "Made" }, clock(Date.parse(one.time))), el("td", { "data-name": "State" }, one.state)));
-    const head = el("thead", {}, el("tr", {}, ...["Number", "Made", "State"].map((text) => el("th", { scope: "col" }, text))));
+    const lines = [...all]
+      .reverse()
+      .map((one) =>
+        el(
+          "tr",
+          {},
+          el("td", { "data-name": "Number" }, String(one.id)),
+          el("td", { "data-name": "Made" }, clock(Date.parse(one.time))),
+          el("td", { "data-name": "State" }, one.state),
+        ),
+      );
+    const head = el(
+      "thead",
+      {},
+      el("tr", {}, ...["Number", "Made", "State"].map((text) => el("th", { scope: "col" }, text))),
+    );
     history.replaceChildren(el("table", { class: "stacked" }, head, el("tbody", {}, ...lines)));
   }
 
@@ -113,8 +150,22 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   const names = site.points.map((one): [string, string] => [one.name, one.name]);
   root.replaceChildren(
     el("h1", {}, "Calibration"),
-    el("div", { class: "bar" }, choice("Point", names.length ? names : [[name, name]], name, (other) => (location.hash = `#/calibration/${encodeURIComponent(other)}`)), may && button("Calibrate again", () => void command("calibrate"))),
-    said, progress, offered, el("h2", {}, "History"), history,
+    el(
+      "div",
+      { class: "bar" },
+      choice(
+        "Point",
+        names.length ? names : [[name, name]],
+        name,
+        (other) => (location.hash = `#/calibration/${encodeURIComponent(other)}`),
+      ),
+      may && button("Calibrate again", () => void command("calibrate")),
+    ),
+    said,
+    progress,
+    offered,
+    el("h2", {}, "History"),
+    history,
   );
   return repeat(() => void ask(), ASK_MS);
 }

@@ -58,14 +58,32 @@ class CameraView {
   constructor(root: HTMLElement, site: SiteState, source: SourceState, all: SourceState[]) {
     this.#source = source;
     this.#may = site.session.scope === "admin";
-    const hint = this.#may ? " Draw or drag the region; keys: arrows move, Shift and arrows by one pixel, Alt and arrows size it." : "";
-    this.#canvas = el("canvas", { tabindex: 0, role: "img", "aria-label": `Picture of ${source.name}.${hint}`, width: 640, height: 360 });
+    const hint = this.#may
+      ? " Draw or drag the region; keys: arrows move, Shift and arrows by one pixel, Alt and arrows size it."
+      : "";
+    this.#canvas = el("canvas", {
+      tabindex: 0,
+      role: "img",
+      "aria-label": `Picture of ${source.name}.${hint}`,
+      width: 640,
+      height: 360,
+    });
     const names = all.map((one): [string, string] => [one.name, one.name]);
     root.replaceChildren(
       el("h1", {}, "Camera"),
-      el("div", { class: "bar" }, choice("Camera", names, source.name, (name) => (location.hash = `#/camera/${encodeURIComponent(name)}`)), button("New picture", () => void this.#ask()), this.#watch, this.#may && this.#save),
-      this.#said, el("div", { class: "picture" }, this.#canvas), this.#taken, this.#where,
-      this.#may && el("p", { class: "quiet" }, `${hint.trim()} It is written into SITE.toml.`) || el("p"),
+      el(
+        "div",
+        { class: "bar" },
+        choice("Camera", names, source.name, (name) => (location.hash = `#/camera/${encodeURIComponent(name)}`)),
+        button("New picture", () => void this.#ask()),
+        this.#watch,
+        this.#may && this.#save,
+      ),
+      this.#said,
+      el("div", { class: "picture" }, this.#canvas),
+      this.#taken,
+      this.#where,
+      (this.#may && el("p", { class: "quiet" }, `${hint.trim()} It is written into SITE.toml.`)) || el("p"),
     );
     if (this.#may) this.#listen();
     void this.#begin();
@@ -78,7 +96,10 @@ class CameraView {
 
   async #begin(): Promise<void> {
     if (this.#may) {
-      const text = await settings().then((found) => found.text, () => "");
+      const text = await settings().then(
+        (found) => found.text,
+        () => "",
+      );
       this.#region = regionOf(text, this.#source.point, this.#source.source);
     }
     await this.#ask();
@@ -101,7 +122,10 @@ class CameraView {
   #show(found: Picture, image: ImageBitmap): void {
     this.#canvas.width = found.width || image.width;
     this.#canvas.height = found.height || image.height;
-    say(this.#taken, `${this.#canvas.width} × ${this.#canvas.height} px, ${clock(found.ms)}, ${duration(Math.max(Date.now() - found.ms, 0) / 1000)} old`);
+    say(
+      this.#taken,
+      `${this.#canvas.width} × ${this.#canvas.height} px, ${clock(found.ms)}, ${duration(Math.max(Date.now() - found.ms, 0) / 1000)} old`,
+    );
     this.#draw();
   }
 
@@ -122,12 +146,22 @@ class CameraView {
     const context = this.#canvas.getContext("2d");
     if (!context || !this.#image) return;
     context.drawImage(this.#image, 0, 0, this.#canvas.width, this.#canvas.height);
-    say(this.#where, this.#region ? `Region: ${this.#region.width} × ${this.#region.height} px at ${this.#region.x}, ${this.#region.y}${this.#changed ? " (not in force yet)" : ""}` : this.#may ? "Region: chosen automatically." : "");
+    say(
+      this.#where,
+      this.#region
+        ? `Region: ${this.#region.width} × ${this.#region.height} px at ${this.#region.x}, ${this.#region.y}${this.#changed ? " (not in force yet)" : ""}`
+        : this.#may
+          ? "Region: chosen automatically."
+          : "",
+    );
     this.#save.disabled = !this.#changed;
     if (!this.#region) return;
     const { x, y, width, height } = this.#region;
     // A dark line below a bright one is seen on any picture.
-    for (const [style, size] of [["#000", 4], [this.#changed ? colour("notice-ground") : "#fff", 2]] as const) {
+    for (const [style, size] of [
+      ["#000", 4],
+      [this.#changed ? colour("notice-ground") : "#fff", 2],
+    ] as const) {
       context.strokeStyle = style;
       context.lineWidth = size * Math.max(this.#canvas.width / 800, 1);
       context.strokeRect(x, y, width, height);
@@ -142,7 +176,10 @@ class CameraView {
 
   #at(event: PointerEvent): { x: number; y: number } {
     const box = this.#canvas.getBoundingClientRect();
-    return { x: ((event.clientX - box.left) / box.width) * this.#canvas.width, y: ((event.clientY - box.top) / box.height) * this.#canvas.height };
+    return {
+      x: ((event.clientX - box.left) / box.width) * this.#canvas.width,
+      y: ((event.clientY - box.top) / box.height) * this.#canvas.height,
+    };
   }
 
   #listen(): void {
@@ -155,14 +192,20 @@ class CameraView {
       if (!this.#drag || !this.#image) return;
       const [{ x, y }, { from }] = [this.#at(event), this.#drag];
       if (from) this.#set({ ...from, x: from.x + x - this.#drag.x, y: from.y + y - this.#drag.y });
-      else if (Math.hypot(x - this.#drag.x, y - this.#drag.y) >= MIN_PX / 2) this.#set(between(this.#drag.x, this.#drag.y, x, y));
+      else if (Math.hypot(x - this.#drag.x, y - this.#drag.y) >= MIN_PX / 2)
+        this.#set(between(this.#drag.x, this.#drag.y, x, y));
     });
     for (const name of ["pointerup", "pointercancel"]) this.#canvas.addEventListener(name, () => (this.#drag = null));
     this.#canvas.addEventListener("keydown", (event) => this.#key(event));
   }
 
   #key(event: KeyboardEvent): void {
-    const ways: Record<string, [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+    const ways: Record<string, [number, number]> = {
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, -1],
+      ArrowDown: [0, 1],
+    };
     const way = ways[event.key];
     if (!way || !this.#image) return;
     event.preventDefault();
@@ -170,7 +213,11 @@ class CameraView {
     const { width, height } = this.#canvas;
     const now = this.#region ?? { x: width / 2 - 32, y: height / 2 - 32, width: 64, height: 64 };
     const [dx, dy] = [way[0] * step, way[1] * step];
-    this.#set(event.altKey ? { ...now, width: now.width + dx, height: now.height + dy } : { ...now, x: now.x + dx, y: now.y + dy });
+    this.#set(
+      event.altKey
+        ? { ...now, width: now.width + dx, height: now.height + dy }
+        : { ...now, x: now.x + dx, y: now.y + dy },
+    );
   }
 
   async #put(): Promise<void> {
@@ -178,7 +225,8 @@ class CameraView {
     try {
       const { text, tag } = await settings();
       const changed = withRegion(text, this.#source.point, this.#source.source, this.#region);
-      if (changed === null) throw new Error("The section of this camera is not found in SITE.toml: write roi there, in Settings.");
+      if (changed === null)
+        throw new Error("The section of this camera is not found in SITE.toml: write roi there, in Settings.");
       say(this.#said, (await putSettings(changed, tag)).text);
       this.#changed = false;
       this.#draw();

@@ -6,7 +6,11 @@ import { sentenceOf } from "./view.ts";
 export function showLogin(root: HTMLElement, done: (session: Session) => void): void {
   const user = el("input", { name: "user", autocomplete: "username", required: true, maxlength: 64, autofocus: true });
   const password = el("input", {
-    name: "password", type: "password", autocomplete: "current-password", required: true, maxlength: 256,
+    name: "password",
+    type: "password",
+    autocomplete: "current-password",
+    required: true,
+    maxlength: 256,
   });
   const wrong = el("p", { class: "wrong", role: "alert" });
   const send = button("Log in", () => undefined, { type: "submit" });

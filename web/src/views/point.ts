@@ -58,13 +58,16 @@ class PointView {
     [this.#site, this.#name] = [site, name];
     this.#window = new TimeWindow(60, () => this.#newestMs());
     const frame = el("div", {
-      class: "chart", tabindex: 0, role: "img",
+      class: "chart",
+      tabindex: 0,
+      role: "img",
       "aria-label": `Displacement of ${name} over time. Keys: left and right move, plus and minus zoom, F follows or freezes.`,
       keydown: (event) => this.#key(event as KeyboardEvent),
     });
     root.replaceChildren(...this.#parts(frame));
     this.#chart = new Chart(
-      frame, ["trace"],
+      frame,
+      ["trace"],
       ([from, to]) => this.#change(() => this.#window.show(1000 * from, 1000 * to)),
       (x, values) => this.#read(x, values),
     );
@@ -89,25 +92,59 @@ class PointView {
     const zoom = (factor: number) => this.#change(() => this.#window.zoom(factor));
     const move = (part: number) => this.#change(() => this.#window.move(part));
     const bar = el(
-      "div", { class: "bar" },
-      choice("Point", names.length ? names : [[this.#name, this.#name]], this.#name, (name) => (location.hash = `#/point/${encodeURIComponent(name)}`)),
+      "div",
+      { class: "bar" },
+      choice(
+        "Point",
+        names.length ? names : [[this.#name, this.#name]],
+        this.#name,
+        (name) => (location.hash = `#/point/${encodeURIComponent(name)}`),
+      ),
       choice("Shown", spans, "60", (seconds) => this.#change(() => (this.#window.seconds = Number(seconds)))),
       this.#follow,
-      button("Earlier", () => move(-0.5)), button("Later", () => move(0.5)),
-      button("Zoom in", () => zoom(0.5)), button("Zoom out", () => zoom(2)),
+      button("Earlier", () => move(-0.5)),
+      button("Later", () => move(0.5)),
+      button("Zoom in", () => zoom(0.5)),
+      button("Zoom out", () => zoom(2)),
     );
-    const head = el("thead", {}, el("tr", {}, ...["Time", "Event", "What"].map((text) => el("th", { scope: "col" }, text))));
+    const head = el(
+      "thead",
+      {},
+      el("tr", {}, ...["Time", "Event", "What"].map((text) => el("th", { scope: "col" }, text))),
+    );
     const table = el("table", { class: "stacked" }, head, this.#eventList);
-    const below = el("div", { class: "bar" }, button("Spectrum of what is shown", () => void this.#askSpectrum()), this.#exportForm());
+    const below = el(
+      "div",
+      { class: "bar" },
+      button("Spectrum of what is shown", () => void this.#askSpectrum()),
+      this.#exportForm(),
+    );
     return [
-      el("h1", {}, this.#name), this.#now, this.#words, this.#why, bar, this.#wrong, frame, this.#readout, this.#spanText,
-      this.#figures, below, this.#spectrum, el("h2", {}, "Events of what is shown"), el("div", { class: "wide" }, table),
+      el("h1", {}, this.#name),
+      this.#now,
+      this.#words,
+      this.#why,
+      bar,
+      this.#wrong,
+      frame,
+      this.#readout,
+      this.#spanText,
+      this.#figures,
+      below,
+      this.#spectrum,
+      el("h2", {}, "Events of what is shown"),
+      el("div", { class: "wide" }, table),
     ];
   }
 
   #exportForm(): HTMLElement {
     let format = "csv";
-    const pick = choice("as", FORMATS.map((one): [string, string] => [one, one]), format, (value) => (format = value));
+    const pick = choice(
+      "as",
+      FORMATS.map((one): [string, string] => [one, one]),
+      format,
+      (value) => (format = value),
+    );
     const save = button("Save every row of what is shown", () => {
       const { fromMs, toMs } = this.#window;
       location.assign(`/api/v1${ofPoint(this.#name, "export", { ...span(fromMs, toMs), format })}`);
@@ -136,8 +173,10 @@ class PointView {
 
   #key(event: KeyboardEvent): void {
     const acts: Record<string, () => void> = {
-      ArrowLeft: () => this.#window.move(-0.25), ArrowRight: () => this.#window.move(0.25),
-      "+": () => this.#window.zoom(0.5), "-": () => this.#window.zoom(2),
+      ArrowLeft: () => this.#window.move(-0.25),
+      ArrowRight: () => this.#window.move(0.25),
+      "+": () => this.#window.zoom(0.5),
+      "-": () => this.#window.zoom(2),
     };
     const act = acts[event.key];
     if (act) this.#change(act);
@@ -198,10 +237,17 @@ class PointView {
     say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
     const found = statistics(all, this.#loaded.areRows);
     const figures: [string, string][] = found
-      ? [["least", `${signed(found.low, 3)} mm`], ["largest", `${signed(found.high, 3)} mm`], ["range", `${(found.high - found.low).toFixed(3)} mm`], ["mean", `${signed(found.mean, 3)} mm`]]
+      ? [
+          ["least", `${signed(found.low, 3)} mm`],
+          ["largest", `${signed(found.high, 3)} mm`],
+          ["range", `${(found.high - found.low).toFixed(3)} mm`],
+          ["mean", `${signed(found.mean, 3)} mm`],
+        ]
       : [["shown", "no rows"]];
     if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
-    this.#figures.replaceChildren(...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))));
+    this.#figures.replaceChildren(
+      ...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))),
+    );
   }
 
   #read(x: number | null, values: (number | null)[]): void {
@@ -217,9 +263,18 @@ class PointView {
   }
 
   #listEvents(): void {
-    const rows = this.#events.slice(-LISTED).reverse().map((one) =>
-      el("tr", {}, el("td", { "data-name": "Time" }, clock(one.time_ns / 1e6)), el("td", { "data-name": "Event" }, one.kind), el("td", { "data-name": "What" }, one.text)),
-    );
+    const rows = this.#events
+      .slice(-LISTED)
+      .reverse()
+      .map((one) =>
+        el(
+          "tr",
+          {},
+          el("td", { "data-name": "Time" }, clock(one.time_ns / 1e6)),
+          el("td", { "data-name": "Event" }, one.kind),
+          el("td", { "data-name": "What" }, one.text),
+        ),
+      );
     this.#eventList.replaceChildren(...(rows.length ? rows : [el("tr", {}, el("td", { colspan: 3 }, "None."))]));
   }
 
@@ -228,12 +283,22 @@ class PointView {
     this.#endSpectrum = () => undefined;
     this.#spectrum.replaceChildren(el("p", { role: "status" }, "The spectrum is being computed."));
     try {
-      const found = await get<SpectrumBody>(ofPoint(this.#name, "spectrum", span(this.#window.fromMs, this.#window.toMs)));
+      const found = await get<SpectrumBody>(
+        ofPoint(this.#name, "spectrum", span(this.#window.fromMs, this.#window.toMs)),
+      );
       if (!found.frequency_hz.length) throw new Error(`There is no spectrum: ${found.reason}`);
       const frame = el("div", { class: "chart", role: "img", "aria-label": "Spectrum of displacement" });
       const modes = found.modes.map((one) => `${(one["frequency_hz"] ?? NaN).toFixed(3)} Hz`).join(", ");
-      this.#spectrum.replaceChildren(el("h2", {}, "Spectrum"), el("p", {}, modes ? `Natural frequencies: ${modes}` : "No natural frequency stands out."), frame);
-      this.#endSpectrum = spectrumChart(frame, found.frequency_hz.map((one) => one ?? 0), found.density_mm2_hz);
+      this.#spectrum.replaceChildren(
+        el("h2", {}, "Spectrum"),
+        el("p", {}, modes ? `Natural frequencies: ${modes}` : "No natural frequency stands out."),
+        frame,
+      );
+      this.#endSpectrum = spectrumChart(
+        frame,
+        found.frequency_hz.map((one) => one ?? 0),
+        found.density_mm2_hz,
+      );
     } catch (error) {
       this.#spectrum.replaceChildren(el("p", { class: "wrong" }, sentenceOf(error)));
     }

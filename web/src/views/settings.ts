@@ -27,7 +27,10 @@ export const showSettings: View = (root, site) => {
     try {
       const found = await putSettings(area.value, tag);
       [tag, kept] = [found.tag, area.value];
-      say(done, found.restart.length ? `${found.text} Start midspan run again for: ${found.restart.join(", ")}.` : found.text);
+      say(
+        done,
+        found.restart.length ? `${found.text} Start midspan run again for: ${found.restart.join(", ")}.` : found.text,
+      );
     } catch (error) {
       say(wrong, sentenceOf(error));
       if (error instanceof Refused && error.key) select(error.key);
@@ -42,7 +45,10 @@ export const showSettings: View = (root, site) => {
     const at = area.value.search(new RegExp(`^\\s*${last.replace(/[^\w-]/g, "")}\\s*=`, "m"));
     if (at < 0) return;
     area.focus();
-    area.setSelectionRange(at, area.value.indexOf("\n", at + 1) < 0 ? area.value.length : area.value.indexOf("\n", at + 1));
+    area.setSelectionRange(
+      at,
+      area.value.indexOf("\n", at + 1) < 0 ? area.value.length : area.value.indexOf("\n", at + 1),
+    );
   }
 
   const ask = (event: BeforeUnloadEvent) => {
@@ -51,9 +57,20 @@ export const showSettings: View = (root, site) => {
   window.addEventListener("beforeunload", ask);
   root.replaceChildren(
     el("h1", {}, "Settings"),
-    el("p", { class: "quiet" }, "SITE.toml. New settings begin the measuring anew, from the kept states. What is wrong is said, and changes nothing."),
-    el("div", { class: "bar" }, save, button("Read again", () => void load())),
-    done, wrong, area,
+    el(
+      "p",
+      { class: "quiet" },
+      "SITE.toml. New settings begin the measuring anew, from the kept states. What is wrong is said, and changes nothing.",
+    ),
+    el(
+      "div",
+      { class: "bar" },
+      save,
+      button("Read again", () => void load()),
+    ),
+    done,
+    wrong,
+    area,
   );
   void load();
   return () => window.removeEventListener("beforeunload", ask);

@@ -12,15 +12,20 @@ const DRAW_MS = 500;
 export const OLD_S = 5;
 
 /** How a point stands: good is shown green, and only where all that it needs is fresh. */
-export function standing(point: PointState, site: SiteState): { state: "good" | "notice" | "wrong" | "unknown"; words: string } {
+export function standing(
+  point: PointState,
+  site: SiteState,
+): { state: "good" | "notice" | "wrong" | "unknown"; words: string } {
   if (!site.fresh) return { state: "unknown", words: "unknown: no connection" };
   const age = site.ageS(point);
   const status = point.status ?? "";
   if (point.reason === "not_measuring") return { state: "unknown", words: "not measured now" };
   if (point.status === null) return { state: "wrong", words: "no rows" };
-  if (status === "lost" || age === null || age > OLD_S) return { state: "wrong", words: status === "lost" ? "lost" : "no new rows" };
+  if (status === "lost" || age === null || age > OLD_S)
+    return { state: "wrong", words: status === "lost" ? "lost" : "no new rows" };
   const sources = site.health?.sources.filter((one) => one.point === point.name && one.reason) ?? [];
-  if (status !== "tracking" || point.reason || sources.length) return { state: "notice", words: STATUS_WORDS[status] ?? status };
+  if (status !== "tracking" || point.reason || sources.length)
+    return { state: "notice", words: STATUS_WORDS[status] ?? status };
   return { state: "good", words: "measured, all streams fresh" };
 }
 
@@ -38,18 +43,46 @@ function summary(site: SiteState): { state: string; text: string } {
   if (!site.fresh) return { state: "unknown", text: "No connection: what is shown is old." };
   if (!count) return { state: "unknown", text: "There are no points here yet." };
   const bad = site.points.filter((one) => standing(one, site).state !== "good").length;
-  if (!bad && site.health.ready) return { state: "good", text: count === 1 ? "The point is measured, all its streams are fresh." : `All ${count} points are measured, all streams are fresh.` };
+  if (!bad && site.health.ready)
+    return {
+      state: "good",
+      text:
+        count === 1
+          ? "The point is measured, all its streams are fresh."
+          : `All ${count} points are measured, all streams are fresh.`,
+    };
   if (bad) return { state: "notice", text: `${bad} of ${count} points need a look.` };
   const source = site.health.sources.find((one) => one.reason);
   return { state: "notice", text: source ? source.text : "Something is not ready." };
 }
 
-interface Card { root: HTMLElement; value: HTMLElement; words: HTMLElement; age: HTMLElement; since: HTMLElement; text: HTMLElement }
+interface Card {
+  root: HTMLElement;
+  value: HTMLElement;
+  words: HTMLElement;
+  age: HTMLElement;
+  since: HTMLElement;
+  text: HTMLElement;
+}
 
 function card(name: string): Card {
-  const [value, words, age, since, text] = [el("p", { class: "value" }), el("p", { class: "words" }), el("span"), el("span"), el("p", { class: "why" })];
+  const [value, words, age, since, text] = [
+    el("p", { class: "value" }),
+    el("p", { class: "words" }),
+    el("span"),
+    el("span"),
+    el("p", { class: "why" }),
+  ];
   const link = el("a", { href: `#/point/${encodeURIComponent(name)}` }, name);
-  const root = el("li", { class: "card" }, el("h2", {}, link), value, words, el("p", { class: "quiet" }, age, since), text);
+  const root = el(
+    "li",
+    { class: "card" },
+    el("h2", {}, link),
+    value,
+    words,
+    el("p", { class: "quiet" }, age, since),
+    text,
+  );
   return { root, value, words, age, since, text };
 }
 

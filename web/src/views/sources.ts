@@ -23,7 +23,9 @@ class Row {
 
   constructor(source: SourceState, site: SiteState, done: (text: string) => void) {
     this.#cells = COLUMNS.map((name) => el("td", { "data-name": name }));
-    this.#pause = button("Pause", () => void this.#command(source.name, done), { "aria-label": `Pause or resume ${source.name}` });
+    this.#pause = button("Pause", () => void this.#command(source.name, done), {
+      "aria-label": `Pause or resume ${source.name}`,
+    });
     this.root.append(...this.#cells);
     if (site.session.scope !== "read") this.#cells[this.#cells.length - 1]?.append(this.#pause);
   }
@@ -32,9 +34,15 @@ class Row {
     this.#paused = source.reason === "paused";
     mark(this.root, source.reason === "" ? "good" : this.#paused ? "unknown" : "wrong");
     const texts = [
-      source.name, words(source), source.age_s === null ? "nothing yet" : duration(source.age_s),
+      source.name,
+      words(source),
+      source.age_s === null ? "nothing yet" : duration(source.age_s),
       source.rate_hz === null ? "" : `${source.rate_hz.toFixed(source.rate_hz < 10 ? 2 : 1)} a second`,
-      String(source.records), String(source.skipped), String(source.faults), source.stamps, source.address,
+      String(source.records),
+      String(source.skipped),
+      String(source.faults),
+      source.stamps,
+      source.address,
     ];
     texts.forEach((text, at) => say(this.#cells[at] as HTMLElement, text));
     this.#cells[1]?.classList.add("words");
@@ -47,7 +55,8 @@ class Row {
     try {
       if (this.#paused) return done((await post<{ text: string }>(`${path}/resume`)).text);
       const reason = window.prompt(`Why is ${name} paused? Everybody sees the reason.`, "");
-      if (reason?.trim()) done((await post<{ text: string }>(`${path}/pause`, { reason: reason.trim().slice(0, 200) })).text);
+      if (reason?.trim())
+        done((await post<{ text: string }>(`${path}/pause`, { reason: reason.trim().slice(0, 200) })).text);
     } catch (error) {
       done(sentenceOf(error));
     }
@@ -59,7 +68,11 @@ export const showSources: View = (root, site) => {
   const body = el("tbody");
   const head = el("thead", {}, el("tr", {}, ...COLUMNS.map((text) => el("th", { scope: "col" }, text))));
   const rows = new Map<string, Row>();
-  root.replaceChildren(el("h1", {}, "Sources"), said, el("div", { class: "wide" }, el("table", { class: "stacked" }, head, body)));
+  root.replaceChildren(
+    el("h1", {}, "Sources"),
+    said,
+    el("div", { class: "wide" }, el("table", { class: "stacked" }, head, body)),
+  );
 
   async function ask(): Promise<void> {
     let found: SourceState[];
@@ -71,7 +84,13 @@ export const showSources: View = (root, site) => {
     for (const source of found) {
       let row = rows.get(source.name);
       if (!row) {
-        rows.set(source.name, (row = new Row(source, site, (text) => { say(said, text); void ask(); })));
+        rows.set(
+          source.name,
+          (row = new Row(source, site, (text) => {
+            say(said, text);
+            void ask();
+          })),
+        );
         body.append(row.root);
       }
       row.show(source);
