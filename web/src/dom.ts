@@ -44,3 +44,14 @@ export function choice(
 export function button(text: string, pressed: () => void, attributes: Attributes = {}): HTMLButtonElement {
   return el("button", { type: "button", click: pressed, ...attributes }, text);
 }
+
+/** A table that becomes a list on a phone; `rows` is filled by its view, see `line`. */
+export function table(columns: string[], rows: HTMLTableSectionElement): HTMLElement {
+  const head = el("thead", {}, el("tr", {}, ...columns.map((text) => el("th", { scope: "col" }, text))));
+  return el("div", { class: "wide" }, el("table", { class: "stacked" }, head, rows));
+}
+
+/** A line of such a table. */
+export function line(columns: string[], texts: string[]): HTMLTableRowElement {
+  return el("tr", {}, ...texts.map((text, at) => el("td", { "data-name": columns[at] ?? "" }, text)));
+}

@@ -77,10 +77,11 @@ function showHead(of: Session): void {
   );
 }
 
-function begin(of: Session): void {
-  site = new SiteState(of);
-  site.start();
+async function begin(of: Session): Promise<void> {
+  const begun = (site = new SiteState(of));
   showHead(of);
+  await begun.start();
+  if (site !== begun) return;
   show();
   main.focus();
 }
@@ -92,7 +93,7 @@ function askLogin(): void {
   site = null;
   head.replaceChildren(el("strong", {}, "midspan"));
   say(connection, "");
-  showLogin(main, begin);
+  showLogin(main, (of) => void begin(of));
 }
 
 async function leave(): Promise<void> {
@@ -121,7 +122,7 @@ async function start(): Promise<void> {
   for (;;) {
     try {
       const found = await session();
-      if (found) begin(found);
+      if (found) await begin(found);
       else askLogin();
       return;
     } catch (error) {

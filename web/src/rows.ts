@@ -131,7 +131,7 @@ export interface Statistics {
   parts: number;
 }
 
-/** Of what is drawn: extremes hold for every row; the mean is of rows, or of buckets' means. rms about the mean, of rows alone. */
+/** Of what is drawn: extremes of every row; the mean of rows, or of buckets' means; rms about it, of rows alone. */
 export function statistics(of: Envelope, areRows: boolean): Statistics | null {
   let [low, high, sum, squares, count] = [Infinity, -Infinity, 0, 0, 0];
   of.low.forEach((least, at) => {

@@ -22,7 +22,7 @@ export class SiteState {
   /** The server's clock less this machine's, ms. */
   clockMs = 0;
   #timer = 0;
-  #changed = new Set<() => void>();
+  #stopped = false;
 
   constructor(session: Session) {
     this.session = session;
@@ -34,19 +34,16 @@ export class SiteState {
     return this.live.connected && !this.trouble;
   }
 
-  start(): void {
+  /** Begin; done once the first answer came, or failed. */
+  async start(): Promise<void> {
     this.live.open();
-    void this.#ask();
+    await this.#ask();
   }
 
   stop(): void {
+    this.#stopped = true;
     window.clearTimeout(this.#timer);
     this.live.close();
-  }
-
-  changed(listener: () => void): () => void {
-    this.#changed.add(listener);
-    return () => void this.#changed.delete(listener);
   }
 
   point(name: string): PointState | undefined {
@@ -80,8 +77,8 @@ export class SiteState {
       if (error instanceof Refused && error.status === 401) return;
       this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
     }
+    if (this.#stopped) return;
     this.live.check();
-    this.#tell();
     this.#timer = window.setTimeout(() => void this.#ask(), ASK_MS);
   }
 
@@ -97,9 +94,5 @@ export class SiteState {
       point.displacement_mm = message.displacement_mm[last] ?? null;
       point.displacement_std_mm = message.displacement_std_mm[last] ?? null;
     }
-  }
-
-  #tell(): void {
-    for (const listener of this.#changed) listener();
   }
 }

@@ -1,4 +1,4 @@
-// Traces over time with uPlot: least and largest as an envelope, the 95 % band around it, gaps left open, events as lines.
+// Traces over time with uPlot: an envelope of least and largest with its 95 % band, gaps open, events as lines.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";

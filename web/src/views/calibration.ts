@@ -1,12 +1,13 @@
 // Calibrations of a point: start, progress, the one offered next to the one in force, accept and refuse, history.
 
 import { type CalibrationBody, get, ofPoint, post } from "../api.ts";
-import { button, choice, el, say } from "../dom.ts";
+import { button, choice, el, line, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, signed } from "../words.ts";
-import { repeat, sentenceOf, type View } from "./view.ts";
+import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 const ASK_MS = 2000;
+const COLUMNS = ["Number", "Made", "State"];
 
 /** What is shown of a sensor's section: value, deviation, digits, unit. */
 const FIGURES: [key: string, std: string, text: string, unit: string, factor: number][] = [
@@ -72,18 +73,13 @@ function warnings(of: CalibrationBody): string[] {
 
 export const showCalibration: View = (root, site, given) => {
   const name = given || site.points[0]?.name;
-  if (!name) {
-    root.replaceChildren(el("h1", {}, "Calibration"), el("p", {}, "Waiting for the points of this site."));
-    return site.changed(
-      () => site.points[0] && (location.hash = `#/calibration/${encodeURIComponent(site.points[0].name)}`),
-    );
-  }
+  if (!name) return nothing(root, "Calibration");
   return shownOf(root, site, name);
 };
 
 function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   const [said, progress] = [el("p", { role: "status", class: "words" }), el("p")];
-  const [offered, history] = [el("div"), el("div")];
+  const [offered, history] = [el("div"), el("tbody")];
   const may = site.session.scope !== "read";
   let before = "";
 
@@ -115,23 +111,10 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const lines = [...all]
-      .reverse()
-      .map((one) =>
-        el(
-          "tr",
-          {},
-          el("td", { "data-name": "Number" }, String(one.id)),
-          el("td", { "data-name": "Made" }, clock(Date.parse(one.time))),
-          el("td", { "data-name": "State" }, one.state),
-        ),
-      );
-    const head = el(
-      "thead",
-      {},
-      el("tr", {}, ...["Number", "Made", "State"].map((text) => el("th", { scope: "col" }, text))),
+    const lines = [...all].reverse();
+    history.replaceChildren(
+      ...lines.map((one) => line(COLUMNS, [String(one.id), clock(Date.parse(one.time)), one.state])),
     );
-    history.replaceChildren(el("table", { class: "stacked" }, head, el("tbody", {}, ...lines)));
   }
 
   async function ask(): Promise<void> {
@@ -165,7 +148,7 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
     progress,
     offered,
     el("h2", {}, "History"),
-    history,
+    table(COLUMNS, history),
   );
   return repeat(() => void ask(), ASK_MS);
 }

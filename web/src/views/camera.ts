@@ -40,6 +40,7 @@ export const showCamera: View = (root, site, name) => {
 };
 
 class CameraView {
+  #site: SiteState;
   #source: SourceState;
   #may: boolean;
   #canvas: HTMLCanvasElement;
@@ -56,6 +57,7 @@ class CameraView {
   #save = button("Put the region in force", () => void this.#put(), { disabled: true });
 
   constructor(root: HTMLElement, site: SiteState, source: SourceState, all: SourceState[]) {
+    this.#site = site;
     this.#source = source;
     this.#may = site.session.scope === "admin";
     const hint = this.#may
@@ -122,10 +124,8 @@ class CameraView {
   #show(found: Picture, image: ImageBitmap): void {
     this.#canvas.width = found.width || image.width;
     this.#canvas.height = found.height || image.height;
-    say(
-      this.#taken,
-      `${this.#canvas.width} × ${this.#canvas.height} px, ${clock(found.ms)}, ${duration(Math.max(Date.now() - found.ms, 0) / 1000)} old`,
-    );
+    const age = duration(Math.max(this.#site.now() - found.ms, 0) / 1000);
+    say(this.#taken, `${this.#canvas.width} × ${this.#canvas.height} px, ${clock(found.ms)}, ${age} old`);
     this.#draw();
   }
 
@@ -146,14 +146,7 @@ class CameraView {
     const context = this.#canvas.getContext("2d");
     if (!context || !this.#image) return;
     context.drawImage(this.#image, 0, 0, this.#canvas.width, this.#canvas.height);
-    say(
-      this.#where,
-      this.#region
-        ? `Region: ${this.#region.width} × ${this.#region.height} px at ${this.#region.x}, ${this.#region.y}${this.#changed ? " (not in force yet)" : ""}`
-        : this.#may
-          ? "Region: chosen automatically."
-          : "",
-    );
+    say(this.#where, this.#regionText());
     this.#save.disabled = !this.#changed;
     if (!this.#region) return;
     const { x, y, width, height } = this.#region;
@@ -166,6 +159,13 @@ class CameraView {
       context.lineWidth = size * Math.max(this.#canvas.width / 800, 1);
       context.strokeRect(x, y, width, height);
     }
+  }
+
+  #regionText(): string {
+    if (!this.#may) return "";
+    if (!this.#region) return "Region: chosen automatically.";
+    const { x, y, width, height } = this.#region;
+    return `Region: ${width} × ${height} px at ${x}, ${y}${this.#changed ? " (not in force yet)" : ""}`;
   }
 
   #set(region: Region): void {

@@ -6,7 +6,7 @@ import { SPANS } from "../charts/window.ts";
 import { button, choice, el, say } from "../dom.ts";
 import { statistics } from "../rows.ts";
 import { clock, duration, signed } from "../words.ts";
-import { sentenceOf, type View } from "./view.ts";
+import { nothing, sentenceOf, type View } from "./view.ts";
 
 const DAYS: [string, string][] = [
   ["0", "the same time"],
@@ -20,10 +20,7 @@ const DAY_MS = 86_400_000;
 
 export const showCompare: View = (root, site) => {
   const names = site.points.map((one): [string, string] => [one.name, one.name]);
-  if (!names[0]) {
-    root.replaceChildren(el("h1", {}, "Compare"), el("p", {}, "Waiting for the points of this site."));
-    return site.changed(() => site.points.length && window.dispatchEvent(new HashChangeEvent("hashchange")));
-  }
+  if (!names[0]) return nothing(root, "Compare");
   let [first, second, days, seconds] = [names[0][0], names[0][0], "1", 3600];
   let toMs = Date.parse(site.point(first)?.time ?? "") || site.now();
   let asking: AbortController | null = null;

@@ -1,15 +1,16 @@
 // A point: live traces with their band, every zoom, events, statistics, spectrum, export.
 
-import { type EventBody, get, ofPoint, span, type SpectrumBody } from "../api.ts";
-import { Chart, type Mark, spectrumChart } from "../charts/chart.ts";
+import { type EventBody, get, ofPoint, span } from "../api.ts";
+import { Chart, type Mark } from "../charts/chart.ts";
 import { joined, load, type Loaded, rowStep } from "../charts/series.ts";
 import { SPANS, TimeWindow } from "../charts/window.ts";
-import { button, choice, el, mark, say } from "../dom.ts";
+import { button, choice, el, line, mark, say, table } from "../dom.ts";
 import { emptyEnvelope, ofRows, statistics, within } from "../rows.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration, signed, withBand, ZONE } from "../words.ts";
+import { SpectrumPanel } from "./spectrum.ts";
 import { OLD_S, standing, trouble } from "./site.ts";
-import { repeat, sentenceOf, type View } from "./view.ts";
+import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 // A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
 const DRAW_MS = 250;
@@ -17,16 +18,11 @@ const DRAW_MS = 250;
 const [AGAIN_MIN_S, AGAIN_MAX_S, AGAIN_PART] = [3, 100, 300];
 const FORMATS = ["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"];
 const LISTED = 200;
+const EVENT_COLUMNS = ["Time", "Event", "What"];
 
-export const showPoint: View = (root, site, name) => {
-  if (!name && site.points[0]) {
-    location.replace(`#/point/${encodeURIComponent(site.points[0].name)}`);
-    return () => undefined;
-  }
-  if (!name) {
-    root.replaceChildren(el("h1", {}, "Point"), el("p", {}, "Waiting for the points of this site."));
-    return site.changed(() => site.points[0] && showPoint(root, site, ""));
-  }
+export const showPoint: View = (root, site, given) => {
+  const name = given || site.points[0]?.name;
+  if (!name) return nothing(root, "Point");
   const shown = new PointView(root, site, name);
   return () => shown.end();
 };
@@ -42,7 +38,6 @@ class PointView {
   #askedMs = 0;
   #failed = false;
   #ends: (() => void)[] = [];
-  #endSpectrum: () => void = () => undefined;
   #now = el("p", { class: "value" });
   #words = el("p", { class: "words" });
   #why = el("p", { class: "why" });
@@ -51,7 +46,7 @@ class PointView {
   #readout = el("p", { class: "quiet" }, " ");
   #figures = el("dl", { class: "figures" });
   #eventList = el("tbody");
-  #spectrum = el("div", {});
+  #spectrum = new SpectrumPanel();
   #follow = button("Freeze", () => this.#toggle());
 
   constructor(root: HTMLElement, site: SiteState, name: string) {
@@ -61,7 +56,7 @@ class PointView {
       class: "chart",
       tabindex: 0,
       role: "img",
-      "aria-label": `Displacement of ${name} over time. Keys: left and right move, plus and minus zoom, F follows or freezes.`,
+      "aria-label": `Displacement of ${name} over time. Keys: left, right move; plus, minus zoom; F follows, freezes.`,
       keydown: (event) => this.#key(event as KeyboardEvent),
     });
     root.replaceChildren(...this.#parts(frame));
@@ -82,7 +77,7 @@ class PointView {
   end(): void {
     this.#asking?.abort();
     for (const end of this.#ends) end();
-    this.#endSpectrum();
+    this.#spectrum.end();
     this.#chart.destroy();
   }
 
@@ -107,16 +102,10 @@ class PointView {
       button("Zoom in", () => zoom(0.5)),
       button("Zoom out", () => zoom(2)),
     );
-    const head = el(
-      "thead",
-      {},
-      el("tr", {}, ...["Time", "Event", "What"].map((text) => el("th", { scope: "col" }, text))),
-    );
-    const table = el("table", { class: "stacked" }, head, this.#eventList);
     const below = el(
       "div",
       { class: "bar" },
-      button("Spectrum of what is shown", () => void this.#askSpectrum()),
+      button("Spectrum of what is shown", () => void this.#spectrum.show(this.#path("spectrum"))),
       this.#exportForm(),
     );
     return [
@@ -131,9 +120,9 @@ class PointView {
       this.#spanText,
       this.#figures,
       below,
-      this.#spectrum,
+      this.#spectrum.root,
       el("h2", {}, "Events of what is shown"),
-      el("div", { class: "wide" }, table),
+      table(EVENT_COLUMNS, this.#eventList),
     ];
   }
 
@@ -145,11 +134,15 @@ class PointView {
       format,
       (value) => (format = value),
     );
-    const save = button("Save every row of what is shown", () => {
-      const { fromMs, toMs } = this.#window;
-      location.assign(`/api/v1${ofPoint(this.#name, "export", { ...span(fromMs, toMs), format })}`);
-    });
+    const save = button("Save every row of what is shown", () =>
+      el("a", { href: `/api/v1${this.#path("export", { format })}`, download: "" }).click(),
+    );
     return el("span", { class: "bar" }, save, pick, el("span", { class: "quiet" }, "times in the file are UTC"));
+  }
+
+  /** The address of something of the time that is shown. */
+  #path(what: string, query: Record<string, string> = {}): string {
+    return ofPoint(this.#name, what, { ...span(this.#window.fromMs, this.#window.toMs), ...query });
   }
 
   #newestMs(): number {
@@ -215,7 +208,7 @@ class PointView {
     try {
       const step = await rowStep(this.#name, this.#newestMs(), this.#site.rowsOf(this.#name).rows);
       const loading = load(this.#name, fromMs, toMs, this.#chart.width, step, asking.signal);
-      const events = get<EventBody[]>(ofPoint(this.#name, "events", span(fromMs, toMs)), asking.signal);
+      const events = get<EventBody[]>(this.#path("events"), asking.signal);
       [this.#loaded, this.#events] = await Promise.all([loading, events]);
       this.#failed = false;
       say(this.#wrong, "");
@@ -263,44 +256,10 @@ class PointView {
   }
 
   #listEvents(): void {
-    const rows = this.#events
+    const lines = this.#events
       .slice(-LISTED)
       .reverse()
-      .map((one) =>
-        el(
-          "tr",
-          {},
-          el("td", { "data-name": "Time" }, clock(one.time_ns / 1e6)),
-          el("td", { "data-name": "Event" }, one.kind),
-          el("td", { "data-name": "What" }, one.text),
-        ),
-      );
-    this.#eventList.replaceChildren(...(rows.length ? rows : [el("tr", {}, el("td", { colspan: 3 }, "None."))]));
-  }
-
-  async #askSpectrum(): Promise<void> {
-    this.#endSpectrum();
-    this.#endSpectrum = () => undefined;
-    this.#spectrum.replaceChildren(el("p", { role: "status" }, "The spectrum is being computed."));
-    try {
-      const found = await get<SpectrumBody>(
-        ofPoint(this.#name, "spectrum", span(this.#window.fromMs, this.#window.toMs)),
-      );
-      if (!found.frequency_hz.length) throw new Error(`There is no spectrum: ${found.reason}`);
-      const frame = el("div", { class: "chart", role: "img", "aria-label": "Spectrum of displacement" });
-      const modes = found.modes.map((one) => `${(one["frequency_hz"] ?? NaN).toFixed(3)} Hz`).join(", ");
-      this.#spectrum.replaceChildren(
-        el("h2", {}, "Spectrum"),
-        el("p", {}, modes ? `Natural frequencies: ${modes}` : "No natural frequency stands out."),
-        frame,
-      );
-      this.#endSpectrum = spectrumChart(
-        frame,
-        found.frequency_hz.map((one) => one ?? 0),
-        found.density_mm2_hz,
-      );
-    } catch (error) {
-      this.#spectrum.replaceChildren(el("p", { class: "wrong" }, sentenceOf(error)));
-    }
+      .map((one) => line(EVENT_COLUMNS, [clock(one.time_ns / 1e6), one.kind, one.text]));
+    this.#eventList.replaceChildren(...(lines.length ? lines : [line(EVENT_COLUMNS, ["None.", "", ""])]));
   }
 }

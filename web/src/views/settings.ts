@@ -60,7 +60,7 @@ export const showSettings: View = (root, site) => {
     el(
       "p",
       { class: "quiet" },
-      "SITE.toml. New settings begin the measuring anew, from the kept states. What is wrong is said, and changes nothing.",
+      "SITE.toml. New settings begin the measuring anew, from the kept states. Wrong ones change nothing.",
     ),
     el(
       "div",

@@ -1,7 +1,7 @@
 // Every stream: how it stands, and pauses with a reason.
 
 import { get, post, type SourceState } from "../api.ts";
-import { button, el, mark, say } from "../dom.ts";
+import { button, el, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 import { duration } from "../words.ts";
 import { repeat, sentenceOf, type View } from "./view.ts";
@@ -66,13 +66,8 @@ class Row {
 export const showSources: View = (root, site) => {
   const said = el("p", { role: "status" });
   const body = el("tbody");
-  const head = el("thead", {}, el("tr", {}, ...COLUMNS.map((text) => el("th", { scope: "col" }, text))));
   const rows = new Map<string, Row>();
-  root.replaceChildren(
-    el("h1", {}, "Sources"),
-    said,
-    el("div", { class: "wide" }, el("table", { class: "stacked" }, head, body)),
-  );
+  root.replaceChildren(el("h1", {}, "Sources"), said, table(COLUMNS, body));
 
   async function ask(): Promise<void> {
     let found: SourceState[];

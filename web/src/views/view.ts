@@ -1,5 +1,6 @@
 // What every view is: it fills an element and says how to end what it began.
 
+import { el } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 
 export type View = (root: HTMLElement, site: SiteState, name: string) => () => void;
@@ -14,4 +15,10 @@ export function repeat(work: () => void, ms: number): () => void {
 /** What went wrong, in the server's sentence. */
 export function sentenceOf(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
+}
+
+/** A view of points where there are none. */
+export function nothing(root: HTMLElement, title: string): () => void {
+  root.replaceChildren(el("h1", {}, title), el("p", {}, "There are no points here yet."));
+  return () => undefined;
 }
