@@ -60,7 +60,7 @@ class LiveSite:
                 at_ns = self.begin_ns + round((SECONDS + count * STEP_S) * NANOSECONDS)
                 if at_ns + STEP_S * NANOSECONDS > time.time_ns():
                     continue
-                chunks = [rows(at_ns, STEP_S, point=point) for point in ("p", "q")]
+                chunks = [swinging(at_ns, point) for point in ("p", "q")]
                 store.write(Batch(chunks=chunks))
                 for chunk in chunks:
                     self.engine.give(chunk)
@@ -72,6 +72,19 @@ class LiveSite:
         self._feeding.join(10.0)
         self.served.stop()
         self.engine.end()
+
+
+def swinging(at_ns, point):
+    """Rows of one step, which go on with those before."""
+    chunk = rows(at_ns, STEP_S, point=point)
+    phase = (
+        2
+        * np.pi
+        * 0.8
+        * ((chunk.time_ns - chunk.time_ns[0]) / NANOSECONDS + at_ns % (1000 * NANOSECONDS) / NANOSECONDS)
+    )
+    chunk.columns["displacement_m"][:] = 1e-3 * np.sin(phase)
+    return chunk
 
 
 def picture():
