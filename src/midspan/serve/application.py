@@ -5,7 +5,7 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.openapi.utils import get_openapi
-from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 from pydantic import BaseModel, Field
 from starlette.staticfiles import StaticFiles
 
@@ -43,8 +43,25 @@ def application(serving: Serving) -> Any:
     app.include_router(routes)
     app.openapi = lambda: _interface(app)  # type: ignore[method-assign]
     if PAGE.is_dir():
-        app.mount("/", StaticFiles(directory=PAGE, html=True))
+        # No mount at the root: it would take what other routes answer with 405.
+        app.mount("/assets", StaticFiles(directory=PAGE / "assets"))
+        app.include_router(page)
     return Limits(app)
+
+
+page = APIRouter(include_in_schema=False)
+
+
+@page.get("/")
+async def index() -> FileResponse:
+    """The page, whose views are named behind #."""
+    return FileResponse(PAGE / "index.html")
+
+
+@page.get("/icon.svg")
+async def icon() -> FileResponse:
+    """The page's icon."""
+    return FileResponse(PAGE / "icon.svg")
 
 
 routes = APIRouter(tags=["health"])
