@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from page import HEIGHT, HOSTILE, SITE, WIDTH, LiveSite, Wire
 
+from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
-from served import PEAK_MM, state, until
+from served import PEAK_MM, PEAK_S, state, until
 
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
@@ -131,6 +132,11 @@ def test_a_source_that_is_wrong_is_said_in_a_sentence_as_text(opened, site):
         play.expect(card.locator(".why")).to_have_text(f"camera: Nothing has come: {HOSTILE}.")
         play.expect(page.locator(".summary")).to_have_attribute("data-state", "notice")
         assert page.locator("img").count() == 0
+        # What begins is no fault, and not good either.
+        begins = {**point, "reason": "opening", "text": "The point is being opened.", "sources": []}
+        site.engine.state = state(ready=False, points=[begins, state()["points"][1]])
+        play.expect(card.locator(".words")).to_have_text("is being opened")
+        play.expect(card).to_have_attribute("data-state", "notice")
     finally:
         site.engine.state = state()
 
@@ -148,6 +154,23 @@ def test_a_peak_keeps_its_height_at_every_zoom_and_a_gap_is_open(opened, site):
             page.get_by_role("button", name=act, exact=True).click()
         play.expect(largest).to_have_text(f"{PEAK_MM:.3f} mm")
         until(lambda: gap_px(page) >= 15, 5.0)
+    # The mouse draws a time around the peak; what is below 30 s long is made of rows.
+    hours, minutes, seconds = map(int, re.search(r"to (\d+):(\d+):(\d+)", shown(page).inner_text()).groups())
+    since_s = (3600 * hours + 60 * minutes + seconds - site.begin_ns // NANOSECONDS - PEAK_S) % 86_400
+    box = page.locator(".u-over").bounding_box()
+    at = box["x"] + box["width"] * (1 - since_s / 900)
+    page.mouse.move(at - 12, box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(at + 12, box["y"] + 60, steps=4)
+    page.mouse.up()
+    play.expect(shown(page)).to_have_text(re.compile(r"\((1|2)\d s\)"))
+    play.expect(page.locator("dl.figures")).to_contain_text("rms")
+    play.expect(largest).to_have_text(f"{PEAK_MM:.3f} mm")
+
+
+def shown(page):
+    """Which time is shown, in words."""
+    return page.locator("p.quiet", has_text=" to ")
 
 
 def gap_px(page):
@@ -260,9 +283,9 @@ def test_keys_alone_lead_from_the_login_to_a_frozen_trace(opened, site):
             break
     page.keyboard.press("f")
     play.expect(page.get_by_role("button", name="Follow")).to_be_visible()
-    shown = page.locator("p.quiet", has_text=" to ").inner_text()
+    before = shown(page).inner_text()
     page.keyboard.press("ArrowLeft")
-    play.expect(page.locator("p.quiet", has_text=" to ")).not_to_have_text(shown)
+    play.expect(shown(page)).not_to_have_text(before)
 
 
 def test_what_is_shipped_is_small_and_asks_for_nothing_inline():

@@ -84,3 +84,12 @@ export function withRegion(text: string, point: string, kind: string, region: Re
   else lines[place.roi] = line + (/\s*#.*$/.exec(lines[place.roi] ?? "")?.[0] ?? "");
   return lines.join("\n");
 }
+
+/** The region that a calibration was made with; null where it has none. */
+export function calibrated(calibration: Record<string, unknown>, kind: string): Region | null {
+  const section = calibration[kind];
+  const roi = typeof section === "object" && section !== null && "roi" in section ? section.roi : null;
+  if (!Array.isArray(roi) || roi.length !== 4 || !roi.every((one) => typeof one === "number")) return null;
+  const [x, y, width, height] = roi as [number, number, number, number];
+  return { x, y, width, height };
+}

@@ -167,7 +167,7 @@ export function spectrumChart(root: HTMLElement, frequency: number[], density: (
     scales: { x: { time: false }, y: { distr: 3 } },
     axes: [
       { ...axis(), label: "Frequency, Hz", labelSize: 20 },
-      { ...axis(), label: "mm²/Hz", labelSize: 20, size: 80 },
+      { ...axis(), label: "mm²/Hz", labelSize: 20, size: 80, values: powers },
     ],
     cursor: { points: { show: false } },
   };
@@ -178,4 +178,9 @@ export function spectrumChart(root: HTMLElement, frequency: number[], density: (
     watched.disconnect();
     plot.destroy();
   };
+}
+
+// uPlot leaves the ticks between powers of ten out, as null.
+function powers(_: uPlot, values: number[]): string[] {
+  return values.map((one) => (one === null ? "" : one.toExponential(0).replace("e+0", "e0").replace("-", "−")));
 }

@@ -38,7 +38,7 @@ export function figures(calibration: Record<string, unknown>): Map<string, strin
         if (value === null) continue;
         const std = stdKey ? number(section as Section, stdKey) : null;
         const name = typeof (section as Section)["name"] === "string" ? ` ${String((section as Section)["name"])}` : "";
-        const band = std === null ? "" : ` ± ${(factor * std).toPrecision(2)}`;
+        const band = !std ? "" : ` ± ${(factor * std).toPrecision(2)}`;
         const digits = std ? Math.min(Math.max(1 - Math.floor(Math.log10(Math.abs(factor * std))), 0), 9) : 5;
         found.set(`${kind}${name}: ${text}`, `${signed(factor * value, digits)}${band} ${unit}`.trim());
       }

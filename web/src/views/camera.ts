@@ -1,9 +1,18 @@
 // A camera's picture on demand, and the region of interest: drawn and moved by mouse, touch and keys.
 
-import { get, picture, type Picture, putSettings, settings, type SourceState } from "../api.ts";
+import {
+  type CalibrationBody,
+  get,
+  ofPoint,
+  picture,
+  type Picture,
+  putSettings,
+  settings,
+  type SourceState,
+} from "../api.ts";
 import { colour } from "../charts/chart.ts";
 import { button, choice, el, say } from "../dom.ts";
-import { between, holds, inside, MIN_PX, type Region, regionOf, withRegion } from "../region.ts";
+import { between, calibrated, holds, inside, MIN_PX, type Region, regionOf, withRegion } from "../region.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration } from "../words.ts";
 import { sentenceOf, type View } from "./view.ts";
@@ -97,13 +106,16 @@ class CameraView {
   }
 
   async #begin(): Promise<void> {
-    if (this.#may) {
-      const text = await settings().then(
-        (found) => found.text,
-        () => "",
+    const { point, source } = this.#source;
+    if (this.#may)
+      this.#region = await settings().then(
+        (found) => regionOf(found.text, point, source),
+        () => null,
       );
-      this.#region = regionOf(text, this.#source.point, this.#source.source);
-    }
+    this.#region ??= await get<CalibrationBody[]>(ofPoint(point, "calibrations")).then(
+      (all) => calibrated(all.find((one) => one.state === "in force")?.calibration ?? {}, source),
+      () => null,
+    );
     await this.#ask();
   }
 
@@ -162,8 +174,7 @@ class CameraView {
   }
 
   #regionText(): string {
-    if (!this.#may) return "";
-    if (!this.#region) return "Region: chosen automatically.";
+    if (!this.#region) return "Region: not chosen yet.";
     const { x, y, width, height } = this.#region;
     return `Region: ${width} × ${height} px at ${x}, ${y}${this.#changed ? " (not in force yet)" : ""}`;
   }

@@ -11,6 +11,13 @@ const DRAW_MS = 500;
 // Rows older than this are no newest value, s: they come five times a second, and a second after their sample.
 export const OLD_S = 5;
 
+// A point that begins, and what it does.
+const BEGINS: Record<string, string> = {
+  starting: "begins",
+  calibrating: "is being calibrated",
+  opening: "is being opened",
+};
+
 /** How a point stands: good is shown green, and only where all that it needs is fresh. */
 export function standing(
   point: PointState,
@@ -20,6 +27,8 @@ export function standing(
   const age = site.ageS(point);
   const status = point.status ?? "";
   if (point.reason === "not_measuring") return { state: "unknown", words: "not measured now" };
+  const begins = BEGINS[point.reason];
+  if (begins) return { state: "notice", words: begins };
   if (point.status === null) return { state: "wrong", words: "no rows" };
   if (status === "lost" || age === null || age > OLD_S)
     return { state: "wrong", words: status === "lost" ? "lost" : "no new rows" };
@@ -51,7 +60,10 @@ function summary(site: SiteState): { state: string; text: string } {
           ? "The point is measured, all its streams are fresh."
           : `All ${count} points are measured, all streams are fresh.`,
     };
-  if (bad) return { state: "notice", text: `${bad} of ${count} points need a look.` };
+  if (bad) {
+    const text = count === 1 ? "The point needs a look." : `${bad} of ${count} points need a look.`;
+    return { state: "notice", text };
+  }
   const source = site.health.sources.find((one) => one.reason);
   return { state: "notice", text: source ? source.text : "Something is not ready." };
 }
