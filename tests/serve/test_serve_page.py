@@ -170,7 +170,7 @@ def test_a_peak_keeps_its_height_at_every_zoom_and_a_gap_is_open(opened, site):
 
 def shown(page):
     """Which time is shown, in words."""
-    return page.locator("p.quiet", has_text=" to ")
+    return page.locator("p.quiet", has_text="), ")
 
 
 def gap_px(page):
