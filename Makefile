@@ -85,4 +85,4 @@ audit:
 	PYTHON="$(PYTHON)" sh tools/audit.sh
 
 clean:
-	rm -rf $(VENV) .audit-venv demo site dist core/target web/node_modules src/midspan/serve/page .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .audit-venv demo site dist core/target web/node_modules web/build src/midspan/serve/page .mypy_cache .ruff_cache .pytest_cache .hypothesis
