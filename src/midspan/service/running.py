@@ -181,6 +181,15 @@ class Running:
             return "ended"
         return "clock" if live.disordered > self._disordered else "no_rows"
 
+    def ages(self, now_s: float, begun_s: float) -> tuple[float, float]:
+        """How long ago the newest row was given out, and the newest record of the source came that is silent longest,
+        s; of none that came since the service began, since then. Of what is paused nothing is expected.
+        """
+        paused = any(stream.paused for stream in self.streams.values())
+        rows_s = 0.0 if paused else now_s - max(self._row_s or begun_s, begun_s)
+        heard_s = [one.heard_s or begun_s for one in self.streams.values() if not one.paused]
+        return rows_s, now_s - max(min(heard_s, default=now_s), begun_s)
+
     def status(self, now_s: float) -> str:
         """How the point stands: as its newest row says, and lost once there are none."""
         has_none = self.live.opened is not None and self.no_rows(now_s) in ("no_rows", "ended")
