@@ -397,6 +397,8 @@ def _alarms(tree: Any, where: str) -> tuple[AlarmSettings, ...]:
         raise UsageError(f"{where}: alarm: must be one [[point.alarm]] for each alarm.")
     places = [f"{where}: alarm {one['name']!r}" if "name" in one else f"{where}: alarm[{n}]"
               for n, one in enumerate(tree, start=1)]  # fmt: skip
+    for one, place in zip(tree, places, strict=True):
+        _require_known(one, AlarmSettings, (), f"{place}: ")
     alarms = tuple(validate(one, place, AlarmSettings) for one, place in zip(tree, places, strict=True))
     name, count = Counter(one.name for one in alarms).most_common(1)[0] if alarms else ("", 0)
     if count > 1:
