@@ -1,4 +1,4 @@
-"""The alarms of a site: who is told what and when, silences, maintenance, and what a restart keeps."""
+"""The alarms of a site: who is notified of what and when, silences, maintenance, and what a restart keeps."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ class Site:
     def tick(self, at_s, rows_s=0.0, block_s=0.0, disk=None):
         self.watch.tick(s(at_s), {"p": (rows_s, block_s)}, disk)
 
-    def told(self, target=TARGET):
+    def reported(self, target=TARGET):
         return [m.tree["state"] for one in self.entries for m in one.messages if m.target == target]
 
     @property
@@ -68,8 +68,8 @@ def test_people_get_each_state_once_and_mqtt_all_of_them(tmp_path):
         site.tick(at_s)
     site.watch.acknowledge(site.id, "anna", s(2))
     site.move(0, 2)
-    assert site.told() == ["firing", "acknowledged", "ended"]
-    assert site.told("mqtt") == ["pending", "firing", "acknowledged", "ended"]
+    assert site.reported() == ["firing", "acknowledged", "ended"]
+    assert site.reported("mqtt") == ["pending", "firing", "acknowledged", "ended"]
     assert [(one.what, one.who) for one in reversed(site.book.audit(10))] == [
         ("pending", ""), ("firing", ""), ("acknowledged", "anna"), ("ended", ""),
     ]  # fmt: skip
@@ -80,18 +80,18 @@ def test_a_peak_within_one_block_is_told_from_its_begin_to_its_end(site):
     rows = np.r_[0.0, 25.0, 0.0]
     columns = {"displacement_m": 1e-3 * rows, "std_m": np.full(3, 1e-4), "status": np.zeros(3, dtype=np.int8)}
     site.watch.rows("p", Chunk("p", "rows", s(1) + 10_000_000 * np.arange(3), columns), s(1.1))
-    assert site.told() == ["firing", "ended"]
+    assert site.reported() == ["firing", "ended"]
 
 
 def test_it_is_repeated_until_it_is_acknowledged(site):
     site.move(25, 0)
     for at_s in range(1, 200):
         site.tick(at_s)
-    assert site.told() == ["firing"] * 4
+    assert site.reported() == ["firing"] * 4
     site.watch.acknowledge(site.id, "anna", s(200))
     for at_s in range(200, 400):
         site.tick(at_s)
-    assert site.told() == [*["firing"] * 4, "acknowledged"]
+    assert site.reported() == [*["firing"] * 4, "acknowledged"]
     with pytest.raises(MidspanError, match="is acknowledged"):
         site.watch.acknowledge(site.id, "anna", s(401))
 
@@ -107,11 +107,11 @@ def test_a_silence_has_an_owner_a_reason_and_an_end(site):
     site.move(25, 4)
     for at_s in range(5, 600):
         site.tick(at_s)
-    assert site.told() == ["firing"]
-    assert site.told("mqtt") == ["firing", "ended", "firing"]
+    assert site.reported() == ["firing"]
+    assert site.reported("mqtt") == ["firing", "ended", "firing"]
     # Then what people have not heard of yet is said.
     site.tick(601)
-    assert site.told() == ["firing", "ended", "firing"]
+    assert site.reported() == ["firing", "ended", "firing"]
     assert "silenced" in [one.what for one in site.book.audit(10)]
     with pytest.raises(MidspanError, match="future"):
         site.watch.silence(site.id, "anna", s(1), "x", s(601))
@@ -124,8 +124,8 @@ def test_what_fired_and_ended_while_it_was_silent_is_never_said(site):
     site.move(25, 4)
     site.move(0, 6)
     site.tick(601)
-    # Only the end of the one that people were told of.
-    assert site.told() == ["firing", "ended"]
+    # Only the end of the one that people were notified of.
+    assert site.reported() == ["firing", "ended"]
 
 
 def test_maintenance_silences_messages_and_nothing_else(tmp_path):
@@ -133,8 +133,8 @@ def test_maintenance_silences_messages_and_nothing_else(tmp_path):
     site = Site(tmp_path, maintenance=[window])
     site.move(25, 0)
     site.tick(2)
-    assert site.told() == []
-    assert site.told("mqtt") == ["firing"]
+    assert site.reported() == []
+    assert site.reported("mqtt") == ["firing"]
     assert site.watch.trees()[0]["state"] == "firing"
 
 
@@ -148,14 +148,14 @@ def test_a_restart_keeps_the_alarm_and_says_nothing_twice(tmp_path):
     after.move(25, 1)
     after.tick(3)
     assert after.id == number
-    assert after.told() == []
+    assert after.reported() == []
     after.watch.acknowledge(number, "anna", s(4))
     after.move(0, 5)
-    assert after.told() == ["acknowledged", "ended"]
+    assert after.reported() == ["acknowledged", "ended"]
     again = Site(tmp_path)
     again.move(0, 6)
     again.tick(8)
-    assert again.told() == []
+    assert again.reported() == []
 
 
 def test_a_silence_holds_over_a_restart(tmp_path):
@@ -165,16 +165,16 @@ def test_a_silence_holds_over_a_restart(tmp_path):
     after = Site(tmp_path)
     for at_s in range(2, 500):
         after.tick(at_s)
-    assert after.told() == []
+    assert after.reported() == []
     after.watch.unsilence(after.id, "anna", s(500))
     after.tick(501)
-    assert after.told() == ["firing"]
+    assert after.reported() == ["firing"]
 
 
 def test_an_alarm_that_is_no_longer_in_the_settings_has_ended(tmp_path):
     Site(tmp_path).move(25, 0)
     after = Site(tmp_path, [{"name": "b"}])
-    assert after.told("mqtt") == ["ended"]
+    assert after.reported("mqtt") == ["ended"]
     assert after.watch.trees() == []
 
 
@@ -208,7 +208,7 @@ def test_a_test_goes_to_everybody(site):
     text = site.watch.test("anna", "river bridge", s(0))
     assert TARGET in text
     assert "mqtt" in text
-    assert site.told() == ["test"]
+    assert site.reported() == ["test"]
     assert site.book.audit(1)[0].who == "anna"
 
 

@@ -20,7 +20,7 @@ ALARMS_FILE = "alarms.sqlite"
 KEEP_DAYS, AUDIT_DAYS, MAX_AUDIT = 30, 400, 200_000
 DAY_NS = 86_400_000_000_000
 TABLES = (
-    "CREATE TABLE IF NOT EXISTS alarm (id TEXT PRIMARY KEY, state TEXT NOT NULL, told TEXT NOT NULL, "
+    "CREATE TABLE IF NOT EXISTS alarm (id TEXT PRIMARY KEY, state TEXT NOT NULL, reported TEXT NOT NULL, "
     "time_ns INTEGER NOT NULL, tree TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS kept (key TEXT PRIMARY KEY, tree TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS audit (number INTEGER PRIMARY KEY AUTOINCREMENT, time_ns INTEGER NOT NULL, "
@@ -79,8 +79,8 @@ class Book:
         with self._lock, self._database.transaction():
             run = self._database.execute
             for one in entry.alarms:
-                told = (one.id, one.state, one.told, one.time_ns, json.dumps(asdict(one)))
-                run("INSERT OR REPLACE INTO alarm VALUES (?, ?, ?, ?, ?)", told)
+                row = (one.id, one.state, one.reported, one.time_ns, json.dumps(asdict(one)))
+                run("INSERT OR REPLACE INTO alarm VALUES (?, ?, ?, ?, ?)", row)
             for line in entry.audit:
                 noted = (line.time_ns, line.alarm, line.what, line.who, line.text)
                 run("INSERT INTO audit (time_ns, alarm, what, who, text) VALUES (?, ?, ?, ?, ?)", noted)

@@ -19,9 +19,9 @@ OPEN = ("pending", "firing", "acknowledged")
 class Alarm:
     """One alarm from its begin to its end.
 
-    value, std: at the newest sample, in `unit`; peak: the value that was furthest from zero. since_ns: when the limit,
-    or the band, was first exceeded; time_ns: of the newest change. told: the state that people were notified of last,
-    at told_ns; "" for none.
+    value, std: at the newest sample, in `unit`; peak: the value furthest from zero. since_ns: when limit or
+    band was first exceeded; time_ns: of the newest change. reported: the state that people were notified of last,
+    at reported_ns; "" for none.
     """
 
     id: str
@@ -40,8 +40,8 @@ class Alarm:
     since_ns: int
     time_ns: int
     who: str = ""
-    told: str = ""
-    told_ns: int = 0
+    reported: str = ""
+    reported_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -140,12 +140,12 @@ def message_due(alarm: Alarm, now_ns: int, repeat_ns: int, *, is_silent: bool) -
     """Whether people are to be notified of an alarm now: of each state after pending once, and of one that fires again
     and again. Of what ended before anybody heard of it nobody does.
     """
-    if is_silent or alarm.state == "pending" or (alarm.state == "ended" and not alarm.told):
+    if is_silent or alarm.state == "pending" or (alarm.state == "ended" and not alarm.reported):
         return False
-    repeats = alarm.state == "firing" and now_ns - alarm.told_ns >= repeat_ns
-    return alarm.told != alarm.state or repeats
+    repeats = alarm.state == "firing" and now_ns - alarm.reported_ns >= repeat_ns
+    return alarm.reported != alarm.state or repeats
 
 
-def is_told(alarm: Alarm) -> bool:
+def is_reported(alarm: Alarm) -> bool:
     """Whether nothing of an alarm is left to say, ever."""
-    return alarm.state == "ended" and alarm.told in ("", "ended")
+    return alarm.state == "ended" and alarm.reported in ("", "ended")

@@ -8,7 +8,7 @@ import numpy as np
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
 from midspan.settings.alarms import AlarmSettings
 
-# 95 % of a normal distribution lie within so many standard deviations.
+# 95 % of a normal distribution lie within this many standard deviations.
 BAND = 1.96
 # Rows further apart than this are a gap: what was between them is not known, and a delay begins anew. Ten times the
 # interval of the slowest accelerometers.

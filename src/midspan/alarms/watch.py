@@ -8,7 +8,7 @@ import numpy as np
 
 from midspan.alarms.book import Audit, Entry, Message
 from midspan.alarms.drift import DailyMean
-from midspan.alarms.machine import Alarm, RuleState, acknowledged, advance, is_told, message_due
+from midspan.alarms.machine import Alarm, RuleState, acknowledged, advance, is_reported, message_due
 from midspan.alarms.messages import iso, tree_of
 from midspan.alarms.rules import Rule, Samples, rules_of, sample
 from midspan.errors import MidspanError
@@ -63,7 +63,7 @@ class Watch:
         for alarm in sorted(alarms, key=lambda one: one.time_ns):
             found = self._watched.get(alarm.key)
             if alarm.state == "ended":
-                self._ended += [] if is_told(alarm) else [alarm]
+                self._ended += [] if is_reported(alarm) else [alarm]
             elif found is None or found.rule.on != alarm.on:
                 self._changed(replace(alarm, state="ended", time_ns=now_ns), now_ns, text="is no longer in SITE.toml")
             else:
@@ -102,10 +102,10 @@ class Watch:
             if silence["until_ns"] <= now_ns:
                 self._unsilenced(key, now_ns, "")
         for alarm in self._ended:
-            self._tell_again(alarm, now_ns)
-        self._ended = [alarm for alarm in self._ended if not is_told(alarm)]
+            self._report_again(alarm, now_ns)
+        self._ended = [alarm for alarm in self._ended if not is_reported(alarm)]
         for alarm in [one.state.alarm for one in self._watched.values() if one.state.alarm is not None]:
-            self._tell_again(alarm, now_ns)
+            self._report_again(alarm, now_ns)
 
     # What people do
 
@@ -163,9 +163,9 @@ class Watch:
     def _take(self, one: Watched, samples: Samples, now_ns: int) -> None:
         last = one.state.alarm
         for alarm in advance(one.rule, one.state, samples):
-            same = last is not None and last.id == alarm.id
-            told = (last.told, last.told_ns) if last is not None and same else ("", 0)
-            last = self._changed(replace(alarm, told=told[0], told_ns=told[1]), now_ns)
+            if last is not None and last.id == alarm.id:
+                alarm = replace(alarm, reported=last.reported, reported_ns=last.reported_ns)
+            last = self._changed(alarm, now_ns)
 
     def _drift(self, one: Watched, rows: Chunk, now_ns: int) -> None:
         good = (rows.columns["status"] != Status.LOST) & (rows.time_ns >= one.mean.datum_ns)
@@ -191,33 +191,35 @@ class Watch:
         return tree_of(alarm, None if silence is None else {key: silence[key] for key in ("until", "owner", "reason")})
 
     def _changed(self, alarm: Alarm, now_ns: int, who: str = "", text: str = "") -> Alarm:
-        """Keep a change, and send what is due; returns the alarm with what people were told."""
+        """Keep a change, and send what is due; returns the alarm with what people were notified of."""
         alarm, messages = self._due(alarm, now_ns)
         tree = self._tree(alarm)
         if self._mqtt:
             messages = [Message(MQTT_TARGET, now_ns, f"{alarm.point}/alarm", tree), *messages]
         audit = Audit(now_ns, alarm.id, alarm.state, who, text or tree["text"])
         self._put(Entry([alarm], [audit], messages), [tree])
-        if alarm.state == "ended" and not is_told(alarm):
+        if alarm.state == "ended" and not is_reported(alarm):
             self._ended.append(alarm)
         return alarm
 
-    def _tell_again(self, alarm: Alarm, now_ns: int) -> None:
+    def _report_again(self, alarm: Alarm, now_ns: int) -> None:
         """Send what is due of an alarm that has not changed."""
-        told, messages = self._due(alarm, now_ns)
+        reported, messages = self._due(alarm, now_ns)
         if messages:
-            self._put(Entry([told], [Audit(now_ns, alarm.id, "notified", "", f"{told.state}, again")], messages), ())
-            self._ended = [told if one.id == told.id else one for one in self._ended]
+            self._put(
+                Entry([reported], [Audit(now_ns, alarm.id, "notified", "", f"{reported.state}, again")], messages), ()
+            )
+            self._ended = [reported if one.id == reported.id else one for one in self._ended]
 
     def _due(self, alarm: Alarm, now_ns: int) -> tuple[Alarm, list[Message]]:
-        """An alarm with what people are told of it from now on, and the messages."""
+        """An alarm with what people are notified of it from now on, and the messages."""
         found = self._watched.get(alarm.key)
         repeat_ns = found.rule.repeat_ns if found is not None else 0
         if not self._targets or not message_due(alarm, now_ns, repeat_ns, is_silent=self._is_silent(alarm, now_ns)):
-            return (replace(alarm, told="ended") if alarm.state == "ended" and not self._targets else alarm), []
-        alarm = replace(alarm, told=alarm.state, told_ns=now_ns)
+            return (replace(alarm, reported="ended") if alarm.state == "ended" and not self._targets else alarm), []
+        alarm = replace(alarm, reported=alarm.state, reported_ns=now_ns)
         if found is not None and found.state.alarm is not None and found.state.alarm.id == alarm.id:
-            found.state.alarm = replace(found.state.alarm, told=alarm.told, told_ns=now_ns)
+            found.state.alarm = replace(found.state.alarm, reported=alarm.reported, reported_ns=now_ns)
         tree = self._tree(alarm)
         return alarm, [Message(target, now_ns, "", tree) for target in self._targets]
 

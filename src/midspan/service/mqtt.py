@@ -110,7 +110,7 @@ class Broker:
         if not self.connected:
             raise OSError("the broker is away")
         sent = self._client.publish(f"{self.root}/{topic}", payload, qos=1, retain=retain)
-        # Where the connection is lost, the client sends it again by itself.
+        # Where the connection is lost, the client sends it again on its own.
         with suppress(RuntimeError, ValueError):
             sent.wait_for_publish(wait_s)
         return sent
