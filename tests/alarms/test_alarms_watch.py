@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.alarms.book import Book
-from midspan.alarms.watch import Watch
+from midspan.alarms.watch import Ages, Watch
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Status
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings
@@ -44,8 +44,8 @@ class Site:
         }  # fmt: skip
         self.watch.rows("p", Chunk("p", "rows", time_ns, columns), s(begin_s + seconds))
 
-    def tick(self, at_s, rows_s=0.0, block_s=0.0, disk=None):
-        self.watch.tick(s(at_s), {"p": (rows_s, block_s)}, disk)
+    def tick(self, at_s, rows_s=0.0, block_s=0.0, disk=None, *, came=True):
+        self.watch.tick(s(at_s), {"p": Ages(rows_s, block_s, came, came)}, disk)
 
     def reported(self, target=TARGET):
         return [m.tree["state"] for one in self.entries for m in one.messages if m.target == target]
@@ -185,14 +185,26 @@ def test_rows_that_do_not_come_are_an_alarm(tmp_path):
     assert [(tree["reason"], tree["unit"]) for tree in site.trees] == [("no_data", "s")]
 
 
+def test_a_restart_does_not_end_an_outage_that_goes_on(tmp_path):
+    rules = [{"name": "rows", "no_data_s": 60.0}]
+    Site(tmp_path, rules).tick(0, rows_s=61.0)
+    after = Site(tmp_path, rules)
+    # No row came since the restart: that its age is counted from there says nothing.
+    for at_s in range(1, 200):
+        after.tick(at_s, rows_s=at_s, came=False)
+    assert [one["state"] for one in after.trees] == []
+    after.tick(201, rows_s=0.1)
+    assert [one["state"] for one in after.trees] == ["ended"]
+
+
 def test_a_silent_source_is_counted_from_its_newest_block(tmp_path):
     rules = AlarmSettings.model_validate({"name": "quiet", "on": "silent", "delay_s": 5.0})
     disk = AlarmSettings.model_validate({"name": "disk", "on": "disk", "limit_percent": 90.0})
     trees = []
     watch = Watch({"p": [rules, disk]}, [], [TARGET], lambda _entry, given: trees.extend(given))
-    watch.tick(s(0), {"p": (0.0, 4.9)}, 89.0)
+    watch.tick(s(0), {"p": Ages(0.0, 4.9)}, 89.0)
     assert trees == []
-    watch.tick(s(1), {"p": (0.0, 5.1)}, 91.0)
+    watch.tick(s(1), {"p": Ages(0.0, 5.1)}, 91.0)
     assert [(one["name"], one["state"], one["unit"]) for one in trees] == [
         ("quiet", "firing", "s"),
         ("disk", "firing", "%"),

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from midspan.alarms.watch import Ages
 from midspan.records import NANOSECONDS
 from midspan.service.alarming import Alarming
 from midspan.service.mqtt import Broker
@@ -165,7 +166,7 @@ def test_no_data_is_looked_for_with_the_clock(tmp_path):
         rows_s = 1.0
 
         def ages(self, now_s, begun_s):
-            return self.rows_s, 0.0
+            return Ages(self.rows_s, 0.0)
 
     frames, point = [], Point()
     alarming = Alarming(load_site(tmp_path), lambda _: None, frames.append)

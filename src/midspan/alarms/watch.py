@@ -20,6 +20,18 @@ SILENCE, DRIFT = "silence:", "drift:"
 MQTT_TARGET = "mqtt"
 
 
+@dataclass(frozen=True, slots=True)
+class Ages:
+    """Of a point's newest row, and of the newest block of the source that is silent longest, s. came: whether there was
+    one since the service began; else it is the time since then.
+    """
+
+    rows_s: float
+    block_s: float
+    rows_came: bool = True
+    block_came: bool = True
+
+
 @dataclass(slots=True)
 class Watched:
     """A rule and how it stands; mean: of a drift."""
@@ -88,15 +100,15 @@ class Watch:
             if one.rule.on == "drift":
                 one.mean.restart(time_ns)
 
-    def tick(self, now_ns: int, ages: Mapping[str, tuple[float, float]], disk_percent: float | None) -> None:
-        """Look at what does not come; ages: of each point's newest row and of the newest block of the source that is
-        silent longest, s.
-        """
+    def tick(self, now_ns: int, ages: Mapping[str, Ages], disk_percent: float | None) -> None:
+        """Look at what does not come, and at how much of the disk is used, %; ages: by the points' names."""
         for one in self._watched.values():
-            rows_s, block_s = ages.get(one.rule.point, (0.0, 0.0))
-            values = {"no_data": rows_s, "silent": block_s, "disk": disk_percent}
+            age = ages[one.rule.point]
+            values = {"no_data": age.rows_s, "silent": age.block_s, "disk": disk_percent}
+            came = {"no_data": age.rows_came, "silent": age.block_came}.get(one.rule.on, True)
             value = values.get(one.rule.on)
-            if value is not None:
+            # Soon after a restart it is not known whether what was away before still is.
+            if value is not None and (came or value > one.rule.limit):
                 self._take(one, sample(now_ns, value), now_ns)
         for key, silence in list(self._silences.items()):
             if silence["until_ns"] <= now_ns:

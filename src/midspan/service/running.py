@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from midspan.alarms.watch import Ages
 from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
@@ -181,14 +182,19 @@ class Running:
             return "ended"
         return "clock" if live.disordered > self._disordered else "no_rows"
 
-    def ages(self, now_s: float, begun_s: float) -> tuple[float, float]:
-        """How long ago the newest row was given out, and the newest record of the source came that is silent longest,
-        s; of none that came since the service began, since then. Of what is paused nothing is expected.
+    def ages(self, now_s: float, begun_s: float) -> Ages:
+        """How long ago the newest row was given out, and the newest record of the source came that is silent longest.
+        Of what is paused nothing is expected.
         """
-        paused = any(stream.paused for stream in self.streams.values())
-        rows_s = 0.0 if paused else now_s - max(self._row_s or begun_s, begun_s)
-        heard_s = [one.heard_s or begun_s for one in self.streams.values() if not one.paused]
-        return rows_s, now_s - max(min(heard_s, default=now_s), begun_s)
+        row_s = now_s if any(stream.paused for stream in self.streams.values()) else self._row_s
+        heard_s = [one.heard_s for one in self.streams.values() if not one.paused]
+        oldest_s = min((begun_s if one is None else one for one in heard_s), default=now_s)
+        return Ages(
+            rows_s=now_s - (begun_s if row_s is None else row_s),
+            block_s=now_s - oldest_s,
+            rows_came=row_s is not None,
+            block_came=None not in heard_s,
+        )
 
     def status(self, now_s: float) -> str:
         """How the point stands: as its newest row says, and lost once there are none."""
