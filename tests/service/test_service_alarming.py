@@ -3,14 +3,15 @@
 import json
 import threading
 import time
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from midspan.alarms.watch import Ages
 from midspan.records import NANOSECONDS
 from midspan.service.alarming import Alarming
 from midspan.service.mqtt import Broker
+from midspan.service.running import Stream
 from midspan.settings.site import load_site
 from midspan.store.chunk import Chunk
 
@@ -163,17 +164,21 @@ def test_no_data_is_looked_for_with_the_clock(tmp_path):
 
     class Point:
         name = "p"
-        rows_s = 1.0
-
-        def ages(self, now_s, begun_s):
-            return Ages(self.rows_s, 0.0)
+        streams: ClassVar = {"accelerometer": Stream("p", "accelerometer", "mqtt:b/acceleration")}
 
     frames, point = [], Point()
     alarming = Alarming(load_site(tmp_path), lambda _: None, frames.append)
     alarming.open()
+    alarming.rows("p", chunk(1.0))
     now_ns = time.time_ns()
-    alarming.look(now_ns + NANOSECONDS, [point])
-    point.rows_s = 61.0
-    alarming.look(now_ns + 2 * NANOSECONDS, [point])
+    for at_s in (1, 59):
+        alarming.look(now_ns + at_s * NANOSECONDS, [point])
+    assert frames == []
+    # Of a source that is left out on purpose nothing is expected.
+    point.streams["accelerometer"].paused = "taken down"
+    alarming.look(now_ns + 62 * NANOSECONDS, [point])
+    assert frames == []
+    point.streams["accelerometer"].paused = ""
+    alarming.look(now_ns + 63 * NANOSECONDS, [point])
     assert [(one["reason"], one["state"]) for one in frames] == [("no_data", "firing")]
     alarming.close()

@@ -9,7 +9,7 @@ from midspan.alarms.book import Entry, Message
 from midspan.alarms.delivery import Delivery
 from midspan.alarms.messages import body_of
 from midspan.alarms.senders import Deliver, deliver_to, target_of
-from midspan.alarms.watch import MQTT_TARGET, Watch
+from midspan.alarms.watch import MQTT_TARGET, Ages, Watch
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker
@@ -48,6 +48,22 @@ class MqttTarget:
         self._under_way = None
 
 
+def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -> Ages:
+    """How long ago a point's newest row came (row_s: when), and the newest record of the source that is silent longest.
+    Of what is paused nothing is expected.
+    """
+    streams = point.streams.values()
+    row_s = now_s if any(stream.paused for stream in streams) else row_s
+    heard_s = [stream.heard_s for stream in streams if not stream.paused]
+    oldest_s = min((begun_s if one is None else one for one in heard_s), default=now_s)
+    return Ages(
+        rows_s=now_s - (begun_s if row_s is None else row_s),
+        block_s=now_s - oldest_s,
+        rows_came=row_s is not None,
+        block_came=None not in heard_s,
+    )
+
+
 class Alarming:
     """say: takes one line for a person; frame: takes what goes to the page's server."""
 
@@ -62,6 +78,8 @@ class Alarming:
         self._watch = Watch(alarms, site.settings.maintenance, list(people), self._put, mqtt=has_broker)
         self._begun_s = self._looked_s = time.time()
         self._is_open, self._is_faulty = False, False
+        # When each point's newest row came: those that a restart makes again are none.
+        self._row_s: dict[str, float] = {}
         self.commands: dict[str, Callable[[Tree], Tree]] = {
             "alarms": lambda _: {"alarms": self._watch.trees(), "targets": self._targets()},
             "acknowledge": self._acknowledge,
@@ -92,6 +110,7 @@ class Alarming:
 
     def rows(self, point: str, rows: Chunk) -> None:
         """A point's newest rows."""
+        self._row_s[point] = time.time()
         self._guarded(lambda: self._watch.rows(point, rows, time.time_ns()))
 
     def new_datum(self, point: str, time_ns: int) -> None:
@@ -105,7 +124,7 @@ class Alarming:
         if 0.0 <= now_s - self._looked_s < LOOK_S:
             return
         self._looked_s = now_s
-        ages = {one.name: one.ages(now_s, self._begun_s) for one in points}
+        ages = {one.name: ages_of(one, self._row_s.get(one.name), now_s, self._begun_s) for one in points}
         self._guarded(lambda: self._watch.tick(now_ns, ages, self.delivery.disk_percent))
 
     def _guarded(self, work: Callable[[], None]) -> None:

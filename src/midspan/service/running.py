@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from midspan.alarms.watch import Ages
 from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
@@ -181,20 +180,6 @@ class Running:
         if all(stream.reason == "ended" for stream in self.streams.values()):
             return "ended"
         return "clock" if live.disordered > self._disordered else "no_rows"
-
-    def ages(self, now_s: float, begun_s: float) -> Ages:
-        """How long ago the newest row was given out, and the newest record of the source came that is silent longest.
-        Of what is paused nothing is expected.
-        """
-        row_s = now_s if any(stream.paused for stream in self.streams.values()) else self._row_s
-        heard_s = [one.heard_s for one in self.streams.values() if not one.paused]
-        oldest_s = min((begun_s if one is None else one for one in heard_s), default=now_s)
-        return Ages(
-            rows_s=now_s - (begun_s if row_s is None else row_s),
-            block_s=now_s - oldest_s,
-            rows_came=row_s is not None,
-            block_came=None not in heard_s,
-        )
 
     def status(self, now_s: float) -> str:
         """How the point stands: as its newest row says, and lost once there are none."""
