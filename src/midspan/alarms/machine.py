@@ -62,11 +62,14 @@ def advance(rule: Rule, state: RuleState, samples: Samples) -> list[Alarm]:
     if not len(new.time_ns):
         return []
     size, band = np.abs(new.value), BAND * new.std
-    touched = size + band > rule.limit
+    touched, below = size + band > rule.limit, size < rule.limit - rule.hysteresis
     if state.alarm is None and not touched.any():
         state.newest_ns = int(new.time_ns[-1])
         return []
-    certain, below = size - band > rule.limit, size < rule.limit - rule.hysteresis
+    if state.alarm is not None and state.alarm.state != "pending" and not below.any():
+        _go_on(state, state.alarm, new)
+        return []
+    certain = size - band > rule.limit
     rows = zip(new.time_ns.tolist(), new.value.tolist(), new.std.tolist(),
                certain.tolist(), touched.tolist(), below.tolist(), strict=True)  # fmt: skip
     changes = []
@@ -82,6 +85,15 @@ def advance(rule: Rule, state: RuleState, samples: Samples) -> list[Alarm]:
         if now is not None and (before is None or (before.state, before.reason) != (now.state, now.reason)):
             changes.append(now)
     return changes
+
+
+def _go_on(state: RuleState, alarm: Alarm, samples: Samples) -> None:
+    """An alarm that fires, at samples of which none is below: nothing but its values changes."""
+    value, std = float(samples.value[-1]), float(samples.std[-1])
+    most = float(samples.value[np.argmax(np.abs(samples.value))])
+    peak = most if abs(most) > abs(alarm.peak) else alarm.peak
+    state.alarm, state.clear_ns = replace(alarm, value=value, std=std, peak=peak), None
+    state.newest_ns = int(samples.time_ns[-1])
 
 
 def _count(state: RuleState, time_ns: int, is_certain: bool, is_below: bool) -> None:
