@@ -57,8 +57,8 @@ def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -
     heard_s = [stream.heard_s for stream in streams if not stream.paused]
     oldest_s = min((begun_s if one is None else one for one in heard_s), default=now_s)
     return Ages(
-        rows_s=now_s - (begun_s if row_s is None else row_s),
-        block_s=now_s - oldest_s,
+        rows_s=max(now_s - (begun_s if row_s is None else row_s), 0.0),
+        block_s=max(now_s - oldest_s, 0.0),
         rows_came=row_s is not None,
         block_came=None not in heard_s,
     )
