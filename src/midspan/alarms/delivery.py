@@ -16,6 +16,8 @@ from midspan.errors import MidspanError
 MAX_WAITING, AGAIN_S = 10_000, 1.0
 # How often the disk is looked at, and old entries are removed, s.
 DISK_S, FORGET_S = 10.0, 3600.0
+# All senders together are waited for so long at the end, s: an attempt that lasts longer is left.
+END_S = 2.0
 
 
 class Delivery(threading.Thread):
@@ -75,9 +77,10 @@ class Delivery(threading.Thread):
             self.join(5.0)
         for sender in self.senders.values():
             sender.stop()
+        until_s = time.monotonic() + END_S
         for sender in self.senders.values():
             if sender.is_alive():
-                sender.join(2.0)
+                sender.join(max(until_s - time.monotonic(), 0.0))
         if self.book is not None:
             self.book.close()
 

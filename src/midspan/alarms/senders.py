@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from midspan.alarms.book import Message
 from midspan.alarms.messages import body_of, mail_text, signature, subject_of
 from midspan.settings.alarms import NotifySettings
+from midspan.settings.site import is_loopback
 
 # One attempt may take so long at each step, s; between two of them is a second, doubled up to a minute.
 ATTEMPT_S, AGAIN_S, MAX_AGAIN_S = 10.0, 1.0, 60.0
@@ -116,7 +117,7 @@ class Webhook:
 
 @dataclass(frozen=True, slots=True)
 class Mailer:
-    """Mail over SMTP, with TLS where the server offers it."""
+    """Mail over SMTP, with TLS where another machine's server offers it."""
 
     settings: NotifySettings
     site: str
@@ -131,9 +132,13 @@ class Mailer:
             kind, options["context"] = smtplib.SMTP_SSL, context
         with kind(host.strip("[]"), int(port), **options) as server:
             server.ehlo()
-            if kind is smtplib.SMTP and server.has_extn("starttls"):
-                server.starttls(context=context)
-                server.ehlo()
+            # This machine's own server has a certificate of nobody, as Debian installs it.
+            if kind is smtplib.SMTP and not is_loopback(str(self.settings.smtp)):
+                if server.has_extn("starttls"):
+                    server.starttls(context=context)
+                    server.ehlo()
+                elif self.settings.user is not None:
+                    raise smtplib.SMTPNotSupportedError("the server has no TLS, and the password would go readable")
             if self.settings.user is not None:
                 secret = self.settings.password.get_secret_value() if self.settings.password else ""
                 server.login(self.settings.user, secret)

@@ -137,7 +137,7 @@ class NotifySettings(Section):
     webhook: SecretStr | None = Field(None, description="address that each change is sent to by POST, as JSON")
     secret: SecretStr | None = Field(None, description='what the body is signed with; write "{NAME}"; left out: not')
     smtp: Annotated[str, AfterValidator(_is_a_server)] | None = Field(
-        None, description="host and port of a mail server; 465 is TLS at once, others where they offer it"
+        None, description="host and port of a mail server; 465 is TLS at once"
     )
     to: tuple[Mail, ...] = Field((), description="who gets mail")
     sender: Mail = Field("midspan@localhost", description="whom mail is from")
