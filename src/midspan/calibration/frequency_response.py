@@ -426,9 +426,12 @@ def _evidence(one: _Candidate) -> float:
 def _explains_all(one: _Candidate) -> bool:
     """Whether a shape leaves no more than noise: then the accelerometer's own shows.
 
-    What a loose accelerometer errs by resembles a long exposure as well, and what is left of it hides that noise.
+    What a loose accelerometer errs by resembles a long exposure as well, and what is left of it hides that noise; of a
+    mounting that resonates its damping is left.
     """
-    return one.pair.input_noise(one.fit.input_density).density > SHOWN_NOISE * most_density(one.pair)
+    return Kind.EXPOSURE not in one.more or one.pair.input_noise(
+        one.fit.input_density
+    ).density > SHOWN_NOISE * most_density(one.pair)
 
 
 def _able(pair: Pair, fit: Fit, kinds: Sequence[Kind], found: Sequence[Kind], most_open: float) -> list[_Candidate]:

@@ -175,7 +175,9 @@ def calibrate_scale(
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     drift = gain_drift(search.pair, search.fit)
-    own, felt_alone = _own_error(search, typical, accelerometer_errs=drift > 0.0 or response.accelerometer_errs)
+    own, felt_alone = _own_error(search, typical, errs_with_motion=drift > 0.0 or response.accelerometer_errs)
+    # What a mounting that resonates errs by is more than its shape.
+    felt_alone = felt_alone and Kind.RESONANCE not in response.known
     search = axis.widened(search if own is None or not own.taken else replace(search, pair=own.pair, fit=own.fit))
     fit = search.fit
     return ScaleCalibration(
@@ -196,9 +198,12 @@ def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice,
     return (*response.texts(fit.motion_hz), *drift_text("camera", drift))
 
 
-def _own_error(search: OffsetSearch, typical: float, *, accelerometer_errs: bool) -> tuple[OwnError | None, bool]:
+def _own_error(search: OffsetSearch, typical: float, *, errs_with_motion: bool) -> tuple[OwnError | None, bool]:
     """As `find_own_error`; what goes with the motion, as a gain that changes, is no sway of the camera."""
-    return (None, True) if accelerometer_errs else find_own_error(search.pair, search.fit, typical)
+    own, felt_alone = find_own_error(search.pair, search.fit, typical)
+    if errs_with_motion and (own is None or own.sways):
+        return None, True
+    return own, felt_alone
 
 
 def _refuse_few(usable: int, max_offset_s: float) -> None:
