@@ -119,6 +119,15 @@ def until(condition, seconds=300.0):
     raise TimeoutError
 
 
+def service_of(folder, count):
+    """A service of this many points whose sources do not exist."""
+    point = '[[point]]\nname = "p{}"\n[point.accelerometer]\nsource = "{}"\n[point.displacement]\nsource = "{}"\n'
+    none = "serial:/dev/none"
+    points = "".join(point.format(k, none, none) for k in range(count))
+    (folder / "SITE.toml").write_text('name = "site"\n[store]\npath = "store"\n' + points)
+    return Service(load_site(folder / "SITE.toml"), lambda _line: None)
+
+
 def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
     web = free_port()
     (tmp_path / "SITE.toml").write_text(SITE.format(broker=broker, web=web))
@@ -274,15 +283,7 @@ def test_one_calibration_at_a_time(tmp_path, monkeypatch):
         raise UntrustedError("Too little motion.")
 
     monkeypatch.setattr(midspan.service.run, "calibrated_folder", calibrated)
-    (tmp_path / "SITE.toml").write_text(
-        'name = "site"\n[store]\npath = "store"\n'
-        + "".join(
-            f'[[point]]\nname = "p{k}"\n[point.accelerometer]\nsource = "serial:/dev/none"\n'
-            '[point.displacement]\nsource = "serial:/dev/none"\n'
-            for k in range(4)
-        )
-    )
-    service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+    service = service_of(tmp_path, 4)
 
     async def all_at_once():
         job = Job("calibrate", tmp_path)
@@ -297,15 +298,7 @@ def test_points_go_on_side_by_side(tmp_path, monkeypatch):
     """Each reads its checkpoint and what was kept since: one after the other a site of many would take minutes."""
     meeting = threading.Barrier(3, timeout=60.0)
     monkeypatch.setattr(Service, "_begin_from", lambda _self, _one, _store: meeting.wait())
-    (tmp_path / "SITE.toml").write_text(
-        'name = "site"\n[store]\npath = "store"\n'
-        + "".join(
-            f'[[point]]\nname = "p{k}"\n[point.accelerometer]\nsource = "serial:/dev/none"\n'
-            '[point.displacement]\nsource = "serial:/dev/none"\n'
-            for k in range(3)
-        )
-    )
-    service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+    service = service_of(tmp_path, 3)
     asyncio.run(asyncio.wait_for(service.run(0.2), 120.0))
     assert service.begun
 
