@@ -64,6 +64,8 @@ class Engine:
     def __init__(self, folder):
         self.folder, self.commands, self.refuse = folder, [], ""
         self.site_file = ""
+        # What answers commands instead of a sentence that says nothing: functions of the command, by its name.
+        self.answers = {}
         # A camera's frame as JPEG, its width and height, px.
         self.picture = b"\xff\xd8jpeg", 2, 3
         self.state = state()
@@ -94,6 +96,10 @@ class Engine:
         """Send a frame."""
         self._do(self._said(head, body))
 
+    def tell(self, head):
+        """Send a frame as soon as the loop comes to it, without waiting."""
+        self._loop.call_soon_threadsafe(self.socket.publish, head)
+
     def give(self, chunk):
         """Send rows."""
         self.say({"kind": "rows", "point": chunk.point}, row_bytes(chunk))
@@ -110,6 +116,8 @@ class Engine:
         self.commands.append(head)
         if self.refuse:
             raise MidspanError(self.refuse)
+        if head["command"] in self.answers:
+            return self.answers[head["command"]](head), b""
         jpeg, width, height = self.picture
         answer = {"text": f"{head['command']} done", "restart": [], "time_ns": 1, "width": width, "height": height}
         return answer, jpeg

@@ -101,6 +101,8 @@ def test_a_silence_has_an_owner_a_reason_and_an_end(site):
     site.watch.silence(site.id, "anna", s(600), "gauge is loose", s(1))
     (tree,) = site.watch.trees()
     assert tree["silence"]["owner"] == "anna"
+    # The page gets it at once.
+    assert site.trees[-1] == tree
     assert tree["silence"]["reason"] == "gauge is loose"
     site.move(0, 2)
     # The next one of the same rule is silent as well; MQTT gets it.

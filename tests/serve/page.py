@@ -9,7 +9,10 @@ import cv2
 import numpy as np
 from benchmarks.live.servers import free_port
 
+from midspan.alarms.book import Book
+from midspan.alarms.watch import Watch
 from midspan.records import NANOSECONDS
+from midspan.settings.alarms import AlarmSettings
 from midspan.store.store import Batch, open_store
 from served import SECONDS, Engine, Served, logged_in, made_store, rows, state, until
 
@@ -44,6 +47,8 @@ class LiveSite:
         self.engine.site_file = str(self.file)
         self.engine.picture = picture(), WIDTH, HEIGHT
         self.engine.state = state()
+        self.alarms = Alarms(self.store, self.engine)
+        self.amplitude_mm = 1.0
         self.engine.start()
         self.served = Served(self.store)
         self._ending = threading.Event()
@@ -60,10 +65,11 @@ class LiveSite:
                 at_ns = self.begin_ns + round((SECONDS + count * STEP_S) * NANOSECONDS)
                 if at_ns + STEP_S * NANOSECONDS > time.time_ns():
                     continue
-                chunks = [swinging(at_ns, point) for point in ("p", "q")]
+                chunks = [swinging(at_ns, point, self.amplitude_mm if point == "p" else 1.0) for point in ("p", "q")]
                 store.write(Batch(chunks=chunks))
                 for chunk in chunks:
                     self.engine.give(chunk)
+                    self.alarms.rows(chunk)
                 count += 1
 
     def stop(self):
@@ -74,7 +80,44 @@ class LiveSite:
         self.engine.end()
 
 
-def swinging(at_ns, point):
+class Alarms:
+    """The alarm of the point p as `midspan run` evaluates it; its changes go to the book and to the page."""
+
+    SETTINGS = AlarmSettings.model_validate(
+        {"name": HOSTILE, "on": "displacement", "limit_mm": 4.0, "level": "critical", "keep_firing_s": 2.0}
+    )
+
+    def __init__(self, folder, engine):
+        self._engine, self._book, self._lock = engine, Book(folder), threading.Lock()
+        self._watch = Watch({"p": [self.SETTINGS], "q": []}, (), ["http://example.org 1"], self._put)
+        engine.answers = {
+            "alarms": self._all,
+            "acknowledge": lambda head: self._text("acknowledge", head["alarm"], head["who"]),
+            "silence": lambda head: self._text("silence", head["alarm"], head["who"], head["until_ns"], head["reason"]),
+            "unsilence": lambda head: self._text("unsilence", head["alarm"], head["who"]),
+            "test_alarms": lambda head: self._text("test", head["who"], "site"),
+        }
+
+    def rows(self, chunk):
+        with self._lock:
+            self._watch.rows(chunk.point, chunk, time.time_ns())
+
+    def _put(self, entry, trees):
+        self._book.write(entry)
+        for tree in trees:
+            self._engine.tell({"kind": "alarm", **tree})
+
+    def _all(self, _):
+        with self._lock:
+            target = {"target": "http://example.org 1", "waiting": 1, "sent": 0, "fault": HOSTILE, "sent_s": None}
+            return {"alarms": self._watch.trees(), "limits": self._watch.limits(), "targets": [target]}
+
+    def _text(self, what, *arguments):
+        with self._lock:
+            return {"text": getattr(self._watch, what)(*arguments, time.time_ns())}
+
+
+def swinging(at_ns, point, amplitude_mm=1.0):
     """Rows of one step, which go on with those before."""
     chunk = rows(at_ns, STEP_S, point=point)
     phase = (
@@ -83,7 +126,7 @@ def swinging(at_ns, point):
         * 0.8
         * ((chunk.time_ns - chunk.time_ns[0]) / NANOSECONDS + at_ns % (1000 * NANOSECONDS) / NANOSECONDS)
     )
-    chunk.columns["displacement_m"][:] = 1e-3 * np.sin(phase)
+    chunk.columns["displacement_m"][:] = 1e-3 * amplitude_mm * np.sin(phase)
     return chunk
 
 

@@ -29,6 +29,8 @@ def test_alarms_are_listed_with_what_the_contract_says(reader):
     assert (one["reason"], one["value"], one["limit"], one["unit"]) == ("limit", 25.0, 20.0, "mm")
     assert one["time"].endswith("Z")
     assert [one["id"] for one in reader.get("/api/v1/alarms", params={"state": "ended"}).json()] == ["2b"]
+    assert [one["id"] for one in reader.get("/api/v1/alarms", params={"state": "open"}).json()] == ["1a"]
+    assert reader.get("/api/v1/alarms/limits").json() == []
     assert reader.get("/api/v1/alarms", params={"point": "q"}).json() == []
     assert reader.get("/api/v1/alarms", params={"state": "loud"}).status_code == 422
     assert [one["what"] for one in reader.get("/api/v1/alarms/audit", params={"alarm": "2b"}).json()] == ["ended"]

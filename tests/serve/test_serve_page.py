@@ -10,13 +10,13 @@ from page import HEIGHT, HOSTILE, SITE, WIDTH, LiveSite, Wire
 
 from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
-from served import PEAK_MM, PEAK_S, state, until
+from served import PEAK_MM, PEAK_S, logged_in, state, until
 
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
 
 WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 800}
-VIEWS = ("site", "point/p", "sources", "calibration/p", "camera", "compare", "settings")
+VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
 AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
 # What the browser itself says of answers that are expected (a wrong login, a cut), and of a canvas that a test reads.
 EXPECTED = re.compile(r"Failed to load resource|WebSocket connection to|willReadFrequently")
@@ -234,6 +234,80 @@ def test_wrong_settings_are_said_with_their_key_and_change_nothing(opened, site)
     page.get_by_role("button", name="Check and put in force").click()
     play.expect(page.locator(".done")).to_have_text("reload done")
     assert 'name = "bridge"' in site.file.read_text()
+
+
+def test_an_alarm_goes_through_all_its_states(opened, site):
+    page = opened("alarms")
+    badge = page.locator("#head .badge")
+    play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
+    play.expect(badge).to_have_count(0)
+    # The band of 0.02 mm alone touches the limit of 4 mm.
+    site.amplitude_mm = 4.01
+    row = page.locator("main section", has=page.get_by_role("heading", name="Open", exact=True)).locator("tbody tr")
+    play.expect(row).to_contain_text("critical, pending: only the band touches the limit")
+    play.expect(badge).to_have_text("1 open")
+    site.amplitude_mm = 6.0
+    play.expect(row.locator(".words")).to_have_text("critical, firing")
+    play.expect(badge).to_have_attribute("data-state", "wrong")
+    assert page.locator("img").count() == 0
+    page.get_by_role("button", name=re.compile("^Acknowledge")).click()
+    play.expect(row.locator(".words")).to_have_text("critical, acknowledged by anna")
+    play.expect(page.get_by_text("is acknowledged.")).to_be_visible()
+    page.get_by_role("button", name=re.compile("^Silence p")).click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_role("combobox").select_option("8")
+    dialog.get_by_label("Reason").fill("gauge is loose")
+    page.keyboard.press("Enter")
+    play.expect(dialog).to_have_count(0)
+    silenced = page.locator("main section", has=page.get_by_role("heading", name="Silenced")).locator("tbody tr")
+    play.expect(silenced).to_contain_text("(anna): gauge is loose")
+    play.expect(row).to_have_count(0)
+    page.get_by_role("button", name=re.compile("^Silence p")).click()
+    play.expect(row).to_have_count(1)
+    site.amplitude_mm = 1.0
+    play.expect(row).to_have_count(0)
+    play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
+    past = page.locator("main section", has=page.get_by_role("heading", name="Past")).locator("tbody tr")
+    play.expect(past.first).to_contain_text(re.compile(r"(6\.0000|5\.9\d\d\d) mm"))
+    audit = page.locator("main section", has=page.get_by_role("heading", name="What became")).locator("tbody tr")
+    play.expect(audit.first).to_contain_text("ended")
+    for what in ("pending", "firing", "acknowledged", "silenced", "silence ended"):
+        play.expect(audit.filter(has=page.get_by_role("cell", name=what, exact=True))).not_to_have_count(0)
+    page.get_by_role("button", name="Send a test message").click()
+    play.expect(page.get_by_text("A test message is sent to")).to_be_visible()
+    play.expect(page.get_by_text(f"not delivered: {HOSTILE}")).to_be_visible()
+
+
+def test_an_alarm_shows_on_site_and_point_with_its_limit(opened, site):
+    site.amplitude_mm = 6.0
+    try:
+        page = opened()
+        card = page.locator(".card").first
+        play.expect(card.locator(".alarms")).to_contain_text(f"critical, firing: {HOSTILE}")
+        play.expect(card).to_have_attribute("data-state", "notice")
+        page.goto(page.url.replace("site", "point/p"))
+        play.expect(page.locator(".alarms")).to_contain_text("critical, firing")
+        play.expect(page.locator("dl.figures")).to_contain_text("±4 mm")
+        page.get_by_role("link", name=re.compile("critical")).click()
+        play.expect(page.get_by_role("heading", name="Alarms", exact=True)).to_be_visible()
+    finally:
+        site.amplitude_mm = 1.0
+    play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
+
+
+def test_who_may_only_read_can_change_no_alarm(opened, site, browser):
+    site.amplitude_mm = 6.0
+    password = logged_in(site.store, "rita", "read", kind="user")
+    try:
+        page = opened(logged_in=False)
+        page.context.request.post(address(site), data={"user": "rita", "password": password})
+        page.goto(page.url.replace("site", "alarms"))
+        page.reload()
+        play.expect(page.locator(".summary")).to_contain_text("1 fires")
+        assert page.locator("main button").count() == 0
+    finally:
+        site.amplitude_mm = 1.0
+    play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
 
 
 def test_a_source_is_paused_with_a_reason_and_a_calibration_accepted(opened, site):

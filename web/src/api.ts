@@ -71,6 +71,48 @@ export interface SpectrumBody {
   modes: Record<string, number>[];
   reason: string;
 }
+export interface AlarmBody {
+  id: string;
+  point: string;
+  name: string;
+  /** pending, firing, acknowledged or ended; test: of a message that was asked for. */
+  state: string;
+  level: string;
+  on: string;
+  reason: string;
+  value: number;
+  value_std: number;
+  peak: number;
+  limit: number;
+  unit: string;
+  time: string;
+  since: string;
+  text: string;
+  acknowledged_by: string;
+  silence: { until: string; owner: string; reason: string } | null;
+}
+export interface TargetBody {
+  target: string;
+  waiting: number;
+  sent: number;
+  fault: string;
+  sent_s: number | null;
+}
+export interface AuditBody {
+  time: string;
+  alarm: string;
+  what: string;
+  who: string;
+  text: string;
+}
+export interface LimitBody {
+  point: string;
+  name: string;
+  on: string;
+  level: string;
+  limit: number;
+  unit: string;
+}
 
 /** What the server refused, with its own sentence: what, the rule, the remedy. */
 export class Refused extends Error {

@@ -1,6 +1,6 @@
 // Live rows over the websocket: connected again after a cut from the newest sequence on, so that no row is missing.
 
-import type { Rows } from "./api.ts";
+import type { AlarmBody, Rows } from "./api.ts";
 
 export interface RowsMessage extends Rows {
   sequence: number;
@@ -18,7 +18,8 @@ export interface GapMessage {
   after: number;
   first: number;
 }
-export type Message = RowsMessage | EventMessage | GapMessage;
+export type AlarmMessage = AlarmBody & { type: "alarm" };
+export type Message = RowsMessage | EventMessage | GapMessage | AlarmMessage;
 
 // Tried again after, ms: at first at once, later as a server's restart takes seconds.
 const FIRST_MS = 250;

@@ -1,10 +1,12 @@
 // The page: login, then one view a time, named by the address's part after #.
 
+import { urgency } from "./alarms.ts";
 import { logout, session, type Session, whenOver } from "./api.ts";
 import { button, el, mark, say } from "./dom.ts";
 import { SiteState } from "./site_state.ts";
 import "./style.css";
 import { duration } from "./words.ts";
+import { showAlarmsView } from "./views/alarms.ts";
 import { showLogin } from "./views/login.ts";
 import { showCalibration } from "./views/calibration.ts";
 import { showCamera } from "./views/camera.ts";
@@ -25,6 +27,7 @@ interface Entry {
 const VIEWS: Entry[] = [
   { path: "site", text: "Site", show: showSite },
   { path: "point", text: "Point", show: showPoint },
+  { path: "alarms", text: "Alarms", show: showAlarmsView },
   { path: "sources", text: "Sources", show: showSources },
   { path: "calibration", text: "Calibration", show: showCalibration },
   { path: "camera", text: "Camera", show: showCamera },
@@ -62,7 +65,7 @@ function showHead(of: Session): void {
   const links = VIEWS.filter((one) => !one.scope || one.scope === of.scope);
   const list = el("ul");
   for (const one of links)
-    list.append(el("li", {}, el("a", { href: `#/${one.path}`, "data-path": one.path }, one.text)));
+    list.append(el("li", {}, el("a", { href: `#/${one.path}`, "data-path": one.path }, one.text, " ", el("span"))));
   const who = el("span", { class: "quiet" }, `${of.user} (${of.scope})`);
   head.replaceChildren(
     el("strong", {}, "midspan"),
@@ -115,10 +118,23 @@ function showConnection(): void {
   );
 }
 
+/** How many alarms are open, next to the name of their view. */
+function showBadge(): void {
+  const badge = head.querySelector<HTMLElement>("a[data-path=alarms] span");
+  if (!site || !badge) return;
+  const { alarms } = site;
+  badge.className = alarms.length ? "badge" : "";
+  mark(badge, alarms.some((one) => urgency(one) === "wrong") ? "wrong" : "notice");
+  say(badge, alarms.length ? `${alarms.length} open` : "");
+}
+
 async function start(): Promise<void> {
   whenOver(askLogin);
   window.addEventListener("hashchange", show);
-  window.setInterval(showConnection, 500);
+  window.setInterval(() => {
+    showConnection();
+    showBadge();
+  }, 500);
   for (;;) {
     try {
       const found = await session();

@@ -121,6 +121,15 @@ class Watch:
 
     # What people do
 
+    def limits(self) -> list[dict[str, Any]]:
+        """The limit of each rule, in the unit of its value."""
+        rules = [one.rule for one in self._watched.values()]
+        return [
+            {"point": rule.point, "name": rule.name, "on": rule.on, "level": rule.level,
+             "limit": round(rule.limit, 6), "unit": rule.unit}
+            for rule in rules
+        ]  # fmt: skip
+
     def trees(self) -> list[dict[str, Any]]:
         """The open alarms with their newest values."""
         return [self._tree(one.state.alarm) for one in self._watched.values() if one.state.alarm is not None]
@@ -142,7 +151,8 @@ class Watch:
         one = self._open(number)
         tree = {"until_ns": until_ns, "until": iso(until_ns), "owner": who, "reason": reason}
         self._silences[one.rule.key] = tree
-        self._note(number, "silenced", who, f"until {iso(until_ns)}: {reason}", now_ns, {SILENCE + one.rule.key: tree})
+        audit = Audit(now_ns, number, "silenced", who, f"until {iso(until_ns)}: {reason}")
+        self._note(audit, one, {SILENCE + one.rule.key: tree})
         return f"{one.rule.point}: {one.rule.name} is silent until {iso(until_ns)}."
 
     def unsilence(self, number: str, who: str, now_ns: int) -> str:
@@ -235,13 +245,16 @@ class Watch:
         tree = self._tree(alarm)
         return alarm, [Message(target, now_ns, "", tree) for target in self._targets]
 
-    def _note(self, number: str, what: str, who: str, text: str, now_ns: int, kept: dict[str, Any]) -> None:
-        self._put(Entry(audit=[Audit(now_ns, number, what, who, text)], kept=kept), ())
+    def _note(self, audit: Audit, one: Watched | None, kept: dict[str, Any]) -> None:
+        """Keep a silence, or its end; the page gets the open alarm of its rule with it."""
+        alarm = None if one is None else one.state.alarm
+        self._put(Entry(audit=[audit], kept=kept), [] if alarm is None else [self._tree(alarm)])
 
     def _unsilenced(self, key: str, now_ns: int, who: str) -> None:
         del self._silences[key]
-        alarm = self._watched[key].state.alarm if key in self._watched else None
-        self._note(alarm.id if alarm else "", "silence ended", who, key, now_ns, {SILENCE + key: None})
+        one = self._watched.get(key)
+        number = one.state.alarm.id if one is not None and one.state.alarm is not None else ""
+        self._note(Audit(now_ns, number, "silence ended", who, key), one, {SILENCE + key: None})
 
 
 def samples_of(on: str, rows: Chunk) -> Samples:

@@ -75,6 +75,17 @@ class TargetBody(BaseModel):
     sent_s: float | None
 
 
+class LimitBody(BaseModel):
+    """A limit of a point, in the unit of its value."""
+
+    point: str
+    name: str
+    on: str
+    level: str
+    limit: float
+    unit: str
+
+
 class SilenceWanted(BaseModel):
     """Until when an alarm is silent, and why, as everybody sees it."""
 
@@ -83,21 +94,21 @@ class SilenceWanted(BaseModel):
     reason: Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
-State = Literal["pending", "firing", "acknowledged", "ended"]
+State = Literal["open", "pending", "firing", "acknowledged", "ended"]
 routes = APIRouter(prefix="/alarms", tags=["alarms"])
 SEEN = declared(401, 403, 422)
 COMMANDED = declared(401, 403, 404, 409, 413, 415, 422)
 
 
-def kept_alarms(folder: Path, now_ns: int) -> list[Tree]:
-    """The alarms of a service's folder that are open, or ended within 30 days, newest change first."""
+def kept_alarms(folder: Path, now_ns: int, since_ns: int) -> list[Tree]:
+    """The alarms of a service's folder that are open, or ended since an instant, newest change first."""
     if not has_book(folder):
         return []
     with closing(Book(folder, read_only=True)) as book:
         silences = {key.partition(":")[2]: tree for key, tree in book.kept().items() if key.startswith("silence:")}
         silent = {key: {name: tree[name] for name in ("until", "owner", "reason")} for key, tree in silences.items()
                   if tree["until_ns"] > now_ns}  # fmt: skip
-        return [tree_of(one, silent.get(one.key)) for one in book.alarms(now_ns - KEEP_DAYS * DAY_NS)]
+        return [tree_of(one, silent.get(one.key)) for one in book.alarms(since_ns)]
 
 
 def kept_audit(folder: Path, count: int, alarm: str | None) -> list[Tree]:
@@ -112,10 +123,10 @@ def kept_audit(folder: Path, count: int, alarm: str | None) -> list[Tree]:
     ]
 
 
-async def known(serving: Serving) -> list[Tree]:
-    """All alarms: the open ones with their newest values, where something measures."""
-    folder = place_of(serving.where)
-    kept = await serving.quick.run(kept_alarms, folder, time.time_ns())
+async def known(serving: Serving, *, ended: bool = True) -> list[Tree]:
+    """All alarms: the open ones with their newest values, where something measures. ended: with those that have."""
+    folder, now_ns = place_of(serving.where), time.time_ns()
+    kept = await serving.quick.run(kept_alarms, folder, now_ns, now_ns - KEEP_DAYS * DAY_NS if ended else now_ns)
     try:
         answer, _ = await serving.link.ask("alarms")
     except MidspanError:
@@ -138,12 +149,13 @@ async def require_alarm(serving: Serving, number: str) -> None:
 @routes.get("", response_model=list[AlarmBody], dependencies=READ, responses=SEEN)
 async def alarms(
     serving: Shared,
-    state: Annotated[State | None, Query(description="only those in this state")] = None,
+    state: Annotated[State | None, Query(description="only those in this state; open: all but ended")] = None,
     point: Annotated[str | None, Query(description="only those of this point", max_length=64)] = None,
 ) -> list[Tree]:
     """The alarms that are open, and those that ended within 30 days."""
-    found = await known(serving)
-    return [one for one in found if state in (None, one["state"]) and point in (None, one["point"])]
+    found = await known(serving, ended=state in (None, "ended"))
+    states = OPEN if state == "open" else (*OPEN, "ended") if state is None else (state,)
+    return [one for one in found if one["state"] in states and point in (None, one["point"])]
 
 
 @routes.get("/audit", response_model=list[AuditBody], dependencies=READ, responses=SEEN)
@@ -159,6 +171,13 @@ async def targets(serving: Shared) -> list[Any]:
     """Where alarms go besides page and store, and how delivery stands."""
     answer, _ = await serving.link.ask("alarms")
     return list(answer.get("targets", []))
+
+
+@routes.get("/limits", response_model=list[LimitBody], dependencies=READ, responses=declared(401, 403, 409))
+async def limits(serving: Shared) -> list[Any]:
+    """The limits of all points that are measured."""
+    answer, _ = await serving.link.ask("alarms")
+    return list(answer.get("limits", []))
 
 
 @routes.post("/test", response_model=Done, responses=declared(401, 403, 409))

@@ -81,12 +81,14 @@ class Alarming:
         # When each point's newest row came: those that a restart makes again are none.
         self._row_s: dict[str, float] = {}
         self.commands: dict[str, Callable[[Tree], Tree]] = {
-            "alarms": lambda _: {"alarms": self._watch.trees(), "targets": self._targets()},
+            "alarms": lambda _: {
+                "alarms": self._watch.trees(), "targets": self._targets(), "limits": self._watch.limits(),
+            },
             "acknowledge": self._acknowledge,
             "silence": self._silence,
             "unsilence": self._unsilence,
             "test_alarms": self._test,
-        }
+        }  # fmt: skip
 
     def open(self) -> None:
         """Go on from what was kept; called in a thread."""

@@ -8,6 +8,11 @@ export interface Mark {
   x: number;
   kind: string;
 }
+/** A limit of the value, drawn where it is in sight. */
+export interface Level {
+  y: number;
+  name: string;
+}
 type Range = [fromS: number, toS: number];
 
 // Ticks in the 24 h form. Each: smallest step (s), text, and what stands below it where year, day or minute begin.
@@ -36,6 +41,7 @@ export class Chart {
   #plot: uPlot;
   #range: Range = [0, 1];
   #marks: Mark[] = [];
+  #levels: Level[] = [];
   #drawn: Drawn[];
   #watched: ResizeObserver;
   #dark = window.matchMedia("(prefers-color-scheme: dark)");
@@ -87,8 +93,8 @@ export class Chart {
     return Math.max(Math.round(this.#plot.bbox.width), 200);
   }
 
-  draw(range: Range, drawn: Drawn[], marks: Mark[]): void {
-    [this.#range, this.#drawn, this.#marks] = [range, drawn, marks];
+  draw(range: Range, drawn: Drawn[], marks: Mark[], levels: Level[] = []): void {
+    [this.#range, this.#drawn, this.#marks, this.#levels] = [range, drawn, marks, levels];
     const tables = this.#drawn.map(
       ({ envelope: of }) => [of.x, of.lower, of.upper, of.low, of.high] as uPlot.AlignedData,
     );
@@ -130,6 +136,18 @@ export class Chart {
       ctx.moveTo(at, bbox.top);
       ctx.lineTo(at, bbox.top + bbox.height);
       ctx.stroke();
+    }
+    ctx.strokeStyle = ctx.fillStyle = colour("wrong");
+    ctx.textAlign = "left";
+    ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+    for (const { y, name } of this.#levels) {
+      const at = plot.valToPos(y, "y", true);
+      if (at < bbox.top || at > bbox.top + bbox.height) continue;
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, at);
+      ctx.lineTo(bbox.left + bbox.width, at);
+      ctx.stroke();
+      ctx.fillText(`limit ${name}`, bbox.left + 4 * devicePixelRatio, at + (y > 0 ? -4 : 14) * devicePixelRatio);
     }
     ctx.restore();
   }

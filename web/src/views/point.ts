@@ -1,7 +1,8 @@
 // A point: live traces with their band, every zoom, events, statistics, spectrum, export.
 
-import { type EventBody, get, ofPoint, span } from "../api.ts";
-import { Chart, type Mark } from "../charts/chart.ts";
+import { showAlarms } from "../alarms.ts";
+import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
+import { Chart, type Level, type Mark } from "../charts/chart.ts";
 import { joined, load, type Loaded, rowStep } from "../charts/series.ts";
 import { SPANS, TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
@@ -34,6 +35,7 @@ class PointView {
   #chart: Chart;
   #loaded: Loaded = { envelope: emptyEnvelope(), areRows: false };
   #events: EventBody[] = [];
+  #levels: Level[] = [];
   #asking: AbortController | null = null;
   #askedMs = 0;
   #failed = false;
@@ -41,6 +43,7 @@ class PointView {
   #now = el("p", { class: "value" });
   #words = el("p", { class: "words" });
   #why = el("p", { class: "why" });
+  #alarms = el("ul", { class: "alarms" });
   #wrong = el("p", { class: "wrong", role: "status" });
   #spanText = el("p", { class: "quiet" });
   #readout = el("p", { class: "quiet" }, " ");
@@ -72,6 +75,7 @@ class PointView {
       }),
       repeat(() => this.#tick(), DRAW_MS),
     );
+    void this.#askLimits();
   }
 
   end(): void {
@@ -113,6 +117,7 @@ class PointView {
       this.#now,
       this.#words,
       this.#why,
+      this.#alarms,
       bar,
       this.#wrong,
       frame,
@@ -198,6 +203,14 @@ class PointView {
     say(this.#words, `${words[0]?.toUpperCase() ?? ""}${words.slice(1)}${since}`);
     mark(this.#words, state);
     say(this.#why, trouble(point, this.#site));
+    showAlarms(this.#alarms, this.#site.alarmsOf(this.#name));
+  }
+
+  /** The limits of its displacement; where nothing measures there are none to draw. */
+  async #askLimits(): Promise<void> {
+    const all = await get<LimitBody[]>("/alarms/limits").catch((): LimitBody[] => []);
+    const own = all.filter((one) => one.point === this.#name && one.on === "displacement");
+    this.#levels = own.flatMap(({ name, limit }) => [limit, -limit].map((y) => ({ y, name })));
   }
 
   async #ask(): Promise<void> {
@@ -226,7 +239,7 @@ class PointView {
     const came = ofRows(within(this.#site.rowsOf(this.#name).rows, from, to));
     const all = this.#window.following ? joined(this.#loaded.envelope, came) : this.#loaded.envelope;
     const marks: Mark[] = this.#events.map((one) => ({ x: one.time_ns / 1e9, kind: one.kind }));
-    this.#chart.draw([from, to], [{ envelope: all }], marks);
+    this.#chart.draw([from, to], [{ envelope: all }], marks, this.#levels);
     say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
     const found = statistics(all, this.#loaded.areRows);
     const figures: [string, string][] = found
@@ -238,6 +251,7 @@ class PointView {
         ]
       : [["shown", "no rows"]];
     if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
+    for (const { y, name } of this.#levels) if (y > 0) figures.push([`limit ${name}`, `±${y} mm`]);
     this.#figures.replaceChildren(
       ...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))),
     );

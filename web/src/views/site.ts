@@ -1,5 +1,6 @@
 // Every point on one screen: value, state, age, since when, and what is wrong in one sentence.
 
+import { showAlarms } from "../alarms.ts";
 import type { PointState } from "../api.ts";
 import { el, mark, say } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
@@ -35,6 +36,8 @@ export function standing(
   const sources = site.health?.sources.filter((one) => one.point === point.name && one.reason) ?? [];
   if (status !== "tracking" || point.reason || sources.length)
     return { state: "notice", words: STATUS_WORDS[status] ?? status };
+  if (site.alarmsOf(point.name).some((one) => one.state !== "pending"))
+    return { state: "notice", words: "measured, all streams fresh" };
   return { state: "good", words: "measured, all streams fresh" };
 }
 
@@ -75,15 +78,17 @@ interface Card {
   age: HTMLElement;
   since: HTMLElement;
   text: HTMLElement;
+  alarms: HTMLElement;
 }
 
 function card(name: string): Card {
-  const [value, words, age, since, text] = [
+  const [value, words, age, since, text, alarms] = [
     el("p", { class: "value" }),
     el("p", { class: "words" }),
     el("span"),
     el("span"),
     el("p", { class: "why" }),
+    el("ul", { class: "alarms" }),
   ];
   const link = el("a", { href: `#/point/${encodeURIComponent(name)}` }, name);
   const root = el(
@@ -94,8 +99,9 @@ function card(name: string): Card {
     words,
     el("p", { class: "quiet" }, age, since),
     text,
+    alarms,
   );
-  return { root, value, words, age, since, text };
+  return { root, value, words, age, since, text, alarms };
 }
 
 function fill(into: Card, point: PointState, site: SiteState): void {
@@ -107,6 +113,7 @@ function fill(into: Card, point: PointState, site: SiteState): void {
   say(into.age, age === null ? "no row yet" : `newest row ${age < 3 ? "of now" : `${duration(age)} ago`}`);
   say(into.since, point.since ? `, so since ${clock(Date.parse(point.since))}` : "");
   say(into.text, site.fresh ? trouble(point, site) : "");
+  showAlarms(into.alarms, site.alarmsOf(point.name));
 }
 
 export const showSite: View = (root, site) => {
