@@ -4,6 +4,8 @@ export interface Session {
   user: string;
   scope: "read" | "operate" | "admin";
   csrf: string;
+  /** What the page is over. */
+  serves: "site" | "recordings";
 }
 export interface PointState {
   name: string;
@@ -118,10 +120,10 @@ export interface LimitBody {
 export class Refused extends Error {
   status: number;
   key: string | null;
-  constructor(status: number, detail: string, key: string | null) {
+  code: string;
+  constructor(status: number, detail: string, key: string | null, code: string) {
     super(detail);
-    this.status = status;
-    this.key = key;
+    [this.status, this.key, this.code] = [status, key, code];
   }
 }
 
@@ -133,16 +135,21 @@ const ROOT = "/api/v1";
 const LONGEST_MS = 70_000;
 
 let csrf = "";
-let over: () => void = () => undefined;
+// Of a page over recordings: kept for this port alone and until its tab is closed; sites have a cookie instead.
+const TOKEN = "midspan-token";
+let token: string | null = null;
+let over: (refused: Refused) => void = () => undefined;
 
-/** What is done when a login is over. */
-export function whenOver(done: () => void): void {
+/** What is done when a login is over, or there was none. */
+export function whenOver(done: (refused: Refused) => void): void {
   over = done;
 }
 
 async function ask(path: string, options: RequestInit = {}): Promise<Response> {
   const headers = new Headers(options.headers);
   if (options.method && options.method !== "GET") headers.set("X-CSRF-Token", csrf);
+  token ??= sessionStorage.getItem(TOKEN) ?? "";
+  if (token) headers.set("Authorization", `Bearer ${token}`);
   let answer: Response;
   try {
     answer = await fetch(ROOT + path, {
@@ -155,9 +162,11 @@ async function ask(path: string, options: RequestInit = {}): Promise<Response> {
     throw new Away("The server cannot be reached.");
   }
   if (answer.ok) return answer;
-  const body = (await answer.json().catch(() => ({}))) as { detail?: string; key?: string };
-  if (answer.status === 401 && path !== "/login") over();
-  throw new Refused(answer.status, body.detail ?? `The server answered ${answer.status}.`, body.key ?? null);
+  const body = (await answer.json().catch(() => ({}))) as { detail?: string; key?: string; code?: string };
+  const text = body.detail ?? `The server answered ${answer.status}.`;
+  const refused = new Refused(answer.status, text, body.key ?? null, body.code ?? "");
+  if (answer.status === 401 && path !== "/login") over(refused);
+  throw refused;
 }
 
 export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
@@ -171,7 +180,7 @@ export async function post<T>(path: string, body?: unknown): Promise<T> {
   return (answer.status === 204 ? undefined : await answer.json()) as T;
 }
 
-/** A session that goes on, or null. */
+/** A session that goes on; null where there is none, after `whenOver` was called. */
 export async function session(): Promise<Session | null> {
   try {
     const found = await get<Session>("/session");
@@ -181,6 +190,13 @@ export async function session(): Promise<Session | null> {
     if (error instanceof Refused && error.status === 401) return null;
     throw error;
   }
+}
+
+/** Change a link that was printed for what this page sends from now on. */
+export async function changeLink(link: string): Promise<void> {
+  token = "";
+  token = (await post<{ token: string }>("/link", { link })).token;
+  sessionStorage.setItem(TOKEN, token);
 }
 
 export async function login(user: string, password: string): Promise<Session> {
@@ -193,19 +209,21 @@ export async function logout(): Promise<void> {
   await post("/logout");
 }
 
-export async function settings(): Promise<{ text: string; tag: string }> {
-  const answer = await ask("/settings");
+/** Settings as text: of the site, or of something below it. */
+export async function settings(below = ""): Promise<{ text: string; tag: string }> {
+  const answer = await ask(`${below}/settings`);
   return { text: await answer.text(), tag: answer.headers.get("ETag") ?? "*" };
 }
 
 export async function putSettings(
   text: string,
   tag: string,
+  below = "",
 ): Promise<{ text: string; restart: string[]; tag: string }> {
   const headers = { "Content-Type": "text/plain", "If-Match": tag };
-  const answer = await ask("/settings", { method: "PUT", body: text, headers });
-  const body = (await answer.json()) as { text: string; restart: string[] };
-  return { ...body, tag: answer.headers.get("ETag") ?? "*" };
+  const answer = await ask(`${below}/settings`, { method: "PUT", body: text, headers });
+  const body = (await answer.json()) as { text: string; restart?: string[] };
+  return { restart: [], ...body, tag: answer.headers.get("ETag") ?? "*" };
 }
 
 export interface Picture {
@@ -215,8 +233,9 @@ export interface Picture {
   height: number;
 }
 
-export async function picture(source: string): Promise<Picture> {
-  const answer = await ask(`/sources/${encodeURIComponent(source)}/picture`);
+/** of: the address of what has a picture. */
+export async function picture(of: string): Promise<Picture> {
+  const answer = await ask(`${of}/picture`);
   const number = (name: string) => Number(answer.headers.get(name) ?? 0);
   return {
     blob: await answer.blob(),

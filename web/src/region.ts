@@ -1,4 +1,4 @@
-// A region of interest in the frame's pixels, and its place in SITE.toml.
+// A region of interest in the frame's pixels, and its place in SITE.toml or recording.toml.
 
 export interface Region {
   x: number;
@@ -34,8 +34,16 @@ export function holds(of: Region, x: number, y: number): boolean {
   return x >= of.x && y >= of.y && x < of.x + of.width && y < of.y + of.height;
 }
 
+/** A camera's section: of a point in SITE.toml, or of a recording, where several of a kind have names. */
+export interface Section {
+  kind: string;
+  point?: string;
+  name?: string;
+}
+
 interface Place {
   header: number;
+  name: string;
   roi: number | null;
   region: Region | null;
 }
@@ -44,8 +52,9 @@ const HEADER = /^\s*\[{1,2}\s*([^\]]+?)\s*\]{1,2}\s*(#.*)?$/;
 const ROI = /^\s*roi\s*=\s*\[\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,?\s*\]\s*(#.*)?$/;
 const NAME = /^\s*name\s*=\s*(?:"([^"\\]*)"|'([^']*)')/;
 
-/** Where the section of a point's camera stands; null where it is not found, or stands there several times. */
-function placeOf(lines: string[], point: string, kind: string): Place | null {
+/** Where a camera's section stands; null where it is not found, or stands there several times. */
+function placeOf(lines: string[], { kind, point, name }: Section): Place | null {
+  const wanted = point === undefined ? kind : `point.${kind}`;
   let [section, current] = ["", ""];
   const places: Place[] = [];
   lines.forEach((line, at) => {
@@ -53,31 +62,35 @@ function placeOf(lines: string[], point: string, kind: string): Place | null {
     if (header !== undefined) {
       section = header;
       if (section === "point") current = "";
-      if (section === `point.${kind}` && current === point) places.push({ header: at, roi: null, region: null });
+      if (section === wanted && current === (point ?? ""))
+        places.push({ header: at, name: "", roi: null, region: null });
       return;
     }
-    const name = NAME.exec(line);
-    if (section === "point" && name) current = name[1] ?? name[2] ?? "";
+    const named = NAME.exec(line);
     const place = places[places.length - 1];
-    if (section !== `point.${kind}` || current !== point || !place || !/^\s*roi\s*=/.test(line)) return;
+    if (section === "point" && named) current = named[1] ?? named[2] ?? "";
+    if (section !== wanted || current !== (point ?? "") || !place) return;
+    if (named) place.name = named[1] ?? named[2] ?? "";
+    if (!/^\s*roi\s*=/.test(line)) return;
     const numbers = ROI.exec(line)?.slice(1, 5).map(Number);
     const [x, y, width, height] = numbers ?? [];
     place.roi = at;
     if (x !== undefined && y !== undefined && width !== undefined && height !== undefined)
       place.region = { x, y, width, height };
   });
-  return places.length === 1 ? (places[0] ?? null) : null;
+  const meant = places.length > 1 ? places.filter((one) => one.name !== "" && one.name === name) : places;
+  return meant.length === 1 ? (meant[0] ?? null) : null;
 }
 
-/** The region that SITE.toml has for a point's camera; null for none, which is chosen automatically. */
-export function regionOf(text: string, point: string, kind: string): Region | null {
-  return placeOf(text.split("\n"), point, kind)?.region ?? null;
+/** The region that settings have for a camera; null for none, which is chosen automatically. */
+export function regionOf(text: string, section: Section): Region | null {
+  return placeOf(text.split("\n"), section)?.region ?? null;
 }
 
-/** SITE.toml with another region; null where the place for it is not clear, and a person has to write it. */
-export function withRegion(text: string, point: string, kind: string, region: Region): string | null {
+/** Settings with another region; null where the place for it is not clear, and a person has to write it. */
+export function withRegion(text: string, section: Section, region: Region): string | null {
   const lines = text.split("\n");
-  const place = placeOf(lines, point, kind);
+  const place = placeOf(lines, section);
   if (!place || (place.roi !== null && !place.region)) return null;
   const line = `roi = [${region.x}, ${region.y}, ${region.width}, ${region.height}]`;
   if (place.roi === null) lines.splice(place.header + 1, 0, line);

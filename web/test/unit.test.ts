@@ -113,18 +113,51 @@ source = "rtsp://two"
 
 test("a region goes into its own point's section, and nowhere else", () => {
   const region = { x: 5, y: 6, width: 70, height: 80 };
-  assert.equal(regionOf(SITE, "a", "camera"), null);
-  assert.deepEqual(regionOf(SITE, "b", "camera"), { x: 1, y: 2, width: 30, height: 40 });
-  assert.equal(withRegion(SITE, "b", "camera", region), SITE.replace("[1, 2, 30, 40]", "[5, 6, 70, 80]"));
+  assert.equal(regionOf(SITE, { kind: "camera", point: "a" }), null);
+  assert.deepEqual(regionOf(SITE, { kind: "camera", point: "b" }), { x: 1, y: 2, width: 30, height: 40 });
   assert.equal(
-    withRegion(SITE, "a", "camera", region),
+    withRegion(SITE, { kind: "camera", point: "b" }, region),
+    SITE.replace("[1, 2, 30, 40]", "[5, 6, 70, 80]"),
+  );
+  assert.equal(
+    withRegion(SITE, { kind: "camera", point: "a" }, region),
     SITE.replace(
       '[point.camera]\nsource = "rtsp://one"',
       '[point.camera]\nroi = [5, 6, 70, 80]\nsource = "rtsp://one"',
     ),
   );
-  assert.equal(withRegion(SITE, "c", "camera", region), null);
-  assert.equal(withRegion(SITE.replace("[1, 2, 30, 40]", "[1,\n2, 30, 40]"), "b", "camera", region), null);
+  assert.equal(withRegion(SITE, { kind: "camera", point: "c" }, region), null);
+  assert.equal(
+    withRegion(SITE.replace("[1, 2, 30, 40]", "[1,\n2, 30, 40]"), { kind: "camera", point: "b" }, region),
+    null,
+  );
+});
+
+const RECORDING = `name = "left"
+[accelerometer]
+file = "a.csv"
+[[camera]]
+name = "left"
+file = "l.mkv"
+[[camera.target]]
+roi = [9, 9, 30, 30]
+[[camera]]
+name = "right"
+file = "r.mkv"
+`;
+
+test("of several cameras of a recording the one of that name gets the region", () => {
+  const region = { x: 5, y: 6, width: 70, height: 80 };
+  const right = { kind: "camera", name: "right" };
+  const written = RECORDING.replace('name = "right"', 'roi = [5, 6, 70, 80]\nname = "right"');
+  assert.equal(withRegion(RECORDING, right, region), written);
+  assert.deepEqual(regionOf(written, right), region);
+  assert.equal(withRegion(RECORDING, { kind: "camera", name: "other" }, region), null);
+  const one = '[camera]\nfile = "c.mkv"\n';
+  assert.equal(
+    withRegion(one, { kind: "camera", name: "camera" }, region),
+    '[camera]\nroi = [5, 6, 70, 80]\nfile = "c.mkv"\n',
+  );
 });
 
 test("numbers and durations are said with what matters of them", () => {

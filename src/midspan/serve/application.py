@@ -1,5 +1,6 @@
 """The application: the interface below /api/v1, health without a login, and the page's own files."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from starlette.staticfiles import StaticFiles
 from midspan._version import __version__
 from midspan.serve import alarms, live, login, points, problems, settings_file, sources
 from midspan.serve.limits import Limits
-from midspan.serve.login import READ
+from midspan.serve.login import READ, passwords
 from midspan.serve.metrics import figures
 from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
@@ -35,18 +36,24 @@ class Standing(BaseModel):
 
 def application(serving: Serving) -> Any:
     """The ASGI application over a store."""
+    app = page_over(serving, [*(part.routes for part in PARTS), passwords])
+    app.include_router(routes)
+    return Limits(app)
+
+
+def page_over(serving: Any, interface: Sequence[APIRouter]) -> FastAPI:
+    """The page over something that has `access`, and the parts of its interface."""
     app = FastAPI(title="midspan", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     app.state.serving = serving
     problems.install(app)
-    for part in PARTS:
-        app.include_router(part.routes, prefix=API)
-    app.include_router(routes)
+    for part in interface:
+        app.include_router(part, prefix=API)
     app.openapi = lambda: _interface(app)  # type: ignore[method-assign]
     if PAGE.is_dir():
         # No mount at the root: it would take what other routes answer with 405.
         app.mount("/assets", StaticFiles(directory=PAGE / "assets"))
         app.include_router(page)
-    return Limits(app)
+    return app
 
 
 page = APIRouter(include_in_schema=False)

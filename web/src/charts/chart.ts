@@ -47,12 +47,14 @@ export class Chart {
   #dark = window.matchMedia("(prefers-color-scheme: dark)");
   #redraw = () => this.#plot.redraw(false);
 
-  /** selected: a range that was drawn with the mouse; read: what is below the pointer, null for nothing. */
+  /** selected: a range that was drawn with the mouse; read: what is below the pointer, null for nothing; isClock: x are
+   * instants since 1970, else seconds of a clock of its own. */
   constructor(
     root: HTMLElement,
     colours: string[],
     selected: (range: Range) => void,
     read: (x: number | null, values: (number | null)[]) => void,
+    isClock = true,
   ) {
     this.#drawn = [];
     const series: uPlot.Series[] = [{}];
@@ -68,9 +70,11 @@ export class Chart {
       series,
       bands,
       legend: { show: false },
-      scales: { x: { time: true, range: () => this.#range } },
+      scales: { x: { time: isClock, range: () => this.#range } },
       axes: [
-        { ...axis(), values: TIME_TEXTS, space: 70 },
+        isClock
+          ? { ...axis(), values: TIME_TEXTS, space: 70 }
+          : { ...axis(), label: "Time, s", labelSize: 20, space: 70 },
         { ...axis(), label: "Displacement, mm", labelSize: 20, size: 60 },
       ],
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false } },

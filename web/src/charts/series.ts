@@ -31,9 +31,18 @@ export async function rowStep(point: string, newestMs: number, came: Rows): Prom
   return step ?? UNKNOWN_STEP_S;
 }
 
-/** What is kept of a point of a time. */
+/** The address of rows, or of buckets of equal length, from an instant to another, ms. */
+export type Address = (fromMs: number, toMs: number, buckets: number | null) => string;
+
+/** That of a point. */
+export function ofAPoint(point: string): Address {
+  return (fromMs, toMs, buckets) =>
+    ofPoint(point, "series", { ...span(fromMs, toMs), ...(buckets === null ? {} : { buckets }) });
+}
+
+/** What is kept of a time. */
 export async function load(
-  point: string,
+  address: Address,
   fromMs: number,
   toMs: number,
   pixels: number,
@@ -42,10 +51,10 @@ export async function load(
 ): Promise<Loaded> {
   const seconds = (toMs - fromMs) / 1000;
   if (seconds <= ROWS_S) {
-    return { envelope: ofRows(await get<Rows>(ofPoint(point, "series", span(fromMs, toMs)), signal)), areRows: true };
+    return { envelope: ofRows(await get<Rows>(address(fromMs, toMs, null), signal)), areRows: true };
   }
   const buckets = Math.max(1, Math.min(pixels, MAX_BUCKETS, Math.floor(seconds / (ROWS_A_BUCKET * stepS))));
-  const found = await get<Buckets>(ofPoint(point, "series", { ...span(fromMs, toMs), buckets }), signal);
+  const found = await get<Buckets>(address(fromMs, toMs, buckets), signal);
   return { envelope: ofBuckets(found, toMs), areRows: false };
 }
 

@@ -1,4 +1,4 @@
-// A camera's picture on demand, and the region of interest: drawn and moved by mouse, touch and keys.
+// A camera's picture on demand, and the region of interest on it.
 
 import {
   type CalibrationBody,
@@ -10,9 +10,9 @@ import {
   settings,
   type SourceState,
 } from "../api.ts";
-import { colour } from "../charts/chart.ts";
 import { button, choice, el, say } from "../dom.ts";
-import { between, calibrated, holds, inside, MIN_PX, type Region, regionOf, withRegion } from "../region.ts";
+import { calibrated, regionOf, withRegion } from "../region.ts";
+import { HOW_TO_DRAW, RegionCanvas } from "../region_canvas.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration } from "../words.ts";
 import { sentenceOf, type View } from "./view.ts";
@@ -20,8 +20,6 @@ import { sentenceOf, type View } from "./view.ts";
 const CAMERAS = ["camera", "infrared"];
 // The server has a new picture so often, ms.
 const PICTURE_MS = 500;
-// A key moves by this much, px; with Shift by one.
-const STEP_PX = 8;
 
 export const showCamera: View = (root, site, name) => {
   let end: () => void = () => undefined;
@@ -52,13 +50,9 @@ class CameraView {
   #site: SiteState;
   #source: SourceState;
   #may: boolean;
-  #canvas: HTMLCanvasElement;
-  #image: ImageBitmap | null = null;
-  #region: Region | null = null;
-  #changed = false;
+  #drawn: RegionCanvas;
   #watching = false;
   #ended = false;
-  #drag: { x: number; y: number; from: Region | null } | null = null;
   #said = el("p", { role: "status" });
   #taken = el("p", { class: "quiet" }, " ");
   #where = el("p");
@@ -69,15 +63,9 @@ class CameraView {
     this.#site = site;
     this.#source = source;
     this.#may = site.session.scope === "admin";
-    const hint = this.#may
-      ? " Draw or drag the region; keys: arrows move, Shift and arrows by one pixel, Alt and arrows size it."
-      : "";
-    this.#canvas = el("canvas", {
-      tabindex: 0,
-      role: "img",
-      "aria-label": `Picture of ${source.name}.${hint}`,
-      width: 640,
-      height: 360,
+    this.#drawn = new RegionCanvas(`Picture of ${source.name}.`, this.#may, () => {
+      say(this.#where, this.#drawn.text);
+      this.#save.disabled = !this.#drawn.changed;
     });
     const names = all.map((one): [string, string] => [one.name, one.name]);
     root.replaceChildren(
@@ -91,28 +79,27 @@ class CameraView {
         this.#may && this.#save,
       ),
       this.#said,
-      el("div", { class: "picture" }, this.#canvas),
+      el("div", { class: "picture" }, this.#drawn.canvas),
       this.#taken,
       this.#where,
-      (this.#may && el("p", { class: "quiet" }, `${hint.trim()} It is written into SITE.toml.`)) || el("p"),
+      (this.#may && el("p", { class: "quiet" }, `${HOW_TO_DRAW} It is written into SITE.toml.`)) || el("p"),
     );
-    if (this.#may) this.#listen();
     void this.#begin();
   }
 
   end(): void {
     this.#ended = true;
-    this.#image?.close();
+    this.#drawn.end();
   }
 
   async #begin(): Promise<void> {
     const { point, source } = this.#source;
     if (this.#may)
-      this.#region = await settings().then(
-        (found) => regionOf(found.text, point, source),
+      this.#drawn.region = await settings().then(
+        (found) => regionOf(found.text, { kind: source, point }),
         () => null,
       );
-    this.#region ??= await get<CalibrationBody[]>(ofPoint(point, "calibrations")).then(
+    this.#drawn.region ??= await get<CalibrationBody[]>(ofPoint(point, "calibrations")).then(
       (all) => calibrated(all.find((one) => one.state === "in force")?.calibration ?? {}, source),
       () => null,
     );
@@ -121,11 +108,9 @@ class CameraView {
 
   async #ask(): Promise<void> {
     try {
-      const found = await picture(this.#source.name);
+      const found = await picture(`/sources/${encodeURIComponent(this.#source.name)}`);
       const image = await createImageBitmap(found.blob);
       if (this.#ended) return image.close();
-      this.#image?.close();
-      this.#image = image;
       this.#show(found, image);
       say(this.#said, "");
     } catch (error) {
@@ -134,11 +119,10 @@ class CameraView {
   }
 
   #show(found: Picture, image: ImageBitmap): void {
-    this.#canvas.width = found.width || image.width;
-    this.#canvas.height = found.height || image.height;
+    this.#drawn.show(image, found.width, found.height);
+    const { width, height } = this.#drawn.canvas;
     const age = duration(Math.max(this.#site.now() - found.ms, 0) / 1000);
-    say(this.#taken, `${this.#canvas.width} × ${this.#canvas.height} px, ${clock(found.ms)}, ${age} old`);
-    this.#draw();
+    say(this.#taken, `${width} × ${height} px, ${clock(found.ms)}, ${age} old`);
   }
 
   #toggle(): void {
@@ -154,93 +138,17 @@ class CameraView {
     }
   }
 
-  #draw(): void {
-    const context = this.#canvas.getContext("2d");
-    if (!context || !this.#image) return;
-    context.drawImage(this.#image, 0, 0, this.#canvas.width, this.#canvas.height);
-    say(this.#where, this.#regionText());
-    this.#save.disabled = !this.#changed;
-    if (!this.#region) return;
-    const { x, y, width, height } = this.#region;
-    // A dark line below a bright one is seen on any picture.
-    for (const [style, size] of [
-      ["#000", 4],
-      [this.#changed ? colour("notice-ground") : "#fff", 2],
-    ] as const) {
-      context.strokeStyle = style;
-      context.lineWidth = size * Math.max(this.#canvas.width / 800, 1);
-      context.strokeRect(x, y, width, height);
-    }
-  }
-
-  #regionText(): string {
-    if (!this.#region) return "Region: not chosen yet.";
-    const { x, y, width, height } = this.#region;
-    return `Region: ${width} × ${height} px at ${x}, ${y}${this.#changed ? " (not in force yet)" : ""}`;
-  }
-
-  #set(region: Region): void {
-    this.#region = inside(region, this.#canvas);
-    this.#changed = true;
-    this.#draw();
-  }
-
-  #at(event: PointerEvent): { x: number; y: number } {
-    const box = this.#canvas.getBoundingClientRect();
-    return {
-      x: ((event.clientX - box.left) / box.width) * this.#canvas.width,
-      y: ((event.clientY - box.top) / box.height) * this.#canvas.height,
-    };
-  }
-
-  #listen(): void {
-    this.#canvas.addEventListener("pointerdown", (event) => {
-      const { x, y } = this.#at(event);
-      this.#canvas.setPointerCapture(event.pointerId);
-      this.#drag = { x, y, from: this.#region && holds(this.#region, x, y) ? this.#region : null };
-    });
-    this.#canvas.addEventListener("pointermove", (event) => {
-      if (!this.#drag || !this.#image) return;
-      const [{ x, y }, { from }] = [this.#at(event), this.#drag];
-      if (from) this.#set({ ...from, x: from.x + x - this.#drag.x, y: from.y + y - this.#drag.y });
-      else if (Math.hypot(x - this.#drag.x, y - this.#drag.y) >= MIN_PX / 2)
-        this.#set(between(this.#drag.x, this.#drag.y, x, y));
-    });
-    for (const name of ["pointerup", "pointercancel"]) this.#canvas.addEventListener(name, () => (this.#drag = null));
-    this.#canvas.addEventListener("keydown", (event) => this.#key(event));
-  }
-
-  #key(event: KeyboardEvent): void {
-    const ways: Record<string, [number, number]> = {
-      ArrowLeft: [-1, 0],
-      ArrowRight: [1, 0],
-      ArrowUp: [0, -1],
-      ArrowDown: [0, 1],
-    };
-    const way = ways[event.key];
-    if (!way || !this.#image) return;
-    event.preventDefault();
-    const step = event.shiftKey ? 1 : STEP_PX;
-    const { width, height } = this.#canvas;
-    const now = this.#region ?? { x: width / 2 - 32, y: height / 2 - 32, width: 64, height: 64 };
-    const [dx, dy] = [way[0] * step, way[1] * step];
-    this.#set(
-      event.altKey
-        ? { ...now, width: now.width + dx, height: now.height + dy }
-        : { ...now, x: now.x + dx, y: now.y + dy },
-    );
-  }
-
   async #put(): Promise<void> {
-    if (!this.#region) return;
+    const { region } = this.#drawn;
+    if (!region) return;
     try {
       const { text, tag } = await settings();
-      const changed = withRegion(text, this.#source.point, this.#source.source, this.#region);
+      const changed = withRegion(text, { kind: this.#source.source, point: this.#source.point }, region);
       if (changed === null)
         throw new Error("The section of this camera is not found in SITE.toml: write roi there, in Settings.");
       say(this.#said, (await putSettings(changed, tag)).text);
-      this.#changed = false;
-      this.#draw();
+      this.#drawn.changed = false;
+      this.#drawn.draw();
     } catch (error) {
       say(this.#said, sentenceOf(error));
     }

@@ -1,7 +1,7 @@
 // Two traces on one axis: another point, or another day of the same.
 
 import { Chart, type Drawn } from "../charts/chart.ts";
-import { load, rowStep } from "../charts/series.ts";
+import { load, ofAPoint, rowStep } from "../charts/series.ts";
 import { SPANS } from "../charts/window.ts";
 import { button, choice, el, say } from "../dom.ts";
 import { statistics } from "../rows.ts";
@@ -85,7 +85,14 @@ export const showCompare: View = (root, site) => {
   async function trace(point: string, shiftMs: number, signal: AbortSignal): Promise<{ drawn: Drawn; text: string }> {
     const newest = Date.parse(site.point(point)?.time ?? "") || toMs;
     const step = await rowStep(point, newest, site.rowsOf(point).rows);
-    const loaded = await load(point, toMs - 1000 * seconds - shiftMs, toMs - shiftMs, chart.width, step, signal);
+    const loaded = await load(
+      ofAPoint(point),
+      toMs - 1000 * seconds - shiftMs,
+      toMs - shiftMs,
+      chart.width,
+      step,
+      signal,
+    );
     const figures = statistics(loaded.envelope, loaded.areRows);
     const text = figures
       ? `least ${signed(figures.low, 3)}, largest ${signed(figures.high, 3)}, mean ${signed(figures.mean, 3)} mm`

@@ -3,7 +3,7 @@
 import { showAlarms } from "../alarms.ts";
 import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
 import { Chart, type Level, type Mark } from "../charts/chart.ts";
-import { joined, load, type Loaded, rowStep } from "../charts/series.ts";
+import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.ts";
 import { SPANS, TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
 import { emptyEnvelope, ofRows, statistics, within } from "../rows.ts";
@@ -220,7 +220,7 @@ class PointView {
     const { fromMs, toMs } = this.#window;
     try {
       const step = await rowStep(this.#name, this.#newestMs(), this.#site.rowsOf(this.#name).rows);
-      const loading = load(this.#name, fromMs, toMs, this.#chart.width, step, asking.signal);
+      const loading = load(ofAPoint(this.#name), fromMs, toMs, this.#chart.width, step, asking.signal);
       const events = get<EventBody[]>(this.#path("events"), asking.signal);
       [this.#loaded, this.#events] = await Promise.all([loading, events]);
       this.#failed = false;

@@ -1,20 +1,40 @@
-// SITE.toml as text: checked before it comes into force; what is wrong stands next to it.
+// Settings as text: checked before they come into force; what is wrong stands next to them.
 
 import { putSettings, Refused, settings } from "../api.ts";
 import { button, el, say } from "../dom.ts";
 import { sentenceOf, type View } from "./view.ts";
 
-export const showSettings: View = (root, site) => {
-  const area = el("textarea", { spellcheck: "false", autocapitalize: "off", "aria-label": "SITE.toml" });
+/** file: what they are; below: the address that they are at; note: what becomes of new ones; fault: what is wrong. */
+export interface SettingsPlace {
+  file: string;
+  below: string;
+  note: string;
+  save: string;
+  fault: () => string;
+  written?: () => Promise<void>;
+}
+
+export const showSettings: View = (root, site) =>
+  editSettings(root, {
+    file: "SITE.toml",
+    below: "",
+    note: "SITE.toml. New settings begin the measuring anew, from the kept states. Wrong ones change nothing.",
+    save: "Check and put in force",
+    fault: () => site.health?.settings?.text ?? "",
+  });
+
+/** A form of settings; returns how it ends. */
+export function editSettings(root: HTMLElement, place: SettingsPlace): () => void {
+  const area = el("textarea", { spellcheck: "false", autocapitalize: "off", "aria-label": place.file });
   const [done, wrong] = [el("p", { class: "done", role: "status" }), el("p", { class: "wrong", role: "alert" })];
-  const save = button("Check and put in force", () => void put());
+  const save = button(place.save, () => void put());
   let [tag, kept] = ["*", ""];
 
   async function load(): Promise<void> {
     try {
-      const found = await settings();
+      const found = await settings(place.below);
       [tag, kept, area.value] = [found.tag, found.text, found.text];
-      say(wrong, site.health?.settings?.text ?? "");
+      say(wrong, place.fault());
     } catch (error) {
       say(wrong, sentenceOf(error));
     }
@@ -25,8 +45,9 @@ export const showSettings: View = (root, site) => {
     say(done, "");
     say(wrong, "");
     try {
-      const found = await putSettings(area.value, tag);
+      const found = await putSettings(area.value, tag, place.below);
       [tag, kept] = [found.tag, area.value];
+      await place.written?.();
       say(
         done,
         found.restart.length ? `${found.text} Start midspan run again for: ${found.restart.join(", ")}.` : found.text,
@@ -57,11 +78,7 @@ export const showSettings: View = (root, site) => {
   window.addEventListener("beforeunload", ask);
   root.replaceChildren(
     el("h1", {}, "Settings"),
-    el(
-      "p",
-      { class: "quiet" },
-      "SITE.toml. New settings begin the measuring anew, from the kept states. Wrong ones change nothing.",
-    ),
+    el("p", { class: "quiet" }, place.note),
     el(
       "div",
       { class: "bar" },
@@ -74,4 +91,4 @@ export const showSettings: View = (root, site) => {
   );
   void load();
   return () => window.removeEventListener("beforeunload", ask);
-};
+}

@@ -5,6 +5,14 @@ import type { SiteState } from "../site_state.ts";
 
 export type View = (root: HTMLElement, site: SiteState, name: string) => () => void;
 
+/** A view in the navigation, of a site or of recordings. */
+export interface Entry<State> {
+  path: string;
+  text: string;
+  show: (root: HTMLElement, state: State, name: string) => () => void;
+  scope?: "admin";
+}
+
 /** Call something now and then, until the end that it gives. */
 export function repeat(work: () => void, ms: number): () => void {
   work();
