@@ -180,6 +180,19 @@ class Served:
         assert self.process.wait(timeout=60) == 0
 
 
+def opened_recordings(where):
+    """`midspan open` as a person starts it, and its document."""
+    process = subprocess.Popen(
+        command("open", where, "--no-browser", "--json"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    text = ""
+    while not text.rstrip().endswith("}"):
+        line = process.stdout.readline()
+        assert line, process.stderr.read()
+        text += line
+    return process, json.loads(text)
+
+
 def until(condition, seconds=60.0):
     """Wait for a condition; its value."""
     end_s = time.monotonic() + seconds

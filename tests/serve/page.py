@@ -4,6 +4,7 @@ import contextlib
 import socket
 import threading
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -32,6 +33,17 @@ source = "rtsp://camera/x"
 roi = [10, 20, 64, 48]  # the bolt
 """
 HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 800}
+AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
+
+
+def violations(page):
+    """Where a page is not accessible (WCAG 2.1, A and AA)."""
+    page.evaluate(AXE.read_text())
+    found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
+    return [(one["id"], one["nodes"][0]["html"]) for one in found["violations"]]
 
 
 class LiveSite:

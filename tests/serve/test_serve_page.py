@@ -2,11 +2,9 @@
 
 import gzip
 import re
-import shutil
-from pathlib import Path
 
 import pytest
-from page import HEIGHT, HOSTILE, SITE, WIDTH, LiveSite, Wire
+from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDE, WIDTH, LiveSite, Wire, violations
 
 from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
@@ -15,22 +13,9 @@ from served import PEAK_MM, PEAK_S, logged_in, state, until
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
 
-WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 800}
 VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
-AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
 # What the browser itself says of answers that are expected (a wrong login, a cut), and of a canvas that a test reads.
 EXPECTED = re.compile(r"Failed to load resource|WebSocket connection to|willReadFrequently")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no Chromium is on the PATH")
-    with play.sync_playwright() as running:
-        started = running.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")
@@ -330,11 +315,8 @@ def test_every_view_fits_a_phone_and_is_accessible(opened, scheme):
         page.wait_for_selector("main h1")
         page.wait_for_load_state("networkidle") if view == "settings" else page.wait_for_timeout(300)
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], view
-        if not AXE.is_file():
-            continue
-        page.evaluate(AXE.read_text())
-        found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
-        assert [(view, one["id"], one["nodes"][0]["html"]) for one in found["violations"]] == []
+        if AXE.is_file():
+            assert violations(page) == [], view
 
 
 def test_keys_alone_lead_from_the_login_to_a_frozen_trace(opened, site):

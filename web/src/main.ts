@@ -115,7 +115,10 @@ async function beginRecordings(): Promise<void> {
     // A list of one is none.
     views: desk.recordings.length > 1 ? views : views.slice(1),
     keepsName: true,
-    refresh: () => say(connection, desk.trouble),
+    refresh: () => {
+      mark(connection, desk.trouble ? "cut" : "");
+      say(connection, desk.trouble);
+    },
     stop: () => undefined,
   });
   showHead(begun.views);

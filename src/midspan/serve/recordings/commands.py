@@ -26,9 +26,12 @@ AS_LINES = {"MIDSPAN_PROGRESS": "json"}
 NICENESS = 5
 # A line of progress has some hundred bytes, a document of all columns' metadata some hundred kilobytes.
 MAX_LINE_BYTES = 1 << 20
+# Questions that are answered at a time: each is a process that begins for half a second.
+MAX_ASKED = 2
 # A command that was asked to end has so long for it, s.
 END_S = 10.0
-STOPPED = 128 + signal.SIGTERM
+# How it ends then, before and after it could say so itself.
+ENDED = (-signal.SIGTERM, 128 + signal.SIGTERM, -signal.SIGKILL)
 
 
 @dataclass(slots=True)
@@ -62,6 +65,21 @@ class Commands:
         self._process: asyncio.subprocess.Process | None = None
         self._running: asyncio.Task[None] | None = None
         self._newest: dict[int, Job] = {}
+        self._asking = asyncio.Semaphore(MAX_ASKED)
+        self._asked: set[asyncio.subprocess.Process] = set()
+
+    async def asked(self, what: str, *arguments: str) -> Tree:
+        """The document of a command that takes seconds. Raises Problem 422 with what it refuses."""
+        async with self._asking:
+            process = await _started(what, arguments)
+            self._asked.add(process)
+            try:
+                code, document, text = await _read(process, lambda _: None)
+            finally:
+                self._asked.discard(process)
+        if code and not document:
+            raise Problem(422, text)
+        return document
 
     def newest(self, recording: int) -> Job | None:
         """The job of a recording that runs, or ran last."""
@@ -79,44 +97,37 @@ class Commands:
         """End the job that runs, if any; returns once it has."""
         if self._running is None or self._running.done():
             return
-        if self._process is not None:
+        while self._process is None and not self._running.done():
+            await asyncio.sleep(0.01)
+        for end in (asyncio.subprocess.Process.terminate, asyncio.subprocess.Process.kill):
+            if self._process is not None:
+                with suppress(ProcessLookupError):
+                    end(self._process)
+                await asyncio.wait({self._running}, timeout=END_S)
+
+    async def close(self) -> None:
+        """End all that runs; returns once it has."""
+        await self.cancel()
+        asked = list(self._asked)
+        for process in asked:
             with suppress(ProcessLookupError):
-                self._process.terminate()
-        await asyncio.wait({self._running}, timeout=END_S)
-        if not self._running.done() and self._process is not None:
-            with suppress(ProcessLookupError):
-                self._process.kill()
-            await asyncio.wait({self._running}, timeout=END_S)
+                process.kill()
+        await asyncio.gather(*(process.wait() for process in asked))
 
     async def _run(self, job: Job) -> None:
         def progress(line: Tree) -> None:
             job.done, job.total, job.step = int(line["done"]), int(line["total"]), str(line["what"])
 
-        code, job.document, job.text = await self._finished(job.what, job.arguments, progress)
-        job.state = "done" if code == 0 else "cancelled" if code in (STOPPED, -signal.SIGTERM) else "failed"
-        job.took_s = time.monotonic() - job.begun_s
-
-    async def _finished(
-        self, what: str, arguments: Sequence[str], progress: Callable[[Tree], None]
-    ) -> tuple[int, Tree, str]:
-        process = self._process = await _started(what, arguments)
+        code = 1
         try:
-            return await _read(process, progress)
+            self._process = await _started(job.what, job.arguments)
+            code, job.document, job.text = await _read(self._process, progress)
+        except OSError as error:
+            job.text = f"The command cannot be started ({error.strerror})."
         finally:
             self._process = None
-
-
-async def asked(what: str, *arguments: str) -> Tree:
-    """The document of a command that takes seconds. Raises Problem 422 with what it refuses."""
-    process = await _started(what, arguments)
-    try:
-        code, document, text = await _read(process, lambda _: None)
-    finally:
-        if process.returncode is None:
-            process.kill()
-    if code and not document:
-        raise Problem(422, text)
-    return document
+            job.state = "done" if code == 0 else "cancelled" if code in ENDED else "failed"
+            job.took_s = time.monotonic() - job.begun_s
 
 
 async def _started(what: str, arguments: Sequence[str]) -> asyncio.subprocess.Process:
@@ -142,15 +153,22 @@ async def _read(process: asyncio.subprocess.Process, progress: Callable[[Tree], 
     assert process.stderr is not None
     output = asyncio.create_task(process.stdout.read())
     words = []
-    async for raw in process.stderr:
-        line = raw.decode(errors="replace").rstrip()
-        if line.startswith('{"done":'):
-            progress(json.loads(line))
-        else:
-            words.append(line)
-    code = await process.wait()
     try:
-        document = json.loads(await output)
+        async for raw in process.stderr:
+            line = raw.decode(errors="replace").rstrip()
+            if line.startswith('{"done":'):
+                progress(json.loads(line))
+            else:
+                words.append(line)
+        written, code = await output, await process.wait()
+    except BaseException:
+        # Nobody waits for it any more.
+        with suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+        raise
+    try:
+        document = json.loads(written)
     except ValueError:
         document = {}
     # What a command refuses is a document of its own.

@@ -36,7 +36,7 @@ class Desk:
 
     async def close(self) -> None:
         """End the work and the workers."""
-        await self.commands.cancel()
+        await self.commands.close()
         for worker in (self.quick, self.long):
             worker.close()
 

@@ -17,7 +17,6 @@ from midspan.serve.points import FILES, Done, Format, SpectrumBody
 from midspan.serve.problems import Problem, declared
 from midspan.serve.reading import MAX_BUCKETS
 from midspan.serve.recordings import reading
-from midspan.serve.recordings.commands import asked
 from midspan.serve.recordings.desk import Desk, desk_of
 from midspan.serve.recordings.tickets import Ticket
 from midspan.serve.settings_file import TEXT, on_trial, require_unchanged, tag_of, text_of
@@ -121,7 +120,7 @@ async def recordings(desk: Opened) -> Tree:
 @routes.get("/{number}/contents", response_model=dict[str, Any], responses=SEEN)
 async def contents(number: int, desk: Opened) -> Tree:
     """What `midspan inspect` says of it."""
-    return await asked("inspect", str(desk.require(number)))
+    return await desk.commands.asked("inspect", str(desk.require(number)))
 
 
 @routes.get(
@@ -251,7 +250,7 @@ async def spectrum(number: int, desk: Opened, from_s: Second, to_s: Second) -> T
 async def comparison(number: int, desk: Opened) -> Tree:
     """What `midspan compare` says of result and reference."""
     path = desk.require(number)
-    return await asked("compare", str(path.parent / reading.RESULT_FILE), str(path))
+    return await desk.commands.asked("compare", str(path.parent / reading.RESULT_FILE), str(path))
 
 
 @routes.post("/{number}/files", response_model=Address, responses=COMMANDED)
@@ -266,7 +265,7 @@ async def prepare(number: int, wanted: FileWanted, desk: Opened) -> Address:
     if wanted.format == "csv":
         return Address(path=_address(desk, Ticket(source, media, name)))
     target = Path(tempfile.mkdtemp(dir=desk.folder)) / name
-    await asked("export", str(source), "-o", str(target))
+    await desk.commands.asked("export", str(source), "-o", str(target))
     return Address(path=_address(desk, Ticket(target, media, name, is_made=True)))
 
 
