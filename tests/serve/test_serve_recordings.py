@@ -8,7 +8,6 @@ import re
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -185,6 +184,13 @@ def test_a_peak_keeps_its_height_and_what_is_lost_has_no_value(client, footbridg
     rows = client.get(f"{API}/0/series", params={"from_s": 49.98, "to_s": 50.02}).json()
     assert rows["status"] == ["tracking", "tracking", "lost", "lost"]
     assert rows["displacement_mm"][2:] == [None, None]
+    # Against the reference, where there is one: a value less that at its instant.
+    asked = {"from_s": 10, "to_s": 10.005}
+    of = [client.get(f"{API}/0/series", params={**asked, "of": one}).json() for one in ("result", "reference", "error")]
+    result, reference, error = (one["displacement_mm"][0] for one in of)
+    assert error == pytest.approx(result - reference, abs=1e-9)
+    late = client.get(f"{API}/0/series", params={"from_s": 100, "to_s": 100.005, "of": "error"}).json()
+    assert late["displacement_mm"] == [None]
     for wrong in ({"from_s": 5, "to_s": 5}, {"from_s": "nan", "to_s": 5}, {"from_s": 0, "to_s": 1, "of": "x"}):
         assert client.get(f"{API}/0/series", params=wrong).status_code == 422
     assert client.get(f"{API}/0/spectrum", params={"from_s": 60, "to_s": 110}).json()["frequency_hz"]
@@ -310,13 +316,6 @@ def children(parent):
         if f"PPid:\t{parent}\n" in status and "estimate" in command:
             found.append(int(name))
     return found
-
-
-def test_a_link_that_nobody_would_see_is_refused(footbridge):
-    command = [sys.executable, "-m", "midspan", "open", str(footbridge), "--no-browser", "--quiet"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert "--quiet" in done.stderr
 
 
 def test_the_browser_is_led_by_a_file_that_only_this_user_reads(tmp_path, monkeypatch):

@@ -127,6 +127,9 @@ def test_it_is_estimated_and_the_result_shown_compared_and_saved(page, folder, t
     play.expect(page.locator("dl.figures")).to_contain_text("rms about the mean")
     page.keyboard.press("a")
     play.expect(largest).to_have_text(whole)
+    page.get_by_label("Trace").select_option("error")
+    # The footbridge is estimated to hundredths of a millimetre, and moves by millimetres.
+    play.expect(largest).to_have_text(re.compile(r"^−?0\.0\d\d mm$"))
     page.get_by_label("as csv").select_option("mat")
     with page.expect_download() as saved:
         page.get_by_role("button", name="Save every row").click()

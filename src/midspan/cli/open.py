@@ -34,8 +34,6 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
     from midspan.service.supervise import listening
 
     console = Console(quiet, as_json)
-    if no_browser and quiet and not as_json:
-        raise click.UsageError("--no-browser: prints the link, which --quiet does not. Leave one of them out.")
     files = [file.absolute() for file in recordings_at(Path(recording))]
     more_descriptors()
 

@@ -39,8 +39,10 @@ export function ofRecording(number: number, what: string, query: Record<string, 
   return `/recordings/${number}/${what}${asked ? `?${asked}` : ""}`;
 }
 
-/** Its rows, or those of its reference. */
-export function rowsOf(number: number, of: "result" | "reference"): Address {
+/** What a trace is of; error: result less reference. */
+export type What = "result" | "reference" | "error";
+
+export function rowsOf(number: number, of: What): Address {
   return (fromMs, toMs, buckets) => {
     const time = { from_s: fromMs / 1000, to_s: toMs / 1000, of };
     return ofRecording(number, "series", buckets === null ? time : { ...time, buckets });

@@ -188,6 +188,7 @@ class ResultView {
       const compared = el("div");
       this.#result.replaceChildren(
         ...this.#headOf(recording, found),
+        ...warningsOf(found),
         this.#trace.root,
         ...this.#files(recording),
         compared,
@@ -246,16 +247,21 @@ function calibrationTable(calibration: Record<string, unknown>): HTMLElement {
   return el("div", {}, table(FIGURE_COLUMNS, rows), ...warnings.map((text) => el("p", { class: "wrong" }, text)));
 }
 
-/** Warnings, what is not in the band, events and the calibration of a result. */
-function wordsOf(found: ResultBody): HTMLElement[] {
+const list = (texts: string[]) => el("ul", {}, ...texts.map((text) => el("li", {}, text)));
+
+/** What a result warns of, above it. */
+function warningsOf(found: ResultBody): HTMLElement[] {
   const notices = found.notices ?? [];
+  if (!notices.length) return [];
+  return [el("h2", {}, "Warnings"), list(notices.map((one) => `${one.severity}: ${one.text} [${one.code}]`))];
+}
+
+/** What is not in the band, events and the calibration of a result. */
+function wordsOf(found: ResultBody): HTMLElement[] {
   const outside = found.not_in_band ?? [];
   const events = el("tbody");
   for (const one of found.events) events.append(line(EVENT_COLUMNS, [one.time_s.toFixed(3), one.kind, one.text]));
-  const list = (texts: string[]) => el("ul", {}, ...texts.map((text) => el("li", {}, text)));
   return [
-    el("h2", {}, "Warnings"),
-    notices.length ? list(notices.map((one) => `${one.severity}: ${one.text} [${one.code}]`)) : el("p", {}, "None."),
     el("h2", {}, "What the band cannot contain"),
     outside.length ? list(outside) : el("p", {}, "Nothing."),
     el("h2", {}, "Calibration of this result"),

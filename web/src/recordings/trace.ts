@@ -3,15 +3,20 @@
 import { Chart, type Drawn, type Mark } from "../charts/chart.ts";
 import { load, type Loaded } from "../charts/series.ts";
 import { TimeWindow } from "../charts/window.ts";
-import { button, el, say } from "../dom.ts";
+import { button, choice, el, say } from "../dom.ts";
 import { emptyEnvelope, statistics } from "../rows.ts";
 import { clock, duration, signed } from "../words.ts";
 import { SpectrumPanel } from "../views/spectrum.ts";
 import { sentenceOf } from "../views/view.ts";
-import { ofRecording, rowsOf } from "./desk.ts";
+import { ofRecording, rowsOf, type What } from "./desk.ts";
 
 // Times after this are instants since 1970, s: 1973; a recording's own clock is not kept running for years.
 const CLOCK_S = 1e8;
+const TRACES: [string, string][] = [
+  ["both", "result and reference"],
+  ["result", "result"],
+  ["error", "result less reference"],
+];
 // Lines that an envelope is drawn of.
 const SERIES = 4;
 
@@ -29,7 +34,7 @@ export class Trace {
   #chart: Chart | null = null;
   #frame: HTMLElement;
   #marks: Mark[];
-  #withReference: boolean;
+  #shows: string;
   #asking: AbortController | null = null;
   #wrong = el("p", { class: "wrong", role: "status" });
   #readout = el("p", { class: "quiet" }, " ");
@@ -38,7 +43,7 @@ export class Trace {
   #spectrum = new SpectrumPanel();
 
   constructor(number: number, span: Span, hasReference: boolean, marks: Mark[]) {
-    [this.#number, this.#span, this.#marks, this.#withReference] = [number, span, marks, hasReference];
+    [this.#number, this.#span, this.#marks, this.#shows] = [number, span, marks, hasReference ? "both" : "result"];
     this.#window = new TimeWindow(1, () => 1000 * span.to_s);
     this.#frame = el("div", {
       class: "chart",
@@ -47,11 +52,7 @@ export class Trace {
       "aria-label": "Displacement over time. Keys: left, right move; plus, minus zoom; A shows all.",
       keydown: (event) => this.#key(event as KeyboardEvent),
     });
-    const reference = el("input", {
-      type: "checkbox",
-      checked: hasReference,
-      change: () => this.#change(() => (this.#withReference = reference.checked)),
-    });
+    const traces = choice("Trace", TRACES, this.#shows, (value) => this.#change(() => (this.#shows = value)));
     this.root.append(
       el(
         "div",
@@ -61,7 +62,8 @@ export class Trace {
         button("Later", () => this.#change(() => this.#window.move(0.5))),
         button("Zoom in", () => this.#change(() => this.#window.zoom(0.5))),
         button("Zoom out", () => this.#change(() => this.#window.zoom(2))),
-        hasReference && el("label", { class: "second" }, reference, " reference"),
+        hasReference && traces,
+        hasReference && el("span", { class: "second" }, "reference"),
       ),
       this.#wrong,
       this.#frame,
@@ -121,10 +123,13 @@ export class Trace {
     const { signal } = (this.#asking = new AbortController());
     const { fromMs, toMs } = this.#window;
     const step = (this.#span.to_s - this.#span.from_s) / Math.max(this.#span.rows - 1, 1);
-    const of = (what: "result" | "reference") => load(rowsOf(this.#number, what), fromMs, toMs, width, step, signal);
+    const of = (what: What) => load(rowsOf(this.#number, what), fromMs, toMs, width, step, signal);
     const nothing: Loaded = { envelope: emptyEnvelope(), areRows: false };
     try {
-      const [result, reference] = await Promise.all([of("result"), this.#withReference ? of("reference") : nothing]);
+      const [result, reference] = await Promise.all([
+        of(this.#shows === "error" ? "error" : "result"),
+        this.#shows === "both" ? of("reference") : nothing,
+      ]);
       say(this.#wrong, "");
       this.#draw(result, [{ envelope: reference.envelope }, { envelope: result.envelope }]);
     } catch (error) {

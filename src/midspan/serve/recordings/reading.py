@@ -28,7 +28,7 @@ from midspan.vision.region import check_region
 Tree = dict[str, Any]
 # As `midspan estimate` writes them without further words.
 RESULT_FILE, REPORT_FILE = "result.csv", "report.html"
-# A folder of recordings is looked through so deep, and for so many: more are a campaign.
+# Levels of folders that are looked through for recordings, and how many these may be: more are a campaign.
 FOLDERS_DEEP, MAX_RECORDINGS = 2, 500
 # Of a result's metadata, what a person reads.
 SHOWN = ("midspan", "method", "delay_s", "zero_std_mm", "not_in_band", "notices", "events")
@@ -113,14 +113,20 @@ def first_frame(file: str, camera: str) -> tuple[bytes, Tree]:
     return picture.jpeg, {"time_ns": picture.time_ns, "height": picture.shape[0], "width": picture.shape[1]}
 
 
-@lru_cache(maxsize=2)
-def _trace(file: str, what: str, _written: int) -> tuple[Nanoseconds, Floats, Floats, Any]:
+@lru_cache(maxsize=3)
+def _trace(file: str, what: str, _written: tuple[int, ...]) -> tuple[Nanoseconds, Floats, Floats, Any]:
     """Stamps (n,) in ns, displacement and its deviation, mm, NaN where there is none, and codes of the status."""
     path = Path(file).parent / RESULT_FILE
     if what == "reference":
         found = open_recording(file).reference
         nothing = np.full(len(found.value), np.nan)
         return found.time_ns, 1e3 * found.value, nothing, np.zeros(len(nothing), dtype=np.int8)
+    if what == "error":
+        time_ns, value, std, status = trace(file, "result")
+        true_ns, true, _, _ = trace(file, "reference")
+        inside = (time_ns >= true_ns[0]) & (time_ns <= true_ns[-1])
+        between = np.interp(time_ns - true_ns[0], true_ns - true_ns[0], true)
+        return time_ns, np.where(inside, value - between, np.nan), std, status
     if not path.is_file():
         raise DataError(f"{path.name}: is not there yet. Estimate the recording first.")
     import pyarrow as pa
@@ -137,9 +143,10 @@ def _trace(file: str, what: str, _written: int) -> tuple[Nanoseconds, Floats, Fl
 
 
 def trace(file: str, what: str) -> tuple[Nanoseconds, Floats, Floats, Any]:
-    """Result or reference, read again once it was written again."""
-    written = Path(file).parent / RESULT_FILE if what == "result" else Path(file)
-    return _trace(file, what, written.stat().st_mtime_ns if written.exists() else 0)
+    """Result, reference or error (result less reference), read again once it was written again."""
+    needs = {"result": [Path(file).parent / RESULT_FILE], "reference": [Path(file)]}
+    files = needs.get(what) or [*needs["result"], *needs["reference"]]
+    return _trace(file, what, tuple(one.stat().st_mtime_ns for one in files if one.exists()))
 
 
 def span(file: str, what: str) -> Tree:

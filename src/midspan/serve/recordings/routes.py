@@ -33,7 +33,7 @@ REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:; form-action 'none'; frame-ancestors 'none'"
 )
-Trace = Literal["result", "reference"]
+Trace = Literal["result", "reference", "error"]
 Second = Annotated[float, Query(ge=-1e11, le=1e11, allow_inf_nan=False, description="s on the accelerometer's clock")]
 
 
@@ -231,7 +231,7 @@ async def series(
     buckets: Annotated[int | None, Query(ge=1, le=MAX_BUCKETS)] = None,
     of: Trace = "result",
 ) -> Response:
-    """Rows of result or reference, or least, largest and mean of equal buckets, as of a point."""
+    """Rows of result, reference or error (result less reference), or equal buckets of them, as of a point."""
     if to_s <= from_s:
         raise Problem(422, "from_s, to_s: `to_s` must be after `from_s`.")
     path = str(desk.require(number))
