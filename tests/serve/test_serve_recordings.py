@@ -19,7 +19,7 @@ import pytest
 from scipy.io import loadmat
 
 from midspan.cli.console import Console
-from midspan.errors import DataError
+from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS
 from midspan.serve.recordings.access import LinkAccess
 from midspan.serve.recordings.desk import Desk
@@ -268,6 +268,9 @@ def test_recordings_are_found_below_a_folder(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="midspan init"):
         recordings_at(tmp_path / "empty")
+    (tmp_path / "accel.csv").touch()
+    with pytest.raises(UsageError, match="midspan init"):
+        recordings_at(tmp_path / "accel.csv")
 
 
 def test_progress_comes_as_lines_for_a_program(monkeypatch, capsys):

@@ -135,6 +135,10 @@ def test_it_is_estimated_and_the_result_shown_compared_and_saved(page, folder, t
         page.get_by_role("button", name="Save every row").click()
     assert saved.value.suggested_filename == "a bridge.mat"
     assert saved.value.path().stat().st_size > 10_000
+    page.get_by_role("button", name="Calibrate").click()
+    play.expect(page.get_by_role("heading", name=re.compile("^calibration.json of"))).to_be_visible()
+    # What was calibrated is what it is estimated with next.
+    assert page.get_by_label("Calibration").input_value() == "kept"
     with page.context.expect_page() as report:
         page.get_by_role("button", name="Open the report").click()
     play.expect(report.value.get_by_role("heading", name="Warnings and events")).to_be_visible()

@@ -30,7 +30,6 @@ export interface Job {
   text: string;
   seconds: number;
   command: string;
-  document: Record<string, unknown>;
 }
 
 /** The address of something of a recording. */

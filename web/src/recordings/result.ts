@@ -5,7 +5,7 @@ import type { Mark } from "../charts/chart.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
 import { clock, signed } from "../words.ts";
 import { figures } from "../views/calibration.ts";
-import { repeat, sentenceOf } from "../views/view.ts";
+import { sentenceOf } from "../views/view.ts";
 import { type Desk, type Job, ofRecording, type Recording } from "./desk.ts";
 import { type Span, Trace } from "./trace.ts";
 
@@ -59,8 +59,9 @@ class ResultView {
   #calibrationPart = el("div");
   #result = el("div");
   #buttons: HTMLButtonElement[];
+  #choicesPart = el("span", { class: "bar" });
+  #timer = 0;
   #cancel = button("Cancel", () => void this.#command("cancel"));
-  #end: () => void;
 
   constructor(root: HTMLElement, recording: Recording, desk: Desk) {
     [this.#recording, this.#desk] = [recording, desk];
@@ -71,44 +72,37 @@ class ResultView {
     ];
     if (recording.fault) this.#buttons.forEach((one) => (one.disabled = true));
     root.append(
-      el("div", { class: "bar" }, ...this.#choices(), ...this.#buttons, this.#cancel),
+      el("div", { class: "bar" }, this.#choicesPart, ...this.#buttons, this.#cancel),
       this.#bar,
       this.#step,
       this.#said,
       this.#result,
       this.#calibrationPart,
     );
-    this.#end = repeat(() => void this.#look(), ASK_MS);
+    void this.#look();
     void this.#showFiles();
   }
 
   end(): void {
     this.#ended = true;
-    this.#end();
+    window.clearTimeout(this.#timer);
     this.#trace?.end();
   }
 
-  #choices(): HTMLElement[] {
+  #choices({ calibration_s: calibratedS, cameras, method }: Recording): HTMLElement[] {
     const as = (text: string, names: string[]): [string, string][] => [
       ["", text],
       ...names.map((one): [string, string] => [one, one]),
     ];
     const calibrations: [string, string][] = [["", "made anew"]];
-    if (this.#recording.calibration_s !== null)
-      calibrations.push(["kept", `calibration.json of ${clock(1000 * this.#recording.calibration_s)}`]);
+    if (calibratedS !== null) calibrations.push(["kept", `calibration.json of ${clock(1000 * calibratedS)}`]);
+    const wanted = this.#wanted;
     const made = [
-      choice("Calibration", calibrations, "", (value) => (this.#wanted.calibration = value)),
-      choice(
-        "Method",
-        as(this.#recording.method || "usual", this.#desk.methods),
-        "",
-        (value) => (this.#wanted.method = value),
-      ),
+      choice("Calibration", calibrations, wanted.calibration, (value) => (wanted.calibration = value)),
+      choice("Method", as(method || "usual", this.#desk.methods), wanted.method, (value) => (wanted.method = value)),
     ];
-    if (this.#recording.cameras.length)
-      made.push(
-        choice("Tracker", as("of recording.toml", this.#desk.trackers), "", (value) => (this.#wanted.tracker = value)),
-      );
+    const trackers = as("of recording.toml", this.#desk.trackers);
+    if (cameras.length) made.push(choice("Tracker", trackers, wanted.tracker, (value) => (wanted.tracker = value)));
     return made;
   }
 
@@ -134,16 +128,19 @@ class ResultView {
 
   /** How the calculation stands; once it has ended, what it made is shown. */
   async #look(): Promise<void> {
+    window.clearTimeout(this.#timer);
     let job: Job;
     try {
       job = await get<Job>(ofRecording(this.#recording.number, "job"));
       this.#desk.trouble = "";
     } catch (error) {
       this.#desk.trouble = sentenceOf(error);
+      this.#lookAgain();
       return;
     }
     if (!job.what) return;
     const runs = job.state === "running";
+    if (runs) this.#lookAgain();
     this.#bar.hidden = this.#cancel.hidden = !runs;
     this.#buttons.forEach((one) => (one.disabled = runs || this.#recording.fault !== ""));
     if (job.total) [this.#bar.max, this.#bar.value] = [job.total, job.done];
@@ -157,13 +154,20 @@ class ResultView {
     mark(this.#said, job.state === "failed" ? "wrong" : "");
     if (runs || first) return;
     if (job.state === "done") say(this.#said, `Done in ${job.seconds.toFixed(0)} s. ${job.command}`);
+    // Who calibrates and then estimates means to use it.
+    if (job.state === "done" && job.what === "calibrate") this.#wanted.calibration = "kept";
     await this.#desk.ask();
     await this.#showFiles();
+  }
+
+  #lookAgain(): void {
+    if (!this.#ended) this.#timer = window.setTimeout(() => void this.#look(), ASK_MS);
   }
 
   /** What lies in the recording's folder: its result and its calibration. */
   async #showFiles(): Promise<void> {
     const recording = this.#desk.of(String(this.#recording.number)) ?? this.#recording;
+    this.#choicesPart.replaceChildren(...this.#choices(recording));
     if (recording.result_s !== null) await this.#showResult(recording);
     if (recording.calibration_s === null || this.#ended) return;
     try {

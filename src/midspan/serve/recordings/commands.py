@@ -8,6 +8,7 @@ import asyncio
 import ctypes
 import json
 import os
+import shlex
 import signal
 import sys
 import time
@@ -46,15 +47,14 @@ class Job:
     total: int = 0
     step: str = ""
     text: str = ""
-    document: Tree = field(default_factory=dict)
     begun_s: float = field(default_factory=time.monotonic)
     took_s: float | None = None
 
     def to_dict(self) -> Tree:
         """As the interface shows it."""
-        names = ("what", "state", "done", "total", "step", "text", "document")
+        names = ("what", "state", "done", "total", "step", "text")
         took_s = time.monotonic() - self.begun_s if self.took_s is None else self.took_s
-        command = " ".join(("midspan", self.what, *self.arguments))
+        command = shlex.join(("midspan", self.what, *self.arguments))
         return {**{name: getattr(self, name) for name in names}, "seconds": took_s, "command": command}
 
 
@@ -121,7 +121,7 @@ class Commands:
         code = 1
         try:
             self._process = await _started(job.what, job.arguments)
-            code, job.document, job.text = await _read(self._process, progress)
+            code, _, job.text = await _read(self._process, progress)
         except OSError as error:
             job.text = f"The command cannot be started ({error.strerror})."
         finally:

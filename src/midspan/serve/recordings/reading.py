@@ -36,7 +36,11 @@ MAX_EVENTS = 1000
 
 
 def recordings_at(where: Path) -> list[Path]:
-    """The recording.toml that is meant, or those of the folders below. Raises DataError where there is none."""
+    """The recording.toml that is meant, or those of the folders below. Raises UsageError for another file, DataError
+    where there is none.
+    """
+    if where.is_file() and where.suffix.lower() != ".toml":
+        raise UsageError(f"{where}: is no {RECORDING_FILE}. `midspan init` writes one, `midspan inspect` shows a file.")
     if where.is_file() or (where / RECORDING_FILE).is_file():
         return [where if where.is_file() else where / RECORDING_FILE]
     patterns = ["/".join([*["*"] * deep, RECORDING_FILE]) for deep in range(1, FOLDERS_DEEP + 1)]
