@@ -240,6 +240,8 @@ def test_an_alarm_goes_through_all_its_states(opened, site):
     play.expect(page.get_by_text("is acknowledged.")).to_be_visible()
     page.get_by_role("button", name=re.compile("^Silence p")).click()
     dialog = page.get_by_role("dialog")
+    if AXE.is_file():
+        assert violations(page) == []
     dialog.get_by_role("combobox").select_option("8")
     dialog.get_by_label("Reason").fill("gauge is loose")
     page.keyboard.press("Enter")

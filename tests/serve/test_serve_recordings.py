@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -110,6 +111,24 @@ def test_a_page_of_another_host_whose_name_leads_here_gets_nothing(client):
     answer = client.options(API, headers={"Origin": "http://evil.example", "Access-Control-Request-Method": "GET"})
     assert answer.status_code == 405
     assert not [name for name in answer.headers if name.startswith("access-control")]
+
+
+@pytest.mark.slow
+def test_every_answer_is_declared_whatever_is_sent(visitor, desk, tmp_path):
+    """schemathesis with all of its checks, as of the interface over a store."""
+    pytest.importorskip("schemathesis")
+    token = visitor.post("/api/v1/link", json={"link": desk.access.link()}).json()["token"]
+    made_result(desk.files[0].parent)
+    settings = Path(__file__).with_name("schemathesis.toml")
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "schemathesis.cli", "--config-file", str(settings), "run",
+            f"{visitor.base_url}/api/v1/openapi.json", "-H", f"Authorization: Bearer {token}",
+            "--checks", "all", "--max-examples", "5", "--seed", "1", "--continue-on-failure", "--no-color",
+        ],
+        capture_output=True, text=True, check=False, timeout=900, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-20_000:] + done.stderr[-2000:]
 
 
 def test_links_and_tickets_are_forgotten_once_they_are_used(monkeypatch, tmp_path):

@@ -7,8 +7,8 @@ import { Newest } from "./rows.ts";
 
 // States change in seconds, and rows come in between, ms.
 const ASK_MS = 3000;
-// Alarms come by themselves as they change; their values, and what a cut hid, are asked for so often, ms.
-const ALARMS_MS = 10_000;
+// Alarms come on their own as they change; what a cut hid is asked for this often, ms.
+const ALARMS_MS = 30_000;
 // What is kept of live rows for traces, s.
 export const KEPT_S = 130;
 
@@ -94,6 +94,8 @@ export class SiteState {
       if (performance.now() - this.#alarmsMs > ALARMS_MS) await this.askAlarms();
     } catch (error) {
       if (error instanceof Refused && error.status === 401) return;
+      // Changes of alarms may have come meanwhile.
+      this.#alarmsMs = -Infinity;
       this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
     }
     if (this.#stopped) return;

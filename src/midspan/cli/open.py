@@ -3,10 +3,14 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from midspan.cli.console import Console, common_options
+
+if TYPE_CHECKING:
+    import asyncio
 
 REDIRECT = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={}"><title>midspan</title>'
 
@@ -27,6 +31,7 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
     import signal
     from tempfile import TemporaryDirectory
 
+    from midspan.serve.application import PAGE
     from midspan.serve.process import more_descriptors
     from midspan.serve.recordings.desk import Desk
     from midspan.serve.recordings.reading import recordings_at
@@ -34,6 +39,8 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
     from midspan.service.supervise import listening
 
     console = Console(quiet, as_json)
+    if not PAGE.is_dir():
+        console.warn(["The page is not built: `make page` builds it."])
     files = [file.absolute() for file in recordings_at(Path(recording))]
     more_descriptors()
 
@@ -83,11 +90,8 @@ def _browse(address: str, folder: Path, console: Console) -> None:
     threading.Thread(target=begin, daemon=True).start()
 
 
-def _print_on_enter(link: Callable[[], str], console: Console, loop: object) -> None:
+def _print_on_enter(link: Callable[[], str], console: Console, loop: "asyncio.AbstractEventLoop") -> None:
     """Print another link for each line that is entered in a terminal."""
-    import asyncio
-
-    assert isinstance(loop, asyncio.AbstractEventLoop)
     if console.quiet or console.as_json or not sys.stdin or not sys.stdin.isatty():
         return
 

@@ -48,6 +48,7 @@ def page_over(serving: Any, interface: Sequence[APIRouter]) -> FastAPI:
     problems.install(app)
     for part in interface:
         app.include_router(part, prefix=API)
+    app.include_router(description)
     app.openapi = lambda: _interface(app)  # type: ignore[method-assign]
     if PAGE.is_dir():
         # No mount at the root: it would take what other routes answer with 405.
@@ -99,8 +100,12 @@ async def standing(serving: Shared) -> Tree:
     return serving.standing()
 
 
-@routes.get(f"{API}/openapi.json", response_model=dict[str, Any], dependencies=READ,
-            responses=problems.declared(401, 403))  # fmt: skip
+description = APIRouter(tags=["health"])
+
+
+@description.get(
+    f"{API}/openapi.json", response_model=dict[str, Any], dependencies=READ, responses=problems.declared(401, 403)
+)
 async def openapi(request: Request) -> JSONResponse:
     """This interface as OpenAPI 3.1."""
     return JSONResponse(request.app.openapi())
