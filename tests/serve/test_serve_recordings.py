@@ -210,9 +210,20 @@ def test_a_peak_keeps_its_height_and_what_is_lost_has_no_value(client, footbridg
     assert error == pytest.approx(result - reference, abs=1e-9)
     late = client.get(f"{API}/0/series", params={"from_s": 100, "to_s": 100.005, "of": "error"}).json()
     assert late["displacement_mm"] == [None]
+    assert "one axis only" in client.get(f"{API}/0/series", params={**asked, "of": "across"}).json()["detail"]
     for wrong in ({"from_s": 5, "to_s": 5}, {"from_s": "nan", "to_s": 5}, {"from_s": 0, "to_s": 1, "of": "x"}):
         assert client.get(f"{API}/0/series", params=wrong).status_code == 422
     assert client.get(f"{API}/0/spectrum", params={"from_s": 60, "to_s": 110}).json()["frequency_hz"]
+
+
+def test_a_second_axis_is_read_from_its_own_columns(client, footbridge_copy):
+    header = "time_s,displacement_mm,displacement_std_mm,status,displacement_x_mm,displacement_std_x_mm,status_x\n"
+    (footbridge_copy / "result.csv").write_text(
+        f"{header}0,1,0.1,tracking,5,0.5,tracking\n1,2,0.2,lost,6,0.6,coasting\n"
+    )
+    rows = client.get(f"{API}/0/series", params={"from_s": 0, "to_s": 2, "of": "across"}).json()
+    assert (rows["displacement_mm"], rows["displacement_std_mm"]) == ([5.0, 6.0], [0.5, 0.6])
+    assert rows["status"] == ["tracking", "coasting"]
 
 
 def test_buckets_are_those_of_a_loop():

@@ -13,6 +13,8 @@ export const HOW_TO_DRAW =
 export class RegionCanvas {
   canvas: HTMLCanvasElement;
   region: Region | null = null;
+  /** Further regions, which are shown and cannot be moved. */
+  others: Region[] = [];
   /** Whether it was drawn or moved since it was set. */
   changed = false;
   #image: ImageBitmap | null = null;
@@ -50,8 +52,6 @@ export class RegionCanvas {
     if (!context || !this.#image) return;
     context.drawImage(this.#image, 0, 0, this.canvas.width, this.canvas.height);
     this.#moved();
-    if (!this.region) return;
-    const { x, y, width, height } = this.region;
     // A dark line below a bright one is seen on any picture.
     for (const [style, size] of [
       ["#000", 4],
@@ -59,7 +59,8 @@ export class RegionCanvas {
     ] as const) {
       context.strokeStyle = style;
       context.lineWidth = size * Math.max(this.canvas.width / 800, 1);
-      context.strokeRect(x, y, width, height);
+      for (const { x, y, width, height } of this.region ? [this.region, ...this.others] : this.others)
+        context.strokeRect(x, y, width, height);
     }
   }
 

@@ -38,8 +38,8 @@ export function ofRecording(number: number, what: string, query: Record<string, 
   return `/recordings/${number}/${what}${asked ? `?${asked}` : ""}`;
 }
 
-/** What a trace is of; error: result less reference. */
-export type What = "result" | "reference" | "error";
+/** What a trace is of; across: the result along its second axis; error: result less reference. */
+export type What = "result" | "across" | "reference" | "error";
 
 export function rowsOf(number: number, of: What): Address {
   return (fromMs, toMs, buckets) => {

@@ -31,12 +31,13 @@ export function showRegion(root: HTMLElement, recording: Recording, desk: Desk):
       say(where, may ? drawn.text : `${regions.length} targets: their regions are changed in Settings.`);
       save.disabled = !drawn.changed;
     });
+    if (!may) drawn.others = regions.map(([x = 0, y = 0, width = 0, height = 0]) => ({ x, y, width, height }));
     end = () => drawn.end();
 
     async function begin(): Promise<void> {
       try {
         drawn.region = regionOf((await settings(below)).text, { kind, name });
-        if (!drawn.region && recording.calibration_s !== null) {
+        if (!drawn.region && may && recording.calibration_s !== null) {
           drawn.region = calibrated(await get(ofRecording(recording.number, "calibration")), kind);
           if (drawn.region) say(chosen, "This region was chosen by the calibration; recording.toml names none.");
         }

@@ -21,6 +21,8 @@ interface Notice {
 }
 interface ResultBody extends Span {
   method: string;
+  /** Of a result along two axes, by their names. */
+  axes: Record<string, { column: string }> | null;
   not_in_band: string[] | null;
   notices: Notice[] | null;
   events: { time_s: number; kind: string; text: string }[];
@@ -188,7 +190,8 @@ class ResultView {
       if (this.#ended) return;
       this.#trace?.end();
       const marks: Mark[] = found.events.map((one) => ({ x: one.time_s, kind: one.kind }));
-      this.#trace = new Trace(number, found, recording.has_reference, marks);
+      const across = Object.entries(found.axes ?? {}).find(([, one]) => one.column !== "displacement_mm")?.[0] ?? "";
+      this.#trace = new Trace(number, found, recording.has_reference, across, marks);
       const compared = el("div");
       this.#result.replaceChildren(
         ...this.#headOf(recording, found),

@@ -12,11 +12,6 @@ import { ofRecording, rowsOf, type What } from "./desk.ts";
 
 // Times after this are instants since 1970, s: 1973; a recording's own clock is not kept running for years.
 const CLOCK_S = 1e8;
-const TRACES: [string, string][] = [
-  ["both", "result and reference"],
-  ["result", "result"],
-  ["error", "result less reference"],
-];
 // Lines that an envelope is drawn of.
 const SERIES = 4;
 
@@ -42,7 +37,8 @@ export class Trace {
   #figures = el("dl", { class: "figures" });
   #spectrum = new SpectrumPanel();
 
-  constructor(number: number, span: Span, hasReference: boolean, marks: Mark[]) {
+  /** across: the name of a second axis; empty without one. */
+  constructor(number: number, span: Span, hasReference: boolean, across: string, marks: Mark[]) {
     [this.#number, this.#span, this.#marks, this.#shows] = [number, span, marks, hasReference ? "both" : "result"];
     this.#window = new TimeWindow(1, () => 1000 * span.to_s);
     this.#frame = el("div", {
@@ -52,7 +48,11 @@ export class Trace {
       "aria-label": "Displacement over time. Keys: left, right move; plus, minus zoom; A shows all.",
       keydown: (event) => this.#key(event as KeyboardEvent),
     });
-    const traces = choice("Trace", TRACES, this.#shows, (value) => this.#change(() => (this.#shows = value)));
+    const shown: [string, string][] = [["result", "result"]];
+    if (hasReference) shown.unshift(["both", "result and reference"]);
+    if (hasReference) shown.push(["error", "result less reference"]);
+    if (across) shown.push(["across", `result along ${across}`]);
+    const traces = choice("Trace", shown, this.#shows, (value) => this.#change(() => (this.#shows = value)));
     this.root.append(
       el(
         "div",
@@ -62,7 +62,7 @@ export class Trace {
         button("Later", () => this.#change(() => this.#window.move(0.5))),
         button("Zoom in", () => this.#change(() => this.#window.zoom(0.5))),
         button("Zoom out", () => this.#change(() => this.#window.zoom(2))),
-        hasReference && traces,
+        shown.length > 1 && traces,
         hasReference && el("span", { class: "second" }, "reference"),
       ),
       this.#wrong,
@@ -91,6 +91,10 @@ export class Trace {
     this.#asking?.abort();
     this.#spectrum.end();
     this.#chart?.destroy();
+  }
+
+  get #what(): What {
+    return this.#shows === "both" ? "result" : (this.#shows as What);
   }
 
   #all(): void {
@@ -127,7 +131,7 @@ export class Trace {
     const nothing: Loaded = { envelope: emptyEnvelope(), areRows: false };
     try {
       const [result, reference] = await Promise.all([
-        of(this.#shows === "error" ? "error" : "result"),
+        of(this.#what),
         this.#shows === "both" ? of("reference") : nothing,
       ]);
       say(this.#wrong, "");
@@ -173,6 +177,6 @@ export class Trace {
 
   async #showSpectrum(): Promise<void> {
     const time = { from_s: this.#window.fromMs / 1000, to_s: this.#window.toMs / 1000 };
-    await this.#spectrum.show(ofRecording(this.#number, "spectrum", time));
+    await this.#spectrum.show(ofRecording(this.#number, "spectrum", { ...time, of: this.#what }));
   }
 }

@@ -31,7 +31,7 @@ RESULT_FILE, REPORT_FILE = "result.csv", "report.html"
 # Levels of folders that are looked through for recordings, and how many these may be: more are a campaign.
 FOLDERS_DEEP, MAX_RECORDINGS = 2, 500
 # Of a result's metadata, what a person reads.
-SHOWN = ("midspan", "method", "delay_s", "zero_std_mm", "not_in_band", "notices", "events")
+SHOWN = ("midspan", "method", "delay_s", "zero_std_mm", "axes", "not_in_band", "notices", "events")
 MAX_EVENTS = 1000
 
 
@@ -136,20 +136,33 @@ def _trace(file: str, what: str, _written: tuple[int, ...]) -> tuple[Nanoseconds
     import pyarrow as pa
     from pyarrow import compute, csv
 
-    names = ["time_s", "displacement_mm", "displacement_std_mm", "status"]
     with reading(path, "a result"):
+        names = _columns(path, what)
         table = csv.read_csv(path, convert_options=csv.ConvertOptions(include_columns=names))
         time_s, value, std = (table[name].to_numpy().astype(np.float64) for name in names[:3])
         words = pa.array(WORDS["status"])
-        status = compute.index_in(table["status"], value_set=words).to_numpy().astype(np.int8)
+        status = compute.index_in(table[names[3]], value_set=words).to_numpy().astype(np.int8)
     lost = status == WORDS["status"].index("lost")
     return np.round(NANOSECONDS * time_s).astype(np.int64), np.where(lost, np.nan, value), std, status
 
 
+def _columns(path: Path, what: str) -> list[str]:
+    """Time, displacement, its deviation and status: along the main axis, or along the second one."""
+    if what == "result":
+        return ["time_s", "displacement_mm", "displacement_std_mm", "status"]
+    with path.open() as lines:
+        header = lines.readline().strip().split(",")
+    axis = next((axis for axis in "xy" if f"displacement_{axis}_mm" in header), None)
+    if axis is None:
+        raise DataError(f"{path.name}: has one axis only.")
+    return ["time_s", f"displacement_{axis}_mm", f"displacement_std_{axis}_mm", f"status_{axis}"]
+
+
 def trace(file: str, what: str) -> tuple[Nanoseconds, Floats, Floats, Any]:
-    """Result, reference or error (result less reference), read again once it was written again."""
-    needs = {"result": [Path(file).parent / RESULT_FILE], "reference": [Path(file)]}
-    files = needs.get(what) or [*needs["result"], *needs["reference"]]
+    """Result, the same across (along a second axis), reference or error (result less reference), read again once
+    it was written again.
+    """
+    files = [Path(file).parent / RESULT_FILE, Path(file)]
     return _trace(file, what, tuple(one.stat().st_mtime_ns for one in files if one.exists()))
 
 
@@ -205,9 +218,9 @@ def bucketed(edges: Floats, time_ns: Nanoseconds, value: Floats, std: Floats) ->
     }
 
 
-def spectrum_of(file: str, from_s: float, to_s: float) -> Tree:
-    """Spectrum and natural frequencies of a part of the result."""
-    time_ns, value, _, _ = trace(file, "result")
+def spectrum_of(file: str, what: str, from_s: float, to_s: float) -> Tree:
+    """Spectrum and natural frequencies of a part of a trace."""
+    time_ns, value, _, _ = trace(file, what)
     first, end = np.searchsorted(time_ns, [round(NANOSECONDS * from_s), round(NANOSECONDS * to_s)])
     known = np.flatnonzero(np.isfinite(value[first:end])) + first
     return spectrum_tree(TimeSeries(time_ns[known], 1e-3 * value[known]))

@@ -33,7 +33,7 @@ REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:; form-action 'none'; frame-ancestors 'none'"
 )
-Trace = Literal["result", "reference", "error"]
+Trace = Literal["result", "across", "reference", "error"]
 # Whole ns of 64 bits reach from 1685 to 2255.
 Second = Annotated[float, Query(ge=-9e9, le=9e9, allow_inf_nan=False, description="s on the accelerometer's clock")]
 
@@ -232,7 +232,9 @@ async def series(
     buckets: Annotated[int | None, Query(ge=1, le=MAX_BUCKETS)] = None,
     of: Trace = "result",
 ) -> Response:
-    """Rows of result, reference or error (result less reference), or equal buckets of them, as of a point."""
+    """Rows, or equal buckets of them as of a point: of the result, along its second axis (across), of the reference, or
+    of result less reference (error).
+    """
     if to_s <= from_s:
         raise Problem(422, "from_s, to_s: `to_s` must be after `from_s`.")
     path = str(desk.require(number))
@@ -241,10 +243,10 @@ async def series(
 
 
 @routes.get("/{number}/spectrum", response_model=SpectrumBody, responses=SEEN)
-async def spectrum(number: int, desk: Opened, from_s: Second, to_s: Second) -> Tree:
-    """Spectrum and natural frequencies of a part of the result."""
+async def spectrum(number: int, desk: Opened, from_s: Second, to_s: Second, of: Trace = "result") -> Tree:
+    """Spectrum and natural frequencies of a part of what `series` gives."""
     path = str(desk.require(number))
-    return await desk.long.run(reading.spectrum_of, path, from_s, to_s, longest_s=LOOK_S)
+    return await desk.long.run(reading.spectrum_of, path, of, from_s, to_s, longest_s=LOOK_S)
 
 
 @routes.get("/{number}/comparison", response_model=dict[str, Any], responses=SEEN)
