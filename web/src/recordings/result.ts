@@ -154,10 +154,10 @@ class ResultView {
     this.#before = job.state;
     if (job.state === "failed") say(this.#said, job.text);
     mark(this.#said, job.state === "failed" ? "wrong" : "");
-    if (runs || first) return;
-    if (job.state === "done") say(this.#said, `Done in ${job.seconds.toFixed(0)} s. ${job.command}`);
+    if (first || job.state !== "done") return;
+    say(this.#said, `Done in ${job.seconds.toFixed(0)} s. ${job.command}`);
     // Who calibrates and then estimates means to use it.
-    if (job.state === "done" && job.what === "calibrate") this.#wanted.calibration = "kept";
+    if (job.what === "calibrate") this.#wanted.calibration = "kept";
     await this.#desk.ask();
     await this.#showFiles();
   }
