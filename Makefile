@@ -8,11 +8,14 @@ DEV    := $(VENV)/.ready-for-tests
 # Two processes of tests share the cores: no threads of the libraries besides.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
+# The page as the server sends it.
+PAGE   := src/midspan/serve/page/index.html
+WEB    := $(wildcard web/*.json web/*.html web/*.ts) $(shell find web/src web/public -type f)
 
 # What the environment is made of.
 PARTS  := pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
 
-.PHONY: demo test check servers core-check static docs bench live faults fuzz slow wheel lock audit clean setup
+.PHONY: demo test check servers core-check static page docs bench live faults fuzz slow wheel lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -30,14 +33,15 @@ servers:
 core-check:
 	sh tools/core.sh check
 
-static: $(DEV)
+static: $(DEV) $(PAGE)
+	VENV="$(VENV)" sh tools/page.sh check
 	$(BIN)/ruff format --check src tests benchmarks examples
 	$(BIN)/ruff check src tests benchmarks examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 # What `make test` shows, again with more seeds, sizes and sensors, and the papers' claims that take minutes.
-slow: $(DEV) servers
+slow: $(DEV) $(PAGE) servers
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 # The documentation as a site in site/; a link that leads nowhere fails.
@@ -48,7 +52,7 @@ bench: $(DEV)
 	$(BIN)/python -m benchmarks
 
 # Three points through an RTSP camera, an MQTT broker and the store, on loopback.
-live: $(DEV) servers
+live: $(DEV) $(PAGE) servers
 	$(BIN)/python -m benchmarks.live.show
 
 # What can go wrong with cameras, sensors, broker and store, one after another: reason, recovery, band.
@@ -59,7 +63,10 @@ faults: $(DEV) servers
 fuzz: $(DEV)
 	PYTHONPATH=tests:tests/sources $(BIN)/python -m fuzz --inputs 210
 
-setup: $(DEV)
+setup: $(DEV) $(PAGE)
+
+# The page of the live site, which `midspan run` and `midspan serve` send.
+page: $(PAGE)
 
 $(STAMP): $(PARTS)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
@@ -70,8 +77,11 @@ $(DEV): $(PARTS)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh dev
 	@touch $(STAMP) $(DEV)
 
+$(PAGE): tools/page.sh $(WEB) | $(DEV)
+	VENV="$(VENV)" sh tools/page.sh build
+
 # The wheel for every Python from 3.11 on and the source distribution, in dist/; the wheel is tried without a compiler.
-wheel: $(DEV)
+wheel: $(DEV) $(PAGE)
 	BIN="$(BIN)" sh tools/wheel.sh
 
 # Renew the pinned versions, what users get apart from the developers' tools: names and versions only, no addresses.
@@ -84,4 +94,4 @@ audit:
 	PYTHON="$(PYTHON)" sh tools/audit.sh
 
 clean:
-	rm -rf $(VENV) .audit-venv demo site dist core/target .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .audit-venv demo site dist core/target web/node_modules web/build src/midspan/serve/page .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -64,6 +64,10 @@ class Engine:
     def __init__(self, folder):
         self.folder, self.commands, self.refuse = folder, [], ""
         self.site_file = ""
+        # What answers commands instead of a sentence that says nothing: functions of the command, by its name.
+        self.answers = {}
+        # A camera's frame as JPEG, its width and height, px.
+        self.picture = b"\xff\xd8jpeg", 2, 3
         self.state = state()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
@@ -92,6 +96,10 @@ class Engine:
         """Send a frame."""
         self._do(self._said(head, body))
 
+    def tell(self, head):
+        """Send a frame as soon as the loop comes to it, without waiting."""
+        self._loop.call_soon_threadsafe(self.socket.publish, head)
+
     def give(self, chunk):
         """Send rows."""
         self.say({"kind": "rows", "point": chunk.point}, row_bytes(chunk))
@@ -108,13 +116,11 @@ class Engine:
         self.commands.append(head)
         if self.refuse:
             raise MidspanError(self.refuse)
-        return {
-            "text": f"{head['command']} done",
-            "restart": [],
-            "time_ns": 1,
-            "width": 2,
-            "height": 3,
-        }, b"\xff\xd8jpeg"
+        if head["command"] in self.answers:
+            return self.answers[head["command"]](head), b""
+        jpeg, width, height = self.picture
+        answer = {"text": f"{head['command']} done", "restart": [], "time_ns": 1, "width": width, "height": height}
+        return answer, jpeg
 
     def _do(self, work):
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(30.0)
@@ -138,13 +144,13 @@ def state(**changes):
     }  # fmt: skip
 
 
-def logged_in(folder, name, scope, state=None):
-    """A token of a store."""
+def logged_in(folder, name, scope, state=None, kind="token"):
+    """A token of a store, or with kind "user" a password."""
     done = subprocess.run(
-        command("access", folder, "add-token", name, "--scope", scope, "--json"),
+        command("access", folder, f"add-{kind}", name, "--scope", scope, "--json"),
         capture_output=True, text=True, check=True, timeout=120, env={**os.environ, **(state or {})},
     )  # fmt: skip
-    return json.loads(done.stdout)["token"]
+    return json.loads(done.stdout)["token" if kind == "token" else "password"]
 
 
 class Served:
@@ -172,6 +178,19 @@ class Served:
         """End it as a service manager does."""
         self.process.send_signal(signal.SIGTERM)
         assert self.process.wait(timeout=60) == 0
+
+
+def opened_recordings(where):
+    """`midspan open` as a person starts it, and its document."""
+    process = subprocess.Popen(
+        command("open", where, "--no-browser", "--json"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    text = ""
+    while not text.rstrip().endswith("}"):
+        line = process.stdout.readline()
+        assert line, process.stderr.read()
+        text += line
+    return process, json.loads(text)
 
 
 def until(condition, seconds=60.0):

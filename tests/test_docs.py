@@ -138,7 +138,8 @@ def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
     whole = {"accelerometer": {"file": "a.csv"}, "camera": {"file": "c.mkv"}}
     blocks = [(page, code) for page, text in TEXTS.items() for code in TOML.findall(text)]
     assert len(blocks) >= 4
-    monkeypatch.setenv("MQTT_PASSWORD", "secret")
+    for name in ("MQTT_PASSWORD", "HOOK_SECRET"):
+        monkeypatch.setenv(name, "secret")
     for page, code in blocks:
         if "[[point]]" in code:
             (tmp_path / "SITE.toml").write_text(code)

@@ -87,7 +87,10 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         ),
         (('name = "quarter-span"\n', ""), r"point\[1\]: name: is missing"),
         (("[[point]]", "[[points]]"), r"is not a known section. Did you mean 'point'\?"),
-        (("[store]", "foo = 1\n[store]"), r"foo: is not a known key. Known: name, store, mqtt, service, point"),
+        (
+            ("[store]", "foo = 1\n[store]"),
+            r"foo: is not a known key. Known: name, store, mqtt, service, notify, maintenance, point",
+        ),
         (
             ('method = "lag"', "calibraton_s = 40"),
             r"calibraton_s: is not a known key. Did you mean 'calibration_s'\? Known: name, method, literal, lag_s",
@@ -198,3 +201,67 @@ def test_folders_that_cannot_be_made_are_named_with_their_key(tmp_path, monkeypa
 def test_a_missing_file_is_no_traceback(tmp_path):
     with pytest.raises(DataError, match="cannot be read"):
         load_site(tmp_path / "SITE.toml")
+
+
+ALARM = """
+[[point.alarm]]
+name = "deflection"
+on = "displacement"
+span_m = 45.0
+span_over = 800
+hysteresis_mm = 2.0
+no_data_s = 60.0
+[[notify]]
+webhook = "http://127.0.0.1:9000/{SITE_SECRET}"
+secret = "{SITE_SECRET}"
+[[notify]]
+smtp = "127.0.0.1:25"
+to = ["night@example.org"]
+[[maintenance]]
+begin = 2026-12-01T08:00:00Z
+end = 2026-12-01T16:00:00
+"""
+
+
+def test_alarms_as_documented(tmp_path, monkeypatch):
+    site = loaded(tmp_path, monkeypatch, SITE + ALARM)
+    (alarm,) = site.points[0].alarms
+    assert (alarm.limit, alarm.unit, alarm.hysteresis, alarm.level) == (56.25, "mm", 2.0, "warning")
+    hook, mail = site.settings.notify
+    assert hook.secret.get_secret_value() == "hidden"
+    assert mail.to == ("night@example.org",)
+    (window,) = site.settings.maintenance
+    # 2026-12-01T12:00Z and an hour after the end.
+    assert window.covers("quarter-span", 1_796_126_400)
+    assert not window.covers("quarter-span", 1_796_144_400)
+    assert "hidden" not in repr(site.settings)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('on = "displacement"', 'on = "force"'), r"alarm 'deflection': on = 'force': must be"),
+        (("span_over = 800\n", ""), r"alarm 'deflection': must have limit_mm, or both span_m and span_over"),
+        (("span_m = 45.0\nspan_over = 800\n", ""), r'must have limit_mm with on = "displacement"'),
+        (("span_m = 45.0", "limit_mm = 3.0\nspan_m = 45.0"), r"must have limit_mm, or both span_m and span_over"),
+        (("span_m = 45.0", "limit_mm_s = 3.0"), r'must have no limit_mm_s and hysteresis_mm_s with on ='),
+        (("hysteresis_mm = 2.0", "hysteresis_mm = 60.0"), r"must have a hysteresis below the limit of 56.25 mm"),
+        (("hysteresis_mm = 2.0", "histeresis_mm = 2.0"), r"histeresis_mm: is not a known key. Did you mean 'hyst"),
+        (('on = "displacement"\nspan_m = 45.0\nspan_over = 800\nhysteresis_mm = 2.0', 'on = "silent"'),
+         r'must have delay_s with on = "silent"'),
+        (('smtp = "127.0.0.1:25"', 'smtp = "127.0.0.1"'), r"smtp = '127.0.0.1': must be a host and a port"),
+        (('to = ["night@example.org"]', ""), r"must have to with smtp"),
+        (('to = ["night@example.org"]', 'to = ["night"]'), r"must be an e-mail address"),
+        (("http://127.0.0.1", "ftp://127.0.0.1"), r"must have a webhook that begins with http://"),
+        (("end = 2026-12-01T16", "end = 2026-12-01T06"), r"must have an end after its begin"),
+        (('name = "deflection"', 'name = "a/b"'), r"must be 1 to 64 characters other than /"),
+        (("[[notify]]", '[[point.alarm]]\nname = "deflection"\non = "std"\nlimit_mm = 1.0\n[[notify]]'),
+         r"alarm.name: must be another one for each alarm; 2 have"),
+    ],
+)  # fmt: skip
+def test_wrong_alarms_are_refused_with_the_key(tmp_path, monkeypatch, change, words):
+    text = ALARM.replace(*change, 1)
+    assert text != ALARM
+    with pytest.raises(UsageError, match=words) as caught:
+        loaded(tmp_path, monkeypatch, SITE + text)
+    assert "hidden" not in str(caught.value)

@@ -60,6 +60,7 @@ def calls(footbridge, done, target):
         "formats": ["formats"],
         "methods": ["methods"],
         "check-config": ["check-config", f"{footbridge}"],
+        "open": ["open", f"{footbridge}", "--no-browser", "--for", "0.5"],
         "run": ["run", f"{site(footbridge, target)}", "--for", "1"],
         "serve": ["serve", f"{done}/store", "--listen", "127.0.0.1:0", "--for", "0.5"],
         "access": ["access", f"{done}/store", "add-user", f"user-{next(NUMBERS)}", "--scope", "read"],
@@ -81,7 +82,7 @@ def site(footbridge, target):
 
 # `papers` runs for long: tests/papers/test_papers_claims.py has the same three tests of it.
 NAMES = [name for name in COMMANDS if name not in ("demo", "papers")]
-LONG = ("lens", "run", "serve")
+LONG = ("lens", "open", "run", "serve")
 QUICK = [name for name in NAMES if name not in LONG]
 
 

@@ -67,7 +67,8 @@ def test_a_session_has_a_cookie_that_scripts_do_not_see_and_changes_need_its_tok
         assert "samesite=strict" in cookie
         csrf = answer.json()["csrf"]
         assert client.get("/api/v1/points").status_code == 200
-        assert client.get("/api/v1/session").json() == {"user": "anna", "scope": "operate", "csrf": csrf}
+        expected = {"user": "anna", "scope": "operate", "csrf": csrf, "serves": "site"}
+        assert client.get("/api/v1/session").json() == expected
         for headers in ({}, {"X-CSRF-Token": "wrong"}):
             answer = client.post("/api/v1/points/p/calibrate", headers=headers)
             assert answer.status_code == 403

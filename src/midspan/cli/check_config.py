@@ -88,6 +88,7 @@ def _site(file: str, console: Console) -> None:
         {
             **plan.settings.model_dump(mode="json", exclude_none=True),
             "sources": {name: without_secrets(address) for name, address in plan.sources.items()},
+            "alarm": [one.model_dump(mode="json", exclude_none=True) for one in plan.alarms],
         }
         for plan in site.points
     ]

@@ -3,6 +3,7 @@
 import importlib
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -16,6 +17,9 @@ from midspan.notices import Notice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+# With this value of this variable progress comes as lines of JSON on standard error, this often, s: for a program that
+# runs a command and shows how far it is.
+PROGRESS, AS_LINES, LINES_S = "MIDSPAN_PROGRESS", "json", 0.2
 # A bar appears once the command has lasted this long.
 BAR_AFTER_S = 0.5
 
@@ -34,6 +38,7 @@ class Console:
         self._bar: Any = None
         self._what = ""
         self._begun_s = time.monotonic()
+        self._line_s = -math.inf
 
     def say(self, text: str = "") -> None:
         """Print a line for a person."""
@@ -72,6 +77,9 @@ class Console:
         """Show how far the work is, on a terminal and when it lasts."""
         # Where a library has swallowed a signal, the work ends here.
         stop_if_asked()
+        if os.environ.get(PROGRESS) == AS_LINES:
+            self._line(done, total, what)
+            return
         if self.quiet or not sys.stderr.isatty():
             return
         from tqdm import tqdm
@@ -89,6 +97,13 @@ class Console:
         self._bar.update(done - self._bar.n)
         if done >= total:
             self.done()
+
+    def _line(self, done: int, total: int, what: str) -> None:
+        """Say how far the work is in a line of JSON, unless that was said just now."""
+        if what == self._what and done < total and time.monotonic() - self._line_s < LINES_S:
+            return
+        self._what, self._line_s = what, time.monotonic()
+        click.echo(json.dumps({"done": done, "total": total, "what": what}), err=True)
 
     def done(self) -> None:
         """Take the bar away."""

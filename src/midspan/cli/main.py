@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "lens": ("lens", "A camera's lens from pictures of a checkerboard, for [camera.lens]."),
     "compare": ("compare", "A result against a reference: RMSE, bias, correlation, lag."),
     "spectrum": ("spectrum", "Natural frequencies of a result, with damping and standard deviations."),
+    "open": ("open", "The page over recordings: look, draw the region, calibrate, estimate, compare, export."),
     "run": ("run", "Live: sources to estimates to store, page and MQTT."),
     "serve": ("serve", "The page and the REST interface over a store."),
     "access": ("access", "Users and tokens of a store's page."),

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from midspan.checks import nearest
 from midspan.errors import UsageError
@@ -81,6 +81,10 @@ def password_matches(kept: str, password: str) -> bool:
 
 class Access:
     """The logins of a folder's store. Every call reads the file, so that what another process changes holds at once."""
+
+    how = "Log in (POST /api/v1/login), or send Authorization: Bearer TOKEN."
+    code = ""
+    serves: Literal["site", "recordings"] = "site"
 
     def __init__(self, folder: Path) -> None:
         self.file = folder / ACCESS_FILE

@@ -1,18 +1,19 @@
 """The application: the interface below /api/v1, health without a login, and the page's own files."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.openapi.utils import get_openapi
-from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 from pydantic import BaseModel, Field
 from starlette.staticfiles import StaticFiles
 
 from midspan._version import __version__
-from midspan.serve import live, login, points, problems, settings_file, sources
+from midspan.serve import alarms, live, login, points, problems, settings_file, sources
 from midspan.serve.limits import Limits
-from midspan.serve.login import READ
+from midspan.serve.login import READ, passwords
 from midspan.serve.metrics import figures
 from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
@@ -20,7 +21,7 @@ from midspan.service.live_socket import Tree
 API = "/api/v1"
 # Where the page's files are shipped, once they are built.
 PAGE = Path(__file__).parent / "page"
-PARTS = (login, points, sources, settings_file, live)
+PARTS = (login, points, sources, alarms, settings_file, live)
 """A module a part of the interface, with its `routes`; another part is another name."""
 
 
@@ -35,16 +36,40 @@ class Standing(BaseModel):
 
 def application(serving: Serving) -> Any:
     """The ASGI application over a store."""
+    app = page_over(serving, [*(part.routes for part in PARTS), passwords])
+    app.include_router(routes)
+    return Limits(app)
+
+
+def page_over(serving: Any, interface: Sequence[APIRouter]) -> FastAPI:
+    """The page over something that has `access`, and the parts of its interface."""
     app = FastAPI(title="midspan", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     app.state.serving = serving
     problems.install(app)
-    for part in PARTS:
-        app.include_router(part.routes, prefix=API)
-    app.include_router(routes)
+    for part in interface:
+        app.include_router(part, prefix=API)
+    app.include_router(description)
     app.openapi = lambda: _interface(app)  # type: ignore[method-assign]
     if PAGE.is_dir():
-        app.mount("/", StaticFiles(directory=PAGE, html=True))
-    return Limits(app)
+        # No mount at the root: it would take what other routes answer with 405.
+        app.mount("/assets", StaticFiles(directory=PAGE / "assets"))
+        app.include_router(page)
+    return app
+
+
+page = APIRouter(include_in_schema=False)
+
+
+@page.get("/")
+async def index() -> FileResponse:
+    """The page, whose views are named behind #."""
+    return FileResponse(PAGE / "index.html")
+
+
+@page.get("/icon.svg")
+async def icon() -> FileResponse:
+    """The page's icon."""
+    return FileResponse(PAGE / "icon.svg")
 
 
 routes = APIRouter(tags=["health"])
@@ -75,8 +100,12 @@ async def standing(serving: Shared) -> Tree:
     return serving.standing()
 
 
-@routes.get(f"{API}/openapi.json", response_model=dict[str, Any], dependencies=READ,
-            responses=problems.declared(401, 403))  # fmt: skip
+description = APIRouter(tags=["health"])
+
+
+@description.get(
+    f"{API}/openapi.json", response_model=dict[str, Any], dependencies=READ, responses=problems.declared(401, 403)
+)
 async def openapi(request: Request) -> JSONResponse:
     """This interface as OpenAPI 3.1."""
     return JSONResponse(request.app.openapi())

@@ -29,7 +29,7 @@ async def live(socket: WebSocket, serving: Shared) -> None:
     """Numbered messages; `points` names points, `after` the newest sequence that a viewer has."""
     try:
         require_own_origin(socket)
-        login_of(socket, serving)
+        login_of(socket)
         points, after = await wanted(serving, socket)
         if serving.live.viewers >= MAX_VIEWERS:
             raise Problem(503, f"There are {MAX_VIEWERS} viewers. Try again later.")
@@ -72,7 +72,7 @@ async def shown(socket: WebSocket, viewer: Viewer, serving: Serving) -> None:
     """Send what comes until the viewer leaves, is dropped, or may no longer read."""
     sending = asyncio.create_task(_send(socket, viewer))
     listening = asyncio.create_task(_listen(socket))
-    checking = asyncio.create_task(_check(socket, serving))
+    checking = asyncio.create_task(_check(socket))
     dropping = asyncio.create_task(viewer.dropped.wait())
     tasks = (sending, listening, checking, dropping)
     done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -101,8 +101,8 @@ async def _listen(socket: WebSocket) -> None:
             pass
 
 
-async def _check(socket: WebSocket, serving: Serving) -> None:
+async def _check(socket: WebSocket) -> None:
     with suppress(Problem):
         while True:
             await asyncio.sleep(CHECK_S)
-            login_of(socket, serving)
+            login_of(socket)

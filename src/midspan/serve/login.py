@@ -1,6 +1,6 @@
 """Login by password, sessions in a cookie, tokens; who may do what."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
@@ -9,7 +9,7 @@ from starlette.requests import HTTPConnection
 
 from midspan.serve.access import SESSION_S, Login, csrf_of, password_matches
 from midspan.serve.problems import Problem, declared
-from midspan.serve.serving import Serving, Shared
+from midspan.serve.serving import Shared
 
 COOKIE = "midspan_session"
 CSRF_HEADER = "X-CSRF-Token"
@@ -35,25 +35,46 @@ class Session(BaseModel):
     user: str
     scope: Scope
     csrf: str
+    serves: Literal["site", "recordings"] = Field("site", description="what the page is over")
+
+
+class Gate(Protocol):
+    """Who may come in. how: what to do without a login, with a code for the page; serves: what is behind it."""
+
+    how: str
+    code: str
+    serves: Literal["site", "recordings"]
+
+    def of_token(self, token: str) -> Login | None:
+        """Whose token it is."""
+
+    def of_session(self, session: str) -> Login | None:
+        """Whose session it is."""
 
 
 # The session's cookie is the page's, and stands in no description: one way for scripts is enough.
 TokenScheme = HTTPBearer(auto_error=False, scheme_name="token")
 
 
-def login_of(connection: HTTPConnection, serving: Serving) -> tuple[Login, str]:
+def gate_of(connection: HTTPConnection) -> Gate:
+    """Who may come in to what an application serves."""
+    gate: Gate = connection.app.state.serving.access
+    return gate
+
+
+def login_of(connection: HTTPConnection) -> tuple[Login, str]:
     """Who asks, and the session ("" for a token). Raises Problem 401."""
+    gate = gate_of(connection)
     kind, _, token = connection.headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
-        login = serving.access.of_token(token.strip())
+        login = gate.of_token(token.strip())
         if login is not None:
             return login, ""
     elif session := connection.cookies.get(COOKIE, ""):
-        login = serving.access.of_session(session)
+        login = gate.of_session(session)
         if login is not None:
             return login, session
-    text = "Log in (POST /api/v1/login), or send Authorization: Bearer TOKEN."
-    raise Problem(401, text, headers={"WWW-Authenticate": "Bearer"})
+    raise Problem(401, gate.how, headers={"WWW-Authenticate": "Bearer"}, code=gate.code)
 
 
 def require(scope: Scope) -> Any:
@@ -61,10 +82,9 @@ def require(scope: Scope) -> Any:
 
     def allowed(
         request: Request,
-        serving: Shared,
         _token: Annotated[HTTPAuthorizationCredentials | None, Depends(TokenScheme)],
     ) -> Login:
-        login, session = login_of(request, serving)
+        login, session = login_of(request)
         if session and request.method in CHANGING and request.headers.get(CSRF_HEADER) != csrf_of(session):
             raise Problem(403, f"{CSRF_HEADER}: must be the `csrf` that the login answered. Send it with changes.")
         if not login.may(scope):
@@ -78,9 +98,11 @@ READ, OPERATE, ADMIN = [require("read")], [require("operate")], [require("admin"
 """What routes depend on, by the scope that they need."""
 
 routes = APIRouter(tags=["access"])
+# What goes with users and passwords alone.
+passwords = APIRouter(tags=["access"])
 
 
-@routes.post("/login", response_model=Session, responses=declared(401, 413, 415, 422))
+@passwords.post("/login", response_model=Session, responses=declared(401, 413, 415, 422))
 async def begin(credentials: Credentials, request: Request, response: Response, serving: Shared) -> Session:
     """Begin a session, which the cookie holds."""
     user, address = credentials.user, request.client.host if request.client else ""
@@ -106,13 +128,14 @@ async def begin(credentials: Credentials, request: Request, response: Response, 
 
 
 @routes.get("/session", response_model=Session, responses=declared(401), dependencies=READ)
-async def session(request: Request, serving: Shared) -> Session:
+async def session(request: Request) -> Session:
     """Who is logged in, with the CSRF token: a page that was loaded again asks for it."""
-    found, kept = login_of(request, serving)
-    return Session.model_validate({"user": found.name, "scope": found.scope, "csrf": csrf_of(kept) if kept else ""})
+    found, kept = login_of(request)
+    csrf, serves = csrf_of(kept) if kept else "", gate_of(request).serves
+    return Session.model_validate({"user": found.name, "scope": found.scope, "csrf": csrf, "serves": serves})
 
 
-@routes.post("/logout", status_code=204, responses=declared(401, 403), dependencies=READ)
+@passwords.post("/logout", status_code=204, responses=declared(401, 403), dependencies=READ)
 async def end(request: Request, response: Response, serving: Shared) -> None:
     """End the session."""
     serving.access.end_session(request.cookies.get(COOKIE, ""))

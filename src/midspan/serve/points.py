@@ -50,6 +50,7 @@ class PointState(BaseModel):
     displacement_std_mm: float | None
     time: str | None = Field(description="of the newest row, ISO 8601 UTC")
     age_s: float | None
+    since: str | None = Field(None, description="when status and reason became so, as far as this server saw it")
     calibration: int | None = None
 
 
@@ -217,7 +218,7 @@ async def point_state(serving: Serving, name: str) -> Tree:
     reason = serving.link.reason
     state: Tree = next((one for one in serving.link.state.get("points", []) if one["point"] == name), {})
     known, now_s = await serving.newest(name), time.time()
-    time_ns = known.get("time_ns")
+    time_ns, since_ns = known.get("time_ns"), serving.since_ns(name)
     return {
         "name": name,
         "status": known.get("status") if reason or not state else state["status"],
@@ -227,5 +228,6 @@ async def point_state(serving: Serving, name: str) -> Tree:
         "displacement_std_mm": known.get("displacement_std_mm"),
         "time": None if time_ns is None else reading.iso(time_ns),
         "age_s": None if time_ns is None else reading.age_s(time_ns, now_s),
+        "since": None if since_ns is None else reading.iso(since_ns),
         "calibration": state.get("calibration"),
     }

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, Nanoseconds
+from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.serve.viewers import plain
 from midspan.service.journal import rows_stream
 from midspan.service.stored_recording import stored_rows, stored_table
@@ -184,17 +184,23 @@ def calibrations(where: str, point: str) -> list[Tree]:
 
 def spectrum_of(where: str, point: str, first_ns: int, end_ns: int) -> Tree:
     """Spectrum and natural frequencies of the rows of a time."""
-    from midspan.evaluate.spectrum import spectrum
-    from midspan.records import TimeSeries
-
     with opened(where) as store:
         if store.count(point, rows_stream(), first_ns, end_ns - 1) > MAX_SPECTRUM_ROWS:
             raise DataError(f"from, to: must span at most {MAX_SPECTRUM_ROWS} rows. Give a shorter time.")
         rows = stored_rows(store, point, rows_stream(), first_ns, end_ns - 1)
-    if rows is None or not len(rows.time_ns):
+    if rows is None:
+        return spectrum_tree(TimeSeries(np.empty(0, np.int64), np.empty(0)))
+    return spectrum_tree(TimeSeries(rows.time_ns, np.asarray(rows.columns["displacement_m"], dtype=np.float64)))
+
+
+def spectrum_tree(series: TimeSeries) -> Tree:
+    """Spectrum and natural frequencies of a displacement, m; `reason` says why there are none."""
+    from midspan.evaluate.spectrum import spectrum
+
+    if not len(series.time_ns):
         return {"frequency_hz": [], "density_mm2_hz": [], "segment_s": None, "modes": [], "reason": "no rows"}
     try:
-        found = spectrum(TimeSeries(rows.time_ns, np.asarray(rows.columns["displacement_m"], dtype=np.float64)))
+        found = spectrum(series)
     except DataError as error:
         return {"frequency_hz": [], "density_mm2_hz": [], "segment_s": None, "modes": [], "reason": str(error)}
     return {

@@ -124,6 +124,8 @@ class Serving:
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
     _points: tuple[float, list[str]] = (-POINTS_S, [])
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
+    # Of each point: status and reason, and when they became so (ns UTC), as far as this process saw it.
+    _since: dict[str, tuple[tuple[str, str], int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         folder = place_of(self.where)
@@ -133,6 +135,11 @@ class Serving:
     def _came(self, head: Tree, body: bytes) -> None:
         if head["kind"] == "rows":
             self.live.came(str(head["point"]), body)
+        elif head["kind"] == "state":
+            for one in head["points"]:
+                now = (str(one["status"]), str(one["reason"] or one.get("notice", "")))
+                if self._since.get(str(one["point"]), (None, 0))[0] != now:
+                    self._since[str(one["point"])] = (now, time.time_ns())
         elif head["kind"] in ("event", "alarm"):
             self.live.tell({"type": head["kind"], **{key: value for key, value in head.items() if key != "kind"}})
 
@@ -169,6 +176,10 @@ class Serving:
                 kept = await self.quick.run(reading.newest, self.where, name)
             self._newest[name] = (time.monotonic(), kept)
         return kept
+
+    def since_ns(self, name: str) -> int | None:
+        """When a point's status and reason became what they are, ns UTC; None where nothing measures it."""
+        return None if self.link.reason else self._since.get(name, (None, None))[1]
 
     def standing(self) -> Tree:
         """As /readyz shows it: of the newest state, or why there is none."""

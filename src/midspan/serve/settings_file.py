@@ -4,6 +4,8 @@ import hashlib
 import os
 import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +20,7 @@ from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import load_site, require_folders
-from midspan.writing import write_whole
+from midspan.writing import cannot_be_written, write_whole
 
 TEXT = {"text/plain": {"schema": {"type": "string"}}}
 
@@ -35,23 +37,54 @@ def tag_of(content: bytes) -> str:
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 
-def require_valid(file: Path, content: bytes) -> None:
-    """Raises Problem 422 with the key for settings that a site could not run with."""
+async def text_of(request: Request, if_match: str | None) -> bytes:
+    """The new text of a file of settings. Raises Problem."""
+    if if_match is None:
+        raise Problem(428, "If-Match: send the ETag of the settings that the change was made from.")
+    kind = request.headers.get("content-type", "text/plain").partition(";")[0].strip().lower()
+    if kind not in ("text/plain", "application/toml"):
+        raise Problem(415, "Content-Type: must be text/plain or application/toml.")
+    content = await request.body()
+    if not content.strip():
+        raise Problem(422, "The content is empty. Send the settings as text.")
+    return content
+
+
+def require_unchanged(file: Path, if_match: str | None) -> None:
+    """Raises Problem 412 where a file is another one than what a change was made from."""
+    before = tag_of(file.read_bytes())
+    if (if_match or "").strip() not in (before, "*"):
+        text = "Somebody else changed the settings meanwhile. GET them again, and change those."
+        raise Problem(412, text, headers={"ETag": before})
+
+
+@contextmanager
+def on_trial(file: Path, content: bytes) -> Iterator[Path]:
+    """New content as a file in the folder of `file`, which its paths are relative to.
+
+    Raises Problem 422 with the key for what settings may not say.
+    """
     try:
         content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise Problem(422, f"{file.name}: must be UTF-8; byte {error.start} is not.") from None
-    # In the same folder, which paths are relative to.
-    descriptor, name = tempfile.mkstemp(prefix=".SITE-", suffix=".toml", dir=file.parent)
+    with cannot_be_written(file):
+        descriptor, name = tempfile.mkstemp(prefix=f".{file.stem}-", suffix=".toml", dir=file.parent)
     try:
         with os.fdopen(descriptor, "wb") as trial:
             trial.write(content)
-        require_folders(load_site(name))
+        yield Path(name)
     except MidspanError as error:
         fault = SettingsFault.of(str(error).replace(name, str(file)))
         raise Problem(422, fault.text, file=fault.file, key=fault.key) from None
     finally:
         os.unlink(name)
+
+
+def require_valid(file: Path, content: bytes) -> None:
+    """Raises Problem 422 with the key for settings that a site could not run with."""
+    with on_trial(file, content) as trial:
+        require_folders(load_site(trial))
 
 
 routes = APIRouter(prefix="/settings", tags=["settings"])
@@ -86,20 +119,10 @@ async def change(
     if_match: Annotated[str | None, Header(max_length=200)] = None,
 ) -> SettingsDone:
     """Check new settings and put them in force; the measuring begins anew with them."""
-    if if_match is None:
-        raise Problem(428, "If-Match: send the ETag of GET /api/v1/settings that the change was made from.")
-    kind = request.headers.get("content-type", "text/plain").partition(";")[0].strip().lower()
-    if kind not in ("text/plain", "application/toml"):
-        raise Problem(415, "Content-Type: must be text/plain or application/toml.")
-    content = await request.body()
-    if not content.strip():
-        raise Problem(422, "The content is empty. Send SITE.toml as text.")
+    content = await text_of(request, if_match)
     async with serving.changing:
         file = file_of(serving)
-        before = tag_of(file.read_bytes())
-        if if_match.strip() not in (before, "*"):
-            text = "Somebody else changed the settings meanwhile. GET them again, and change those."
-            raise Problem(412, text, headers={"ETag": before})
+        require_unchanged(file, if_match)
         await serving.quick.run(require_valid, file, content)
         write_whole(file, content, mode=stat.S_IMODE(file.stat().st_mode))
     response.headers["ETag"] = tag_of(content)

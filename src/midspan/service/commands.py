@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 
 from midspan.errors import MidspanError
@@ -22,7 +22,7 @@ Answer = tuple[Tree, bytes]
 class Commands:
     """points: of the site; paused: which sources are; tell: takes a point, the kind of an event and its text.
 
-    with_store: runs a function with a store of its own in a thread.
+    with_store: runs a function with a store of its own in a thread; alarms: commands of theirs by name.
     """
 
     def __init__(
@@ -31,6 +31,7 @@ class Commands:
         paused: Paused,
         tell: Callable[[Running, str, str], None],
         with_store: Callable[..., Awaitable[Any]],
+        alarms: Mapping[str, Callable[[Tree], Tree]] | None = None,
     ) -> None:
         self._points, self._paused, self._tell, self._with_store = points, paused, tell, with_store
         self._table: dict[str, Callable[[Tree], Awaitable[Answer]]] = {
@@ -41,12 +42,17 @@ class Commands:
             "resume": self._resume,
             "picture": self._picture,
         }
+        self._alarms = dict(alarms or {})
 
     async def run(self, head: Tree) -> Answer:
         """Carry out one command. Raises MidspanError where that is not possible."""
-        command = self._table.get(str(head.get("command")))
+        name = str(head.get("command"))
+        if name in self._alarms:
+            return self._alarms[name](head), b""
+        command = self._table.get(name)
         if command is None:
-            raise MidspanError(f"{head.get('command')}: is no command. Commands: {', '.join(self._table)}.")
+            listed = ", ".join([*self._table, *self._alarms])
+            raise MidspanError(f"{name}: is no command. Commands: {listed}.")
         return await command(head)
 
     async def _calibrate(self, head: Tree) -> Answer:

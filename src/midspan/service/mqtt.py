@@ -5,6 +5,7 @@ import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -101,6 +102,18 @@ class Broker:
         """Send below the site's topic; without a broker only what has to arrive waits."""
         if self.connected or qos:
             self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
+
+    def deliver(self, topic: str, payload: bytes, *, retain: bool, wait_s: float) -> Any:
+        """Send below the site's topic; what is returned says by `is_published()` whether the broker has it, for which
+        this waits so long. Raises OSError where the broker is away.
+        """
+        if not self.connected:
+            raise OSError("the broker is away")
+        sent = self._client.publish(f"{self.root}/{topic}", payload, qos=1, retain=retain)
+        # Where the connection is lost, the client sends it again on its own.
+        with suppress(RuntimeError, ValueError):
+            sent.wait_for_publish(wait_s)
+        return sent
 
     def _met(self, client: Any, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
         if code.is_failure:

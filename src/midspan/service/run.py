@@ -15,11 +15,12 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
+from midspan.service.alarming import Alarming
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.intake import MQTT, Intake
-from midspan.service.journal import ROWS
+from midspan.service.journal import NEW_DATUM, ROWS
 from midspan.service.keeping import Keeper
 from midspan.service.live_socket import LiveSocket, of_ready, row_bytes
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
@@ -62,7 +63,8 @@ class Service:
         self._points = [running(plan, self._captures / plan.name, site.file.parent) for plan in site.points]
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
         paused = Paused(place_of(site.store))
-        self._commands = Commands(self._points, paused, self._event, self._in_thread)
+        self._alarms = Alarming(site, say, lambda tree: None if socket is None else socket.publish(tree))
+        self._commands = Commands(self._points, paused, self._event, self._in_thread, self._alarms.commands)
         for one in self._points:
             for name, stream in one.streams.items():
                 stream.paused = paused.reasons.get(f"{one.name}.{name}", "")
@@ -92,6 +94,7 @@ class Service:
         notify("READY=1")
         if not await self._patiently(self._keeper.store, for_s):
             return self.record()
+        await asyncio.to_thread(self._alarms.open)
         self._intake.start_cameras()
         begun = [asyncio.create_task(self._patiently(partial(self._begin_point, one))) for one in self._points]
         try:
@@ -101,6 +104,7 @@ class Service:
                 starting.cancel()
             await asyncio.gather(*begun, return_exceptions=True)
             await asyncio.to_thread(self._intake.end)
+            await asyncio.to_thread(self._alarms.close)
             # Another service of this process may have the points then.
             await asyncio.to_thread(self._keeper.close)
             raise
@@ -178,6 +182,9 @@ class Service:
             job.cancel()
         await asyncio.gather(*self._jobs, return_exceptions=True)
         await asyncio.to_thread(self._intake.end)
+        for one in self._points:
+            self._publish_rows(one)
+        await asyncio.to_thread(self._alarms.close)
         if self._broker is not None:
             await asyncio.to_thread(self._broker.stop)
         self._collect(last=True)
@@ -286,6 +293,7 @@ class Service:
         )
         self._broker = Broker(self.site.settings.mqtt, self.site.name, topics, self._message)
         self._broker.start()
+        self._alarms.connect(self._broker)
 
     def _message(self, topic: str, payload: bytes, acknowledge: Callable[[], None]) -> None:
         """A message of the broker, in its thread."""
@@ -351,6 +359,7 @@ class Service:
             one.live.tick(now_ns, away=away and one.live.plan.sources[ACCELEROMETER].startswith(MQTT))
             one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
+        self._alarms.look(now_ns, self._points)
 
     async def _writing(self) -> None:
         while True:
@@ -416,6 +425,7 @@ class Service:
         one.published_ns = max(int(rows.time_ns[-1]), one.published_ns)
         if not len(new.time_ns):
             return
+        self._alarms.rows(one.name, new)
         if self._socket is not None:
             self._socket.publish({"kind": "rows", "point": one.name}, row_bytes(new))
         if self._broker is not None:
@@ -426,6 +436,8 @@ class Service:
     def _publish(self, one: Running, batch: Batch) -> None:
         for _, event in batch.events:
             self._publish_event(one.name, event)
+            if event.kind == NEW_DATUM:
+                self._alarms.new_datum(one.name, event.time_ns)
         if self._broker is None:
             return
         for rows in [chunk for chunk in batch.chunks if chunk.stream == ROWS]:

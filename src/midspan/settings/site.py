@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from midspan.errors import DataError, UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.load import RECORDING_FILE, validate
@@ -214,6 +215,8 @@ class SiteFile(Section):
     store: StoreSettings
     mqtt: MqttSettings | None = None
     service: ServiceSettings = Field(default_factory=lambda: ServiceSettings.model_validate({}))
+    notify: tuple[NotifySettings, ...] = ()
+    maintenance: tuple[MaintenanceSettings, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +229,7 @@ class PointPlan:
     recording: RecordingSettings
     sources: dict[str, str]
     configs: dict[str, str]
+    alarms: tuple[AlarmSettings, ...] = ()
 
     @property
     def name(self) -> str:
@@ -355,8 +359,8 @@ def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: st
 
 def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     """One point of plain values; `where` names it in messages."""
-    _require_known(tree, PointSettings, tuple(LIVE), f"{where}: ")
-    own = {key: value for key, value in tree.items() if key not in LIVE}
+    _require_known(tree, PointSettings, (*LIVE, "alarm"), f"{where}: ")
+    own = {key: value for key, value in tree.items() if key not in (*LIVE, "alarm")}
     settings = validate(own, where, PointSettings)
     sections: dict[str, Any] = {}
     addresses: dict[str, Iterator[str]] = {}
@@ -384,7 +388,22 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
             raise UsageError(
                 f"{where}: radar.config: is missing for {name!r}. Add the .cfg or .json that the radar runs with."
             )
-    return PointPlan(settings, recording, sources, configs)
+    return PointPlan(settings, recording, sources, configs, _alarms(tree.get("alarm", []), where))
+
+
+def _alarms(tree: Any, where: str) -> tuple[AlarmSettings, ...]:
+    """The alarms of a point; `where` names it in messages."""
+    if not isinstance(tree, list) or not all(isinstance(one, dict) for one in tree):
+        raise UsageError(f"{where}: alarm: must be one [[point.alarm]] for each alarm.")
+    places = [f"{where}: alarm {one['name']!r}" if "name" in one else f"{where}: alarm[{n}]"
+              for n, one in enumerate(tree, start=1)]  # fmt: skip
+    for one, place in zip(tree, places, strict=True):
+        _require_known(one, AlarmSettings, (), f"{place}: ")
+    alarms = tuple(validate(one, place, AlarmSettings) for one, place in zip(tree, places, strict=True))
+    name, count = Counter(one.name for one in alarms).most_common(1)[0] if alarms else ("", 0)
+    if count > 1:
+        raise UsageError(f"{where}: alarm.name: must be another one for each alarm; {count} have the name {name!r}.")
+    return alarms
 
 
 def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> dict[str, Any]:

@@ -1,0 +1,59 @@
+"""Alarms in the interface: what is kept, and what operators do."""
+
+import time
+
+import pytest
+
+from midspan.alarms.book import Audit, Book, Entry
+from midspan.alarms.machine import Alarm
+from midspan.records import NANOSECONDS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept(store_folder):
+    """A firing alarm of p, and one that ended."""
+    now_ns = time.time_ns()
+    book = Book(store_folder)
+    names = ("p", "deflection", "critical", "displacement", "mm", 20.0)
+    for number, state in (("1a", "firing"), ("2b", "ended")):
+        one = Alarm(number, f"p/deflection{number}", *names, state, "limit", 25.0, 0.1, 26.0, now_ns, now_ns)
+        book.write(Entry([one], [Audit(now_ns, number, state, "", "a line")]))
+    book.close()
+
+
+def test_alarms_are_listed_with_what_the_contract_says(reader):
+    found = {one["id"]: one for one in reader.get("/api/v1/alarms").json()}
+    assert {"1a", "2b"} <= set(found)
+    one = found["1a"]
+    assert (one["point"], one["name"], one["state"], one["level"]) == ("p", "deflection", "firing", "critical")
+    assert (one["reason"], one["value"], one["limit"], one["unit"]) == ("limit", 25.0, 20.0, "mm")
+    assert one["time"].endswith("Z")
+    assert [one["id"] for one in reader.get("/api/v1/alarms", params={"state": "ended"}).json()] == ["2b"]
+    assert [one["id"] for one in reader.get("/api/v1/alarms", params={"state": "open"}).json()] == ["1a"]
+    assert reader.get("/api/v1/alarms/limits").json() == []
+    assert reader.get("/api/v1/alarms", params={"point": "q"}).json() == []
+    assert reader.get("/api/v1/alarms", params={"state": "loud"}).status_code == 422
+    assert [one["what"] for one in reader.get("/api/v1/alarms/audit", params={"alarm": "2b"}).json()] == ["ended"]
+
+
+def test_an_operator_acknowledges_and_silences(operator, reader, engine):
+    assert operator.post("/api/v1/alarms/1a/acknowledge").status_code == 200
+    assert engine.commands[-1] == {"command": "acknowledge", "alarm": "1a", "who": "operate"}
+    until_s = time.time() + 3600
+    wanted = {"until": str(int(until_s) * NANOSECONDS), "reason": "gauge is loose"}
+    assert operator.post("/api/v1/alarms/1a/silence", json=wanted).status_code == 200
+    assert engine.commands[-1]["until_ns"] == int(until_s) * NANOSECONDS
+    assert engine.commands[-1]["who"] == "operate"
+    assert operator.post("/api/v1/alarms/1a/unsilence").status_code == 200
+    assert operator.post("/api/v1/alarms/test").status_code == 200
+    for path in ("1a/acknowledge", "1a/silence", "test"):
+        assert reader.post(f"/api/v1/alarms/{path}", json=wanted).status_code == 403
+
+
+def test_what_cannot_be_is_said(operator):
+    later = "2199-01-01T00:00:00Z"
+    assert operator.post("/api/v1/alarms/none/acknowledge").status_code == 404
+    assert operator.post("/api/v1/alarms/2b/acknowledge").status_code == 409
+    for wrong in ({}, {"until": later}, {"until": "2020-01-01T00:00:00Z", "reason": "x"}, {"until": "x", "reason": "x"},
+                  {"until": later, "reason": ""}, {"until": later, "reason": "x", "who": "y"}):  # fmt: skip
+        assert operator.post("/api/v1/alarms/1a/silence", json=wrong).status_code == 422, wrong

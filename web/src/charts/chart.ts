@@ -1,0 +1,208 @@
+// Traces over time with uPlot: an envelope of least and largest with its 95 % band, gaps open, events as lines.
+
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import type { Envelope } from "../rows.ts";
+
+export interface Mark {
+  x: number;
+  kind: string;
+}
+/** A limit of the value, drawn where it is in sight. */
+export interface Level {
+  y: number;
+  name: string;
+}
+type Range = [fromS: number, toS: number];
+
+// Ticks in the 24 h form. Each: smallest step (s), text, and what stands below it where year, day or minute begin.
+const DAY = "\n{D} {MMM}";
+const TIME_TEXTS: uPlot.Axis.Values = [
+  [31536000, "{YYYY}", null, null, null, null, null, null, 1],
+  [2419200, "{MMM}", "\n{YYYY}", null, null, null, null, null, 1],
+  [86400, "{D} {MMM}", "\n{YYYY}", null, null, null, null, null, 1],
+  [60, "{HH}:{mm}", `${DAY} {YYYY}`, null, DAY, null, null, null, 1],
+  [1, ":{ss}", `${DAY} {HH}:{mm}`, null, `${DAY} {HH}:{mm}`, null, "\n{HH}:{mm}", null, 1],
+  [0.001, ":{ss}.{fff}", `${DAY} {HH}:{mm}`, null, `${DAY} {HH}:{mm}`, null, "\n{HH}:{mm}", null, 1],
+];
+
+/** A colour of the style sheet, which differs in the dark. */
+export function colour(name: string): string {
+  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+}
+
+const faded = (name: string, percent: number) => `color-mix(in srgb, ${colour(name)} ${percent}%, transparent)`;
+
+export interface Drawn {
+  envelope: Envelope;
+}
+
+export class Chart {
+  #plot: uPlot;
+  #range: Range = [0, 1];
+  #marks: Mark[] = [];
+  #levels: Level[] = [];
+  #drawn: Drawn[];
+  #watched: ResizeObserver;
+  #dark = window.matchMedia("(prefers-color-scheme: dark)");
+  #redraw = () => this.#plot.redraw(false);
+
+  /** selected: a range that was drawn with the mouse; read: what is below the pointer, null for nothing; isClock: x are
+   * instants since 1970, else seconds of a clock of its own. */
+  constructor(
+    root: HTMLElement,
+    colours: string[],
+    selected: (range: Range) => void,
+    read: (x: number | null, values: (number | null)[]) => void,
+    isClock = true,
+  ) {
+    this.#drawn = [];
+    const series: uPlot.Series[] = [{}];
+    const bands: uPlot.Band[] = [];
+    for (const name of colours) {
+      const first = series.length;
+      series.push(...[0, 0, 1, 1].map((width) => lineOf(name, width)));
+      bands.push({ series: [first + 1, first], fill: () => faded(name, 22) });
+      bands.push({ series: [first + 3, first + 2], fill: () => faded(name, 70) });
+    }
+    const options: uPlot.Options = {
+      ...sizeOf(root),
+      series,
+      bands,
+      legend: { show: false },
+      scales: { x: { time: isClock, range: () => this.#range } },
+      axes: [
+        isClock
+          ? { ...axis(), values: TIME_TEXTS, space: 70 }
+          : { ...axis(), label: "Time, s", labelSize: 20, space: 70 },
+        { ...axis(), label: "Displacement, mm", labelSize: 20, size: 60 },
+      ],
+      cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false } },
+      hooks: {
+        setSelect: [(plot) => this.#selected(plot, selected)],
+        setCursor: [
+          (plot) => read(plot.cursor.idx == null ? null : (plot.data[0][plot.cursor.idx] ?? null), valuesAt(plot)),
+        ],
+        draw: [(plot) => this.#drawMarks(plot)],
+      },
+    };
+    this.#plot = new uPlot(options, [[], ...series.slice(1).map(() => [])] as uPlot.AlignedData, root);
+    this.#watched = new ResizeObserver(() => this.#plot.setSize(sizeOf(root)));
+    this.#watched.observe(root);
+    this.#dark.addEventListener("change", this.#redraw);
+  }
+
+  /** Width of the plot, px: more buckets than that show nothing more. */
+  get width(): number {
+    return Math.max(Math.round(this.#plot.bbox.width), 200);
+  }
+
+  draw(range: Range, drawn: Drawn[], marks: Mark[], levels: Level[] = []): void {
+    [this.#range, this.#drawn, this.#marks, this.#levels] = [range, drawn, marks, levels];
+    const tables = this.#drawn.map(
+      ({ envelope: of }) => [of.x, of.lower, of.upper, of.low, of.high] as uPlot.AlignedData,
+    );
+    const first = tables[0];
+    if (!first) return;
+    this.#plot.setData(
+      tables.length > 1
+        ? uPlot.join(
+            tables,
+            tables.map((one) => one.map(() => 2)),
+          )
+        : first,
+    );
+  }
+
+  destroy(): void {
+    this.#watched.disconnect();
+    this.#dark.removeEventListener("change", this.#redraw);
+    this.#plot.destroy();
+  }
+
+  #selected(plot: uPlot, selected: (range: Range) => void): void {
+    const { left, width } = plot.select;
+    if (width < 4) return;
+    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    selected([plot.posToVal(left, "x"), plot.posToVal(left + width, "x")]);
+  }
+
+  #drawMarks(plot: uPlot): void {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = colour("notice");
+    ctx.lineWidth = devicePixelRatio;
+    ctx.setLineDash([4 * devicePixelRatio, 4 * devicePixelRatio]);
+    for (const { x } of this.#marks) {
+      if (x < this.#range[0] || x > this.#range[1]) continue;
+      const at = plot.valToPos(x, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(at, bbox.top);
+      ctx.lineTo(at, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+    ctx.strokeStyle = ctx.fillStyle = colour("wrong");
+    ctx.textAlign = "left";
+    ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+    for (const { y, name } of this.#levels) {
+      const at = plot.valToPos(y, "y", true);
+      if (at < bbox.top || at > bbox.top + bbox.height) continue;
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, at);
+      ctx.lineTo(bbox.left + bbox.width, at);
+      ctx.stroke();
+      ctx.fillText(`limit ${name}`, bbox.left + 4 * devicePixelRatio, at + (y > 0 ? -4 : 14) * devicePixelRatio);
+    }
+    ctx.restore();
+  }
+}
+
+function lineOf(name: string, width: number): uPlot.Series {
+  // Of lines without width the bands are made.
+  return width ? { stroke: () => colour(name), width, points: { show: false } } : { width: 0, points: { show: false } };
+}
+
+function axis(): uPlot.Axis {
+  return {
+    stroke: () => colour("text"),
+    grid: { stroke: () => colour("grid"), width: 1 },
+    ticks: { stroke: () => colour("grid"), width: 1 },
+    font: "13px system-ui, sans-serif",
+  };
+}
+
+function sizeOf(root: HTMLElement): { width: number; height: number } {
+  return { width: Math.max(root.clientWidth, 200), height: Math.max(Math.min(root.clientWidth * 0.5, 420), 260) };
+}
+
+function valuesAt(plot: uPlot): (number | null)[] {
+  const at = plot.cursor.idx;
+  return at == null ? [] : plot.data.slice(1).map((values) => values[at] ?? null);
+}
+
+/** A line over frequencies, on logarithmic density. */
+export function spectrumChart(root: HTMLElement, frequency: number[], density: (number | null)[]): () => void {
+  const options: uPlot.Options = {
+    ...sizeOf(root),
+    series: [{}, { stroke: () => colour("trace"), width: 1, points: { show: false } }],
+    legend: { show: false },
+    scales: { x: { time: false }, y: { distr: 3 } },
+    axes: [
+      { ...axis(), label: "Frequency, Hz", labelSize: 20 },
+      { ...axis(), label: "mm²/Hz", labelSize: 20, size: 80, values: powers },
+    ],
+    cursor: { points: { show: false } },
+  };
+  const plot = new uPlot(options, [frequency, density.map((one) => (one !== null && one > 0 ? one : null))], root);
+  const watched = new ResizeObserver(() => plot.setSize(sizeOf(root)));
+  watched.observe(root);
+  return () => {
+    watched.disconnect();
+    plot.destroy();
+  };
+}
+
+// uPlot leaves the ticks between powers of ten out, as null.
+function powers(_: uPlot, values: number[]): string[] {
+  return values.map((one) => (one === null ? "" : one.toExponential(0).replace("e+0", "e0").replace("-", "−")));
+}

@@ -1,0 +1,135 @@
+// How the site stands, for every view: asked for every few seconds, and from each live row in between.
+
+import type { AlarmBody, Health, PointState, Session } from "./api.ts";
+import { Away, get, Refused } from "./api.ts";
+import { Live, type Message } from "./live.ts";
+import { Newest } from "./rows.ts";
+
+// States change in seconds, and rows come in between, ms.
+const ASK_MS = 3000;
+// Alarms come on their own as they change; what a cut hid is asked for this often, ms.
+const ALARMS_MS = 30_000;
+// What is kept of live rows for traces, s.
+export const KEPT_S = 130;
+
+export class SiteState {
+  live = new Live();
+  points: PointState[] = [];
+  health: Health | null = null;
+  /** The alarms that are open, newest change first. */
+  alarms: AlarmBody[] = [];
+  newest = new Map<string, Newest>();
+  session: Session;
+  /** When the server answered last, ms of performance.now(); what it last failed with. */
+  answered = performance.now();
+  trouble = "";
+  /** The server's clock less this machine's, ms. */
+  clockMs = 0;
+  #timer = 0;
+  #alarmsMs = -Infinity;
+  #changes = 0;
+  #stopped = false;
+
+  constructor(session: Session) {
+    this.session = session;
+    this.live.listen((message) => this.#came(message));
+  }
+
+  /** Whether what is shown is of now. */
+  get fresh(): boolean {
+    return this.live.connected && !this.trouble;
+  }
+
+  /** Begin; done once the first answer came, or failed. */
+  async start(): Promise<void> {
+    this.live.open();
+    await this.#ask();
+  }
+
+  stop(): void {
+    this.#stopped = true;
+    window.clearTimeout(this.#timer);
+    this.live.close();
+  }
+
+  point(name: string): PointState | undefined {
+    return this.points.find((one) => one.name === name);
+  }
+
+  /** The open alarms of a point, those that fire first. */
+  alarmsOf(name: string): AlarmBody[] {
+    return this.alarms.filter((one) => one.point === name);
+  }
+
+  /** Ask for the open alarms; a change that comes meanwhile is newer than the answer. */
+  async askAlarms(): Promise<void> {
+    const before = this.#changes;
+    const found = await get<AlarmBody[]>("/alarms?state=open");
+    if (this.#changes === before) [this.alarms, this.#alarmsMs] = [inOrder(found), performance.now()];
+  }
+
+  /** The server's time, ms since 1970. */
+  now(): number {
+    return Date.now() + this.clockMs;
+  }
+
+  /** How old a point's newest row is, s. */
+  ageS(point: PointState): number | null {
+    return point.time === null ? null : Math.max(this.now() - Date.parse(point.time), 0) / 1000;
+  }
+
+  rowsOf(name: string): Newest {
+    let found = this.newest.get(name);
+    if (!found) this.newest.set(name, (found = new Newest(KEPT_S)));
+    return found;
+  }
+
+  async #ask(): Promise<void> {
+    window.clearTimeout(this.#timer);
+    try {
+      const [points, health] = await Promise.all([get<PointState[]>("/points"), get<Health>("/health")]);
+      const dated = points.find((one) => one.time !== null && one.age_s !== null);
+      if (dated) this.clockMs = Date.parse(dated.time ?? "") + 1000 * (dated.age_s ?? 0) - Date.now();
+      [this.points, this.health, this.trouble, this.answered] = [points, health, "", performance.now()];
+      if (performance.now() - this.#alarmsMs > ALARMS_MS) await this.askAlarms();
+    } catch (error) {
+      if (error instanceof Refused && error.status === 401) return;
+      // Changes of alarms may have come meanwhile.
+      this.#alarmsMs = -Infinity;
+      this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
+    }
+    if (this.#stopped) return;
+    this.live.check();
+    this.#timer = window.setTimeout(() => void this.#ask(), ASK_MS);
+  }
+
+  #came(message: Message): void {
+    // What is missing is in the store alone: rows on both sides of it would look like a gap.
+    if ("type" in message && message.type === "gap") this.newest.clear();
+    if ("type" in message && message.type === "alarm") this.#changed(message);
+    if (!("sequence" in message)) return;
+    this.rowsOf(message.point).add(message);
+    const point = this.point(message.point);
+    const last = message.time.length - 1;
+    if (point && last >= 0) {
+      point.time = new Date((message.time[last] ?? 0) / 1e6).toISOString();
+      point.displacement_mm = message.displacement_mm[last] ?? null;
+      point.displacement_std_mm = message.displacement_std_mm[last] ?? null;
+    }
+  }
+
+  #changed(alarm: AlarmBody): void {
+    this.#changes += 1;
+    this.#alarmsMs = -Infinity;
+    const rest = this.alarms.filter((one) => one.id !== alarm.id);
+    if (alarm.state !== "test") this.alarms = inOrder(alarm.state === "ended" ? rest : [alarm, ...rest]);
+  }
+}
+
+const URGENT = ["firing", "acknowledged", "pending"];
+
+/** Those that fire first, and of these the critical ones. */
+function inOrder(alarms: AlarmBody[]): AlarmBody[] {
+  const rank = (one: AlarmBody) => 2 * URGENT.indexOf(one.state) - (one.level === "critical" ? 1 : 0);
+  return [...alarms].sort((a, b) => rank(a) - rank(b));
+}

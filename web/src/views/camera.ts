@@ -1,0 +1,156 @@
+// A camera's picture on demand, and the region of interest on it.
+
+import {
+  type CalibrationBody,
+  get,
+  ofPoint,
+  picture,
+  type Picture,
+  putSettings,
+  settings,
+  type SourceState,
+} from "../api.ts";
+import { button, choice, el, say } from "../dom.ts";
+import { calibrated, regionOf, withRegion } from "../region.ts";
+import { HOW_TO_DRAW, RegionCanvas } from "../region_canvas.ts";
+import type { SiteState } from "../site_state.ts";
+import { clock, duration } from "../words.ts";
+import { sentenceOf, type View } from "./view.ts";
+
+const CAMERAS = ["camera", "infrared"];
+// The server has a new picture so often, ms.
+const PICTURE_MS = 500;
+
+export const showCamera: View = (root, site, name) => {
+  let end: () => void = () => undefined;
+  let ended = false;
+  const wait = el("p", { role: "status" }, "Waiting for the cameras.");
+  root.replaceChildren(el("h1", {}, "Camera"), wait);
+
+  async function begin(): Promise<void> {
+    try {
+      const cameras = (await get<SourceState[]>("/sources")).filter((one) => CAMERAS.includes(one.source));
+      const chosen = cameras.find((one) => one.name === name) ?? cameras[0];
+      if (ended) return;
+      if (!chosen) return say(wait, "No camera brings pictures here now.");
+      const view = new CameraView(root, site, chosen, cameras);
+      end = () => view.end();
+    } catch (error) {
+      say(wait, sentenceOf(error));
+    }
+  }
+  void begin();
+  return () => {
+    ended = true;
+    end();
+  };
+};
+
+class CameraView {
+  #site: SiteState;
+  #source: SourceState;
+  #may: boolean;
+  #drawn: RegionCanvas;
+  #watching = false;
+  #ended = false;
+  #said = el("p", { role: "status" });
+  #taken = el("p", { class: "quiet" }, " ");
+  #where = el("p");
+  #watch = button("Watch", () => this.#toggle(), { "aria-pressed": "false" });
+  #save = button("Put the region in force", () => void this.#put(), { disabled: true });
+
+  constructor(root: HTMLElement, site: SiteState, source: SourceState, all: SourceState[]) {
+    this.#site = site;
+    this.#source = source;
+    this.#may = site.session.scope === "admin";
+    this.#drawn = new RegionCanvas(`Picture of ${source.name}.`, this.#may, () => {
+      say(this.#where, this.#drawn.text);
+      this.#save.disabled = !this.#drawn.changed;
+    });
+    const names = all.map((one): [string, string] => [one.name, one.name]);
+    root.replaceChildren(
+      el("h1", {}, "Camera"),
+      el(
+        "div",
+        { class: "bar" },
+        choice("Camera", names, source.name, (name) => (location.hash = `#/camera/${encodeURIComponent(name)}`)),
+        button("New picture", () => void this.#ask()),
+        this.#watch,
+        this.#may && this.#save,
+      ),
+      this.#said,
+      el("div", { class: "picture" }, this.#drawn.canvas),
+      this.#taken,
+      this.#where,
+      (this.#may && el("p", { class: "quiet" }, `${HOW_TO_DRAW} It is written into SITE.toml.`)) || el("p"),
+    );
+    void this.#begin();
+  }
+
+  end(): void {
+    this.#ended = true;
+    this.#drawn.end();
+  }
+
+  async #begin(): Promise<void> {
+    const { point, source } = this.#source;
+    if (this.#may)
+      this.#drawn.region = await settings().then(
+        (found) => regionOf(found.text, { kind: source, point }),
+        () => null,
+      );
+    this.#drawn.region ??= await get<CalibrationBody[]>(ofPoint(point, "calibrations")).then(
+      (all) => calibrated(all.find((one) => one.state === "in force")?.calibration ?? {}, source),
+      () => null,
+    );
+    await this.#ask();
+  }
+
+  async #ask(): Promise<void> {
+    try {
+      const found = await picture(`/sources/${encodeURIComponent(this.#source.name)}`);
+      const image = await createImageBitmap(found.blob);
+      if (this.#ended) return image.close();
+      this.#show(found, image);
+      say(this.#said, "");
+    } catch (error) {
+      say(this.#said, sentenceOf(error));
+    }
+  }
+
+  #show(found: Picture, image: ImageBitmap): void {
+    this.#drawn.show(image, found.width, found.height);
+    const { width, height } = this.#drawn.canvas;
+    const age = duration(Math.max(this.#site.now() - found.ms, 0) / 1000);
+    say(this.#taken, `${width} × ${height} px, ${clock(found.ms)}, ${age} old`);
+  }
+
+  #toggle(): void {
+    this.#watching = !this.#watching;
+    this.#watch.setAttribute("aria-pressed", String(this.#watching));
+    if (this.#watching) void this.#keepWatching();
+  }
+
+  async #keepWatching(): Promise<void> {
+    while (this.#watching && !this.#ended) {
+      if (!document.hidden) await this.#ask();
+      await new Promise((resolve) => window.setTimeout(resolve, PICTURE_MS));
+    }
+  }
+
+  async #put(): Promise<void> {
+    const { region } = this.#drawn;
+    if (!region) return;
+    try {
+      const { text, tag } = await settings();
+      const changed = withRegion(text, { kind: this.#source.source, point: this.#source.point }, region);
+      if (changed === null)
+        throw new Error("The section of this camera is not found in SITE.toml: write roi there, in Settings.");
+      say(this.#said, (await putSettings(changed, tag)).text);
+      this.#drawn.changed = false;
+      this.#drawn.draw();
+    } catch (error) {
+      say(this.#said, sentenceOf(error));
+    }
+  }
+}

@@ -1,0 +1,279 @@
+// A point: live traces with their band, every zoom, events, statistics, spectrum, export.
+
+import { showAlarms } from "../alarms.ts";
+import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
+import { Chart, type Level, type Mark } from "../charts/chart.ts";
+import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.ts";
+import { SPANS, TimeWindow } from "../charts/window.ts";
+import { button, choice, el, line, mark, say, table } from "../dom.ts";
+import { emptyEnvelope, ofRows, statistics, within } from "../rows.ts";
+import type { SiteState } from "../site_state.ts";
+import { clock, duration, signed, withBand, ZONE } from "../words.ts";
+import { SpectrumPanel } from "./spectrum.ts";
+import { OLD_S, standing, trouble } from "./site.ts";
+import { nothing, repeat, sentenceOf, type View } from "./view.ts";
+
+// A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
+const DRAW_MS = 250;
+// What is kept is asked for again while it is followed, between, s: a part of what is shown, and before live rows end.
+const [AGAIN_MIN_S, AGAIN_MAX_S, AGAIN_PART] = [3, 100, 300];
+const FORMATS = ["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"];
+const LISTED = 200;
+const EVENT_COLUMNS = ["Time", "Event", "What"];
+
+export const showPoint: View = (root, site, given) => {
+  const name = given || site.points[0]?.name;
+  if (!name) return nothing(root, "Point");
+  const shown = new PointView(root, site, name);
+  return () => shown.end();
+};
+
+class PointView {
+  #site: SiteState;
+  #name: string;
+  #window: TimeWindow;
+  #chart: Chart;
+  #loaded: Loaded = { envelope: emptyEnvelope(), areRows: false };
+  #events: EventBody[] = [];
+  #levels: Level[] = [];
+  #asking: AbortController | null = null;
+  #askedMs = 0;
+  #failed = false;
+  #ends: (() => void)[] = [];
+  #now = el("p", { class: "value" });
+  #words = el("p", { class: "words" });
+  #why = el("p", { class: "why" });
+  #alarms = el("ul", { class: "alarms" });
+  #wrong = el("p", { class: "wrong", role: "status" });
+  #spanText = el("p", { class: "quiet" });
+  #readout = el("p", { class: "quiet" }, " ");
+  #figures = el("dl", { class: "figures" });
+  #eventList = el("tbody");
+  #spectrum = new SpectrumPanel();
+  #follow = button("Freeze", () => this.#toggle());
+
+  constructor(root: HTMLElement, site: SiteState, name: string) {
+    [this.#site, this.#name] = [site, name];
+    this.#window = new TimeWindow(60, () => this.#newestMs());
+    const frame = el("div", {
+      class: "chart",
+      tabindex: 0,
+      role: "img",
+      "aria-label": `Displacement of ${name} over time. Keys: left, right move; plus, minus zoom; F follows, freezes.`,
+      keydown: (event) => this.#key(event as KeyboardEvent),
+    });
+    root.replaceChildren(...this.#parts(frame));
+    this.#chart = new Chart(
+      frame,
+      ["trace"],
+      ([from, to]) => this.#change(() => this.#window.show(1000 * from, 1000 * to)),
+      (x, values) => this.#read(x, values),
+    );
+    this.#ends.push(
+      site.live.listen((message) => {
+        if (!("sequence" in message)) this.#askedMs = 0;
+      }),
+      repeat(() => this.#tick(), DRAW_MS),
+    );
+    void this.#askLimits();
+  }
+
+  end(): void {
+    this.#asking?.abort();
+    for (const end of this.#ends) end();
+    this.#spectrum.end();
+    this.#chart.destroy();
+  }
+
+  #parts(frame: HTMLElement): HTMLElement[] {
+    const names = this.#site.points.map((one): [string, string] => [one.name, one.name]);
+    const spans = SPANS.map(([seconds, text]): [string, string] => [String(seconds), text]);
+    const zoom = (factor: number) => this.#change(() => this.#window.zoom(factor));
+    const move = (part: number) => this.#change(() => this.#window.move(part));
+    const bar = el(
+      "div",
+      { class: "bar" },
+      choice(
+        "Point",
+        names.length ? names : [[this.#name, this.#name]],
+        this.#name,
+        (name) => (location.hash = `#/point/${encodeURIComponent(name)}`),
+      ),
+      choice("Shown", spans, "60", (seconds) => this.#change(() => (this.#window.seconds = Number(seconds)))),
+      this.#follow,
+      button("Earlier", () => move(-0.5)),
+      button("Later", () => move(0.5)),
+      button("Zoom in", () => zoom(0.5)),
+      button("Zoom out", () => zoom(2)),
+    );
+    const below = el(
+      "div",
+      { class: "bar" },
+      button("Spectrum of what is shown", () => void this.#spectrum.show(this.#path("spectrum"))),
+      this.#exportForm(),
+    );
+    return [
+      el("h1", {}, this.#name),
+      this.#now,
+      this.#words,
+      this.#why,
+      this.#alarms,
+      bar,
+      this.#wrong,
+      frame,
+      this.#readout,
+      this.#spanText,
+      this.#figures,
+      below,
+      this.#spectrum.root,
+      el("h2", {}, "Events of what is shown"),
+      table(EVENT_COLUMNS, this.#eventList),
+    ];
+  }
+
+  #exportForm(): HTMLElement {
+    let format = "csv";
+    const pick = choice(
+      "as",
+      FORMATS.map((one): [string, string] => [one, one]),
+      format,
+      (value) => (format = value),
+    );
+    const save = button("Save every row of what is shown", () =>
+      el("a", { href: `/api/v1${this.#path("export", { format })}`, download: "" }).click(),
+    );
+    return el("span", { class: "bar" }, save, pick, el("span", { class: "quiet" }, "times in the file are UTC"));
+  }
+
+  /** The address of something of the time that is shown. */
+  #path(what: string, query: Record<string, string> = {}): string {
+    return ofPoint(this.#name, what, { ...span(this.#window.fromMs, this.#window.toMs), ...query });
+  }
+
+  #newestMs(): number {
+    const { time } = this.#site.rowsOf(this.#name).rows;
+    const point = this.#site.point(this.#name);
+    const newest = (time[time.length - 1] ?? 0) / 1e6 || Date.parse(point?.time ?? "") || this.#site.now();
+    // Rows that stay away are a gap that is seen to grow; of a store that nothing measures the newest rows are shown.
+    const isAway = point?.reason !== "not_measuring" && this.#site.now() - newest > 1000 * OLD_S;
+    return isAway ? this.#site.now() : newest;
+  }
+
+  #change(how: () => void): void {
+    how();
+    this.#askedMs = 0;
+    this.#tick();
+  }
+
+  #toggle(): void {
+    this.#change(() => (this.#window.following ? this.#window.freeze() : this.#window.follow()));
+  }
+
+  #key(event: KeyboardEvent): void {
+    const acts: Record<string, () => void> = {
+      ArrowLeft: () => this.#window.move(-0.25),
+      ArrowRight: () => this.#window.move(0.25),
+      "+": () => this.#window.zoom(0.5),
+      "-": () => this.#window.zoom(2),
+    };
+    const act = acts[event.key];
+    if (act) this.#change(act);
+    else if (event.key === "f") this.#toggle();
+    else return;
+    event.preventDefault();
+  }
+
+  #tick(): void {
+    const { following, seconds } = this.#window;
+    say(this.#follow, following ? "Freeze" : "Follow");
+    this.#showState();
+    const again = 1000 * Math.min(Math.max(seconds / AGAIN_PART, AGAIN_MIN_S), AGAIN_MAX_S);
+    const late = performance.now() - this.#askedMs > again;
+    if (document.hidden) return;
+    if (this.#askedMs === 0 || ((following || this.#failed) && late)) void this.#ask();
+    if (following) this.#draw();
+  }
+
+  #showState(): void {
+    const point = this.#site.point(this.#name);
+    if (!point) return;
+    const { state, words } = standing(point, this.#site);
+    const since = point.since ? ` since ${clock(Date.parse(point.since))}` : "";
+    say(this.#now, withBand(point.displacement_mm, point.displacement_std_mm));
+    say(this.#words, `${words[0]?.toUpperCase() ?? ""}${words.slice(1)}${since}`);
+    mark(this.#words, state);
+    say(this.#why, trouble(point, this.#site));
+    showAlarms(this.#alarms, this.#site.alarmsOf(this.#name));
+  }
+
+  /** The limits of its displacement; where nothing measures there are none to draw. */
+  async #askLimits(): Promise<void> {
+    const all = await get<LimitBody[]>("/alarms/limits").catch((): LimitBody[] => []);
+    const own = all.filter((one) => one.point === this.#name && one.on === "displacement");
+    this.#levels = own.flatMap(({ name, limit }) => [limit, -limit].map((y) => ({ y, name })));
+  }
+
+  async #ask(): Promise<void> {
+    this.#askedMs = performance.now();
+    this.#asking?.abort();
+    const asking = (this.#asking = new AbortController());
+    const { fromMs, toMs } = this.#window;
+    try {
+      const step = await rowStep(this.#name, this.#newestMs(), this.#site.rowsOf(this.#name).rows);
+      const loading = load(ofAPoint(this.#name), fromMs, toMs, this.#chart.width, step, asking.signal);
+      const events = get<EventBody[]>(this.#path("events"), asking.signal);
+      [this.#loaded, this.#events] = await Promise.all([loading, events]);
+      this.#failed = false;
+      say(this.#wrong, "");
+      this.#draw();
+      this.#listEvents();
+    } catch (error) {
+      if (asking.signal.aborted) return;
+      this.#failed = true;
+      say(this.#wrong, sentenceOf(error));
+    }
+  }
+
+  #draw(): void {
+    const [from, to] = [this.#window.fromMs / 1000, this.#window.toMs / 1000];
+    const came = ofRows(within(this.#site.rowsOf(this.#name).rows, from, to));
+    const all = this.#window.following ? joined(this.#loaded.envelope, came) : this.#loaded.envelope;
+    const marks: Mark[] = this.#events.map((one) => ({ x: one.time_ns / 1e9, kind: one.kind }));
+    this.#chart.draw([from, to], [{ envelope: all }], marks, this.#levels);
+    say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
+    const found = statistics(all, this.#loaded.areRows);
+    const figures: [string, string][] = found
+      ? [
+          ["least", `${signed(found.low, 3)} mm`],
+          ["largest", `${signed(found.high, 3)} mm`],
+          ["range", `${(found.high - found.low).toFixed(3)} mm`],
+          ["mean", `${signed(found.mean, 3)} mm`],
+        ]
+      : [["shown", "no rows"]];
+    if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
+    for (const { y, name } of this.#levels) if (y > 0) figures.push([`limit ${name}`, `±${y} mm`]);
+    this.#figures.replaceChildren(
+      ...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))),
+    );
+  }
+
+  #read(x: number | null, values: (number | null)[]): void {
+    const [lower, upper, low, high] = values;
+    if (x === null) say(this.#readout, " ");
+    else if (low == null || high == null) say(this.#readout, `${clock(1000 * x)}: no value`);
+    else {
+      const range = low === high ? signed(low, 3) : `${signed(low, 3)} to ${signed(high, 3)}`;
+      const band = lower == null || upper == null ? "" : `, with the band ${signed(lower, 3)} to ${signed(upper, 3)}`;
+      const ms = new Date(1000 * x).getMilliseconds().toString().padStart(3, "0");
+      say(this.#readout, `${clock(1000 * x)}.${ms}: ${range} mm${band}`);
+    }
+  }
+
+  #listEvents(): void {
+    const lines = this.#events
+      .slice(-LISTED)
+      .reverse()
+      .map((one) => line(EVENT_COLUMNS, [clock(one.time_ns / 1e6), one.kind, one.text]));
+    this.#eventList.replaceChildren(...(lines.length ? lines : [line(EVENT_COLUMNS, ["None.", "", ""])]));
+  }
+}

@@ -1,0 +1,145 @@
+// Every point on one screen: value, state, age, since when, and what is wrong in one sentence.
+
+import { showAlarms } from "../alarms.ts";
+import type { PointState } from "../api.ts";
+import { el, mark, say } from "../dom.ts";
+import type { SiteState } from "../site_state.ts";
+import { clock, duration, STATUS_WORDS, withBand } from "../words.ts";
+import { repeat, type View } from "./view.ts";
+
+// A person reads no faster, ms.
+const DRAW_MS = 500;
+// Rows older than this are no newest value, s: they come five times a second, and a second after their sample.
+export const OLD_S = 5;
+
+// A point that begins, and what it does.
+const BEGINS: Record<string, string> = {
+  starting: "begins",
+  calibrating: "is being calibrated",
+  opening: "is being opened",
+};
+
+/** How a point stands: good is shown green, and only where all that it needs is fresh. */
+export function standing(
+  point: PointState,
+  site: SiteState,
+): { state: "good" | "notice" | "wrong" | "unknown"; words: string } {
+  if (!site.fresh) return { state: "unknown", words: "unknown: no connection" };
+  const age = site.ageS(point);
+  const status = point.status ?? "";
+  if (point.reason === "not_measuring") return { state: "unknown", words: "not measured now" };
+  const begins = BEGINS[point.reason];
+  if (begins) return { state: "notice", words: begins };
+  if (point.status === null) return { state: "wrong", words: "no rows" };
+  if (status === "lost" || age === null || age > OLD_S)
+    return { state: "wrong", words: status === "lost" ? "lost" : "no new rows" };
+  const sources = site.health?.sources.filter((one) => one.point === point.name && one.reason) ?? [];
+  if (status !== "tracking" || point.reason || sources.length)
+    return { state: "notice", words: STATUS_WORDS[status] ?? status };
+  if (site.alarmsOf(point.name).some((one) => one.state !== "pending"))
+    return { state: "notice", words: "measured, all streams fresh" };
+  return { state: "good", words: "measured, all streams fresh" };
+}
+
+/** What is wrong with a point, in one sentence; empty where nothing is. */
+export function trouble(point: PointState, site: SiteState): string {
+  const source = site.health?.sources.find((one) => one.point === point.name && one.reason);
+  if (source) return `${source.source}: ${source.reason === "paused" ? "paused: " : ""}${source.text}`;
+  return point.text;
+}
+
+/** One sentence on the whole site. */
+function summary(site: SiteState): { state: string; text: string } {
+  const count = site.points.length;
+  if (!site.health) return { state: "unknown", text: "Waiting for the server." };
+  if (!site.fresh) return { state: "unknown", text: "No connection: what is shown is old." };
+  if (!count) return { state: "unknown", text: "There are no points here yet." };
+  const bad = site.points.filter((one) => standing(one, site).state !== "good").length;
+  if (!bad && site.health.ready)
+    return {
+      state: "good",
+      text:
+        count === 1
+          ? "The point is measured, all its streams are fresh."
+          : `All ${count} points are measured, all streams are fresh.`,
+    };
+  if (bad) {
+    const text = count === 1 ? "The point needs a look." : `${bad} of ${count} points need a look.`;
+    return { state: "notice", text };
+  }
+  const source = site.health.sources.find((one) => one.reason);
+  return { state: "notice", text: source ? source.text : "Something is not ready." };
+}
+
+interface Card {
+  root: HTMLElement;
+  value: HTMLElement;
+  words: HTMLElement;
+  age: HTMLElement;
+  since: HTMLElement;
+  text: HTMLElement;
+  alarms: HTMLElement;
+}
+
+function card(name: string): Card {
+  const [value, words, age, since, text, alarms] = [
+    el("p", { class: "value" }),
+    el("p", { class: "words" }),
+    el("span"),
+    el("span"),
+    el("p", { class: "why" }),
+    el("ul", { class: "alarms" }),
+  ];
+  const link = el("a", { href: `#/point/${encodeURIComponent(name)}` }, name);
+  const root = el(
+    "li",
+    { class: "card" },
+    el("h2", {}, link),
+    value,
+    words,
+    el("p", { class: "quiet" }, age, since),
+    text,
+    alarms,
+  );
+  return { root, value, words, age, since, text, alarms };
+}
+
+function fill(into: Card, point: PointState, site: SiteState): void {
+  const { state, words } = standing(point, site);
+  const age = site.ageS(point);
+  mark(into.root, state);
+  say(into.value, withBand(point.displacement_mm, point.displacement_std_mm));
+  say(into.words, words);
+  say(into.age, age === null ? "no row yet" : `newest row ${age < 3 ? "of now" : `${duration(age)} ago`}`);
+  say(into.since, point.since ? `, so since ${clock(Date.parse(point.since))}` : "");
+  say(into.text, site.fresh ? trouble(point, site) : "");
+  showAlarms(into.alarms, site.alarmsOf(point.name));
+}
+
+export const showSite: View = (root, site) => {
+  const head = el("p", { class: "summary", role: "status" });
+  const list = el("ul", { class: "cards" });
+  const settings = el("p", { class: "wrong" });
+  const cards = new Map<string, Card>();
+  root.replaceChildren(el("h1", {}, "Site"), head, settings, list);
+
+  return repeat(() => {
+    const { state, text } = summary(site);
+    mark(head, state);
+    say(head, text);
+    say(settings, site.health?.settings ? `SITE.toml: ${site.health.settings.text}` : "");
+    for (const point of site.points) {
+      let shown = cards.get(point.name);
+      if (!shown) {
+        cards.set(point.name, (shown = card(point.name)));
+        list.append(shown.root);
+      }
+      fill(shown, point, site);
+    }
+    for (const [name, shown] of cards) {
+      if (site.point(name)) continue;
+      shown.root.remove();
+      cards.delete(name);
+    }
+  }, DRAW_MS);
+};

@@ -1,0 +1,52 @@
+// Numbers, ages and times in words.
+
+/** Displacement with its 95 % band, mm. */
+export function withBand(value: number | null, std: number | null): string {
+  if (value === null) return "no value";
+  if (std === null) return `${value.toFixed(3)} mm`;
+  const half = 1.96 * std;
+  const digits = half >= 1 ? 1 : half >= 0.1 ? 2 : 3;
+  return `${signed(value, digits)} ± ${half.toFixed(digits)} mm`;
+}
+
+export function signed(value: number, digits: number): string {
+  return value < 0 ? `−${Math.abs(value).toFixed(digits)}` : value.toFixed(digits);
+}
+
+/** A duration with the two units that matter. */
+export function duration(seconds: number): string {
+  if (!Number.isFinite(seconds)) return "unknown";
+  if (seconds < 10) return `${seconds.toFixed(1)} s`;
+  if (seconds < 60) return `${Math.floor(seconds)} s`;
+  const units: [number, string][] = [
+    [86400, "d"],
+    [3600, "h"],
+    [60, "min"],
+    [1, "s"],
+  ];
+  const first = units.findIndex(([size]) => seconds >= size);
+  const [size, name] = units[first] ?? [1, "s"];
+  const [next, below] = units[first + 1] ?? [1, "s"];
+  const rest = Math.floor((seconds % size) / next);
+  return `${Math.floor(seconds / size)} ${name}${rest > 0 ? ` ${rest} ${below}` : ""}`;
+}
+
+/** An instant (ms since 1970) in the zone of the reader, with seconds. */
+export function clock(ms: number): string {
+  const when = new Date(ms);
+  const today = new Date().toDateString() === when.toDateString();
+  const time = when.toLocaleTimeString([], { hour12: false });
+  return today ? time : `${when.toLocaleDateString([], { year: "numeric", month: "short", day: "numeric" })} ${time}`;
+}
+
+/** How a point is measured, as a sentence's subject needs it. */
+export const STATUS_WORDS: Record<string, string> = {
+  tracking: "measured",
+  coasting: "predicted: the camera or radar gives nothing at present",
+  lost: "lost",
+  warming: "begins",
+  calibrating: "calibrates",
+};
+
+/** The zone that all times of the page are in. */
+export const ZONE = Intl.DateTimeFormat().resolvedOptions().timeZone;

@@ -1,0 +1,167 @@
+// What needs no browser: gaps, joints, statistics, windows of time, regions and their place in SITE.toml.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { joined } from "../src/charts/series.ts";
+import { TimeWindow } from "../src/charts/window.ts";
+import { between, inside, regionOf, withRegion } from "../src/region.ts";
+import { Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
+import { duration, withBand } from "../src/words.ts";
+
+// Ten rows a second from a whole second on, three missing.
+const rows = (from: number, to: number, value = 1) => {
+  const time = Array.from({ length: to - from }, (_, at) => 1e9 + (from + at) * 1e8);
+  return {
+    time,
+    displacement_mm: time.map(() => value),
+    displacement_std_mm: time.map(() => 0.5),
+    status: time.map(() => "tracking"),
+  };
+};
+
+test("missing rows are a gap, and a lost row has no value", () => {
+  const [a, b] = [rows(0, 5), rows(8, 12)];
+  const all = {
+    time: [...a.time, ...b.time],
+    displacement_mm: [...a.displacement_mm, ...b.displacement_mm],
+    displacement_std_mm: [...a.displacement_std_mm, ...b.displacement_std_mm],
+    status: [...a.status, ...b.status],
+  };
+  all.status[8] = "lost";
+  const drawn = ofRows(all);
+  assert.deepEqual(drawn.low, [1, 1, 1, 1, 1, null, 1, 1, 1, null]);
+  assert.ok(Math.abs((drawn.upper[0] ?? 0) - 1.98) < 1e-12);
+});
+
+test("a bucket is drawn at its middle, and an empty one is a gap", () => {
+  const drawn = ofBuckets(
+    {
+      time: [0, 1e9],
+      displacement_mm_min: [-1, null],
+      displacement_mm_max: [7, null],
+      displacement_mm_mean: [0, null],
+      displacement_std_mm: [1, null],
+      status: ["tracking", null],
+    },
+    2000,
+  );
+  assert.deepEqual(drawn.x, [0.5, 1.5]);
+  assert.deepEqual(
+    [drawn.high, drawn.low],
+    [
+      [7, null],
+      [-1, null],
+    ],
+  );
+});
+
+test("rows that came stand behind what is kept, none twice", () => {
+  const both = joined(ofRows(rows(0, 10, 1)), ofRows(rows(7, 12, 2)));
+  assert.deepEqual(both.low, [1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
+});
+
+test("what comes again after a cut is not added twice, and old rows go", () => {
+  const newest = new Newest(100);
+  newest.add(rows(0, 50));
+  newest.add(rows(40, 60));
+  assert.equal(newest.rows.time.length, 60);
+  newest.add(rows(60, 5000));
+  assert.ok(newest.rows.time.length <= 1001);
+});
+
+test("statistics have the extremes of every row", () => {
+  const found = statistics(
+    ofRows({
+      time: [0, 1e8, 2e8, 3e8],
+      displacement_mm: [1, -1, 1, -1],
+      displacement_std_mm: [0, 0, 0, 0],
+      status: ["", "", "", ""],
+    }),
+    true,
+  );
+  assert.deepEqual(found, { low: -1, high: 1, mean: 0, rms: 1, parts: 4 });
+});
+
+test("a window that follows ends with the newest row, one that is zoomed keeps its middle", () => {
+  let now = 10_000;
+  const shown = new TimeWindow(4, () => now);
+  assert.deepEqual([shown.fromMs, shown.toMs], [6000, 10_000]);
+  now = 20_000;
+  shown.freeze();
+  now = 30_000;
+  shown.zoom(0.5);
+  assert.deepEqual([shown.fromMs, shown.toMs], [17_000, 19_000]);
+});
+
+test("a region stays in the frame and keeps its size", () => {
+  const frame = { width: 320, height: 240 };
+  assert.deepEqual(inside({ x: -50, y: 300, width: 64, height: 32 }, frame), { x: 0, y: 208, width: 64, height: 32 });
+  assert.deepEqual(inside({ x: 10, y: 10, width: 900, height: 2 }, frame), { x: 0, y: 10, width: 320, height: 16 });
+  assert.deepEqual(between(40, 30, 10, 50), { x: 10, y: 30, width: 30, height: 20 });
+});
+
+const SITE = `[[point]]
+name = "a"
+[point.camera]
+source = "rtsp://one"   # roi is chosen
+[[point]]
+name = "b"
+[point.camera]
+roi = [1, 2, 30, 40]  # the bolt
+source = "rtsp://two"
+`;
+
+test("a region goes into its own point's section, and nowhere else", () => {
+  const region = { x: 5, y: 6, width: 70, height: 80 };
+  assert.equal(regionOf(SITE, { kind: "camera", point: "a" }), null);
+  assert.deepEqual(regionOf(SITE, { kind: "camera", point: "b" }), { x: 1, y: 2, width: 30, height: 40 });
+  assert.equal(
+    withRegion(SITE, { kind: "camera", point: "b" }, region),
+    SITE.replace("[1, 2, 30, 40]", "[5, 6, 70, 80]"),
+  );
+  assert.equal(
+    withRegion(SITE, { kind: "camera", point: "a" }, region),
+    SITE.replace(
+      '[point.camera]\nsource = "rtsp://one"',
+      '[point.camera]\nroi = [5, 6, 70, 80]\nsource = "rtsp://one"',
+    ),
+  );
+  assert.equal(withRegion(SITE, { kind: "camera", point: "c" }, region), null);
+  assert.equal(
+    withRegion(SITE.replace("[1, 2, 30, 40]", "[1,\n2, 30, 40]"), { kind: "camera", point: "b" }, region),
+    null,
+  );
+});
+
+const RECORDING = `name = "left"
+[accelerometer]
+file = "a.csv"
+[[camera]]
+name = "left"
+file = "l.mkv"
+[[camera.target]]
+roi = [9, 9, 30, 30]
+[[camera]]
+name = "right"
+file = "r.mkv"
+`;
+
+test("of several cameras of a recording the one of that name gets the region", () => {
+  const region = { x: 5, y: 6, width: 70, height: 80 };
+  const right = { kind: "camera", name: "right" };
+  const written = RECORDING.replace('name = "right"', 'roi = [5, 6, 70, 80]\nname = "right"');
+  assert.equal(withRegion(RECORDING, right, region), written);
+  assert.deepEqual(regionOf(written, right), region);
+  assert.equal(withRegion(RECORDING, { kind: "camera", name: "other" }, region), null);
+  const one = '[camera]\nfile = "c.mkv"\n';
+  assert.equal(
+    withRegion(one, { kind: "camera", name: "camera" }, region),
+    '[camera]\nroi = [5, 6, 70, 80]\nfile = "c.mkv"\n',
+  );
+});
+
+test("numbers and durations are said with what matters of them", () => {
+  assert.equal(withBand(-1.23456, 0.01), "−1.235 ± 0.020 mm");
+  assert.equal(withBand(null, null), "no value");
+  assert.deepEqual([2, 75, 3600, 100_000].map(duration), ["2.0 s", "1 min 15 s", "1 h", "1 d 3 h"]);
+});
