@@ -55,6 +55,9 @@ def test_the_file_has_the_keys_that_are_relied_on(calibration, tmp_path):
     for name in ("scale_mm_per_px", "scale_std_mm_per_px", "time_offset_s", "time_offset_std_s", "roi"):
         assert again["camera"][name] == pytest.approx(tree["camera"][name], rel=1e-12)
     usual, kept = again["accelerometer"].pop("usual"), tree["accelerometer"].pop("usual")
+    for end in ("range_low_m_s2", "range_high_m_s2"):
+        # Null: the window showed no end of the range.
+        assert usual.pop(end) == kept.pop(end)
     assert usual == pytest.approx(kept, rel=1e-12)
     assert again["accelerometer"].pop("lines") == tree["accelerometer"].pop("lines")
     assert again["accelerometer"] == pytest.approx(tree["accelerometer"], rel=1e-12)

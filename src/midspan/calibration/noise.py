@@ -20,11 +20,11 @@ from midspan.calibration.fit import (
 )
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
-from midspan.calibration.own_error import OwnError, find_own_error
+from midspan.calibration.own_error import OwnError, find_own_error, whose
 from midspan.calibration.own_noise import exceeds_own_noise, noise_floor
 from midspan.calibration.scale import MIN_GAIN as MIN_AGREEMENT
 from midspan.calibration.sensor_response import Exposed, LowPass, Play, find_exposure, find_low_pass
-from midspan.calibration.slow_error import find_slow_error
+from midspan.calibration.slow_error import NOT_EXCLUDED, find_slow_error, lost
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.checks import instance
@@ -199,8 +199,14 @@ def calibrate_noise(
 def _sway(pair: Pair, slow: Fit) -> OwnError | None:
     """The oscillation that one of both sensors shows alone, where it is likelier than the slow error of a fit."""
     white = pair.changed(slow=NO_SLOW_ERROR)
-    own, _ = find_own_error(white, best_corner(white, slow.offset_s), NOT_KNOWN)
-    return own if own is not None and own.sways and own.fit.likelihood > slow.likelihood else None
+    none = best_corner(white, slow.offset_s)
+    own, _ = find_own_error(white, none, NOT_KNOWN)
+    if own is None or not own.sways or own.fit.likelihood <= slow.likelihood:
+        return None
+    if lost(white, none, own.fit) > NOT_EXCLUDED:
+        # It goes with the motion.
+        return None
+    return whose(own, none)
 
 
 def levels_of(pair: Pair, fit: Fit, factor: float = 1.0) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range
+from midspan.calibration.fit import MIN_MEASUREMENTS, Aligned, Fit, Pair, aligned, corner_range
 from midspan.calibration.own_noise import most_density
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.notices import rounded
@@ -47,6 +47,8 @@ SLOWEST = 1.05
 SPARSE_STEP_S = 0.3
 # A process of LONGEST_S shows two thirds of its standard deviation in twice that time, on average, and seldom a half.
 MAX_SHOWN = 2.0
+# Half the widths of its resonance, or ordinates, within which a sway is looked at: all but a fifth of it.
+WIDTHS = 3.0
 # Powers at a frequency are means over this many ordinates.
 SMOOTHED = 9
 
@@ -186,6 +188,8 @@ def _drift(here: Aligned, fit: Fit, bounds: tuple[float, float]) -> OwnError | N
     """The Gauss-Markov process that makes measurements SPARSE_STEP_S apart clearly likelier."""
     pair = here.pair
     sparse = pair.changed(rows=pair.rows[:: max(round(SPARSE_STEP_S * pair.rate_hz), 1)])
+    if len(sparse.rows) < MIN_MEASUREMENTS:
+        return None
     climb = _Climb(Aligned(sparse, aligned(sparse, fit.offset_s).columns), *bounds)
     none = climb.best([np.log([fit.corner])])
     starts = [[size, 1.0 / (share * climb.span_s)] for size in SIZES for share in SHARES]
@@ -277,9 +281,21 @@ def _peaks(fit: Fit, rate_hz: float) -> list[float]:
     return [(k + 1) * rate_hz / len(residual) for k in found]
 
 
-def _share(fit: Fit) -> tuple[float, float]:
+def whose(own: OwnError, none: Fit) -> OwnError | None:
+    """A sway by what a fit without it leaves near its frequency: elsewhere a noisy sensor errs alone, which tells
+    nothing of the sway. None where it is neither sensor's own but goes with the motion.
+    """
+    per_hz = len(none.residual) / own.pair.rate_hz
+    place, width = own.hertz * per_hz, WIDTHS * max(per_hz / (2.0 * np.pi * own.time_s), 1.0)
+    share, std = _share(none, (place - width, place + width))
+    if abs(share - 1.0) > CERTAIN * std and abs(share) > CERTAIN * std:
+        return None
+    return replace(own, alone=own.alone and share - CERTAIN * std > 0.5)
+
+
+def _share(fit: Fit, within: tuple[float, float] = (0.0, np.inf)) -> tuple[float, float]:
     """How much of the innovations goes with the translation, the rest being the integrated acceleration's, and the
-    standard deviation of that.
+    standard deviation of that; within: of ordinates with these numbers.
 
     The motion is in both, at random phases: what it adds to the product of error and translation has a variance of half
     the product of their powers, by which frequencies are weighed. Its power is that of whichever has less.
@@ -288,5 +304,7 @@ def _share(fit: Fit) -> tuple[float, float]:
     seen, felt = (np.fft.rfft(one / root)[1:] for one in (w.translation, fit.ratio * w.response))
     motion = np.convolve(np.minimum(np.abs(seen) ** 2, np.abs(felt) ** 2), np.ones(SMOOTHED) / SMOOTHED, "same")
     motion, left = np.maximum(motion, 1e-300), seen - felt
+    number = np.arange(1, len(left) + 1)
+    left = np.where((number >= within[0]) & (number <= within[1]), left, 0.0)
     known = float(np.sum(np.abs(left) ** 2 / motion))
     return float(np.sum(np.real(left * np.conj(seen)) / motion)) / known, float(np.sqrt(0.5 / known))

@@ -221,7 +221,7 @@ def _is_none(pair: Pair, slow: Pair, whole: Pair, none: Fit, found: Fit) -> bool
     steps = min(max(round(DRIFT_S * slow.rate_hz), 1), len(rows) // 2)
     own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
     drift = -2.0 * np.expm1(-steps / slow.rate_hz * slow.slow[1]) * slow.slow[0] * found.noise
-    return bool(drift > TAIL * own or _happened_once(whole, none, found) or _lost(pair, none, found) > NOT_EXCLUDED)
+    return bool(drift > TAIL * own or _happened_once(whole, none, found) or lost(pair, none, found) > NOT_EXCLUDED)
 
 
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
@@ -287,7 +287,7 @@ def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
     return any(change_shown(pair, without, float(at_s)).chi_square > least for at_s in rows)
 
 
-def _lost(pair: Pair, without: Fit, found: Fit) -> float:
+def lost(pair: Pair, without: Fit, found: Fit) -> float:
     """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm)."""
     # Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
     at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
