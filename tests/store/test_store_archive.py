@@ -6,7 +6,8 @@ import pandas as pd
 from midspan.records import NANOSECONDS
 from midspan.store.archive import archive
 from midspan.store.chunk import Chunk
-from midspan.store.store import DAY_NS, Batch, open_store
+from midspan.store.days import DAY_NS
+from midspan.store.store import Batch, open_store
 
 FIRST_DAY = 20_700
 
