@@ -4,7 +4,7 @@ import json
 import math
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -100,8 +100,12 @@ def span_of(body: bytes, at: int = 0) -> tuple[int, int]:
     return first_ns, last_ns
 
 
-def chunk_of(layout: Layout, body: bytes, point: str, stream: str, shown: str = "") -> Chunk:
-    """The chunk that `body_of` made bytes of. Raises DataError for other bytes."""
+def chunk_of(
+    layout: Layout, body: bytes, point: str, stream: str, shown: str = "", names: Collection[str] | None = None
+) -> Chunk:
+    """The chunk that `body_of` made bytes of; names: of the columns that are wanted, None: of all. Raises DataError for
+    other bytes.
+    """
     try:
         count, first_ns, last_ns, calibration = BODY.unpack_from(body)
         late_ns, at = decode_numbers(body, BODY.size, count, np.dtype(np.int64))
@@ -110,7 +114,10 @@ def chunk_of(layout: Layout, body: bytes, point: str, stream: str, shown: str = 
             dtype = np.dtype(kind)
             pair = 2 if dtype.kind == "c" else 1
             real = np.empty(0, dtype).real.dtype
-            flat, at = decode_numbers(body, at, count * max(width, 1) * pair, real)
+            unwanted = names is not None and name not in names
+            flat, at = decode_numbers(body, at, count * max(width, 1) * pair, real, skip=unwanted)
+            if unwanted:
+                continue
             values = np.ascontiguousarray(flat.reshape((count, max(width, 1) * pair), order="F")).view(dtype)
             columns[name] = values if width else values[:, 0]
     except (struct.error, ValueError, TypeError, DataError) as error:
@@ -124,7 +131,9 @@ def encode(chunk: Chunk) -> bytes:
     return b"".join((MAGIC, HEAD.pack(zlib.crc32(layout + body), len(layout)), layout, body))
 
 
-def decode(data: bytes, point: str, stream: str, calibration: int = 0, shown: str = "") -> Chunk:
+def decode(
+    data: bytes, point: str, stream: str, calibration: int = 0, shown: str = "", names: Collection[str] | None = None
+) -> Chunk:
     """The chunk that `encode` made `data` of, now or in earlier versions (with a calibration); DataError for others."""
     if not data.startswith(MAGIC):
         return _decode_arrow(data, point, stream, calibration, shown)
@@ -138,7 +147,7 @@ def decode(data: bytes, point: str, stream: str, calibration: int = 0, shown: st
         )
     except (struct.error, ValueError, TypeError) as error:
         raise DataError(f"The store holds a damaged chunk of {point}, {stream} ({error}).") from None
-    return chunk_of(layout, data[start + length :], point, stream, shown)
+    return chunk_of(layout, data[start + length :], point, stream, shown, names)
 
 
 def _even(first_ns: int, last_ns: int, count: int) -> Nanoseconds:

@@ -4,7 +4,7 @@ Days of schema 1 have the tables `chunk` and `summary` in place of `block`, or n
 are read as they are.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from datetime import date, timedelta
 from pathlib import Path
 
@@ -72,8 +72,10 @@ class Day:
         place = (point, stream, first_ns - REACH_NS, last_ns, first_ns)
         return sum(int(self.database.execute(sql.format(one), place)[0][0] or 0) for one in self._with_rows)
 
-    def chunks(self, point: str, stream: str, first_ns: int, last_ns: int) -> Iterator[Chunk]:
-        """The chunks that reach into a time, whole, in the order of time."""
+    def chunks(
+        self, point: str, stream: str, first_ns: int, last_ns: int, names: Collection[str] | None = None
+    ) -> Iterator[Chunk]:
+        """The chunks that reach into a time, whole, in the order of time, with all columns or those of some names."""
         sql = (
             "SELECT {}, body FROM {} WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns <= ? AND t1_ns >= ? "
             "ORDER BY t0_ns"
@@ -81,7 +83,7 @@ class Day:
         place = (point, stream, first_ns - REACH_NS, last_ns, first_ns)
         for table in self._with_rows:
             for number, body in self.database.execute(sql.format(TABLES[table], table), place):
-                yield decode(bytes(body), point, stream, number)
+                yield decode(bytes(body), point, stream, number, names=names)
 
     def draw(self, place: tuple[str, str, int, int], found: SummaryBuckets, shown: str) -> None:
         """Give buckets the seconds of a stream of a point in a time, or its rows where there are no seconds."""

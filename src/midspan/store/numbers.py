@@ -7,6 +7,7 @@ Differences of several orders are FLAC's fixed predictors (RFC 9639), planes of 
 
 import math
 import struct
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -48,8 +49,10 @@ def encode_numbers(values: NDArray[Any]) -> bytes:
     return b"".join((COLUMN.pack(kind, zeros, order, count), heads, *(_packed(planes[k]) for k in range(count))))
 
 
-def decode_numbers(data: bytes, at: int, count: int, dtype: np.dtype[Any]) -> tuple[NDArray[Any], int]:
-    """Values (count,) of a type, of the bytes from `at` on, and where these end. Raises DataError."""
+def decode_numbers(
+    data: bytes, at: int, count: int, dtype: np.dtype[Any], *, skip: bool = False
+) -> tuple[NDArray[Any], int]:
+    """Values (count,) of a type, of the bytes from `at` on, and where these end; skip: no values. Raises DataError."""
     try:
         kind, zeros, order, planes = COLUMN.unpack_from(data, at)
         at += COLUMN.size
@@ -57,12 +60,19 @@ def decode_numbers(data: bytes, at: int, count: int, dtype: np.dtype[Any]) -> tu
             raise DataError("The bytes are no column of numbers.")
         heads = np.frombuffer(data, dtype="<u8", count=min(order, count), offset=at)
         at += heads.nbytes
-        rest = np.zeros((max(count - order, 0), 8), dtype=np.uint8)
-        for k in range(planes):
-            rest[:, k], at = _unpacked(data, at, len(rest))
-    except (struct.error, ValueError, OSError) as error:
+        if skip:
+            for _ in range(planes):
+                at = _end_of_plane(data, at, max(count - order, 0))
+            return np.empty(0, dtype=dtype), at
+        if order == 1 and not planes:
+            whole = np.full(count, heads[:1])
+        else:
+            rest = np.zeros((max(count - order, 0), 8), dtype=np.uint8)
+            for k in range(planes):
+                rest[:, k], at = _unpacked(data, at, len(rest))
+            whole = _summed(heads, _unzigzag(rest.reshape(-1).view(np.uint64)))
+    except (struct.error, ValueError, OSError, IndexError) as error:
         raise DataError(f"The bytes are no column of numbers ({error}).") from None
-    whole = _summed(heads, _unzigzag(rest.reshape(-1).view(np.uint64)))
     return _values(kind, (whole.view(np.int64) << zeros).view(np.uint64), dtype), at
 
 
@@ -147,12 +157,15 @@ def _unzigzag(zigzag: Whole) -> Whole:
 
 def _summed(heads: Whole, differences: Whole) -> Whole:
     """What has these first values and differences of the order of their number."""
-    firsts = [heads.copy()]
-    for _ in range(len(heads)):
-        firsts.append(np.diff(firsts[-1]))
+    firsts, left = list[int](), [int(one) for one in heads]
+    while left:
+        firsts.append(left[0])
+        left = [(after - before) % 2**64 for before, after in pairwise(left)]
     found = differences
-    for k in range(len(heads) - 1, -1, -1):
-        found = np.cumsum(np.concatenate((firsts[k][:1], found)), dtype=np.uint64)
+    for first in reversed(firsts):
+        longer = np.empty(len(found) + 1, np.uint64)
+        longer[0], longer[1:] = first, found
+        found = np.cumsum(longer, dtype=np.uint64)
     return found
 
 
@@ -173,6 +186,19 @@ def _packed(plane: NDArray[np.uint8]) -> bytes:
     return found
 
 
+def _end_of_plane(data: bytes, at: int, count: int) -> int:
+    """Where a plane that begins at a place ends."""
+    match data[at]:
+        case 0:  # CONSTANT
+            return at + 2
+        case 1:  # PLAIN
+            return at + 1 + count
+        case 3:  # BITS
+            return at + 2 + (count * data[at + 1] + 7) // 8
+        case _:
+            return at + 1 + LENGTH.size + int(LENGTH.unpack_from(data, at + 1)[0])
+
+
 def _unpacked(data: bytes, at: int, count: int) -> tuple[NDArray[np.uint8], int]:
     import pyarrow as pa
 
@@ -185,7 +211,9 @@ def _unpacked(data: bytes, at: int, count: int) -> tuple[NDArray[np.uint8], int]
         width, at = data[at], at + 1
         size = (count * width + 7) // 8
         bits = np.unpackbits(np.frombuffer(data, dtype=np.uint8, count=size, offset=at), count=count * width)
-        return np.packbits(np.pad(bits.reshape(count, width), ((0, 0), (8 - width, 0))), axis=1)[:, 0], at + size
+        whole = np.zeros((count, 8), dtype=np.uint8)
+        whole[:, 8 - width :] = bits.reshape(count, width)
+        return np.packbits(whole, axis=1)[:, 0], at + size
     (length,) = LENGTH.unpack_from(data, at)
     at += LENGTH.size
     plain = pa.Codec("zstd").decompress(data[at : at + length], decompressed_size=count, asbytes=True)

@@ -9,7 +9,7 @@ import os
 import secrets
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -41,12 +41,11 @@ class Piece:
     layout: Layout | None
     body: bytes
 
-    @property
-    def chunk(self) -> Chunk:
-        """The rows. Raises DataError."""
+    def chunk(self, names: Collection[str] | None = None) -> Chunk:
+        """The rows; names: of the columns that are wanted, None: of all. Raises DataError."""
         if self.layout is None:
-            return decode(self.body, self.point, self.stream, 0, self.shown)
-        return chunk_of(self.layout, self.body, self.point, self.stream, self.shown)
+            return decode(self.body, self.point, self.stream, 0, self.shown, names)
+        return chunk_of(self.layout, self.body, self.point, self.stream, self.shown, names)
 
 
 @dataclass(slots=True)

@@ -5,7 +5,7 @@ each day (UTC) with the blocks, and a log of the newest minutes. PostgreSQL: the
 process writes a point; any number read.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,8 +20,8 @@ from midspan.store.database import Database, FileLocks, PostgresDatabase, Sqlite
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
 from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
+from midspan.store.summary import STATUS, STD, Drawn
 from midspan.store.summary import Buckets as SummaryBuckets
-from midspan.store.summary import Drawn
 
 # 1: pieces and chunks of ten seconds as Arrow streams, in the files of the days. They are read still.
 SCHEMA, READABLE = 2, ("1", "2")
@@ -197,7 +197,7 @@ class Store:
         """Join pieces to blocks: each day's in one transaction, then what the site's file says of them. Those that are
         blocks already are left out, so that it may be done again after a power cut or a kill in the middle.
         """
-        blocks = [block for block in joined(pieces) if not self._is_kept(block)]
+        blocks = [block for block in blocks_of(pieces) if not self._is_kept(block)]
         days = {block.time_ns[0] // DAY_NS for block in blocks}
         for number in sorted(days):
             day = self._days.of(int(number))
@@ -357,29 +357,38 @@ class Store:
                     return newest_ns
         return None
 
-    def _newest_rows(self, point: str, stream: str) -> list[Chunk]:
-        """The rows that are no blocks yet. The log is read before the days: it is emptied after they have them."""
+    def _newest_rows(self, point: str, stream: str, shown: str | None = None) -> list[Chunk]:
+        """The rows that are no blocks yet; shown: with what is drawn of this column alone.
+
+        The log is read before the days: it is emptied after they have them.
+        """
         pieces = self._pieces.of(point, stream)
         newest: dict[int, int] = {}
         for number in {one.t0_ns // DAY_NS for one in pieces}:
             for day in self._days.between(number, number):
                 newest_ns = day.newest_ns(point, stream)
                 newest[number] = max(newest.get(number, FIRST_NS), FIRST_NS if newest_ns is None else newest_ns)
-        return [one.chunk for one in pieces if one.t0_ns > newest.get(one.t0_ns // DAY_NS, FIRST_NS)]
+        names = None if shown is None else {shown, STD, STATUS}
+        late = [one for one in pieces if one.t0_ns > newest.get(one.t0_ns // DAY_NS, FIRST_NS)]
+        return joined([one.chunk(names) for one in late])
 
-    def chunks(self, point: str, stream: str, first_ns: int, last_ns: int) -> Iterator[Chunk]:
-        """The chunks with rows from `first_ns` to `last_ns`, cut to these, in the order of time."""
+    def chunks(
+        self, point: str, stream: str, first_ns: int, last_ns: int, *, names: Collection[str] | None = None
+    ) -> Iterator[Chunk]:
+        """The chunks with rows from `first_ns` to `last_ns`, cut to these, in the order of time; names: of the columns
+        that are wanted, None: of all.
+        """
         newest = [one for one in self._pieces.of(point, stream) if one.t0_ns <= last_ns and one.t1_ns >= first_ns]
         last_kept_ns = FIRST_NS
         for day in self._days.between((first_ns - REACH_NS) // DAY_NS, last_ns // DAY_NS):
-            for chunk in day.chunks(point, stream, first_ns, last_ns):
+            for chunk in day.chunks(point, stream, first_ns, last_ns, names):
                 last_kept_ns = max(last_kept_ns, int(chunk.time_ns[-1]))
                 part = part_of(chunk, first_ns, last_ns)
                 if len(part.time_ns):
                     yield part
         for one in newest:
             if one.t0_ns > last_kept_ns:
-                part = part_of(one.chunk, first_ns, last_ns)
+                part = part_of(one.chunk(names), first_ns, last_ns)
                 if len(part.time_ns):
                     yield part
 
@@ -416,13 +425,14 @@ class Store:
         """
         found, first_ns, last_ns = SummaryBuckets(edges), int(edges[0]), int(edges[-1]) - 1
         if len(edges) > 1 and int(np.diff(edges).min()) >= NANOSECONDS:
-            newest = self._newest_rows(point, stream)
+            newest = self._newest_rows(point, stream, shown or None)
             for day in self._days.between((first_ns - REACH_NS) // DAY_NS, last_ns // DAY_NS):
                 day.draw((point, stream, first_ns, last_ns), found, shown)
             for chunk in newest:
                 found.add_rows(part_of(chunk, first_ns, last_ns), shown)
             return found.figures
-        for chunk in self.chunks(point, stream, first_ns, last_ns):
+        names = {shown, STD, STATUS} if shown else None
+        for chunk in joined(list(self.chunks(point, stream, first_ns, last_ns, names=names))):
             found.add_rows(chunk, shown)
         return found.figures
 
@@ -473,15 +483,19 @@ class Store:
         return max((one for one in found if one is not None), key=lambda one: one[0], default=None)
 
 
-def joined(pieces: Sequence[Piece]) -> list[Chunk]:
-    """Pieces as blocks: those of one stream, day, calibration and layout together, as long as a block."""
+def joined(chunks: Sequence[Chunk]) -> list[Chunk]:
+    """Chunks in the order of time: those of one stream, day, calibration and layout as one."""
     found: dict[tuple[object, ...], list[Chunk]] = {}
-    for piece in sorted(pieces, key=lambda one: (one.point, one.stream, one.t0_ns)):
-        chunk = piece.chunk
-        # What was made by another calibration, or has other columns, stays a block of its own.
-        kind = (piece.point, piece.stream, piece.t0_ns // DAY_NS, chunk.calibration, layout_of(chunk))
-        found.setdefault(kind, []).append(chunk)
-    whole = (join(parts) for parts in found.values())
+    for one in chunks:
+        # What was made by another calibration, or has other columns, stays a chunk of its own.
+        kind = (one.point, one.stream, one.time_ns[0] // DAY_NS, one.calibration, layout_of(one))
+        found.setdefault(kind, []).append(one)
+    return [join(parts) for parts in found.values()]
+
+
+def blocks_of(pieces: Sequence[Piece]) -> list[Chunk]:
+    """Pieces as blocks."""
+    whole = joined([piece.chunk() for piece in sorted(pieces, key=lambda one: (one.point, one.stream, one.t0_ns))])
     return [part for one in whole for part in ([one] if _length_ns(one) <= REACH_NS else one.split(BLOCK_S))]
 
 
