@@ -172,6 +172,27 @@ def layout_bytes(chunk: Chunk) -> bytes:
     return json.dumps([chunk.point, chunk.stream, chunk.shown, layout_of(chunk)], separators=(",", ":")).encode()
 
 
+def whole_bytes(path: Path) -> int:
+    """Up to where the records of a log are whole."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return 0
+    return sum(RECORD.size + len(record) for record, _ in _records(data))
+
+
+def _records(data: bytes) -> Iterator[tuple[bytes, int]]:
+    """The records of a log up to the first that is not whole, with their lengths before they were compressed."""
+    at = 0
+    while at + RECORD.size <= len(data):
+        length, check, whole = RECORD.unpack_from(data, at)
+        record = data[at + RECORD.size : at + RECORD.size + length]
+        if not length or len(record) < length or zlib.crc32(record) != check:
+            return
+        yield record, whole
+        at += RECORD.size + length
+
+
 def read(path: Path) -> Iterator[Piece]:
     """The pieces of a log up to the first record that is not whole: what a power cut left of the last ones."""
     import pyarrow as pa
@@ -181,15 +202,9 @@ def read(path: Path) -> Iterator[Piece]:
     except FileNotFoundError:
         # Its pieces have become blocks meanwhile.
         return
-    codec = pa.Codec("zstd")
-    at, layouts = 0, list[tuple[str, str, str, Layout]]()
-    while at + RECORD.size <= len(data):
-        length, check, whole = RECORD.unpack_from(data, at)
-        record = data[at + RECORD.size : at + RECORD.size + length]
-        if not length or len(record) < length or zlib.crc32(record) != check:
-            return
+    codec, layouts = pa.Codec("zstd"), list[tuple[str, str, str, Layout]]()
+    for record, whole in _records(data):
         yield from _pieces(codec.decompress(record, decompressed_size=whole, asbytes=True), layouts)
-        at += RECORD.size + length
 
 
 def _pieces(record: bytes, layouts: list[tuple[str, str, str, Layout]]) -> Iterator[Piece]:

@@ -103,7 +103,7 @@ class Store:
         locks: FileLocks | None = None,
         points: Sequence[str] = (),
     ) -> None:
-        self._site, self._checkpoints, self._days = site, checkpoints, days
+        self._site, self.checkpoints, self._days = site, checkpoints, days
         self._pieces, self._locks = pieces, locks
         self._newest: dict[tuple[str, str], int | None] = {}
         # The first stamp of each stream since its last block.
@@ -119,7 +119,7 @@ class Store:
             # The log has it, for the next process that writes.
             pass
         finally:
-            for one in (self._pieces, self._site, self._checkpoints, self._days, self._locks):
+            for one in (self._pieces, self._site, self.checkpoints, self._days, self._locks):
                 if one is not None:
                     one.close()
 
@@ -149,8 +149,8 @@ class Store:
                         (point, event.time_ns, event.kind, event.text, event.axis),
                     )
         for point, (time_ns, parts) in batch.checkpoints.items():
-            with self._checkpoints.transaction():
-                keep_checkpoint(self._checkpoints, point, time_ns, parts)
+            with self.checkpoints.transaction():
+                keep_checkpoint(self.checkpoints, point, time_ns, parts)
 
     def _new_rows(self, chunk: Chunk) -> list[Chunk]:
         """The rows that are not kept yet, in parts as long as a block at most, which no day cuts."""
@@ -166,7 +166,7 @@ class Store:
         """Append to the log; what is long enough there becomes blocks first."""
         self._points.update(one.point for one in new)
         if not self._took_over:
-            self._take_over()
+            self.take_over()
         for one in new:
             begun_ns = self._begun.setdefault((one.point, one.stream), int(one.time_ns[0]))
             if self._pieces.full or abs(int(one.time_ns[0]) - begun_ns) >= BLOCK_S * NANOSECONDS:
@@ -176,13 +176,16 @@ class Store:
             self._begun.setdefault((one.point, one.stream), int(one.time_ns[0]))
         self._pieces.add(new)
 
-    def _take_over(self) -> None:
-        """Make blocks of what ended processes left in their logs."""
+    def take_over(self) -> list[int]:
+        """Make blocks of what ended processes left in their logs; how many pieces each had."""
+        counts = []
         for pieces, _ in self._pieces.abandoned():
             self._make_blocks(pieces)
+            counts.append(len(pieces))
         for piece in self._pieces.own(sorted(self._points)):
             self._begun.setdefault((piece.point, piece.stream), piece.t0_ns)
         self._took_over = True
+        return counts
 
     def flush(self) -> None:
         """Make blocks of all that this process has written. Raises StoreFault."""
@@ -327,11 +330,23 @@ class Store:
 
     def take_forward(self) -> None:
         """Make of a store of schema 1 one of this: its days stay as they are, the site's file learns of them."""
-        kept = set().union(*(day.streams() for day in self._days.all()))
         with self._site.transaction():
-            for place in sorted(kept):
-                self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
+            self._note_days()
             self._site.execute("UPDATE meta SET value = ? WHERE key = 'schema'", (str(SCHEMA),))
+
+    def make_histories(self) -> None:
+        """Make anew what the site's file has of the days: which there are, and the values above them."""
+        with self._site.transaction():
+            self._site.execute("DELETE FROM kept")
+            for point, stream, day in self._note_days():
+                begins = self._limits(point, stream, day * DAY_NS, (day + 1) * DAY_NS)[0]
+                self._raise({(point, stream, int(begin_ns)) for begin_ns in begins})
+
+    def _note_days(self) -> list[tuple[str, str, int]]:
+        found = sorted(set().union(*(day.streams() for day in self._days.all())))
+        for place in found:
+            self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
+        return found
 
     def count(self, point: str, stream: str, first_ns: int, last_ns: int) -> int:
         """How many rows the chunks have that reach into a time: as many as it has, or some minutes' more."""
@@ -478,7 +493,7 @@ class Store:
 
     def checkpoint(self, point: str) -> tuple[int, bytes] | None:
         """A point's newest checkpoint and its instant (ns). Raises DataError for a damaged one."""
-        databases = (self._checkpoints, self._site)
+        databases = (self.checkpoints, self._site)
         found = (kept_checkpoint(one, point) for one in databases if one.has_table("checkpoint"))
         return max((one for one in found if one is not None), key=lambda one: one[0], default=None)
 
