@@ -291,7 +291,7 @@ class Service:
         topics = dict.fromkeys(
             (*self._intake.topics, f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"), 1
         )
-        self._broker = Broker(self.site.settings.mqtt, self.site.name, topics, self._message)
+        self._broker = Broker(self.site.settings.mqtt, self.site.name, topics, self._message, self.site.file.parent)
         self._broker.start()
         self._alarms.connect(self._broker)
 
