@@ -21,7 +21,7 @@ from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import NEW_DATUM, ROWS
-from midspan.service.keeping import Keeper
+from midspan.service.keeping import Keeper, written_bytes
 from midspan.service.live_socket import LiveSocket, of_ready, row_bytes
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
 from midspan.service.notify import notify
@@ -464,7 +464,7 @@ class Service:
             if reason
         ]
         ready = not any(one["reason"] not in ("", "paused") for one in (*sources, *points))
-        store = {"waiting": self._keeper.waiting, "dropped": self._keeper.dropped}
+        store = {"waiting": self._keeper.waiting, "dropped": self._keeper.dropped, "written": written_bytes()}
         return {"ready": ready, "points": points, "sources": sources, "store": store}
 
     async def command(self, head: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
