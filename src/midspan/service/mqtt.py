@@ -51,7 +51,8 @@ class Broker:
     """A connection that is opened again when it is lost.
 
     taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
-    is kept. folder: that the certificates' names are relative to. Raises UsageError for a certificate that is none.
+    is kept. folder: that the certificates' names are relative to. announced: whole topics and what
+    is retained there. Raises UsageError for a certificate that is none.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Broker:
         topics: Mapping[str, int],
         taken: Callable[[str, bytes, Callable[[], None]], None],
         folder: Path = Path(),
+        announced: Mapping[str, str] | None = None,
     ) -> None:
         import paho.mqtt.client as mqtt
         from paho.mqtt.enums import CallbackAPIVersion
@@ -69,6 +71,7 @@ class Broker:
 
         self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
+        self._announced = dict(announced or {})
         self.root = f"{settings.prefix}/v1/{site}"
         client = mqtt.Client(
             CallbackAPIVersion.VERSION2, client_id=f"midspan-{site}", protocol=mqtt.MQTTv5, manual_ack=True
@@ -147,6 +150,8 @@ class Broker:
         self._connections += 1
         client.subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
+        for topic, payload in self._announced.items():
+            client.publish(topic, payload, qos=1, retain=True)
         self.publish("available", "online", qos=1, retain=True)
 
     def _not_met(self, _client: Any, _data: Any) -> None:

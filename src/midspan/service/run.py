@@ -19,6 +19,7 @@ from midspan.service.alarming import Alarming
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
+from midspan.service.discovery import announcements
 from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import NEW_DATUM, ROWS
 from midspan.service.keeping import Keeper, written_bytes
@@ -291,7 +292,9 @@ class Service:
         topics = dict.fromkeys(
             (*self._intake.topics, f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"), 1
         )
-        self._broker = Broker(self.site.settings.mqtt, self.site.name, topics, self._message, self.site.file.parent)
+        mqtt, name = self.site.settings.mqtt, self.site.name
+        announced = announcements(mqtt, name, [one.name for one in self._points])
+        self._broker = Broker(mqtt, name, topics, self._message, self.site.file.parent, announced)
         self._broker.start()
         self._alarms.connect(self._broker)
 

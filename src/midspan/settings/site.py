@@ -154,6 +154,9 @@ class MqttSettings(Section):
         "midspan", description="what all topics of results begin with"
     )
 
+    discovery: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] | None = Field(
+        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; left out: it learns nothing'
+    )
     ca: FileName | None = Field(
         None,
         description="certificates (PEM) that prove the broker's, relative to this file: TLS; left out: none",
