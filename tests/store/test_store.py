@@ -1,6 +1,7 @@
 """The store: nothing that was acknowledged is lost or doubled, and every view shows the same rows."""
 
 import sqlite3
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -100,6 +101,37 @@ def test_points_streams_events_calibrations_and_checkpoints(store_at):
     store.accept("p", second)
     assert [one.state for one in store.calibrations("p")] == ["retired", "in force"]
     assert store.calibration("p").body == '{"a": 1}'
+    store.close()
+
+
+def test_pieces_that_are_blocks_already_are_not_kept_twice(store_at, monkeypatch):
+    """As where a process was killed, or lost its server, after it made blocks and before the log began anew."""
+    store = open_store(store_at, points=["p"])
+    for number in range(5):
+        store.write(Batch([rows(number, number + 1)]))
+    with monkeypatch.context() as patched:
+        patched.setattr(type(store._pieces), "clear", lambda *_: (_ for _ in ()).throw(StoreFault("x", "gone")))
+        with pytest.raises(StoreFault):
+            store.flush()
+        np.testing.assert_array_equal(kept(store).time_ns, rows(0, 5).time_ns)
+    for number in range(5, 8):
+        store.write(Batch([rows(number, number + 1)]))
+    np.testing.assert_array_equal(kept(store).time_ns, rows(0, 8).time_ns)
+    store.flush()
+    np.testing.assert_array_equal(kept(store).time_ns, rows(0, 8).time_ns)
+    assert store.count("p", "rows", 0, 2**62) == 8 * RATE_HZ
+    store.close()
+
+
+def test_calibrations_that_take_turns_leave_the_rows_in_order(store_at):
+    store = open_store(store_at)
+    for number in range(6):
+        part = rows(number, number + 1)
+        store.write(Batch([replace(part, calibration=number % 2)]))
+    store.flush()
+    found = list(store.chunks("p", "rows", 0, 2**62))
+    assert [one.calibration for one in found] == [0, 1, 0, 1, 0, 1]
+    np.testing.assert_array_equal(join(found).time_ns, rows(0, 6).time_ns)
     store.close()
 
 

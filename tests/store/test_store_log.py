@@ -97,7 +97,7 @@ def test_a_power_cut_takes_the_last_seconds_of_the_log_alone(tmp_path, monkeypat
     def sync(descriptor):
         synced.append(os.fstat(descriptor).st_size)
 
-    monkeypatch.setattr(pieces.os, "fdatasync", sync)
+    monkeypatch.setattr(pieces.os, "fsync", sync)
     store = open_store(tmp_path, points=["p"])
     for number in range(35):
         store.write(Batch([second(number)]))

@@ -96,7 +96,7 @@ class FilePieces:
         """Bring what was added to the disk. Raises StoreFault."""
         if self._file is not None:
             with sqlite_faults(self.folder):
-                os.fdatasync(self._file)
+                os.fsync(self._file)
 
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces in all logs, in the order of time."""
@@ -119,7 +119,7 @@ class FilePieces:
                 continue
             with file:
                 yield list(read(path)), path
-                path.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
 
     def clear(self, pieces: Sequence[Piece]) -> None:
         """Begin the log anew: its pieces are blocks now. Raises StoreFault."""
@@ -131,16 +131,16 @@ class FilePieces:
     def close(self) -> None:
         """Let the log go; it is removed where it is empty."""
         if self._file is not None and self._path is not None:
+            os.close(self._file)
             if not self._size:
                 self._path.unlink(missing_ok=True)
-            os.close(self._file)
         self._file = self._path = None
 
     def _opened(self) -> int:
         while self._file is None:
             self.folder.mkdir(parents=True, exist_ok=True)
             path = self.folder / f"{secrets.token_hex(8)}.log"
-            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
             # Between its making and its lock another process may have taken it for an abandoned one.
             if locked(file) and path.exists():
                 self._file, self._path, self._size = file, path, 0

@@ -200,7 +200,7 @@ class Store:
         """Join pieces to blocks: each day's in one transaction, then what the site's file says of them. Those that are
         blocks already are left out, so that it may be done again after a power cut or a kill in the middle.
         """
-        blocks = [block for block in blocks_of(pieces) if not self._is_kept(block)]
+        blocks = blocks_of(self._without_blocks(pieces))
         days = {block.time_ns[0] // DAY_NS for block in blocks}
         for number in sorted(days):
             day = self._days.of(int(number))
@@ -216,9 +216,14 @@ class Store:
                 self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
             self._raise(spans)
 
-    def _is_kept(self, block: Chunk) -> bool:
-        newest_ns = self._days.of(int(block.time_ns[0]) // DAY_NS).newest_ns(block.point, block.stream)
-        return newest_ns is not None and newest_ns >= block.time_ns[-1]
+    def _without_blocks(self, pieces: Sequence[Piece]) -> list[Piece]:
+        """The pieces that are no blocks yet."""
+        newest: dict[tuple[str, str, int], int] = {}
+        for place in {(one.point, one.stream, one.t0_ns // DAY_NS) for one in pieces}:
+            for day in self._days.between(place[2], place[2]):
+                newest_ns = day.newest_ns(*place[:2])
+                newest[place] = FIRST_NS if newest_ns is None else max(newest.get(place, FIRST_NS), newest_ns)
+        return [one for one in pieces if one.t0_ns > newest.get((one.point, one.stream, one.t0_ns // DAY_NS), FIRST_NS)]
 
     def _raise(self, places: set[tuple[str, str, int]]) -> None:
         """Make the pyramid's spans above some places anew, from what is below each: right however often it is done."""
@@ -378,13 +383,8 @@ class Store:
         The log is read before the days: it is emptied after they have them.
         """
         pieces = self._pieces.of(point, stream)
-        newest: dict[int, int] = {}
-        for number in {one.t0_ns // DAY_NS for one in pieces}:
-            for day in self._days.between(number, number):
-                newest_ns = day.newest_ns(point, stream)
-                newest[number] = max(newest.get(number, FIRST_NS), FIRST_NS if newest_ns is None else newest_ns)
         names = None if shown is None else {shown, STD, STATUS}
-        late = [one for one in pieces if one.t0_ns > newest.get(one.t0_ns // DAY_NS, FIRST_NS)]
+        late = self._without_blocks(pieces)
         return joined([one.chunk(names) for one in late])
 
     def chunks(
@@ -499,13 +499,20 @@ class Store:
 
 
 def joined(chunks: Sequence[Chunk]) -> list[Chunk]:
-    """Chunks in the order of time: those of one stream, day, calibration and layout as one."""
-    found: dict[tuple[object, ...], list[Chunk]] = {}
+    """Chunks, those of each stream in the order of time: as one what follows one another with one calibration, layout
+    and day.
+    """
+    found: list[list[Chunk]] = []
+    newest: dict[tuple[str, str], tuple[object, list[Chunk]]] = {}
     for one in chunks:
-        # What was made by another calibration, or has other columns, stays a chunk of its own.
-        kind = (one.point, one.stream, one.time_ns[0] // DAY_NS, one.calibration, layout_of(one))
-        found.setdefault(kind, []).append(one)
-    return [join(parts) for parts in found.values()]
+        kind = (one.time_ns[0] // DAY_NS, one.calibration, layout_of(one))
+        before, parts = newest.get((one.point, one.stream), (None, []))
+        if before != kind:
+            parts = []
+            found.append(parts)
+        parts.append(one)
+        newest[one.point, one.stream] = (kind, parts)
+    return [join(parts) for parts in found]
 
 
 def blocks_of(pieces: Sequence[Piece]) -> list[Chunk]:
