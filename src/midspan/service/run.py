@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.errors import MidspanError
+from midspan.errors import DataError, MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
@@ -210,7 +210,11 @@ class Service:
     def _begin_from(self, one: Running, store: Store) -> None:
         one.live.number = number_in_force(one.live, store, self.site.file.parent)
         one.live.follows = store.newest_ns(one.name, ROWS) is not None
-        kept = store.checkpoint(one.name)
+        try:
+            kept = store.checkpoint(one.name)
+        except DataError as error:
+            self._say(f"{one.name}: {error}")
+            return
         if kept is None or not one.live.number:
             return
         try:
