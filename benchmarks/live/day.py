@@ -62,10 +62,11 @@ def write(folder: Path, hours: float, *, pictures: bool) -> np.ndarray:
         scene = textured_scene("natural", SHAPE, rng=rng, reach_px=12.0)
         shift_px = 1e3 * tones(slow[: round(PERIOD_S * SLOW_HZ)], 0) / MM_PER_PX
         film = np.stack([scene.render(0.0, float(y)) for y in shift_px])
-        film = np.clip(np.rint(film + rng.normal(0, GREY_NOISE, film.shape)), 0, 255).astype(np.uint8)
         frames = np.lib.format.open_memmap(folder / "frames.npy", mode="w+", dtype=np.uint8, shape=(len(slow), *SHAPE))
         for first in range(0, len(slow), len(film)):
-            frames[first : first + len(film)] = film[: len(slow) - first]
+            # The noise never repeats: what is measured has all its digits.
+            part = film[: len(slow) - first] + rng.normal(0, GREY_NOISE, film[: len(slow) - first].shape)
+            frames[first : first + len(film)] = np.clip(np.rint(part), 0, 255).astype(np.uint8)
         frames.flush()
     (folder / "recording.toml").write_text(SETTINGS + (PICTURES if pictures else TRACK))
     return 1e3 * tones(fast, 0)

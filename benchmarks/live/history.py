@@ -10,12 +10,14 @@ import numpy as np
 from benchmarks.live.servers import Postgres
 from benchmarks.table import goal
 from midspan.records import NANOSECONDS, Floats
+from midspan.service.journal import STD_STEP, STEP, VELOCITY_STEP
 from midspan.store.chunk import Chunk
-from midspan.store.store import DAY_NS, Batch, Store, open_store
+from midspan.store.days import DAY_NS
+from midspan.store.store import Batch, Store, open_store
 
 FIRST_NS, DAYS = 20_000 * DAY_NS, 365
 RATE_HZ, BUCKETS, ROUNDS = 100, 2000, 5
-# Of the year one row stands for each of the pyramid's lowest spans, s: histories of a year read the spans above.
+# Of the year one row stands for each of half a block's length, s: histories of a year read the pyramid above.
 THIN_S = 160
 GOAL_DAY_MS, GOAL_YEAR_MS = 50.0, 200.0
 
@@ -25,9 +27,9 @@ def rows(point: str, time_ns: np.ndarray, rng: np.random.Generator) -> Chunk:
     count = len(time_ns)
     value: Floats = 1e-3 * np.sin(time_ns / NANOSECONDS % 1000.0) + 1e-5 * rng.standard_normal(count)
     columns = {
-        "displacement_m": value,
-        "std_m": (2e-5 + 1e-7 * rng.standard_normal(count)).astype(np.float32),
-        "velocity_m_s": (1e-2 * rng.standard_normal(count)).astype(np.float32),
+        "displacement_m": STEP * np.rint(value / STEP),
+        "std_m": STD_STEP * np.ceil((2e-5 + 1e-7 * rng.standard_normal(count)) / STD_STEP),
+        "velocity_m_s": VELOCITY_STEP * np.rint(1e-2 * rng.standard_normal(count) / VELOCITY_STEP),
         "source": np.zeros(count, dtype=np.uint8),
         "status": np.zeros(count, dtype=np.uint8),
         "zero_std_m": np.full(count, 1e-5, dtype=np.float32),

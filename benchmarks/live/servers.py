@@ -89,6 +89,11 @@ class Mosquitto(Server):
         # Started by root it would read the file as another user, who may not.
         self._file.write_text(f"{text}password_file {known}\nuser root\n")
 
+    def use_tls(self, ca: Path, cert: Path, key: Path, *, ask: bool) -> None:
+        """Speak TLS alone, from the next start on; ask: clients need a certificate too."""
+        text = f"cafile {ca}\ncertfile {cert}\nkeyfile {key}\nrequire_certificate {str(ask).lower()}\nuser root\n"
+        self._file.write_text(self._file.read_text() + text)
+
     @staticmethod
     def program() -> str | None:
         """Where it is installed."""

@@ -64,6 +64,7 @@ def calls(footbridge, done, target):
         "run": ["run", f"{site(footbridge, target)}", "--for", "1"],
         "serve": ["serve", f"{done}/store", "--listen", "127.0.0.1:0", "--for", "0.5"],
         "access": ["access", f"{done}/store", "add-user", f"user-{next(NUMBERS)}", "--scope", "read"],
+        "store": ["store", f"{done}/store", "check"],
         "replay": ["replay", f"{footbridge}", "-o", f"{target}/store", "-c", f"{done}/calibration.json"],
         "export": ["export", f"{done}/store", "-o", f"{target}/rows.csv"],
     }

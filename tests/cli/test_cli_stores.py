@@ -13,7 +13,7 @@ from midspan.cli.main import run
 from midspan.records import NANOSECONDS
 from midspan.service.stored_recording import ADVICE
 from midspan.store.chunk import Chunk
-from midspan.store.store import Batch, _insert, open_store
+from midspan.store.store import Batch, open_store
 
 
 @pytest.mark.parametrize("name", ["a/b", "a b", "../../esc", "", "x" * 65])
@@ -146,7 +146,7 @@ def test_an_error_names_store_and_point_and_says_what_to_do_with_a_store(stored,
     again = next(store.chunks("p", "accelerometer", 0, 2**62))
     # Its stamps stand twice with other values, as two writers at once would leave them; equal rows would be dropped.
     again = replace(again, columns={"value": again.columns["value"] + 1e-3})
-    _insert(store._days.of(0), again, joined=True)
+    store._days.of(0).insert(again)
     store.close()
     assert run(["estimate", str(stored), "-o", output]) == 3
     reported = capsys.readouterr().err

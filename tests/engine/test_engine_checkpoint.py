@@ -256,3 +256,16 @@ def test_the_state_of_every_tracker_comes_back_and_goes_on(tracker, reference):
     assert to_bytes(other.state) == data
     for frame in film[60:]:
         assert same(other.push(frame), chain.push(frame))
+
+
+def test_its_parts_are_the_whole_and_large_arrays_stand_alone():
+    rng = np.random.default_rng(0)
+    template, changing = rng.normal(size=(40, 40)).astype(np.float32), rng.normal(size=2000)
+    first = to_bytes(Whole((template, np.arange(5), changing, "text")))
+    later = to_bytes(Whole((template, np.arange(7), changing + 1.0, "another text")))
+    for whole in (first, later):
+        assert b"".join(checkpoint.parts_of(whole)) == whole
+    # What stays is one of the parts of both, though all that is before it moved.
+    assert set(checkpoint.parts_of(first)) & set(checkpoint.parts_of(later)) == {template.tobytes()}
+    small = to_bytes(Whole((np.arange(5),)))
+    assert checkpoint.parts_of(small) == [small]

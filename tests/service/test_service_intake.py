@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from midspan.records import NANOSECONDS
-from midspan.service.intake import Intake
+from midspan.service.intake import Intake, in_si
 from midspan.service.running import running
 from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, pack
 from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.serial_line import Dating, block_of
+from midspan.store.numbers import encode_numbers
 
 SITE = """
 name = "site"
@@ -195,3 +196,17 @@ def test_silence_is_judged_by_the_usual_interval(site):
     assert fast.standing(1001.9 + 6.0, "")["reason"] == "silent"
     assert slow.standing(1570.0 + 60.0, "")["reason"] == ""
     assert slow.standing(1570.0 + 100.0, "")["reason"] == "silent"
+
+
+def test_what_comes_in_float32_has_no_more_digits_in_si_units():
+    rng = np.random.default_rng(0)
+    sent = rng.normal(0.0, 1.0, 1000).astype(np.float32).astype(np.float64)
+    sent[0] = np.nan
+    value = in_si(sent, 9.80665)
+    np.testing.assert_array_equal(value, value.astype(np.float32))
+    np.testing.assert_allclose(value, 9.80665 * sent, rtol=2.0**-24)
+    # A store takes 4 bytes of each and no more, where all digits would be 7.
+    assert len(encode_numbers(value)) < 4.1 * len(value)
+    # Others, as a height of 123.4567891 m in text, keep all theirs.
+    text = np.array([123.4567891, np.nan, 0.1, 1e300])
+    np.testing.assert_array_equal(in_si(text, 1e-3), 1e-3 * text)

@@ -1,6 +1,8 @@
 """What is published: blocks whose stamps are those of the rows, whatever is missing between them."""
 
 import re
+import shutil
+import subprocess
 import time
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 
 import midspan
 from midspan.engine import stream
+from midspan.errors import UsageError
 from midspan.fusion.blocks import EVENT_KINDS
 from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker, even_parts, result_payload
@@ -153,6 +156,61 @@ def test_a_wrong_password_is_no_broker_that_is_gone(mosquitto, tmp_path):
     finally:
         for one in (refused, nobody, known):
             one.stop()
+
+
+@pytest.fixture
+def certificate(tmp_path):
+    """A function that makes NAME.pem and NAME.key for 127.0.0.1, which prove themselves."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl is not installed")
+
+    def make(name):
+        words = [openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", f"/CN={name}"]
+        files = ["-out", tmp_path / f"{name}.pem", "-keyout", tmp_path / f"{name}.key"]
+        subprocess.run([*words, "-addext", "subjectAltName=IP:127.0.0.1", *files], check=True, capture_output=True)
+        return tmp_path / f"{name}.pem", tmp_path / f"{name}.key"
+
+    return make
+
+
+# Paho leaves the socket of a handshake that failed to the garbage collector.
+@pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_over_tls_both_sides_prove_who_they_are(mosquitto, certificate, tmp_path):
+    own, key = certificate("broker")
+    certificate("other")
+    mosquitto.stop()
+    mosquitto.use_tls(own, own, key, ask=True)
+    mosquitto.start()
+    known, stranger, plain, unproved = (
+        Broker(MqttSettings(port=mosquitto.port, **tls), name, {}, lambda *_: None, tmp_path)
+        for name, tls in {
+            "a": {"ca": "broker.pem", "cert": "broker.pem", "key": "broker.key"},
+            "b": {"ca": "other.pem", "cert": "broker.pem", "key": "broker.key"},
+            "c": {},
+            "d": {"ca": "broker.pem"},
+        }.items()
+    )
+    for one in (known, stranger, plain, unproved):
+        one.start()
+    try:
+        assert until(lambda: known.connected)
+        # Whose certificate is not proved by ca is not talked to.
+        assert until(lambda: stranger.reason == "untrusted")
+        time.sleep(1.0)
+        assert not any(one.connected for one in (stranger, plain, unproved))
+    finally:
+        for one in (known, stranger, plain, unproved):
+            one.stop()
+
+
+def test_certificates_that_are_none_or_not_there_are_said(tmp_path):
+    (tmp_path / "ca.pem").write_text("no certificate")
+    with pytest.raises(UsageError, match="mqtt: ca, cert and key must be certificates"):
+        Broker(MqttSettings(ca="ca.pem"), "a", {}, lambda *_: None, tmp_path)
+    for wrong in ({"cert": "a.pem", "ca": "ca.pem"}, {"cert": "a.pem", "key": "a.key"}):
+        with pytest.raises(ValueError, match="must have"):
+            MqttSettings(**wrong)
 
 
 def test_it_connects_again_within_two_seconds_of_the_brokers_return(mosquitto):

@@ -25,7 +25,7 @@ from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, Block, pack, parse
 from midspan.sources.live.camera import StampKind, frames
 from midspan.sources.live.instants import SourceFault
-from midspan.store.store import open_store
+from midspan.store.store import Batch, open_store
 
 # The structure's motion: (mm, Hz, rad).
 MOTION = ((3.0, 1.3, 0.0), (2.0, 0.6, 1.0), (1.0, 2.9, 0.0))
@@ -301,6 +301,20 @@ def test_points_go_on_side_by_side(tmp_path, monkeypatch):
     service = service_of(tmp_path, 3)
     asyncio.run(asyncio.wait_for(service.run(0.2), 120.0))
     assert service.begun
+
+
+def test_a_damaged_checkpoint_lets_its_point_open_anew(tmp_path):
+    lines = []
+    service = service_of(tmp_path, 1)
+    service._say = lines.append
+    (name,) = (one.name for one in service._points)
+    store = open_store(service.site.store)
+    store.write(Batch(checkpoints={name: (1, [b"a", b"b"])}))
+    store.checkpoints.execute("DELETE FROM part")
+    store.close()
+    asyncio.run(asyncio.wait_for(service.run(0.2), 120.0))
+    assert service.begun
+    assert [line for line in lines if "checkpoint" in line and "is damaged; the point starts anew" in line]
 
 
 def test_every_command_is_answered_at_once(tmp_path):

@@ -6,7 +6,8 @@ import pandas as pd
 from midspan.records import NANOSECONDS
 from midspan.store.archive import archive
 from midspan.store.chunk import Chunk
-from midspan.store.store import DAY_NS, Batch, open_store
+from midspan.store.days import DAY_NS
+from midspan.store.store import Batch, open_store
 
 FIRST_DAY = 20_700
 
@@ -50,4 +51,21 @@ def test_a_day_that_was_broken_off_is_written_anew(tmp_path):
     (place,) = archive(store, folder, (FIRST_DAY + 1) * DAY_NS)
     assert not broken.exists()
     assert len(pd.read_parquet(place / "rows.parquet")) == 60
+    store.close()
+
+
+def test_neither_archiving_nor_removing_opens_the_days_that_it_does_not_concern(tmp_path):
+    store = open_store(tmp_path / "store")
+    for day in range(4):
+        written(store, (FIRST_DAY + day) * DAY_NS, 60)
+    now_ns = (FIRST_DAY + 4) * DAY_NS
+    assert len(list(archive(store, tmp_path / "archive", now_ns))) == 4
+    store.close()
+    store = open_store(tmp_path / "store")
+    assert list(archive(store, tmp_path / "archive", now_ns)) == []
+    store.forget_before((FIRST_DAY + 2) * DAY_NS)
+    assert store._days._open == {}
+    assert store.days("p", "rows") == [FIRST_DAY + 2, FIRST_DAY + 3]
+    assert store.newest_ns("p", "rows") == (FIRST_DAY + 3) * DAY_NS + 59 * NANOSECONDS
+    assert list(store._days._open) == [FIRST_DAY + 3]
     store.close()

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from midspan.errors import DataError
 from midspan.store.chunk import Chunk, decode, encode, join
+from midspan.store.numbers import decode_numbers, encode_numbers
 
 BEGIN_NS = 1_790_000_000_000_000_000
 
@@ -32,6 +33,29 @@ def test_columns_keep_their_type_and_every_bit(dtype):
     found = decode(encode(chunk([1, 1, 1], {"x": values})), "p", "rows")
     assert found.columns["x"].dtype == values.dtype
     np.testing.assert_array_equal(found.columns["x"], values)
+
+
+@given(
+    st.sampled_from(["f8", "f4", "i8", "u1", "i4", "?"]),
+    st.binary(min_size=1, max_size=400),
+    st.sampled_from(["bits", "steps", "constant", "single"]),
+)
+def test_any_numbers_come_back_bit_for_bit(dtype, data, kind):
+    """NaN with their payload, infinities, zeros of both signs, denormal ones, the ends of the range."""
+    dtype = np.dtype(dtype)
+    values = np.frombuffer(data * dtype.itemsize, dtype="u1")
+    values = (values & 1).view("?") if dtype.kind == "b" else values.view(dtype)
+    with np.errstate(all="ignore"):
+        if kind == "constant":
+            values = np.full_like(values, values[0])
+        elif dtype.kind == "f" and kind == "steps":
+            values = (2.0**-30 * np.rint(np.nan_to_num(values % 8.0) * 1000)).astype(dtype)
+        elif dtype == np.float64 and kind == "single":
+            values = values.view("f4").astype("f8")
+    found, end = decode_numbers(data := encode_numbers(values), 0, len(values), dtype)
+    assert end == len(data)
+    assert found.dtype == dtype
+    np.testing.assert_array_equal(found.view("u1"), np.ascontiguousarray(values).view("u1"))
 
 
 def test_columns_of_several_axes_and_of_phasors_come_back():
@@ -61,7 +85,7 @@ def test_even_stamps_cost_next_to_nothing():
     assert len(encode(chunk([10**7] * 1000, {"x": values}))) < 8000 + 1500
 
 
-@pytest.mark.parametrize("cut", [0, 10, -20])
+@pytest.mark.parametrize("cut", [0, 4, 10, -20])
 def test_damaged_bytes_are_one_clear_error(cut):
     data = encode(chunk([1, 1]))
     with pytest.raises(DataError, match="damaged chunk of p, rows"):

@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run", "Live: sources to estimates to store, page and MQTT."),
     "serve": ("serve", "The page and the REST interface over a store."),
     "access": ("access", "Users and tokens of a store's page."),
+    "store": ("store", "Look through a store, mend it, save it while it runs."),
     "replay": ("replay", "Play a recording through a live point into a store."),
     "export": ("export", "Rows of a store as a result file, or a result in another format."),
     "formats": ("formats", "What can be read and written."),

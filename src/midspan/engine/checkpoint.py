@@ -13,6 +13,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -26,6 +27,8 @@ MAGIC, VERSION = b"midspan\0", 1
 # Version, length of the tree; the digest stands between them and the tree.
 HEAD = struct.Struct("<IQ")
 DIGEST_BYTES = hashlib.sha256().digest_size
+# A part of its own is worth its own row in a database from a page of it on.
+MIN_PART_BYTES = 4096
 # A record takes three levels of brackets, of which a tree may have 64.
 MAX_DEPTH = 20
 TUPLE, RECORD, ENUM, ARRAY, SCALAR, NOT_FINITE, COMPLEX = "t", "r", "e", "a", "n", "f", "c"
@@ -73,6 +76,19 @@ def to_bytes(state: object) -> bytes:
     numbers = b"".join(array.tobytes(order=_order(array)) for array in arrays)
     head = HEAD.pack(VERSION, len(text))
     return b"".join((MAGIC, head, _digest(head, text + numbers), text, numbers))
+
+
+def parts_of(data: bytes) -> list[bytes]:
+    """What `to_bytes` gave, cut where its large arrays begin and end: those that do not change stay the same bytes."""
+    start = len(MAGIC) + HEAD.size + DIGEST_BYTES
+    at = start + HEAD.unpack_from(data, len(MAGIC))[1]
+    cuts = [0]
+    for dtype, shape, _ in json.loads(data[start:at])["arrays"]:
+        end = at + math.prod(shape) * np.dtype(dtype).itemsize
+        cuts += [at, end] if end - at >= MIN_PART_BYTES else []
+        at = end
+    edges = sorted({*cuts, len(data)})
+    return [data[a:b] for a, b in pairwise(edges)]
 
 
 def from_bytes(data: bytes, kind: type[State]) -> State:

@@ -38,6 +38,9 @@ class _Figures:
             store = state.get("store", {})
             yield GaugeMetricFamily("midspan_store_waiting", "Batches that wait.", float(store.get("waiting", 0)))
             yield CounterMetricFamily("midspan_store_dropped", "Batches that were lost.", store.get("dropped", 0))
+            if store.get("written") is not None:
+                text = "Bytes that the measuring process has written to disks."
+                yield CounterMetricFamily("midspan_written_bytes", text, store["written"])
 
 
 def _of_points(points: list[dict[str, Any]]) -> Iterator[Any]:

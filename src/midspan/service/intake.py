@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from midspan.errors import MidspanError
-from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
+from midspan.records import NANOSECONDS, Arrival, Floats, Frame, RangeFrame, Readings
 from midspan.service.camera_process import CameraProcess, Delivered, ReadingThread
 from midspan.service.cutting import around, whole_frame, wider
 from midspan.service.mqtt import SESSION_S
@@ -125,7 +125,7 @@ class Intake:
             text = f"{name}: values come every {block.dt_ns / 1e6:g} ms now, every {stream.dt_ns / 1e6:g} ms before."
             self._tell(one, "rate", text)
         stream.dt_ns = block.dt_ns
-        value = one.factors[name] * block.values[:, None]
+        value = in_si(block.values, one.factors[name])[:, None]
         self._heard(one, name, Arrival(name, 0, Readings(block.time_ns, value)))
 
     def _is_ahead(self, one: Running, name: str, newest_ns: int) -> bool:
@@ -246,3 +246,14 @@ class Intake:
             text = f"{sentence('capture_failed')} {one.live.folder}: {error.strerror}."
             self._refused(one, name, SourceFault("capture_failed", text))
         self._taken(one)
+
+
+def in_si(values: Floats, factor: float) -> Floats:
+    """Values (n,) times a factor; those that a sender gives in float32 have as many digits afterwards, so that what is
+    kept of them is half as large.
+    """
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+        if not np.array_equal(single, values, equal_nan=True):
+            return factor * values
+        return np.asarray((factor * values).astype(np.float32), dtype=np.float64)

@@ -124,9 +124,9 @@ def supported(rows: Estimate) -> Estimate:
 
 
 ROWS, SHOWN = "rows", "displacement_m"
-# Deviations and velocities of rows are kept in steps of 0.12 nm (and nm/s), far below any noise: with all bits a
-# store of rows would be half as large again.
-STEP = 2.0**-33
+# Rows are kept in steps: displacements of 0.12 nm and velocities of 0.93 nm/s, as float32 has them at 1 mm and 10 mm/s;
+# deviations of 0.47 nm, rounded up, so that no band becomes narrower. With all bits a store would be twice as large.
+STEP, VELOCITY_STEP, STD_STEP = 2.0**-33, 2.0**-30, 2.0**-31
 # A point that is lost gives rows for so long, and none whose deviation is beyond this many times the motion that its
 # calibration saw.
 LOST_ROWS_S, LOST_MOTIONS = 30.0, 10.0
@@ -370,19 +370,16 @@ def with_reason(rows: Estimate, lost_ns: int | None, max_std_m: float) -> tuple[
 
 
 def row_columns(estimate: Estimate, zero_m2: float) -> dict[str, NDArray[Any]]:
-    """The columns that rows are kept as: displacement exactly, deviations and velocity in steps of STEP."""
+    """The columns that rows are kept as, in whole steps."""
+    zero_m = np.full(len(estimate.time_ns), np.sqrt(zero_m2))
     return {
-        SHOWN: estimate.displacement_m,
-        "std_m": _in_steps(np.sqrt(estimate.variance_m2)),
-        "velocity_m_s": _in_steps(estimate.velocity_m_s),
+        SHOWN: STEP * np.rint(estimate.displacement_m / STEP),
+        "std_m": STD_STEP * np.ceil(np.sqrt(estimate.variance_m2) / STD_STEP),
+        "velocity_m_s": VELOCITY_STEP * np.rint(estimate.velocity_m_s / VELOCITY_STEP),
         "source": estimate.source,
         "status": estimate.status,
-        "zero_std_m": _in_steps(np.full(len(estimate.time_ns), np.sqrt(zero_m2))),
+        "zero_std_m": STD_STEP * np.ceil(zero_m / STD_STEP),
     }
-
-
-def _in_steps(values: Floats) -> Floats:
-    return np.asarray(STEP * np.rint(values / STEP))
 
 
 def raw_columns(records: Sequence[Readings | RangeFrame]) -> tuple[Nanoseconds, dict[str, NDArray[Any]]]:

@@ -3,14 +3,18 @@
 import json
 import re
 import secrets
+import ssl
+import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from midspan.errors import UsageError
 from midspan.records import Event
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
@@ -31,11 +35,24 @@ MAX_UNACKNOWLEDGED = 65_535
 NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
 
 
+@contextmanager
+def tls_faults(settings: MqttSettings) -> Iterator[None]:
+    """What is wrong with certificates, as UsageError."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"mqtt: ca, cert and key must be certificates and a key as PEM that fit each other; received "
+            f"{settings.ca!r}, {settings.cert!r}, {settings.key!r} ({error}). Write others."
+        ) from None
+
+
 class Broker:
     """A connection that is opened again when it is lost.
 
     taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
-    is kept.
+    is kept. folder: that the certificates' names are relative to. announced: whole topics and what
+    is retained there. Raises UsageError for a certificate that is none.
     """
 
     def __init__(
@@ -44,6 +61,8 @@ class Broker:
         site: str,
         topics: Mapping[str, int],
         taken: Callable[[str, bytes, Callable[[], None]], None],
+        folder: Path = Path(),
+        announced: Mapping[str, str] | None = None,
     ) -> None:
         import paho.mqtt.client as mqtt
         from paho.mqtt.enums import CallbackAPIVersion
@@ -52,6 +71,7 @@ class Broker:
 
         self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
+        self._announced = dict(announced or {})
         self.root = f"{settings.prefix}/v1/{site}"
         client = mqtt.Client(
             CallbackAPIVersion.VERSION2, client_id=f"midspan-{site}", protocol=mqtt.MQTTv5, manual_ack=True
@@ -59,6 +79,10 @@ class Broker:
         if settings.user is not None:
             secret = settings.password.get_secret_value() if settings.password else None
             client.username_pw_set(settings.user, secret)
+        if settings.ca is not None:
+            cert, key = (None if name is None else str(folder / name) for name in (settings.cert, settings.key))
+            with tls_faults(settings):
+                client.tls_set(str(folder / settings.ca), certfile=cert, keyfile=key)
         client.will_set(f"{self.root}/available", "offline", qos=1, retain=True)
         client.max_queued_messages_set(MAX_QUEUED)
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
@@ -126,10 +150,13 @@ class Broker:
         self._connections += 1
         client.subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
+        for topic, payload in self._announced.items():
+            client.publish(topic, payload, qos=1, retain=True)
         self.publish("available", "online", qos=1, retain=True)
 
     def _not_met(self, _client: Any, _data: Any) -> None:
-        self._reason = "broker_gone"
+        # Paho calls this while it handles what went wrong.
+        self._reason = "untrusted" if isinstance(sys.exc_info()[1], ssl.SSLError) else "broker_gone"
 
     def _left(self, _client: Any, _data: Any, _flags: Any, _code: Any, _properties: Any) -> None:
         # A connection that was refused is left too, and why stays.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from midspan.engine.channels import interval_s
-from midspan.engine.checkpoint import from_bytes, to_bytes
+from midspan.engine.checkpoint import from_bytes, parts_of, to_bytes
 from midspan.engine.point import ACCELEROMETER, Point, PointState
 from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
 from midspan.errors import DataError
@@ -108,8 +108,8 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     return found
 
 
-def checkpoint(found: Opened, folder: Path) -> bytes:
-    """All that a restart needs, as bytes: the captured recording's folder, the calibration, the engine's state."""
+def checkpoint(found: Opened, folder: Path) -> list[bytes]:
+    """All that a restart needs, in parts: the captured recording's folder, the calibration, the engine's state."""
     head = {
         "folder": folder.name,
         "calibration": found.journal.calibration,
@@ -117,7 +117,7 @@ def checkpoint(found: Opened, folder: Path) -> bytes:
         "newest_ns": found.newest_ns,
         "rows": found.journal.memory,
     }
-    return json.dumps(head).encode() + SEPARATOR + to_bytes(found.point.state)
+    return [json.dumps(head).encode() + SEPARATOR, *parts_of(to_bytes(found.point.state))]
 
 
 def head_of(kept: bytes) -> dict[str, Any]:

@@ -23,6 +23,10 @@ REASONS: dict[str, tuple[str, str]] = {
         "the MQTT broker cannot be reached",
         "check the broker; it is connected again automatically",
     ),
+    "untrusted": (
+        "the MQTT broker's certificate is not accepted, or it does not accept this site's",
+        "check [mqtt] ca, cert and key, and that host is a name in the broker's certificate",
+    ),
     "name_taken": (
         "another service with this site's name is connected to the MQTT broker",
         "give each site a name of its own, or stop the other service",

@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from midspan.errors import MidspanError
+from midspan.errors import DataError, MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
+from midspan.service.discovery import announcements
 from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import NEW_DATUM, ROWS
-from midspan.service.keeping import Keeper
+from midspan.service.keeping import Keeper, written_bytes
 from midspan.service.live_socket import LiveSocket, of_ready, row_bytes
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
 from midspan.service.notify import notify
@@ -209,7 +210,11 @@ class Service:
     def _begin_from(self, one: Running, store: Store) -> None:
         one.live.number = number_in_force(one.live, store, self.site.file.parent)
         one.live.follows = store.newest_ns(one.name, ROWS) is not None
-        kept = store.checkpoint(one.name)
+        try:
+            kept = store.checkpoint(one.name)
+        except DataError as error:
+            self._say(f"{one.name}: {error}")
+            return
         if kept is None or not one.live.number:
             return
         try:
@@ -291,7 +296,9 @@ class Service:
         topics = dict.fromkeys(
             (*self._intake.topics, f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"), 1
         )
-        self._broker = Broker(self.site.settings.mqtt, self.site.name, topics, self._message)
+        mqtt, name = self.site.settings.mqtt, self.site.name
+        announced = announcements(mqtt, name, [one.name for one in self._points])
+        self._broker = Broker(mqtt, name, topics, self._message, self.site.file.parent, announced)
         self._broker.start()
         self._alarms.connect(self._broker)
 
@@ -464,7 +471,7 @@ class Service:
             if reason
         ]
         ready = not any(one["reason"] not in ("", "paused") for one in (*sources, *points))
-        store = {"waiting": self._keeper.waiting, "dropped": self._keeper.dropped}
+        store = {"waiting": self._keeper.waiting, "dropped": self._keeper.dropped, "written": written_bytes()}
         return {"ready": ready, "points": points, "sources": sources, "store": store}
 
     async def command(self, head: dict[str, Any]) -> tuple[dict[str, Any], bytes]:

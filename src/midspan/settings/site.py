@@ -154,6 +154,24 @@ class MqttSettings(Section):
         "midspan", description="what all topics of results begin with"
     )
 
+    discovery: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] | None = Field(
+        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; left out: it learns nothing'
+    )
+    ca: FileName | None = Field(
+        None,
+        description="certificates (PEM) that prove the broker's, relative to this file: TLS; left out: none",
+    )
+    cert: FileName | None = Field(None, description="this site's certificate (PEM), for brokers that ask for one")
+    key: FileName | None = Field(None, description="the certificate's key (PEM), without a password")
+
+    @model_validator(mode="after")
+    def _has_both(self) -> "MqttSettings":
+        if (self.cert is None) != (self.key is None):
+            raise ValueError("must have both cert and key, or neither")
+        if self.cert is not None and self.ca is None:
+            raise ValueError("must have ca with cert and key: without TLS no certificate is sent")
+        return self
+
     @model_validator(mode="after")
     def _has_a_user(self) -> "MqttSettings":
         if self.password is not None and self.user is None:
@@ -452,11 +470,14 @@ def require_folders(site: Site) -> None:
 
 def _require_tls(site: Site) -> None:
     """UsageError for a certificate or a key that is not there."""
-    service = site.settings.service
-    for key, name in (("tls_cert", service.tls_cert), ("tls_key", service.tls_key)):
+    service, mqtt = site.settings.service, site.settings.mqtt
+    files = {"service.tls_cert": service.tls_cert, "service.tls_key": service.tls_key}
+    if mqtt is not None:
+        files |= {"mqtt.ca": mqtt.ca, "mqtt.cert": mqtt.cert, "mqtt.key": mqtt.key}
+    for key, name in files.items():
         if name is not None and not os.access(site.file.parent / name, os.R_OK):
             raise UsageError(
-                f"{site.file}: service.{key} = {name!r}: must be a file that can be read. Write another one, or let "
+                f"{site.file}: {key} = {name!r}: must be a file that can be read. Write another one, or let "
                 "the user of midspan read it."
             )
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from midspan.records import NANOSECONDS
 from midspan.store.chunk import Chunk, arrow_column
-from midspan.store.store import DAY_NS, Store
+from midspan.store.days import DAY_NS
+from midspan.store.store import Store
 
 # Rows of this time stand together in a file, s: what a reader takes at a time.
 GROUP_S = 3600.0

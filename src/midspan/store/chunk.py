@@ -1,6 +1,10 @@
 """Columns of one stream over some seconds, and the bytes that the store keeps them as."""
 
-from collections.abc import Sequence
+import json
+import math
+import struct
+import zlib
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -10,11 +14,17 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, Status
+from midspan.store.numbers import decode_numbers, encode_numbers
 
 Columns = dict[str, NDArray[Any]]
 
-# Stamps are kept as what they are off an even series by: zeros, which compress to nothing.
-LATE_COLUMN = "late_ns"
+# Of each column its name, its type as NumPy writes it, and the length of its further axes together, 0 without any.
+Layout = tuple[tuple[str, str, int], ...]
+MAGIC = b"mc\x02\0"
+# Check sum of all that follows, length of the layout.
+HEAD = struct.Struct("<II")
+# Number of rows, first and last stamp, calibration.
+BODY = struct.Struct("<Iqqi")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,26 +77,96 @@ def join(chunks: Sequence[Chunk]) -> Chunk:
     return Chunk(first.point, first.stream, time_ns, columns, first.calibration, first.shown)
 
 
+def body_of(chunk: Chunk) -> bytes:
+    """The chunk's calibration, stamps and columns as bytes; `layout_of` says what they are."""
+    first_ns, last_ns = int(chunk.time_ns[0]), int(chunk.time_ns[-1])
+    late_ns = chunk.time_ns - _even(first_ns, last_ns, len(chunk.time_ns))
+    head = BODY.pack(len(chunk.time_ns), first_ns, last_ns, chunk.calibration)
+    flat = (_plain(values).reshape(-1, order="F") for values in chunk.columns.values())
+    return b"".join((head, encode_numbers(late_ns), *(encode_numbers(values) for values in flat)))
+
+
+def layout_of(chunk: Chunk) -> Layout:
+    """The name, type and width of each column; width 0: a column without further axes."""
+    return tuple(
+        (name, values.dtype.str, math.prod(values.shape[1:]) if values.ndim > 1 else 0)
+        for name, values in chunk.columns.items()
+    )
+
+
+def span_of(body: bytes, at: int = 0) -> tuple[int, int]:
+    """First and last stamp of the body that begins at a place."""
+    _, first_ns, last_ns, _ = BODY.unpack_from(body, at)
+    return first_ns, last_ns
+
+
+def chunk_of(
+    layout: Layout, body: bytes, point: str, stream: str, shown: str = "", names: Collection[str] | None = None
+) -> Chunk:
+    """The chunk that `body_of` made bytes of; names: of the columns that are wanted, None: of all. Raises DataError for
+    other bytes.
+    """
+    try:
+        count, first_ns, last_ns, calibration = BODY.unpack_from(body)
+        late_ns, at = decode_numbers(body, BODY.size, count, np.dtype(np.int64))
+        columns: Columns = {}
+        for name, kind, width in layout:
+            dtype = np.dtype(kind)
+            pair = 2 if dtype.kind == "c" else 1
+            real = np.empty(0, dtype).real.dtype
+            unwanted = names is not None and name not in names
+            flat, at = decode_numbers(body, at, count * max(width, 1) * pair, real, skip=unwanted)
+            if unwanted:
+                continue
+            values = np.ascontiguousarray(flat.reshape((count, max(width, 1) * pair), order="F")).view(dtype)
+            columns[name] = values if width else values[:, 0]
+    except (struct.error, ValueError, TypeError, DataError) as error:
+        raise DataError(f"The store holds a damaged chunk of {point}, {stream} ({error}).") from None
+    return Chunk(point, stream, _even(first_ns, last_ns, count) + late_ns, columns, calibration, shown)
+
+
 def encode(chunk: Chunk) -> bytes:
-    """The chunk's stamps and columns as an Arrow stream, compressed."""
-    import pyarrow as pa
-
-    # The even series that the stamps are near.
-    count, begin_ns = len(chunk.time_ns), int(chunk.time_ns[0])
-    step_ns = round(int(chunk.time_ns[-1] - chunk.time_ns[0]) / (count - 1)) if count > 1 else 0
-    late_ns = chunk.time_ns - (begin_ns + step_ns * np.arange(count))
-    arrays = {LATE_COLUMN: pa.array(late_ns)}
-    arrays |= {name: arrow_column(values) for name, values in chunk.columns.items()}
-    metadata = {b"begin_ns": str(begin_ns).encode(), b"step_ns": str(step_ns).encode()}
-    table = pa.record_batch(arrays).replace_schema_metadata(metadata)
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
-        writer.write_batch(table)
-    return bytes(sink.getvalue().to_pybytes())
+    """The chunk's layout, stamps and columns as bytes, with a check sum."""
+    layout, body = json.dumps(layout_of(chunk)).encode(), body_of(chunk)
+    return b"".join((MAGIC, HEAD.pack(zlib.crc32(layout + body), len(layout)), layout, body))
 
 
-def decode(data: bytes, point: str, stream: str, calibration: int = 0, shown: str = "") -> Chunk:
-    """The chunk that `encode` made `data` of; DataError for other bytes."""
+def decode(
+    data: bytes, point: str, stream: str, calibration: int = 0, shown: str = "", names: Collection[str] | None = None
+) -> Chunk:
+    """The chunk that `encode` made `data` of, now or in earlier versions (with a calibration); DataError for others."""
+    if not data.startswith(MAGIC):
+        return _decode_arrow(data, point, stream, calibration, shown)
+    start = len(MAGIC) + HEAD.size
+    try:
+        check, length = HEAD.unpack_from(data, len(MAGIC))
+        if zlib.crc32(data[start:]) != check:
+            raise ValueError("its check sum is another one")
+        layout = tuple(
+            (str(name), str(kind), int(width)) for name, kind, width in json.loads(data[start : start + length])
+        )
+    except (struct.error, ValueError, TypeError) as error:
+        raise DataError(f"The store holds a damaged chunk of {point}, {stream} ({error}).") from None
+    return chunk_of(layout, data[start + length :], point, stream, shown, names)
+
+
+def _even(first_ns: int, last_ns: int, count: int) -> Nanoseconds:
+    """The even series that stamps are near: what they are off it compresses to nothing."""
+    step_ns = round((last_ns - first_ns) / (count - 1)) if count > 1 else 0
+    return np.asarray(first_ns + step_ns * np.arange(count))
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Values (n,) or (n, k) as real ones (n, j), complex numbers as pairs."""
+    real = np.ascontiguousarray(values)
+    real = real.view(real.real.dtype) if values.dtype.kind == "c" and values.ndim > 1 else real
+    if values.dtype.kind == "c" and values.ndim == 1:
+        real = real[:, None].view(real.real.dtype)
+    return real.reshape(len(values), -1)
+
+
+def _decode_arrow(data: bytes, point: str, stream: str, calibration: int, shown: str) -> Chunk:
+    """A chunk of a store of schema 1: an Arrow stream."""
     import pyarrow as pa
 
     try:
@@ -95,7 +175,7 @@ def decode(data: bytes, point: str, stream: str, calibration: int = 0, shown: st
     except (pa.ArrowException, OSError, StopIteration, KeyError, TypeError, ValueError) as error:
         raise DataError(f"The store holds a damaged chunk of {point}, {stream} ({error}).") from None
     columns = {name: _numbers(batch.column(name)) for name in batch.schema.names}
-    late_ns = columns.pop(LATE_COLUMN).astype(np.int64)
+    late_ns = columns.pop("late_ns").astype(np.int64)
     time_ns = begin_ns + step_ns * np.arange(len(late_ns)) + late_ns
     return Chunk(point, stream, time_ns, columns, calibration, shown)
 

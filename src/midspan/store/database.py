@@ -4,11 +4,12 @@ One process at a time writes a point of a store: the locks end with their proces
 by one thread at a time.
 """
 
+import errno
 import hashlib
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -34,15 +35,17 @@ class StoreFault(MidspanError):
 
 
 class SqliteDatabase:
-    """A file in WAL mode: readers and the writer do not wait for each other.
+    """A file; synchronous = FULL: a transaction that has returned outlives a power cut.
 
-    synchronous = FULL: a transaction that has returned outlives a power cut.
+    ahead: a new file gets a write-ahead log (WAL), with which readers and the writer do not wait for each other, but
+    each page is written twice. Without it readers wait for the few milliseconds in which the writer commits.
     """
 
-    def __init__(self, file: Path, *, read_only: bool = False) -> None:
+    def __init__(self, file: Path, *, read_only: bool = False, ahead: bool = True) -> None:
         self.file = file
         with sqlite_faults(file):
             if read_only:
+                _roll_back(file)
                 self._connection = sqlite3.connect(
                     f"{file.resolve().as_uri()}?mode=ro", uri=True, timeout=WAIT_S, isolation_level=None,
                     check_same_thread=False,
@@ -50,8 +53,11 @@ class SqliteDatabase:
                 return
             file.parent.mkdir(parents=True, exist_ok=True)
             self._connection = sqlite3.connect(file, timeout=WAIT_S, isolation_level=None, check_same_thread=False)
-            self._connection.execute("PRAGMA journal_mode = WAL")
+            if ahead:
+                self._connection.execute("PRAGMA journal_mode = WAL")
             self._connection.execute("PRAGMA synchronous = FULL")
+            # Debian's SQLite would write zeros over what is removed: each page of it once more.
+            self._connection.execute("PRAGMA secure_delete = OFF")
 
     def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """Run one statement; returns its rows."""
@@ -80,6 +86,13 @@ class SqliteDatabase:
         self._connection.close()
 
 
+def _roll_back(file: Path) -> None:
+    """Undo what a process left half done that was killed: a connection that only reads may not."""
+    if Path(f"{file}-journal").is_file():
+        with suppress(sqlite3.Error), closing(sqlite3.connect(file, timeout=WAIT_S)) as connection:
+            connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchall()
+
+
 @contextmanager
 def sqlite_faults(file: Path) -> Iterator[None]:
     """What goes wrong with a file of the store, as StoreFault or DataError."""
@@ -89,7 +102,8 @@ def sqlite_faults(file: Path) -> Iterator[None]:
         code = "store_full" if "full" in str(error) else "store_unavailable"
         raise StoreFault(code, f"{file}: the store cannot be used ({error}).") from None
     except OSError as error:
-        raise StoreFault("store_unavailable", f"{file}: the store cannot be used ({error.strerror}).") from None
+        code = "store_full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "store_unavailable"
+        raise StoreFault(code, f"{file}: the store cannot be used ({error.strerror}).") from None
     except sqlite3.DatabaseError as error:
         raise DataError(f"{file}: is no store of midspan, or is damaged ({error}).") from None
 
@@ -181,7 +195,7 @@ class FileLocks:
                 file = folder / LOCKS / f"{point}.lock"
                 with sqlite_faults(file):
                     file.parent.mkdir(parents=True, exist_ok=True)
-                    if not _locked(self._files.enter_context(file.open("ab"))):
+                    if not locked(self._files.enter_context(file.open("ab"))):
                         raise _is_written(str(folder), point)
             undone.pop_all()
 
@@ -193,14 +207,14 @@ class FileLocks:
 def lock_file(path: Path) -> IO[bytes] | None:
     """A file that is locked until it is closed, however its process ends; None where another process has it."""
     file = path.open("ab")
-    if _locked(file):
+    if locked(file):
         return file
     file.close()
     return None
 
 
-def _locked(file: IO[bytes]) -> bool:
-    """Lock a file until it is closed; whether nobody else has. Where a system has no such locks, nobody has."""
+def locked(file: IO[bytes] | int) -> bool:
+    """Lock a file (or its descriptor) until it is closed; whether nobody else has. Without such locks nobody has."""
     if sys.platform == "win32":
         return True
     import fcntl

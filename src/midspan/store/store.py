@@ -1,64 +1,70 @@
 """The store of a site: what is kept of its points, by whom it was made, and how it is read again.
 
-SQLite: `site.sqlite` with calibrations, checkpoints, events and the pyramid of least and largest values, and a file for
-each day (UTC) with the chunks. PostgreSQL: the same tables in one database. One process writes a point; any
-number read.
+SQLite: `site.sqlite` with calibrations, checkpoints, events and the pyramid of least and largest values, a file for
+each day (UTC) with the blocks, and a log of the newest minutes. PostgreSQL: the same in tables of one database. One
+process writes a point; any number read.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
-from midspan.store import summary
-from midspan.store.chunk import Chunk, decode, encode, join
+from midspan.store.chunk import Chunk, join, layout_of
 from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
+from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
+from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
+from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
+from midspan.store.summary import STATUS, STD, Drawn
 from midspan.store.summary import Buckets as SummaryBuckets
-from midspan.store.summary import Drawn, is_summed
 
-SCHEMA = 1
-SITE_FILE, DAYS = "site.sqlite", "days"
-# Pieces of a second or so are joined to chunks of this length.
-CHUNK_S = 10.0
-# The lengths of the pyramid's levels above the chunks: 16 chunks, 16 of these, 16 of those (11.4 h).
-LEVELS_S = (160.0, 2560.0, 40960.0)
-DAY_NS = 86_400 * NANOSECONDS
+# 1: pieces and chunks of ten seconds as Arrow streams, in the files of the days. They are read still.
+SCHEMA, READABLE = 2, ("1", "2")
+SITE_FILE = "site.sqlite"
+# Without a write-ahead log, which would have every checkpoint written twice; nobody reads it while it is written.
+CHECKPOINT_FILE = "checkpoints.sqlite"
+# The pyramid's levels and the lengths of their spans, s: 16 of the first are one of the second (11.4 h). Schema 1 has
+# one of 160 s below.
+LEVELS_S = {1: 2560.0, 2: 40960.0}
+FIRST_NS, LAST_DAY = -(2**62), 2**31
 
 SITE_TABLES = (
     "CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS calibration (point TEXT NOT NULL, number BIGINT NOT NULL, made_ns BIGINT NOT NULL, "
     "state TEXT NOT NULL, body TEXT NOT NULL, settings TEXT NOT NULL, PRIMARY KEY (point, number))",
-    "CREATE TABLE IF NOT EXISTS checkpoint (point TEXT PRIMARY KEY, time_ns BIGINT NOT NULL, body {blob} NOT NULL)",
     "CREATE TABLE IF NOT EXISTS event (point TEXT NOT NULL, time_ns BIGINT NOT NULL, kind TEXT NOT NULL, "
     "text TEXT NOT NULL, axis BIGINT NOT NULL, PRIMARY KEY (point, time_ns, kind, text))",
     "CREATE TABLE IF NOT EXISTS pyramid (point TEXT NOT NULL, stream TEXT NOT NULL, level BIGINT NOT NULL, "
     "t0_ns BIGINT NOT NULL, n BIGINT NOT NULL, low DOUBLE PRECISION, high DOUBLE PRECISION, "
     "PRIMARY KEY (point, stream, level, t0_ns))",
+    # Which days there are of each stream, so that nobody has to open all of them for that.
+    "CREATE TABLE IF NOT EXISTS kept (point TEXT NOT NULL, stream TEXT NOT NULL, day BIGINT NOT NULL, "
+    "PRIMARY KEY (point, stream, day))",
 )
-DAY_TABLES = (
-    "CREATE TABLE IF NOT EXISTS chunk (point TEXT NOT NULL, stream TEXT NOT NULL, t0_ns BIGINT NOT NULL, "
-    "t1_ns BIGINT NOT NULL, n BIGINT NOT NULL, joined BIGINT NOT NULL, low DOUBLE PRECISION, high DOUBLE PRECISION, "
-    "calibration BIGINT NOT NULL, body {blob} NOT NULL)",
-    "CREATE TABLE IF NOT EXISTS summary (point TEXT NOT NULL, stream TEXT NOT NULL, t0_ns BIGINT NOT NULL, "
-    "body {blob} NOT NULL, PRIMARY KEY (point, stream, t0_ns))",
-    # Histories read this index alone, never the bodies.
-    "CREATE INDEX IF NOT EXISTS chunk_place ON chunk (point, stream, t0_ns, t1_ns, n, low, high)",
+CHECKPOINT_TABLES = (
+    "CREATE TABLE IF NOT EXISTS checkpoint (point TEXT PRIMARY KEY, time_ns BIGINT NOT NULL, body {blob} NOT NULL)",
+    PART_TABLE,
+)
+PIECE_TABLE = (
+    "CREATE TABLE IF NOT EXISTS piece (point TEXT NOT NULL, stream TEXT NOT NULL, shown TEXT NOT NULL, "
+    "t0_ns BIGINT NOT NULL, t1_ns BIGINT NOT NULL, body {blob} NOT NULL, PRIMARY KEY (point, stream, t0_ns))"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What is written at once; events: by point."""
+    """What is written at once; events: by point; checkpoints: their instant (ns) and their parts, of which those that
+    did not change are not written again.
+    """
 
     chunks: Sequence[Chunk] = ()
     events: Sequence[tuple[str, Event]] = ()
-    checkpoints: Mapping[str, tuple[int, bytes]] = field(default_factory=dict)
+    checkpoints: Mapping[str, tuple[int, Sequence[bytes]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,114 +92,155 @@ class Buckets:
 
 
 class Store:
-    """Reads and writes a site's records; one thread at a time."""
+    """Reads and writes a site's records; one thread at a time. points: that it writes."""
 
-    def __init__(self, site: Database, days: "Days", locks: FileLocks | None = None) -> None:
-        self._site, self._days, self._locks = site, days, locks
+    def __init__(
+        self,
+        site: Database,
+        checkpoints: Database,
+        days: Days,
+        pieces: Pieces,
+        locks: FileLocks | None = None,
+        points: Sequence[str] = (),
+    ) -> None:
+        self._site, self.checkpoints, self._days = site, checkpoints, days
+        self._pieces, self._locks = pieces, locks
         self._newest: dict[tuple[str, str], int | None] = {}
+        # The first stamp of each stream since its last block.
+        self._begun: dict[tuple[str, str], int] = {}
+        self._points = set(points)
+        self._took_over = False
 
     def close(self) -> None:
-        """Let the files or the connection go."""
-        self._site.close()
-        self._days.close()
-        if self._locks is not None:
-            self._locks.close()
+        """Let the files or the connection go. What was written becomes blocks, where that can be done."""
+        try:
+            self.flush()
+        except MidspanError:
+            # The log has it, for the next process that writes.
+            pass
+        finally:
+            for one in (self._pieces, self._site, self.checkpoints, self._days, self._locks):
+                if one is not None:
+                    one.close()
 
     # What is written
 
     def write(self, batch: Batch) -> None:
         """Keep a batch. Rows at or before the newest kept one of their stream are dropped: none is ever doubled.
 
-        When it returns, everything is kept; after an exception any part of it may be, and it is to be written again.
-        The chunks come first: a checkpoint is never newer than what it rests on. Raises StoreFault.
+        When it returns, everything is kept, and outlives a kill of the process; a power cut may take rows of the last
+        SYNC_S. After an exception any part of it may be kept, and it is to be written again. The chunks come first: a
+        checkpoint is never newer than what it rests on. Raises StoreFault.
         """
         new = [one for chunk in batch.chunks for one in self._new_rows(chunk)]
         try:
-            for day in sorted({one.time_ns[0] // DAY_NS for one in new}):
-                database = self._days.of(int(day))
-                with database.transaction():
-                    for one in new:
-                        if one.time_ns[0] // DAY_NS == day:
-                            self._add(database, one)
+            if new:
+                self._keep(new)
+            if batch.checkpoints:
+                self._pieces.sync()
         except BaseException:
             self._newest.clear()
             raise
-        with self._site.transaction():
-            for point, event in batch.events:
-                self._site.execute(
-                    "INSERT INTO event VALUES (?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
-                    (point, event.time_ns, event.kind, event.text, event.axis),
-                )
-            for point, (time_ns, state) in batch.checkpoints.items():
-                self._site.execute(
-                    "INSERT INTO checkpoint VALUES (?, ?, ?) "
-                    "ON CONFLICT (point) DO UPDATE SET time_ns = excluded.time_ns, body = excluded.body",
-                    (point, time_ns, state),
-                )
+        if batch.events:
+            with self._site.transaction():
+                for point, event in batch.events:
+                    self._site.execute(
+                        "INSERT INTO event VALUES (?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+                        (point, event.time_ns, event.kind, event.text, event.axis),
+                    )
+        for point, (time_ns, parts) in batch.checkpoints.items():
+            with self.checkpoints.transaction():
+                keep_checkpoint(self.checkpoints, point, time_ns, parts)
 
     def _new_rows(self, chunk: Chunk) -> list[Chunk]:
-        """The rows that are not kept yet, by slots of CHUNK_S, which no day cuts."""
+        """The rows that are not kept yet, in parts as long as a block at most, which no day cuts."""
         newest_ns = self.newest_ns(chunk.point, chunk.stream)
         if newest_ns is not None:
             chunk = chunk.rows(chunk.time_ns > newest_ns)
         if not len(chunk.time_ns):
             return []
         self._newest[chunk.point, chunk.stream] = int(chunk.time_ns[-1])
-        return chunk.split(CHUNK_S)
+        return chunk.split(BLOCK_S)
 
-    def _add(self, database: Database, piece: Chunk) -> None:
-        """Add a piece; the pieces of earlier slots become one chunk, and the pyramid gets it."""
-        slot_ns = _floor(int(piece.time_ns[0]), CHUNK_S)
-        rows = database.execute(
-            "SELECT t0_ns, calibration, body FROM chunk WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns < ? "
-            "AND joined = 0 ORDER BY t0_ns",
-            (piece.point, piece.stream, _floor(slot_ns, 86_400.0), slot_ns),
-        )
-        _insert(database, piece, joined=False)
-        for begin_ns in dict.fromkeys(_floor(row[0], CHUNK_S) for row in rows):
-            pieces = [
-                decode(bytes(body), piece.point, piece.stream, number, piece.shown)
-                for t0_ns, number, body in rows
-                if _floor(t0_ns, CHUNK_S) == begin_ns
-            ]
-            database.execute(
-                "DELETE FROM chunk WHERE point = ? AND stream = ? AND joined = 0 AND t0_ns >= ? AND t0_ns < ?",
-                (piece.point, piece.stream, begin_ns, begin_ns + round(CHUNK_S * NANOSECONDS)),
-            )
-            # What was made by another calibration stays a chunk of its own.
-            for number in dict.fromkeys(one.calibration for one in pieces):
-                _insert(database, join([one for one in pieces if one.calibration == number]), joined=True)
-            if is_summed(piece):
-                self._sum_up(database, pieces, begin_ns)
-            if piece.shown:
-                self._raise(database, piece.point, piece.stream, begin_ns)
+    def _keep(self, new: Sequence[Chunk]) -> None:
+        """Append to the log; what is long enough there becomes blocks first."""
+        self._points.update(one.point for one in new)
+        if not self._took_over:
+            self.take_over()
+        for one in new:
+            begun_ns = self._begun.setdefault((one.point, one.stream), int(one.time_ns[0]))
+            if self._pieces.full or abs(int(one.time_ns[0]) - begun_ns) >= BLOCK_S * NANOSECONDS:
+                self.flush()
+                break
+        for one in new:
+            self._begun.setdefault((one.point, one.stream), int(one.time_ns[0]))
+        self._pieces.add(new)
 
-    def _sum_up(self, database: Database, pieces: list[Chunk], slot_ns: int) -> None:
-        """Keep the seconds of a slot."""
-        database.execute(
-            "INSERT INTO summary VALUES (?, ?, ?, ?) ON CONFLICT (point, stream, t0_ns) "
-            "DO UPDATE SET body = excluded.body",
-            (pieces[0].point, pieces[0].stream, slot_ns, summary.encode(pieces, slot_ns)),
-        )
+    def take_over(self) -> list[int]:
+        """Make blocks of what ended processes left in their logs; how many pieces each had."""
+        counts = []
+        for pieces, _ in self._pieces.abandoned():
+            self._make_blocks(pieces)
+            counts.append(len(pieces))
+        for piece in self._pieces.own(sorted(self._points)):
+            self._begun.setdefault((piece.point, piece.stream), piece.t0_ns)
+        self._took_over = True
+        return counts
 
-    def _raise(self, database: Database, point: str, stream: str, slot_ns: int) -> None:
-        """Make the pyramid's spans above a slot anew, from what is below each: right however often it is done."""
-        for level, length_s in enumerate(LEVELS_S):
-            begin_ns = _floor(slot_ns, length_s)
-            place = (point, stream, begin_ns, begin_ns + round(length_s * NANOSECONDS))
-            # The lowest level stands on the chunks, each other one on that below it.
-            below, table, where = (database, "chunk", "") if level == 0 else (self._site, "pyramid", " AND level = ?")
-            sql = (
-                f"SELECT SUM(n), MIN(low), MAX(high) FROM {table} WHERE point = ? AND stream = ? AND t0_ns >= ? "
-                f"AND t0_ns < ?{where}"
-            )
-            found = below.execute(sql, place if level == 0 else (*place, level - 1))
-            if found[0][0] is not None:
-                self._site.execute(
-                    "INSERT INTO pyramid VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (point, stream, level, t0_ns) "
-                    "DO UPDATE SET n = excluded.n, low = excluded.low, high = excluded.high",
-                    (point, stream, level, begin_ns, *found[0]),
-                )
+    def flush(self) -> None:
+        """Make blocks of all that this process has written. Raises StoreFault."""
+        if not self._begun:
+            return
+        pieces = self._pieces.own(sorted(self._points))
+        self._make_blocks(pieces)
+        self._pieces.clear(pieces)
+        self._begun.clear()
+
+    def _make_blocks(self, pieces: Sequence[Piece]) -> None:
+        """Join pieces to blocks: each day's in one transaction, then what the site's file says of them. Those that are
+        blocks already are left out, so that it may be done again after a power cut or a kill in the middle.
+        """
+        blocks = blocks_of(self._without_blocks(pieces))
+        days = {block.time_ns[0] // DAY_NS for block in blocks}
+        for number in sorted(days):
+            day = self._days.of(int(number))
+            with day.database.transaction():
+                for block in blocks:
+                    if block.time_ns[0] // DAY_NS == number:
+                        day.insert(block)
+        # What was kept already may not be in the site's tables: the process may have ended between the two.
+        streams = {(one.point, one.stream, one.t0_ns // DAY_NS) for one in pieces}
+        spans = {(one.point, one.stream, one.t0_ns) for one in pieces if one.shown}
+        with self._site.transaction():
+            for place in sorted(streams):
+                self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
+            self._raise(spans)
+
+    def _without_blocks(self, pieces: Sequence[Piece]) -> list[Piece]:
+        """The pieces that are no blocks yet."""
+        newest: dict[tuple[str, str, int], int] = {}
+        for place in {(one.point, one.stream, one.t0_ns // DAY_NS) for one in pieces}:
+            for day in self._days.between(place[2], place[2]):
+                newest_ns = day.newest_ns(*place[:2])
+                newest[place] = FIRST_NS if newest_ns is None else max(newest.get(place, FIRST_NS), newest_ns)
+        return [one for one in pieces if one.t0_ns > newest.get((one.point, one.stream, one.t0_ns // DAY_NS), FIRST_NS)]
+
+    def _raise(self, places: set[tuple[str, str, int]]) -> None:
+        """Make the pyramid's spans above some places anew, from what is below each: right however often it is done."""
+        for level, length_s in LEVELS_S.items():
+            length_ns = round(length_s * NANOSECONDS)
+            for point, stream, begin_ns in sorted({(p, s, _floor(t, length_s)) for p, s, t in places}):
+                if level - 1 in LEVELS_S:
+                    span = (point, stream, begin_ns, begin_ns + length_ns)
+                    low, high = self._spans(*span, level - 1)[1:]
+                else:
+                    low, high = self._limits(point, stream, begin_ns, begin_ns + length_ns)[1:]
+                if len(low):
+                    self._site.execute(
+                        "INSERT INTO pyramid VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (point, stream, level, t0_ns) "
+                        "DO UPDATE SET low = excluded.low, high = excluded.high",
+                        (point, stream, level, begin_ns, 0, float(low.min()), float(high.max())),
+                    )
 
     def add_calibration(self, point: str, made_ns: int, body: str, settings: str, *, accept: bool) -> int:
         """Keep a calibration, in force (the one before is retired) or offered; returns its number, from 1 on."""
@@ -228,24 +275,32 @@ class Store:
 
     def forget_before(self, time_ns: int) -> None:
         """Remove the chunks of whole days before a time; events, calibrations and the pyramid stay."""
-        self._days.forget_before(time_ns // DAY_NS)
+        self.flush()
+        day = time_ns // DAY_NS
+        self._days.forget_before(day)
+        self._site.execute("DELETE FROM kept WHERE day < ?", (day,))
 
     def forget_since(self, point: str, time_ns: int, calibration: int) -> None:
         """Remove what a point has from a time on, and a calibration that was made for it."""
-        shown = self._site.execute("SELECT DISTINCT stream FROM pyramid WHERE point = ?", (point,))
-        for database in self._days.all():
-            database.execute("DELETE FROM chunk WHERE point = ? AND t0_ns >= ?", (point, time_ns))
-            since_ns = _floor(time_ns, CHUNK_S)
-            database.execute("DELETE FROM summary WHERE point = ? AND t0_ns >= ?", (point, since_ns))
+        self.flush()
+        streams = self.streams(point)
+        for day in self._days.between(time_ns // DAY_NS, LAST_DAY):
+            with day.database.transaction():
+                day.forget_since(point, time_ns)
         self._newest.clear()
         with self._site.transaction():
             self._site.execute("DELETE FROM event WHERE point = ? AND time_ns >= ?", (point, time_ns))
             self._site.execute("DELETE FROM calibration WHERE point = ? AND number = ?", (point, calibration))
-            for level, length_s in enumerate(LEVELS_S):
+            self._site.execute("DELETE FROM kept WHERE point = ? AND day > ?", (point, time_ns // DAY_NS))
+            for level, length_s in LEVELS_S.items():
                 sql = "DELETE FROM pyramid WHERE point = ? AND level = ? AND t0_ns >= ?"
                 self._site.execute(sql, (point, level, _floor(time_ns, length_s)))
-        for row in shown:
-            self._raise(self._days.of(time_ns // DAY_NS), point, str(row[0]), _floor(time_ns, CHUNK_S))
+            for stream in streams:
+                newest_ns = self._kept_newest_ns(point, stream)
+                if newest_ns is None or newest_ns // DAY_NS < time_ns // DAY_NS:
+                    place = (point, stream, time_ns // DAY_NS)
+                    self._site.execute("DELETE FROM kept WHERE point = ? AND stream = ? AND day = ?", place)
+            self._raise({(point, stream, time_ns) for stream in streams})
 
     # What is read
 
@@ -253,124 +308,166 @@ class Store:
     def points(self) -> list[str]:
         """The names of the points of which rows are kept, sorted."""
         rows = self._site.execute("SELECT DISTINCT point FROM pyramid")
-        for database in self._days.all():
-            rows += database.execute("SELECT DISTINCT point FROM chunk")
-        return sorted({str(row[0]) for row in rows})
+        return sorted({str(row[0]) for row in rows} | {point for point, _, _ in self._kept_days()})
 
     def has_point(self, point: str) -> bool:
         """Whether anything of a point is kept."""
         for table in ("pyramid", "calibration", "event"):
             if self._site.execute(f"SELECT 1 FROM {table} WHERE point = ? LIMIT 1", (point,)):
                 return True
-        sql = "SELECT 1 FROM chunk WHERE point = ? LIMIT 1"
-        return any(database.execute(sql, (point,)) for database in self._days.all(newest_first=True))
-
-    def count(self, point: str, stream: str, first_ns: int, last_ns: int) -> int:
-        """How many rows the chunks have that reach into a time: as many as it has, or some seconds' more."""
-        sql = "SELECT SUM(n) FROM chunk WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns <= ? AND t1_ns >= ?"
-        place = (point, stream, first_ns - round(CHUNK_S * NANOSECONDS), last_ns, first_ns)
-        days = self._days.between(first_ns // DAY_NS, last_ns // DAY_NS)
-        return sum(int(day.execute(sql, place)[0][0] or 0) for day in days)
+        return any(one == point for one, _, _ in self._kept_days())
 
     def streams(self, point: str) -> list[str]:
         """The names of a point's streams, sorted."""
-        sql = "SELECT DISTINCT stream FROM chunk WHERE point = ?"
-        return sorted({str(row[0]) for database in self._days.all() for row in database.execute(sql, (point,))})
+        return sorted({stream for one, stream, _ in self._kept_days() if one == point})
 
     def days(self, point: str, stream: str) -> list[int]:
         """The days (since 1970, UTC) of which a stream has rows, sorted."""
-        sql = "SELECT DISTINCT t0_ns / ? FROM chunk WHERE point = ? AND stream = ?"
-        found = (database.execute(sql, (DAY_NS, point, stream)) for database in self._days.all())
-        return sorted({int(row[0]) for rows in found for row in rows})
+        return sorted({day for *place, day in self._kept_days() if place == [point, stream]})
+
+    def _kept_days(self) -> set[tuple[str, str, int]]:
+        """Point, stream and day of all that is kept; those of a store of schema 1 that is only read from its days."""
+        found = {(point, stream, t0_ns // DAY_NS) for point, stream, t0_ns in self._pieces.streams()}
+        if not self._site.has_table("kept"):
+            return found.union(*(day.streams() for day in self._days.all()))
+        rows = self._site.execute("SELECT point, stream, day FROM kept")
+        return found | {(str(point), str(stream), int(day)) for point, stream, day in rows}
+
+    def take_forward(self) -> None:
+        """Make of a store of schema 1 one of this: its days stay as they are, the site's file learns of them."""
+        with self._site.transaction():
+            self._note_days()
+            self._site.execute("UPDATE meta SET value = ? WHERE key = 'schema'", (str(SCHEMA),))
+
+    def make_histories(self) -> None:
+        """Make anew what the site's file has of the days: which there are, and the values above them."""
+        with self._site.transaction():
+            self._site.execute("DELETE FROM kept")
+            for point, stream, day in self._note_days():
+                begins = self._limits(point, stream, day * DAY_NS, (day + 1) * DAY_NS)[0]
+                self._raise({(point, stream, int(begin_ns)) for begin_ns in begins})
+
+    def _note_days(self) -> list[tuple[str, str, int]]:
+        found = sorted(set().union(*(day.streams() for day in self._days.all())))
+        for place in found:
+            self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
+        return found
+
+    def count(self, point: str, stream: str, first_ns: int, last_ns: int) -> int:
+        """How many rows the chunks have that reach into a time: as many as it has, or some minutes' more."""
+        days = self._days.between((first_ns - REACH_NS) // DAY_NS, last_ns // DAY_NS)
+        pieces = (part_of(one, first_ns, last_ns) for one in self._newest_rows(point, stream))
+        return sum(day.count(point, stream, first_ns, last_ns) for day in days) + sum(len(p.time_ns) for p in pieces)
 
     def newest_ns(self, point: str, stream: str) -> int | None:
         """The stamp of a stream's newest row, None without any."""
         if (point, stream) not in self._newest:
-            sql = "SELECT MAX(t1_ns) FROM chunk WHERE point = ? AND stream = ?"
-            kept = (database.execute(sql, (point, stream))[0][0] for database in self._days.all(newest_first=True))
-            self._newest[point, stream] = next((int(one) for one in kept if one is not None), None)
+            pieces = self._pieces.of(point, stream)
+            newest = [one.t1_ns for one in pieces[-1:]]
+            kept_ns = self._kept_newest_ns(point, stream)
+            self._newest[point, stream] = max([*newest, *([] if kept_ns is None else [kept_ns])], default=None)
         return self._newest[point, stream]
 
-    def chunks(self, point: str, stream: str, first_ns: int, last_ns: int) -> Iterator[Chunk]:
-        """The chunks with rows from `first_ns` to `last_ns`, cut to these, in the order of time."""
-        sql = (
-            "SELECT t0_ns, t1_ns, calibration, body FROM chunk WHERE point = ? AND stream = ? AND t0_ns >= ? "
-            "AND t0_ns <= ? AND t1_ns >= ? ORDER BY t0_ns"
-        )
-        reach_ns = round(CHUNK_S * NANOSECONDS)
-        for database in self._days.between(first_ns // DAY_NS, last_ns // DAY_NS):
-            for t0_ns, t1_ns, number, body in database.execute(
-                sql, (point, stream, first_ns - reach_ns, last_ns, first_ns)
-            ):
-                chunk = decode(bytes(body), point, stream, number)
-                inside = t0_ns >= first_ns and t1_ns <= last_ns
-                yield chunk if inside else chunk.rows((chunk.time_ns >= first_ns) & (chunk.time_ns <= last_ns))
+    def _kept_newest_ns(self, point: str, stream: str) -> int | None:
+        """The stamp of the newest row in the days."""
+        for number in reversed(self.days(point, stream)):
+            for day in self._days.between(number, number):
+                newest_ns = day.newest_ns(point, stream)
+                if newest_ns is not None:
+                    return newest_ns
+        return None
+
+    def _newest_rows(self, point: str, stream: str, shown: str | None = None) -> list[Chunk]:
+        """The rows that are no blocks yet; shown: with what is drawn of this column alone.
+
+        The log is read before the days: it is emptied after they have them.
+        """
+        pieces = self._pieces.of(point, stream)
+        names = None if shown is None else {shown, STD, STATUS}
+        late = self._without_blocks(pieces)
+        return joined([one.chunk(names) for one in late])
+
+    def chunks(
+        self, point: str, stream: str, first_ns: int, last_ns: int, *, names: Collection[str] | None = None
+    ) -> Iterator[Chunk]:
+        """The chunks with rows from `first_ns` to `last_ns`, cut to these, in the order of time; names: of the columns
+        that are wanted, None: of all.
+        """
+        newest = [one for one in self._pieces.of(point, stream) if one.t0_ns <= last_ns and one.t1_ns >= first_ns]
+        last_kept_ns = FIRST_NS
+        for day in self._days.between((first_ns - REACH_NS) // DAY_NS, last_ns // DAY_NS):
+            for chunk in day.chunks(point, stream, first_ns, last_ns, names):
+                last_kept_ns = max(last_kept_ns, int(chunk.time_ns[-1]))
+                part = part_of(chunk, first_ns, last_ns)
+                if len(part.time_ns):
+                    yield part
+        for one in newest:
+            if one.t0_ns > last_kept_ns:
+                part = part_of(one.chunk(names), first_ns, last_ns)
+                if len(part.time_ns):
+                    yield part
 
     def buckets(self, point: str, stream: str, first_ns: int, last_ns: int, count: int) -> Buckets:
-        """Least and largest values of `count` equal spans from `first_ns` on, from the coarsest level that is finer."""
+        """Least and largest values of `count` equal spans from `first_ns` on: of rows and seconds, and where the spans
+        are longer than a block, of blocks or of the coarsest level that is finer.
+        """
         step_ns = max((last_ns - first_ns) // count, 1)
         begin_ns = first_ns + step_ns * np.arange(count)
+        finer = [level for level, length_s in LEVELS_S.items() if length_s * NANOSECONDS <= step_ns]
+        if step_ns < BLOCK_S * NANOSECONDS:
+            edges = np.append(begin_ns, max(begin_ns[-1] + step_ns, last_ns))
+            drawn = self.drawn(point, stream, edges)
+            return Buckets(begin_ns, drawn.low, drawn.high)
+        places, lows, highs = (
+            self._spans(point, stream, first_ns, last_ns, finer[-1])
+            if finer
+            else self._limits(point, stream, first_ns, last_ns)
+        )
+        late = [one.drawn(one.shown) for one in self._newest_rows(point, stream) if one.shown]
+        places = np.concatenate([places, *(time_ns for time_ns, _ in late)])
+        lows, highs = (np.concatenate([one, *(values for _, values in late)]) for one in (lows, highs))
+        inside = (places >= first_ns) & (places < last_ns)
         low, high = np.full(count, np.inf), np.full(count, -np.inf)
-        finer = [k for k, length_s in enumerate(LEVELS_S) if length_s * NANOSECONDS <= step_ns]
-        if step_ns < CHUNK_S * NANOSECONDS:
-            drawn = [one.drawn(next(iter(one.columns))) for one in self.chunks(point, stream, first_ns, last_ns)]
-            places = np.concatenate([np.empty(0, np.int64), *(time_ns for time_ns, _ in drawn)])
-            lows = highs = np.concatenate([np.empty(0), *(values for _, values in drawn)])
-        else:
-            places, lows, highs = self._spans(point, stream, first_ns, last_ns, finer[-1] if finer else None)
-        # A chunk belongs to the bucket that its begin is in.
-        number = np.clip((places - first_ns) // step_ns, 0, count - 1)
-        np.minimum.at(low, number, lows)
-        np.maximum.at(high, number, highs)
+        # A block belongs to the bucket that its begin is in.
+        number = np.clip((places[inside] - first_ns) // step_ns, 0, count - 1)
+        np.minimum.at(low, number, lows[inside])
+        np.maximum.at(high, number, highs[inside])
         return Buckets(begin_ns, np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan))
 
-    def drawn(self, point: str, stream: str, edges: Nanoseconds, shown: str) -> Drawn:
-        """The figures of a column in buckets between edges (n + 1,) in ns: of seconds where all buckets are as long,
-        of rows where they are shorter, and where no seconds are kept.
+    def drawn(self, point: str, stream: str, edges: Nanoseconds, shown: str = "") -> Drawn:
+        """The figures of a column (left out: the first) in buckets between edges (n + 1,) in ns: of seconds where all
+        buckets are as long, of rows where they are shorter, and where no seconds are kept.
         """
         found, first_ns, last_ns = SummaryBuckets(edges), int(edges[0]), int(edges[-1]) - 1
         if len(edges) > 1 and int(np.diff(edges).min()) >= NANOSECONDS:
-            for day in self._days.between(first_ns // DAY_NS, last_ns // DAY_NS):
-                self._draw_day(day, (point, stream, first_ns, last_ns), found, shown)
+            newest = self._newest_rows(point, stream, shown or None)
+            for day in self._days.between((first_ns - REACH_NS) // DAY_NS, last_ns // DAY_NS):
+                day.draw((point, stream, first_ns, last_ns), found, shown)
+            for chunk in newest:
+                found.add_rows(part_of(chunk, first_ns, last_ns), shown)
             return found.figures
-        for chunk in self.chunks(point, stream, first_ns, last_ns):
+        names = {shown, STD, STATUS} if shown else None
+        for chunk in joined(list(self.chunks(point, stream, first_ns, last_ns, names=names))):
             found.add_rows(chunk, shown)
         return found.figures
 
-    def _draw_day(self, day: Database, place: tuple[str, str, int, int], found: SummaryBuckets, shown: str) -> None:
-        point, stream, first_ns, last_ns = place
-        reach_ns = round(CHUNK_S * NANOSECONDS)
-        sql = (
-            "SELECT t0_ns, body FROM summary WHERE point = ? AND stream = ? AND t0_ns > ? AND t0_ns <= ? ORDER BY t0_ns"
-        )
-        has_seconds = day.has_table("summary")
-        rows = day.execute(sql, (point, stream, first_ns - reach_ns, last_ns)) if has_seconds else []
-        if rows:
-            found.add_seconds(summary.decode([(int(t0_ns), bytes(body)) for t0_ns, body in rows]))
-        summed = {int(row[0]) for row in rows}
-        sql = "SELECT t0_ns FROM chunk WHERE point = ? AND stream = ? AND t0_ns > ? AND t0_ns <= ?"
-        kept = day.execute(sql, (point, stream, first_ns - reach_ns, last_ns))
-        missing = [int(row[0]) for row in kept if _floor(int(row[0]), CHUNK_S) not in summed]
-        sql = "SELECT calibration, body FROM chunk WHERE point = ? AND stream = ? AND t0_ns = ?"
-        for t0_ns in dict.fromkeys(missing):
-            for number, body in day.execute(sql, (point, stream, t0_ns)):
-                chunk = decode(bytes(body), point, stream, number)
-                found.add_rows(chunk.rows((chunk.time_ns >= first_ns) & (chunk.time_ns <= last_ns)), shown)
-
     def _spans(
-        self, point: str, stream: str, first_ns: int, last_ns: int, level: int | None
+        self, point: str, stream: str, first_ns: int, last_ns: int, level: int
     ) -> tuple[Nanoseconds, Floats, Floats]:
-        """Begins, least and largest values of the spans of a level; None: of the chunks."""
-        place = (point, stream, first_ns, last_ns)
-        where = "WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns < ? AND low IS NOT NULL"
-        if level is None:
-            days = self._days.between(first_ns // DAY_NS, last_ns // DAY_NS)
-            rows = [row for day in days for row in day.execute(f"SELECT t0_ns, low, high FROM chunk {where}", place)]
-        else:
-            sql = f"SELECT t0_ns, low, high FROM pyramid {where} AND level = ?"
-            rows = self._site.execute(sql, (*place, level))
+        """Begins, least and largest values of the spans of a level."""
+        where = "WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns < ? AND low IS NOT NULL AND level = ?"
+        place = (point, stream, first_ns, last_ns, level)
+        rows = self._site.execute(f"SELECT t0_ns, low, high FROM pyramid {where} ORDER BY t0_ns", place)
         found = np.array(rows, dtype=np.float64).reshape(-1, 3)
         return np.array([row[0] for row in rows], dtype=np.int64), found[:, 1], found[:, 2]
+
+    def _limits(self, point: str, stream: str, first_ns: int, last_ns: int) -> tuple[Nanoseconds, Floats, Floats]:
+        """Begins, least and largest values of blocks."""
+        days = self._days.between(first_ns // DAY_NS, last_ns // DAY_NS)
+        found = [day.limits(point, stream, first_ns, last_ns) for day in days]
+        nothing = (np.empty(0, np.int64), np.empty(0), np.empty(0))
+        begins, low, high = (np.concatenate(parts) for parts in zip(nothing, *found, strict=True))
+        return begins, low, high
 
     def events(self, point: str, first_ns: int, last_ns: int) -> list[Event]:
         """A point's events, in the order of time."""
@@ -395,96 +492,42 @@ class Store:
         return None
 
     def checkpoint(self, point: str) -> tuple[int, bytes] | None:
-        """A point's newest checkpoint and its instant (ns)."""
-        rows = self._site.execute("SELECT time_ns, body FROM checkpoint WHERE point = ?", (point,))
-        return (int(rows[0][0]), bytes(rows[0][1])) if rows else None
+        """A point's newest checkpoint and its instant (ns). Raises DataError for a damaged one."""
+        databases = (self.checkpoints, self._site)
+        found = (kept_checkpoint(one, point) for one in databases if one.has_table("checkpoint"))
+        return max((one for one in found if one is not None), key=lambda one: one[0], default=None)
+
+
+def joined(chunks: Sequence[Chunk]) -> list[Chunk]:
+    """Chunks, those of each stream in the order of time: as one what follows one another with one calibration, layout
+    and day.
+    """
+    found: list[list[Chunk]] = []
+    newest: dict[tuple[str, str], tuple[object, list[Chunk]]] = {}
+    for one in chunks:
+        kind = (one.time_ns[0] // DAY_NS, one.calibration, layout_of(one))
+        before, parts = newest.get((one.point, one.stream), (None, []))
+        if before != kind:
+            parts = []
+            found.append(parts)
+        parts.append(one)
+        newest[one.point, one.stream] = (kind, parts)
+    return [join(parts) for parts in found]
+
+
+def blocks_of(pieces: Sequence[Piece]) -> list[Chunk]:
+    """Pieces as blocks."""
+    whole = joined([piece.chunk() for piece in sorted(pieces, key=lambda one: (one.point, one.stream, one.t0_ns))])
+    return [part for one in whole for part in ([one] if _length_ns(one) <= REACH_NS else one.split(BLOCK_S))]
+
+
+def _length_ns(chunk: Chunk) -> int:
+    return int(chunk.time_ns[-1] - chunk.time_ns[0])
 
 
 def _floor(time_ns: int, length_s: float) -> int:
     length_ns = round(length_s * NANOSECONDS)
     return time_ns - time_ns % length_ns
-
-
-def _insert(database: Database, chunk: Chunk, *, joined: bool) -> None:
-    stamps = (int(chunk.time_ns[0]), int(chunk.time_ns[-1]), len(chunk.time_ns))
-    values = (chunk.point, chunk.stream, *stamps, int(joined), *chunk.limits, chunk.calibration, encode(chunk))
-    database.execute("INSERT INTO chunk VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", values)
-
-
-class Days:
-    """The databases of the days (their numbers since 1970): a SQLite file each."""
-
-    def __init__(self, folder: Path, *, read_only: bool) -> None:
-        self._folder, self._read_only = folder, read_only
-        self._open: dict[int, SqliteDatabase] = {}
-
-    def of(self, day: int) -> Database:
-        """The day's database, made where there is none."""
-        if day not in self._open:
-            database = SqliteDatabase(self._file(day), read_only=self._read_only)
-            if not self._read_only:
-                for sql in DAY_TABLES:
-                    database.execute(sql)
-            self._open[day] = database
-        return self._open[day]
-
-    def all(self, *, newest_first: bool = False) -> Iterator[Database]:
-        """All days' databases, the earliest first."""
-        for day in sorted(self._numbers(), reverse=newest_first):
-            yield self.of(day)
-
-    def between(self, first: int, last: int) -> Iterator[Database]:
-        """Those of the days from `first` to `last`; a day's first chunk may begin on the day before."""
-        for day in sorted(day for day in self._numbers() if first - 1 <= day <= last):
-            yield self.of(day)
-
-    def forget_before(self, day: int) -> None:
-        """Remove the files of the days before."""
-        for old in [one for one in self._numbers() if one < day]:
-            if old in self._open:
-                self._open.pop(old).close()
-            for end in ("", "-wal", "-shm"):
-                Path(f"{self._file(old)}{end}").unlink(missing_ok=True)
-
-    def close(self) -> None:
-        """Let the files go."""
-        for database in self._open.values():
-            database.close()
-        self._open.clear()
-
-    def _file(self, day: int) -> Path:
-        return self._folder / f"{date(1970, 1, 1) + timedelta(day)}.sqlite"
-
-    def _numbers(self) -> list[int]:
-        names = (file.stem for file in self._folder.glob("????-??-??.sqlite"))
-        return [(date.fromisoformat(name) - date(1970, 1, 1)).days for name in names]
-
-
-class OneDatabase(Days):
-    """All days in one PostgreSQL database."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    def of(self, day: int) -> Database:
-        """The database."""
-        return self._database
-
-    def all(self, *, newest_first: bool = False) -> Iterator[Database]:
-        """The database, once."""
-        yield self._database
-
-    def between(self, first: int, last: int) -> Iterator[Database]:
-        """The database, once."""
-        yield self._database
-
-    def forget_before(self, day: int) -> None:
-        """Remove the chunks of the days before."""
-        for table in ("chunk", "summary"):
-            self._database.execute(f"DELETE FROM {table} WHERE t0_ns < ?", (day * DAY_NS,))
-
-    def close(self) -> None:
-        """The connection is the site's."""
 
 
 def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[str] = ()) -> Store:
@@ -496,9 +539,10 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
     """
     with ExitStack() as opened:
         if is_address(where):
-            database: Database = PostgresDatabase(str(where), partial(lock_in_session, points=points))
-            store = Store(database, OneDatabase(database))
-            tables: tuple[str, ...] = (*SITE_TABLES, *DAY_TABLES)
+            server = PostgresDatabase(str(where), partial(lock_in_session, points=points))
+            database: Database = server
+            store = Store(server, server, OneDatabase(server), TablePieces(server), points=points)
+            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, PIECE_TABLE)
         else:
             folder = Path(where)
             if read_only and not (folder / SITE_FILE).is_file():
@@ -508,12 +552,20 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
             locks = FileLocks(folder, points)
             opened.callback(locks.close)
             database = SqliteDatabase(folder / SITE_FILE, read_only=read_only)
-            store = Store(database, Days(folder / DAYS, read_only=read_only), locks)
+            pieces = FilePieces(folder / LOGS, read_only)
+            days = Days(folder / DAYS, read_only=read_only)
+            file = folder / CHECKPOINT_FILE
+            has_file = not read_only or file.is_file()
+            checkpoints = SqliteDatabase(file, read_only=read_only, ahead=False) if has_file else database
+            store = Store(database, checkpoints, days, pieces, locks, points)
+            for sql in () if read_only else CHECKPOINT_TABLES:
+                checkpoints.execute(sql)
             tables = SITE_TABLES
         opened.callback(store.close)
         for sql in () if read_only else tables:
             database.execute(sql)
-        _check_version(database, str(where), write=not read_only)
+        if _version(database, str(where), write=not read_only) == "1" and not read_only:
+            store.take_forward()
         opened.pop_all()
     return store
 
@@ -528,12 +580,14 @@ def is_address(where: str | Path) -> bool:
     return str(where).startswith(("postgresql://", "postgres://"))
 
 
-def _check_version(database: Database, where: str, *, write: bool) -> None:
+def _version(database: Database, where: str, *, write: bool) -> str:
+    """The store's schema, which is written where there is none. Raises UsageError for one that cannot be read."""
     rows = database.execute("SELECT value FROM meta WHERE key = 'schema'")
     if not rows and write:
         database.execute("INSERT INTO meta VALUES ('schema', ?)", (str(SCHEMA),))
-        return
-    found = rows[0][0] if rows else "none"
-    if found != str(SCHEMA):
+        return str(SCHEMA)
+    found = str(rows[0][0]) if rows else "none"
+    if found not in READABLE:
         name = "the PostgreSQL store" if is_address(where) else where
-        raise UsageError(f"{name}: is a store of version {found}; this midspan reads version {SCHEMA}.")
+        raise UsageError(f"{name}: is a store of version {found}; this midspan reads versions {', '.join(READABLE)}.")
+    return found

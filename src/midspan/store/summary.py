@@ -2,6 +2,7 @@
 the instants of the least and the largest, so that a peak stays in its own bucket.
 """
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,16 +13,21 @@ from numpy.typing import NDArray
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, Status
 from midspan.store.chunk import Chunk
 
-ENTRY = np.dtype(
-    [
-        ("second", "u1"), ("status", "u1"), ("n", "<u2"), ("low", "<f4"), ("high", "<f4"), ("mean", "<f4"),
-        ("std", "<f4"), ("low_ns", "<u4"), ("high_ns", "<u4"),
-    ]
-)  # fmt: skip
-"""A second: its number from the begin of the chunk's slot, its worst status, and of the rows that are not lost their
-number and figures in SI units, with the instants in ns from its begin."""
+FIELDS: list[tuple[str, str]] = [
+    ("status", "u1"), ("n", "<u2"), ("low", "<f4"), ("high", "<f4"), ("mean", "<f4"), ("std", "<f4"),
+    ("low_ns", "<u4"), ("high_ns", "<u4"),
+]  # fmt: skip
+ENTRY = np.dtype([("second", "<u2"), *FIELDS])
+"""A second: its number from the second in which its block begins, its worst status, and of the rows that are not lost
+their number and figures in SI units, with the instants in ns from its begin."""
+
+# Schema 1 kept seconds in slots of this length, ns.
+FIRST_SLOT_NS = 10 * NANOSECONDS
+FIRST_ENTRY = np.dtype([("second", "u1"), *FIELDS])
 
 STD, STATUS = "std_m", "status"
+# How many seconds there are.
+LENGTH = struct.Struct("<H")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,41 +49,76 @@ class Drawn:
     status: NDArray[np.int64]
 
 
-def is_summed(chunk: Chunk) -> bool:
-    """Whether a chunk's rows have what a summary tells."""
-    return bool(chunk.shown) and STD in chunk.columns and STATUS in chunk.columns
+def columns_of(chunk: Chunk, shown: str) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+    """The column that is drawn, its deviation (NaN without one) and the status (tracking without one)."""
+    value = np.asarray(chunk.columns[shown or next(iter(chunk.columns))], dtype=np.float64)
+    std = np.asarray(chunk.columns.get(STD, np.full(len(value), np.nan)), dtype=np.float64)
+    return value, std, np.asarray(chunk.columns.get(STATUS, np.zeros(len(value))), dtype=np.uint8)
 
 
-def encode(chunks: Sequence[Chunk], slot_ns: int) -> bytes:
-    """The seconds of the chunks of one slot, in the order of time."""
-    time_ns = np.concatenate([one.time_ns for one in chunks])
-    value, std, status = (
-        np.concatenate([np.asarray(one.columns[name], dtype=np.float64) for one in chunks])
-        for name in (chunks[0].shown, STD, STATUS)
-    )
-    second = (time_ns - slot_ns) // NANOSECONDS
-    made = np.zeros(len(np.unique(second)), dtype=ENTRY)
-    for entry, number in zip(made, np.unique(second), strict=True):
-        inside = second == number
-        entry["second"], entry["status"] = number, status[inside].max()
-        good = inside & np.isfinite(value) & (status != Status.LOST)
-        entry["n"] = np.count_nonzero(good)
-        if not entry["n"]:
-            continue
-        place, begin_ns = np.flatnonzero(good), slot_ns + number * NANOSECONDS
-        lowest, highest = place[np.argmin(value[place])], place[np.argmax(value[place])]
-        entry["low"], entry["high"], entry["mean"] = value[lowest], value[highest], value[place].mean()
-        entry["std"] = std[place].max()
-        entry["low_ns"], entry["high_ns"] = time_ns[lowest] - begin_ns, time_ns[highest] - begin_ns
-    return made.tobytes()
+def encode(chunk: Chunk) -> bytes:
+    """The seconds of a chunk as bytes: those of all entries' first bytes, of all second ones …, compressed."""
+    import pyarrow as pa
+
+    made = entries(chunk)
+    planes = made.view(np.uint8).reshape(len(made), ENTRY.itemsize).T
+    return LENGTH.pack(len(made)) + bytes(pa.Codec("zstd").compress(planes.tobytes(), asbytes=True))
+
+
+def entries(chunk: Chunk) -> NDArray[Any]:
+    """The seconds of a chunk."""
+    value, std, status = columns_of(chunk, chunk.shown)
+    second = (chunk.time_ns - _whole_second(int(chunk.time_ns[0]))) // NANOSECONDS
+    begins = np.concatenate(([0], 1 + np.flatnonzero(np.diff(second))))
+    group = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, len(second))))
+    good = np.isfinite(value) & (status != Status.LOST)
+    made = np.zeros(len(begins), dtype=ENTRY)
+    made["second"], made["status"] = second[begins], np.maximum.reduceat(status, begins)
+    made["n"] = np.add.reduceat(good.astype(np.int64), begins)
+    some = made["n"] > 0
+    total = np.add.reduceat(np.where(good, value, 0.0), begins)
+    made["mean"][some] = total[some] / made["n"][some]
+    made["std"][some] = np.maximum.reduceat(np.where(good, std, -np.inf), begins)[some]
+    inside_ns = chunk.time_ns % NANOSECONDS
+    for name, extreme, nothing in (("low", np.minimum, np.inf), ("high", np.maximum, -np.inf)):
+        shown = np.where(good, value, nothing)
+        found = extreme.reduceat(shown, begins)
+        made[name][some] = found[some]
+        # The first row of each second that has it.
+        places = np.flatnonzero(good & (shown == found[group]))
+        seconds, first = np.unique(group[places], return_index=True)
+        made[f"{name}_ns"][seconds] = inside_ns[places[first]]
+    return made
 
 
 def decode(rows: Sequence[tuple[int, bytes]]) -> Summary:
-    """The seconds of slots, each with the begin of the slot in ns."""
-    entries = np.frombuffer(b"".join(body for _, body in rows), dtype=ENTRY)
-    counts = [len(body) // ENTRY.itemsize for _, body in rows]
-    slots = np.repeat(np.array([t0_ns for t0_ns, _ in rows], dtype=np.int64), counts)
-    return Summary(slots + entries["second"].astype(np.int64) * NANOSECONDS, entries)
+    """The seconds of blocks, each with the first stamp of the block in ns."""
+    import pyarrow as pa
+
+    made = [np.empty(0, dtype=ENTRY)]
+    codec = pa.Codec("zstd")
+    for _, body in rows:
+        (count,) = LENGTH.unpack_from(body)
+        plain = codec.decompress(body[LENGTH.size :], decompressed_size=count * ENTRY.itemsize, asbytes=True)
+        planes = np.frombuffer(plain, dtype=np.uint8).reshape(ENTRY.itemsize, count)
+        made.append(np.ascontiguousarray(planes.T).view(ENTRY)[:, 0])
+    begins = np.array([_whole_second(t0_ns) for t0_ns, _ in rows], dtype=np.int64)
+    return _placed(begins, made[1:], np.concatenate(made))
+
+
+def decode_first(rows: Sequence[tuple[int, bytes]]) -> Summary:
+    """The seconds of slots of a store of schema 1, each with the begin of the slot in ns."""
+    made = [np.frombuffer(body, dtype=FIRST_ENTRY) for _, body in rows]
+    return _placed(np.array([t0_ns for t0_ns, _ in rows], dtype=np.int64), made, np.concatenate(made))
+
+
+def _placed(begins: Nanoseconds, parts: Sequence[NDArray[Any]], whole: NDArray[Any]) -> Summary:
+    begin_ns = np.repeat(begins, [len(part) for part in parts])
+    return Summary(begin_ns + whole["second"].astype(np.int64) * NANOSECONDS, whole)
+
+
+def _whole_second(time_ns: int) -> int:
+    return time_ns - time_ns % NANOSECONDS
 
 
 class Buckets:
@@ -92,14 +133,15 @@ class Buckets:
 
     def add_rows(self, chunk: Chunk, shown: str) -> None:
         """Rows between the edges."""
-        status = np.asarray(chunk.columns[STATUS], dtype=np.int64)
-        value = np.asarray(chunk.columns[shown], dtype=np.float64)
-        np.maximum.at(self._status, self._place(chunk.time_ns), status)
+        if not len(chunk.time_ns):
+            return
+        value, std, status = columns_of(chunk, shown)
+        np.maximum.at(self._status, self._place(chunk.time_ns), status.astype(np.int64))
         good = np.isfinite(value) & (status != Status.LOST)
         place, value = self._place(chunk.time_ns[good]), value[good]
         np.minimum.at(self._low, place, value)
         np.maximum.at(self._high, place, value)
-        np.maximum.at(self._std, place, np.asarray(chunk.columns[STD], dtype=np.float64)[good])
+        np.fmax.at(self._std, place, std[good])
         np.add.at(self._total, place, value)
         np.add.at(self._number, place, 1.0)
 
@@ -113,7 +155,7 @@ class Buckets:
         place, n = self._place(time_ns), entries["n"].astype(np.float64)
         np.minimum.at(self._low, self._place(time_ns + entries["low_ns"]), entries["low"].astype(np.float64))
         np.maximum.at(self._high, self._place(time_ns + entries["high_ns"]), entries["high"].astype(np.float64))
-        np.maximum.at(self._std, place, entries["std"].astype(np.float64))
+        np.fmax.at(self._std, place, entries["std"].astype(np.float64))
         np.add.at(self._total, place, n * entries["mean"].astype(np.float64))
         np.add.at(self._number, place, n)
 

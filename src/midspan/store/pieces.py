@@ -1,0 +1,289 @@
+"""The newest seconds of a store, before they become blocks: a log that is only appended to, or a table of PostgreSQL.
+
+What is in the log outlives a kill of its process at once, and a power cut once it is synchronised. A database of pages
+would write some pages of 4 kB each second for what is 1 kB.
+"""
+
+import json
+import os
+import secrets
+import struct
+import zlib
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from midspan.records import NANOSECONDS
+from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, decode, encode, layout_of, span_of
+from midspan.store.database import PostgresDatabase, StoreFault, lock_file, locked, sqlite_faults
+
+LOGS = "log"
+# A power cut takes at most what came since the log was synchronised, s of the records' time; a page of 4 kB is written
+# again each time.
+SYNC_S = 10.0
+# Readers look through the log at each look: 16 MB take some 30 ms.
+MAX_LOG_BYTES = 1 << 24
+# Length and check sum of a record as it stands there, and its length before it was compressed.
+RECORD = struct.Struct("<III")
+# Number of a layout, length of a layout that is new (0: it is not), length of a body.
+PIECE = struct.Struct("<HHI")
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Rows of a stream from t0_ns to t1_ns, still as bytes."""
+
+    point: str
+    stream: str
+    shown: str
+    t0_ns: int
+    t1_ns: int
+    layout: Layout | None
+    body: bytes
+
+    def chunk(self, names: Collection[str] | None = None) -> Chunk:
+        """The rows; names: of the columns that are wanted, None: of all. Raises DataError."""
+        if self.layout is None:
+            return decode(self.body, self.point, self.stream, 0, self.shown, names)
+        return chunk_of(self.layout, self.body, self.point, self.stream, self.shown, names)
+
+
+@dataclass(slots=True)
+class FilePieces:
+    """The logs of a folder: one of this process, made when it is needed, and those of others, which are only read.
+
+    synced_ns: stamp up to which this process has synchronised its log.
+    """
+
+    folder: Path
+    read_only: bool = False
+    _file: int | None = None
+    _path: Path | None = None
+    _layouts: dict[bytes, int] = field(default_factory=dict)
+    _size: int = 0
+    _synced_ns: int | None = None
+
+    @property
+    def full(self) -> bool:
+        """Whether what this process has added should become blocks."""
+        return self._size > MAX_LOG_BYTES
+
+    def add(self, chunks: Sequence[Chunk]) -> None:
+        """Append chunks, all or none. Raises StoreFault."""
+        if self.read_only:
+            raise StoreFault("store_unavailable", f"{self.folder.parent}: the store is open for reading alone.")
+        before = dict(self._layouts)
+        record = record_of(b"".join(self._piece(chunk) for chunk in chunks))
+        with sqlite_faults(self.folder):
+            file = self._opened()
+            try:
+                done = 0
+                while done < len(record):
+                    done += os.write(file, record[done:])
+            except OSError:
+                self._layouts = before
+                os.ftruncate(file, self._size)
+                raise
+            self._size += len(record)
+            newest_ns = max(int(chunk.time_ns[-1]) for chunk in chunks)
+            if self._synced_ns is None:
+                self._synced_ns = newest_ns
+            if abs(newest_ns - self._synced_ns) >= SYNC_S * NANOSECONDS:
+                self.sync()
+                self._synced_ns = newest_ns
+
+    def sync(self) -> None:
+        """Bring what was added to the disk. Raises StoreFault."""
+        if self._file is not None:
+            with sqlite_faults(self.folder):
+                os.fsync(self._file)
+
+    def of(self, point: str, stream: str) -> list[Piece]:
+        """A stream's pieces in all logs, in the order of time."""
+        found = (one for one in self._all() if (one.point, one.stream) == (point, stream))
+        return sorted(found, key=lambda one: one.t0_ns)
+
+    def streams(self) -> set[tuple[str, str, int]]:
+        """Point, stream and first stamp of all pieces."""
+        return {(one.point, one.stream, one.t0_ns) for one in self._all()}
+
+    def own(self, points: Sequence[str]) -> list[Piece]:
+        """What this process has added."""
+        return [] if self._path is None else list(read(self._path))
+
+    def abandoned(self) -> Iterator[tuple[list[Piece], Path]]:
+        """The pieces of logs whose process has ended; each log is removed once it was dealt with."""
+        for path in sorted(self.folder.glob("*.log")):
+            file = None if path == self._path else lock_file(path)
+            if file is None:
+                continue
+            with file:
+                yield list(read(path)), path
+            path.unlink(missing_ok=True)
+
+    def clear(self, pieces: Sequence[Piece]) -> None:
+        """Begin the log anew: its pieces are blocks now. Raises StoreFault."""
+        if self._file is not None:
+            with sqlite_faults(self.folder):
+                os.ftruncate(self._file, 0)
+        self._layouts, self._size, self._synced_ns = {}, 0, None
+
+    def close(self) -> None:
+        """Let the log go; it is removed where it is empty."""
+        if self._file is not None and self._path is not None:
+            os.close(self._file)
+            if not self._size:
+                self._path.unlink(missing_ok=True)
+        self._file = self._path = None
+
+    def _opened(self) -> int:
+        while self._file is None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path = self.folder / f"{secrets.token_hex(8)}.log"
+            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
+            # Between its making and its lock another process may have taken it for an abandoned one.
+            if locked(file) and path.exists():
+                self._file, self._path, self._size = file, path, 0
+            else:
+                os.close(file)
+        return self._file
+
+    def _piece(self, chunk: Chunk) -> bytes:
+        layout, body = layout_bytes(chunk), body_of(chunk)
+        new = layout not in self._layouts
+        number = self._layouts.setdefault(layout, len(self._layouts))
+        return PIECE.pack(number, len(layout) if new else 0, len(body)) + (layout if new else b"") + body
+
+    def _all(self) -> Iterator[Piece]:
+        for path in sorted(self.folder.glob("*.log")):
+            yield from read(path)
+
+
+def record_of(data: bytes) -> bytes:
+    """A record of a log, compressed: the heads of columns are much the same each second."""
+    import pyarrow as pa
+
+    small = bytes(pa.Codec("zstd").compress(data, asbytes=True))
+    return RECORD.pack(len(small), zlib.crc32(small), len(data)) + small
+
+
+def layout_bytes(chunk: Chunk) -> bytes:
+    """What a log says once of all pieces of a stream."""
+    return json.dumps([chunk.point, chunk.stream, chunk.shown, layout_of(chunk)], separators=(",", ":")).encode()
+
+
+def whole_bytes(path: Path) -> int:
+    """Up to where the records of a log are whole."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return 0
+    return sum(RECORD.size + len(record) for record, _ in _records(data))
+
+
+def _records(data: bytes) -> Iterator[tuple[bytes, int]]:
+    """The records of a log up to the first that is not whole, with their lengths before they were compressed."""
+    at = 0
+    while at + RECORD.size <= len(data):
+        length, check, whole = RECORD.unpack_from(data, at)
+        record = data[at + RECORD.size : at + RECORD.size + length]
+        if not length or len(record) < length or zlib.crc32(record) != check:
+            return
+        yield record, whole
+        at += RECORD.size + length
+
+
+def read(path: Path) -> Iterator[Piece]:
+    """The pieces of a log up to the first record that is not whole: what a power cut left of the last ones."""
+    import pyarrow as pa
+
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        # Its pieces have become blocks meanwhile.
+        return
+    codec, layouts = pa.Codec("zstd"), list[tuple[str, str, str, Layout]]()
+    for record, whole in _records(data):
+        yield from _pieces(codec.decompress(record, decompressed_size=whole, asbytes=True), layouts)
+
+
+def _pieces(record: bytes, layouts: list[tuple[str, str, str, Layout]]) -> Iterator[Piece]:
+    at = 0
+    while at < len(record):
+        number, new, length = PIECE.unpack_from(record, at)
+        at += PIECE.size
+        if new:
+            point, stream, shown, columns = json.loads(record[at : at + new])
+            layouts.append((point, stream, shown, tuple((name, kind, width) for name, kind, width in columns)))
+            at += new
+        point, stream, shown, layout = layouts[number]
+        body = record[at : at + length]
+        yield Piece(point, stream, shown, *span_of(body), layout, body)
+        at += length
+
+
+@dataclass(slots=True)
+class TablePieces:
+    """The pieces of a PostgreSQL database, a row each: the server has its own log."""
+
+    database: PostgresDatabase
+    _size: int = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether what this process has added should become blocks."""
+        return self._size > MAX_LOG_BYTES
+
+    def add(self, chunks: Sequence[Chunk]) -> None:
+        """Add chunks, all or none. Raises StoreFault."""
+        with self.database.transaction():
+            for chunk in chunks:
+                body = encode(chunk)
+                stamps = (int(chunk.time_ns[0]), int(chunk.time_ns[-1]))
+                values = (chunk.point, chunk.stream, chunk.shown, *stamps, body)
+                self.database.execute("INSERT INTO piece VALUES (?, ?, ?, ?, ?, ?)", values)
+                self._size += len(body)
+
+    def sync(self) -> None:
+        """What was added is on the server's disk."""
+
+    def of(self, point: str, stream: str) -> list[Piece]:
+        """A stream's pieces, in the order of time."""
+        return self._where("point = ? AND stream = ?", (point, stream))
+
+    def streams(self) -> set[tuple[str, str, int]]:
+        """Point, stream and first stamp of all pieces."""
+        if not self.database.has_table("piece"):
+            return set()
+        return {(str(a), str(b), int(c)) for a, b, c in self.database.execute("SELECT point, stream, t0_ns FROM piece")}
+
+    def own(self, points: Sequence[str]) -> list[Piece]:
+        """The pieces of points that this process writes."""
+        return [one for point in points for one in self._where("point = ?", (point,))]
+
+    def abandoned(self) -> Iterator[tuple[list[Piece], Path]]:
+        """What an ended process left is its point's next writer's own."""
+        return iter(())
+
+    def clear(self, pieces: Sequence[Piece]) -> None:
+        """Remove pieces that are blocks now. Raises StoreFault."""
+        for one in pieces:
+            place = (one.point, one.stream, one.t0_ns)
+            self.database.execute("DELETE FROM piece WHERE point = ? AND stream = ? AND t0_ns = ?", place)
+        self._size = 0
+
+    def close(self) -> None:
+        """The connection is the site's."""
+
+    def _where(self, condition: str, values: tuple[str, ...]) -> list[Piece]:
+        if not self.database.has_table("piece"):
+            return []
+        sql = f"SELECT point, stream, shown, t0_ns, t1_ns, body FROM piece WHERE {condition} ORDER BY t0_ns"
+        rows = self.database.execute(sql, values)
+        return [
+            Piece(str(point), str(stream), str(shown), int(t0_ns), int(t1_ns), None, bytes(body))
+            for point, stream, shown, t0_ns, t1_ns, body in rows
+        ]
+
+
+Pieces = FilePieces | TablePieces
