@@ -16,7 +16,7 @@ REDIRECT = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" cont
 
 
 @click.command("open")
-@click.argument("recording", type=click.Path(exists=True))
+@click.argument("recording")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1; left out: a free one.")
 @click.option("--no-browser", is_flag=True, help="Print the link alone.")
 @click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")

@@ -213,7 +213,7 @@ class ResultView {
     const made = `Method ${found.method}, ${found.rows} rows, written ${clock(1000 * (recording.result_s ?? 0))}`;
     return [
       el("h2", {}, "Displacement"),
-      el("p", { class: "quiet" }, `${made} to ${recording.folder}/result.csv.`),
+      el("p", { class: "quiet" }, `${made}: result.csv in its folder.`),
       el("p", { class: "wrong" }, old ? "recording.toml was changed since: estimate again." : ""),
     ];
   }

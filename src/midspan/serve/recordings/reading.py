@@ -39,6 +39,8 @@ def recordings_at(where: Path) -> list[Path]:
     """The recording.toml that is meant, or those of the folders below. Raises UsageError for another file, DataError
     where there is none.
     """
+    if not where.exists():
+        raise DataError(f"{where}: not found. A recording is a folder with {RECORDING_FILE}, or that file.")
     if where.is_file() and where.suffix.lower() != ".toml":
         raise UsageError(f"{where}: is no {RECORDING_FILE}. `midspan init` writes one, `midspan inspect` shows a file.")
     if where.is_file() or (where / RECORDING_FILE).is_file():
