@@ -112,6 +112,8 @@ def test_a_displacement_sensor_that_nods_on_its_mast_is_found(hertz):
         found = calibrate_noise(measured(seed, 1.5e-3, rate=0.02 * hertz, omega=2.0 * np.pi * hertz), 0.0)
         assert found.sway is not None
         assert found.sway.hertz == pytest.approx(hertz, rel=0.1)
+        # The estimator has it as it was found.
+        assert found.slow_hz == (pytest.approx(found.sway.hertz) if found.sway.taken else 0.0)
         # A minute is one draw of what forgets in a minute: its size is told to a half.
         assert found.sway.std == pytest.approx(1.5e-3, rel=0.5)
 
