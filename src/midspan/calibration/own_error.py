@@ -34,6 +34,8 @@ MIN_DAMPING = 0.002
 OWN_SHARE = 0.25
 # By how much (logarithm) a density or noise beyond its bound is less likely, by the square of the ratio's logarithm.
 BEYOND = 100.0
+# Of the starts the likeliest this many are followed: a slow error shows at more than one.
+CLIMBED = 2
 # The logarithms of size, time, frequency and corner are found to this, in no more evaluations than these.
 TOLERANCE, MAX_EVALUATIONS = 0.02, 400
 # An error is one sensor's alone where by this many deviations more than half of it goes with that one.
@@ -226,16 +228,21 @@ class _Climb:
         )
 
     def best(self, starts: list[Floats]) -> Fit:
-        """The likeliest fit of those that the starts lead to."""
-        return max((self._climbed(start) for start in starts), key=lambda fit: fit.likelihood)
+        """The likeliest fit of those that the CLIMBED likeliest starts lead to."""
+        starts = [np.clip(start, *self._bounds_of(start).T) for start in starts]
+        chosen = sorted(starts, key=self._cost)[:CLIMBED]
+        return max((self._climbed(start) for start in chosen), key=lambda fit: fit.likelihood)
+
+    def _bounds_of(self, start: Floats) -> Floats:
+        bounds = self._bounds[: len(start)].copy()
+        if len(start) == len(self._bounds):
+            bounds[2, 0] -= np.log(MAX_TIMES)
+        return bounds
 
     def _climbed(self, start: Floats) -> Fit:
         from scipy.optimize import minimize
 
-        bounds = self._bounds[: len(start)].copy()
-        if len(start) == len(self._bounds):
-            bounds[2, 0] -= np.log(MAX_TIMES)
-        start = np.clip(start, *bounds.T)
+        bounds = self._bounds_of(start)
         # The frequency is known better than half an octave.
         simplex = np.vstack((start, start + np.diag([0.5, 0.5, 0.5, 0.1])[: len(start), : len(start)]))
         options = {"xatol": TOLERANCE, "fatol": 0.1, "maxfev": MAX_EVALUATIONS, "initial_simplex": simplex}

@@ -134,15 +134,21 @@ class ScaleCalibration:
 
 
 def calibrate_scale(
-    pair: Pair, max_offset_s: float, *, exposure_declared: bool = False, clocks_open: bool = False
+    pair: Pair,
+    max_offset_s: float,
+    *,
+    exposure_declared: bool = False,
+    clocks_open: bool = False,
+    slow_errors: bool = True,
 ) -> ScaleCalibration:
     """Estimate scale factor (signed), time offset and noise levels by maximum likelihood.
 
     pair: translation in px with the tracker's variances, and the acceleration, of about one minute.
     max_offset_s: largest clock offset searched for, s; exposure_declared: whether the pair's exposure is the camera's
     own; clocks_open: whether the clocks may be farther apart than `max_offset_s`, so that an offset beyond it that fits
-    alike is refused too. Raises UntrustedError with the reason when there is too little motion, when two offsets fit
-    alike, or when the sensors do not agree; NoAgreementError with the offset where they agree better beyond the range.
+    alike is refused too; slow_errors: whether a slow error and a gain that drifts are looked for. Raises
+    UntrustedError with the reason when there is too little motion, when two offsets fit alike, or when the sensors do
+    not agree; NoAgreementError with the offset where they agree better beyond the range.
     """
     instance("pair", pair, Pair, "a Pair of acceleration and translation")
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
@@ -173,8 +179,10 @@ def calibrate_scale(
             _refuse_better(pair, _rival(pair, search, max_offset_s), max_offset_s, refuse, accepted=False)
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
-    drift = gain_drift(search.pair, search.fit)
-    own, felt_alone = _own_error(search, typical, errs_with_motion=drift > 0.0 or response.accelerometer_errs)
+    drift, own, felt_alone = 0.0, None, False
+    if slow_errors:
+        drift = gain_drift(search.pair, search.fit)
+        own, felt_alone = _own_error(search, typical, errs_with_motion=drift > 0.0 or response.accelerometer_errs)
     # What a mounting that resonates errs by is more than its shape.
     felt_alone = felt_alone and Kind.RESONANCE not in response.known
     search = axis.widened(search if own is None or not own.taken else replace(search, pair=own.pair, fit=own.fit))

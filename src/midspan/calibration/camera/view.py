@@ -156,10 +156,18 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
     return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross, lines=view.prepared.lines)
 
 
-def scale_of(view: View, pair: Pair) -> ScaleCalibration:
-    """Scale factor, clock offset beyond the view's and noise of a target; UntrustedError where it is refused."""
-    declared = view.exposure_s is not None
-    return calibrate_scale(pair, view.max_offset_s, exposure_declared=declared, clocks_open=view.clocks_open)
+def scale_of(view: View, pair: Pair, *, slow_errors: bool = True) -> ScaleCalibration:
+    """Scale factor, clock offset beyond the view's and noise of a target; UntrustedError where it is refused.
+
+    slow_errors: as of `calibrate_scale`.
+    """
+    return calibrate_scale(
+        pair,
+        view.max_offset_s,
+        exposure_declared=view.exposure_s is not None,
+        clocks_open=view.clocks_open,
+        slow_errors=slow_errors,
+    )
 
 
 def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> tuple[ScaleFactor, TimeOffset]:
@@ -215,7 +223,8 @@ def judged_by(view: View, track: PixelTrack) -> Agreement:
     """What the accelerometer says of a place that was followed for a while."""
     try:
         pair = camera_pair(view, track, view.exposure_s or 0.0)
-        found = scale_of(replace(view, clocks_open=False), pair)
+        # Slow errors are the camera's, alike in all places.
+        found = scale_of(replace(view, clocks_open=False), pair, slow_errors=False)
     except UntrustedError as error:
         text = str(error)
         return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))
