@@ -179,12 +179,7 @@ def calibrate_scale(
             _refuse_better(pair, _rival(pair, search, max_offset_s), max_offset_s, refuse, accepted=False)
             raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
-    drift, own, felt_alone = 0.0, None, False
-    if slow_errors:
-        drift = gain_drift(search.pair, search.fit)
-        own, felt_alone = _own_error(search, typical, errs_with_motion=drift > 0.0 or response.accelerometer_errs)
-    # What a mounting that resonates errs by is more than its shape.
-    felt_alone = felt_alone and Kind.RESONANCE not in response.known
+    drift, own, felt_alone = _slow_errors(search, typical, response) if slow_errors else (0.0, None, False)
     search = axis.widened(search if own is None or not own.taken else replace(search, pair=own.pair, fit=own.fit))
     fit = search.fit
     return ScaleCalibration(
@@ -211,12 +206,18 @@ def _refuse_untrusted(search: OffsetSearch, *, noise: float, max_offset_s: float
     _refuse_ambiguity(search, max_offset_s)
 
 
-def _own_error(search: OffsetSearch, typical: float, *, errs_with_motion: bool) -> tuple[OwnError | None, bool]:
-    """As `find_own_error`; what goes with the motion, as a gain that changes, is no sway of the camera."""
+def _slow_errors(
+    search: OffsetSearch, typical: float, response: FrequencyResponse
+) -> tuple[float, OwnError | None, bool]:
+    """A gain that drifts as of `gain_drift`, and as of `find_own_error`; what goes with the motion, as such a gain, is
+    no sway of the camera.
+    """
+    drift = gain_drift(search.pair, search.fit)
     own, felt_alone = find_own_error(search.pair, search.fit, typical)
-    if errs_with_motion and (own is None or own.sways):
-        return None, True
-    return own, felt_alone
+    if (drift > 0.0 or response.accelerometer_errs) and (own is None or own.sways):
+        own, felt_alone = None, True
+    # What a mounting that resonates errs by is more than its shape.
+    return drift, own, felt_alone and Kind.RESONANCE not in response.known
 
 
 def _refuse_few(usable: int, max_offset_s: float) -> None:
