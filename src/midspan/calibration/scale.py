@@ -146,9 +146,8 @@ def calibrate_scale(
     pair: translation in px with the tracker's variances, and the acceleration, of about one minute.
     max_offset_s: largest clock offset searched for, s; exposure_declared: whether the pair's exposure is the camera's
     own; clocks_open: whether the clocks may be farther apart than `max_offset_s`, so that an offset beyond it that fits
-    alike is refused too; slow_errors: whether a slow error and a gain that drifts are looked for. Raises
-    UntrustedError with the reason when there is too little motion, when two offsets fit alike, or when the sensors do
-    not agree; NoAgreementError with the offset where they agree better beyond the range.
+    alike is refused too; slow_errors: whether those are looked for. Raises UntrustedError with the reason: too little
+    motion, two offsets that fit alike, sensors that do not agree; NoAgreementError where they do beyond the range.
     """
     instance("pair", pair, Pair, "a Pair of acceleration and translation")
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
