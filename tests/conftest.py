@@ -117,3 +117,16 @@ def footbridge_copy(footbridge: Path, tmp_path: Path) -> Path:
 def gnss(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scenario `gnss`: an accelerometer and heights at 1 Hz, no camera; not to be changed."""
     return write("gnss", tmp_path_factory.mktemp("simulated") / "gnss")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a window; each module its own, for its loop would be in the way of other tests."""
+    play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium is on the PATH")
+    with play.sync_playwright() as running:
+        started = running.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield started
+        started.close()

@@ -79,7 +79,7 @@ BANNED = {
     r"folded": "aliased",
     r"(stands?|stood|standing) still": "is static, frozen",
     r"eyes?": "camera",
-    r"so many": "this many",
+    r"[Ss]o many": "this many",
     r"_?(MOST|LEAST|FEWEST)_\w+": "MAX_, MIN_",
 }
 ROOT = Path(__file__).parents[1]

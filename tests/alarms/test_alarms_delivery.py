@@ -16,15 +16,7 @@ from midspan.alarms.machine import Alarm
 from midspan.alarms.messages import tree_of
 from midspan.alarms.senders import deliver_to, target_of
 from midspan.settings.alarms import NotifySettings
-
-
-def until(condition, seconds=10.0):
-    end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s:
-        if value := condition():
-            return value
-        time.sleep(0.01)
-    raise TimeoutError
+from served import until
 
 
 def alarm(number, state="firing"):

@@ -1,6 +1,5 @@
 """A store with ten minutes of rows, an engine that says what a test lets it, and the server's own process on both."""
 
-import shutil
 import time
 
 import pytest
@@ -70,16 +69,3 @@ def admin(served, tokens):
     """A client that may do everything."""
     with served.client(tokens["admin"]) as client:
         yield client
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """A browser without a window; each module its own, for its loop would be in the way of other tests."""
-    play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no Chromium is on the PATH")
-    with play.sync_playwright() as running:
-        started = running.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield started
-        started.close()

@@ -31,7 +31,7 @@ def part(begin_ns, k):
 
 
 async def received(client, count):
-    """So many messages with rows."""
+    """A number of messages with rows."""
     found = []
     while len(found) < count:
         message = json.loads(await asyncio.wait_for(client.recv(), 20.0))

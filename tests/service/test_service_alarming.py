@@ -14,6 +14,7 @@ from midspan.service.mqtt import Broker
 from midspan.service.running import Stream
 from midspan.settings.site import load_site
 from midspan.store.chunk import Chunk
+from served import until
 
 SITE = """
 name = "river bridge"
@@ -44,15 +45,6 @@ def chunk(mm, seconds=0.1):
         "velocity_m_s": np.zeros(count, dtype=np.float32), "status": np.zeros(count, dtype=np.int8),
     }  # fmt: skip
     return Chunk("p", "rows", time_ns, columns, 1, "displacement_m")
-
-
-def until(condition, seconds=20.0):
-    end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s:
-        if value := condition():
-            return value
-        time.sleep(0.01)
-    raise TimeoutError
 
 
 @pytest.fixture

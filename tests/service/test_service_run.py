@@ -30,7 +30,7 @@ from midspan.store.store import Batch, open_store
 # The structure's motion: (mm, Hz, rad).
 MOTION = ((3.0, 1.3, 0.0), (2.0, 0.6, 1.0), (1.0, 2.9, 0.0))
 NOISE_MM, NOISE_M_S2 = 0.1, 2e-3
-# So many seconds of records come in a second, which is no matter to the engine; LATER_S: records after the restart.
+# This many seconds of records come in a second, which is no matter to the engine; LATER_S: records after the restart.
 FASTER, BLOCK_S, LATER_S = 4.0, 0.2, 20.0
 SITE = """
 name = "site"

@@ -18,7 +18,7 @@ use super::settings::MAX_AXES;
 use super::way_back::WayBack;
 use crate::track::vector::vectorised;
 
-/// So many samples at once stay in the nearest memory.
+/// This many samples at once stay in the nearest memory.
 const MAX_SEGMENT: usize = 128;
 
 /// Where rows and nodes go.

@@ -2,6 +2,7 @@
 
 import { Chart, type Drawn, type Mark } from "../charts/chart.ts";
 import { load, type Loaded } from "../charts/series.ts";
+import { listStatistics } from "../charts/figures.ts";
 import { TimeWindow } from "../charts/window.ts";
 import { button, choice, el, say } from "../dom.ts";
 import { emptyEnvelope, statistics } from "../rows.ts";
@@ -145,19 +146,7 @@ export class Trace {
     const [from, to] = [this.#window.fromMs / 1000, this.#window.toMs / 1000];
     this.#chart?.draw([from, to], drawn, this.#marks);
     say(this.#shown, `${this.#instant(from)} to ${this.#instant(to)} (${duration(to - from)}), accelerometer's clock`);
-    const found = statistics(result.envelope, result.areRows);
-    const figures: [string, string][] = found
-      ? [
-          ["least", `${signed(found.low, 3)} mm`],
-          ["largest", `${signed(found.high, 3)} mm`],
-          ["range", `${(found.high - found.low).toFixed(3)} mm`],
-          ["mean", `${signed(found.mean, 3)} mm`],
-        ]
-      : [["shown", "no rows"]];
-    if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
-    this.#figures.replaceChildren(
-      ...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))),
-    );
+    listStatistics(this.#figures, statistics(result.envelope, result.areRows));
   }
 
   #instant(seconds: number): string {

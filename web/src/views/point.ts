@@ -4,6 +4,7 @@ import { showAlarms } from "../alarms.ts";
 import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
 import { Chart, type Level, type Mark } from "../charts/chart.ts";
 import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.ts";
+import { listStatistics } from "../charts/figures.ts";
 import { SPANS, TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
 import { emptyEnvelope, ofRows, statistics, within } from "../rows.ts";
@@ -241,20 +242,8 @@ class PointView {
     const marks: Mark[] = this.#events.map((one) => ({ x: one.time_ns / 1e9, kind: one.kind }));
     this.#chart.draw([from, to], [{ envelope: all }], marks, this.#levels);
     say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
-    const found = statistics(all, this.#loaded.areRows);
-    const figures: [string, string][] = found
-      ? [
-          ["least", `${signed(found.low, 3)} mm`],
-          ["largest", `${signed(found.high, 3)} mm`],
-          ["range", `${(found.high - found.low).toFixed(3)} mm`],
-          ["mean", `${signed(found.mean, 3)} mm`],
-        ]
-      : [["shown", "no rows"]];
-    if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
-    for (const { y, name } of this.#levels) if (y > 0) figures.push([`limit ${name}`, `±${y} mm`]);
-    this.#figures.replaceChildren(
-      ...figures.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))),
-    );
+    const limits = this.#levels.filter(({ y }) => y > 0).map(({ y, name }) => [`limit ${name}`, `±${y} mm`] as const);
+    listStatistics(this.#figures, statistics(all, this.#loaded.areRows), limits);
   }
 
   #read(x: number | null, values: (number | null)[]): void {

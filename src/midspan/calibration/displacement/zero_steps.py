@@ -21,7 +21,7 @@ from midspan.signals.stamps import shown
 # A step is looked for at this many of the largest innovations: at its own instant it is one of them, and few others
 # are as large by chance or after it.
 LARGEST = 5
-# So many steps are taken out of a record at most, in as many fits; a zero that steps more often is no zero.
+# The largest number of steps that are taken out of a record; a zero that steps more often is no zero.
 MAX_STEPS = 12
 
 
