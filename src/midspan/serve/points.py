@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.background import BackgroundTask
 
 from midspan.records import NANOSECONDS
@@ -52,6 +52,9 @@ class PointState(BaseModel):
     age_s: float | None
     since: str | None = Field(None, description="when status and reason became so, as far as this server saw it")
     calibration: int | None = None
+    stage: str = Field("", description="capturing, calibrating or opening; empty where nothing is prepared")
+    stage_left_s: float | None = Field(None, description="how long that still takes, s; null where it is not known")
+    latency_s: float | None = Field(None, description="how much later than its stamp a row comes, median, s")
 
 
 class Series(BaseModel):
@@ -70,13 +73,22 @@ class EventBody(BaseModel):
     text: str
 
 
+class Span(BaseModel):
+    """A span of time, ISO 8601 UTC; its rows have gaps of half an hour at most."""
+
+    model_config = ConfigDict(populate_by_name=True)
+    begin: str = Field(alias="from")
+    to: str
+
+
 class CalibrationBody(BaseModel):
-    """A calibration of the store; state: in force, offered, refused or retired."""
+    """A calibration of the store; state: in force, offered, refused or retired; rows: when it made rows."""
 
     id: int
     time: str
     state: str
     calibration: dict[str, Any]
+    rows: list[Span] = Field([], description="the newest 50 spans of rows that were made with it")
 
 
 class SpectrumBody(BaseModel):

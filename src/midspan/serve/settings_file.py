@@ -26,10 +26,16 @@ TEXT = {"text/plain": {"schema": {"type": "string"}}}
 
 
 class SettingsDone(BaseModel):
-    """What became of new settings; restart: keys that hold only once `midspan run` is started again."""
+    """What became of new settings, or would; restart: keys that hold only once `midspan run` is started again.
+
+    added, changed, removed: names of the points that begin, end and begin anew, and end; the others go on.
+    """
 
     text: str
     restart: list[str]
+    added: list[str] = []
+    changed: list[str] = []
+    removed: list[str] = []
 
 
 def tag_of(content: bytes) -> str:

@@ -31,7 +31,16 @@ class SourceState(BaseModel):
     skipped: int
     stamps: str
     address: str
-    rate_hz: float | None = Field(None, description="records (frames, or blocks of values) a second")
+    rate_hz: float | None = Field(None, description="frames, or values, a second, by the newest stamps")
+    nominal_rate_hz: float | None = Field(None, description="the same as the recording has it that the point runs with")
+    delay_s: float | None = Field(None, description="how much later than its stamp a record comes, median, s")
+    late: int | None = Field(None, description="values and frames left out: too late, out of order or doubled")
+    restarts: int | None = Field(None, description="how often the source was opened again")
+    clock_offset_s: float | None = Field(
+        None, description="added to its stamps for the accelerometer's clock: as calibrated and as estimated since, s"
+    )
+    clock_offset_std_s: float | None = Field(None, description="standard deviation of that, s")
+    clock_drift_ppm: float | None = Field(None, description="how fast the offset changes, as estimated, ppm")
 
 
 class Pause(BaseModel):
