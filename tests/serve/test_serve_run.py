@@ -7,11 +7,14 @@ import subprocess
 import time
 
 import httpx
+import numpy as np
 import pytest
 from benchmarks.live.servers import command, free_port
 
 from midspan.errors import UsageError
+from midspan.service.stored_recording import stored_table
 from midspan.service.supervise import in_force_file, settings_of
+from midspan.store.store import open_store
 from served import logged_in, until
 
 SITE = """name = "site"
@@ -117,16 +120,21 @@ def test_wrong_settings_leave_page_login_and_what_was_in_force(site, tmp_path):
     assert run.client.put("/api/v1/settings", content=run.text, headers=headers).status_code == 200
     until(lambda: run.client.get("/api/v1/health").json()["settings"] is None)
     until(lambda: run.reasons().get("displacement") == "not_found")
-    # A right file may name what is not there: what ran before goes on.
+    # A right file may name what is not there: it is not written, and what ran before goes on.
     missing = run.text.replace('name = "p"', 'name = "p"\ncalibration = "none.json"')
     etag = run.client.get("/api/v1/settings").headers["etag"]
     headers["If-Match"] = etag
-    assert run.client.put("/api/v1/settings", content=missing, headers=headers).status_code == 200
+    refused = run.client.put("/api/v1/settings", content=missing, headers=headers)
+    assert (refused.status_code, "none.json" in refused.json()["detail"]) == (422, True)
+    assert run.client.get("/api/v1/settings").text == run.text
+    assert run.client.get("/api/v1/health").json()["settings"] is None
+    # The server went on.
+    assert pid_of_server(run) == server
+    run.write(missing)
+    run.restart()
     fault = until(lambda: run.client.get("/api/v1/health").json()["settings"])
     assert "none.json" in fault["text"]
     until(lambda: run.reasons().get("displacement") == "not_found")
-    # The server went on.
-    assert pid_of_server(run) == server
     assert run.log.count("password: ") == 1
 
 
@@ -254,3 +262,76 @@ def rows_of(run):
     answer = run.client.get("/api/v1/points/p/series")
     table = answer.json() if answer.status_code == 200 else {}
     return table if len(table.get("time", [])) > 100 else None
+
+
+REPLAYED = """[[point]]
+name = "{name}"
+calibration = "p.json"
+{more}
+[point.accelerometer]
+source = "replay:{recording}"
+[point.camera]
+source = "replay:{recording}"
+direction = "y"
+"""
+
+
+def put(run, text, etag="*", **options):
+    answer = run.client.put("/api/v1/settings", content=text, headers={"If-Match": etag}, **options)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def source_of(run, name):
+    return next(one for one in run.client.get("/api/v1/sources").json() if one["name"] == name)
+
+
+def test_points_that_new_settings_leave_as_they_are_lose_no_row(site, footbridge, tmp_path):
+    """One point is added and one changed while a third runs: its rows, its counts and its camera's process go on."""
+    from midspan.cli.main import run as command_line
+
+    assert command_line(["calibrate", str(footbridge), "-o", str(tmp_path / "p.json"), "--quiet"]) == 0
+    point = lambda name, more="": REPLAYED.format(name=name, more=more, recording=footbridge)  # noqa: E731
+    replay = f"replay:{footbridge}"
+    run = site(
+        calibration='calibration = "p.json"', accelerometer=replay, kind="camera", source=replay,
+        more='direction = "y"\n' + point("b"),
+    )  # fmt: skip
+    run.client.headers["Authorization"] = f"Bearer {logged_in(tmp_path / 'store', 'script', 'admin')}"
+    until(lambda: tracking(run))
+    before, cameras = source_of(run, "p.accelerometer"), processes_of(run)
+    changed = run.text.replace(point("b"), point("b", 'method = "lag"') + point("c"))
+    expected = {"restart": [], "added": ["c"], "changed": ["b"], "removed": []}
+    # What would happen is said before it does.
+    tried = put(run, changed, params={"dry_run": "true"})
+    assert {key: tried[key] for key in expected} == expected
+    assert "Not written" in tried["text"]
+    assert (tmp_path / "SITE.toml").read_text() == run.text
+    done = put(run, changed)
+    assert {key: done[key] for key in expected} == expected
+    names = lambda: [one["name"] for one in run.client.get("/api/v1/points").json()]  # noqa: E731
+    until(lambda: names() == ["p", "b", "c"])
+    until(lambda: (tmp_path / ".SITE.toml.in-force").read_text() == changed)
+    until(lambda: source_of(run, "c.camera")["records"] > 0)
+    assert len(processes_of(run) & cameras) == len(cameras) - 1
+    after = source_of(run, "p.accelerometer")
+    assert after["records"] > before["records"]
+    until(lambda: source_of(run, "p.accelerometer")["reason"] == "ended")
+    # Removing one leaves the others, too.
+    done = put(run, changed.replace(point("c"), ""))
+    assert (done["removed"], done["added"], done["changed"]) == (["c"], [], [])
+    until(lambda: names() == ["p", "b"])
+    run.stop()
+    store = open_store(tmp_path / "store", read_only=True)
+    times = stored_table(store, "p", None, None).time_ns
+    store.close()
+    # 25 s of 100 Hz but for the last seconds, each once, and no gap since the point was opened from its first 5 s.
+    assert len(times) > 2000
+    assert set(np.diff(times)[600:]) == {10**7}
+    assert np.diff(times).min() == 10**7
+
+
+def processes_of(run):
+    """The processes of cameras."""
+    found = subprocess.run(["pgrep", "-P", str(run.process.pid), "-f", "spawn_main"], capture_output=True, text=True)
+    return set(found.stdout.split())

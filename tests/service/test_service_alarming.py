@@ -155,7 +155,7 @@ def test_no_data_is_looked_for_with_the_clock(tmp_path):
     (tmp_path / "store").mkdir()
 
     class Point:
-        name = "p"
+        name, made_s = "p", 0.0
         streams: ClassVar = {"accelerometer": Stream("p", "accelerometer", "mqtt:b/acceleration")}
 
     frames, point = [], Point()

@@ -4,7 +4,7 @@ import queue
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +53,24 @@ class Delivery(threading.Thread):
             self._failed(error)
         return self.book
 
+    def change(self, targets: Mapping[str, Deliver]) -> None:
+        """Deliver to other targets; those that are as they were go on, and what waits for others of the same name is
+        theirs.
+        """
+        before, self.senders = self.senders, {
+            name: old if (old := self.senders.get(name)) is not None and old.deliver == deliver
+            else Sender(name, deliver, self._done)
+            for name, deliver in targets.items()
+        }  # fmt: skip
+        gone = [old for name, old in before.items() if self.senders.get(name) is not old]
+        _stop(gone)
+        for old in gone:
+            if (new := self.senders.get(old.target)) is not None:
+                new.take_over(old)
+        for name, sender in self.senders.items():
+            if before.get(name) is not sender:
+                sender.start()
+
     def put(self, entry: Entry) -> None:
         """Queue what happened; where too much waits it is lost, and said."""
         try:
@@ -75,12 +93,7 @@ class Delivery(threading.Thread):
         self._ending.set()
         if self.is_alive():
             self.join(5.0)
-        for sender in self.senders.values():
-            sender.stop()
-        until_s = time.monotonic() + END_S
-        for sender in self.senders.values():
-            if sender.is_alive():
-                sender.join(max(until_s - time.monotonic(), 0.0))
+        _stop(list(self.senders.values()))
         if self.book is not None:
             self.book.close()
 
@@ -142,3 +155,13 @@ class Delivery(threading.Thread):
             self.book.delivered(message.number)
         except MidspanError as error:
             self._failed(error)
+
+
+def _stop(senders: Sequence[Sender]) -> None:
+    """End senders, all together within `END_S`."""
+    for sender in senders:
+        sender.stop()
+    until_s = time.monotonic() + END_S
+    for sender in senders:
+        if sender.is_alive():
+            sender.join(max(until_s - time.monotonic(), 0.0))

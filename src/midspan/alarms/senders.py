@@ -38,7 +38,7 @@ class Sender(threading.Thread):
     def __init__(self, target: str, deliver: Deliver, done: Callable[[Message, str], None]) -> None:
         super().__init__(name=f"notify {target}", daemon=True)
         self.target, self.fault, self.sent, self.sent_s = target, "", 0, 0.0
-        self._deliver, self._done = deliver, done
+        self.deliver, self._done = deliver, done
         self._waiting: deque[Message] = deque()
         self._some, self._ending = threading.Event(), threading.Event()
 
@@ -52,6 +52,11 @@ class Sender(threading.Thread):
         self._waiting.append(message)
         if len(self._waiting) > MAX_WAITING:
             self._done(self._waiting.popleft(), f"more than {MAX_WAITING} messages waited")
+        self._some.set()
+
+    def take_over(self, other: "Sender") -> None:
+        """What another one, which has ended, has not delivered goes first."""
+        self._waiting.extendleft(reversed(other._waiting))
         self._some.set()
 
     def stop(self) -> None:
@@ -69,7 +74,7 @@ class Sender(threading.Thread):
                 continue
             message = self._waiting[0]
             try:
-                self._deliver(message)
+                self.deliver(message)
             except (OSError, http.client.HTTPException, smtplib.SMTPException, ValueError) as error:
                 self.fault = f"{type(error).__name__}: {error}"[:300]
                 if time.time() - message.time_ns / 1e9 > MAX_AGE_S:

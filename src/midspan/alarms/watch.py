@@ -57,18 +57,58 @@ class Watch:
         *,
         mqtt: bool = False,
     ) -> None:
-        self._maintenance, self._targets, self._put, self._mqtt = maintenance, targets, put, mqtt
-        self._watched = {
-            rule.key: Watched(rule) for point, own in alarms.items() for one in own for rule in rules_of(point, one)
-        }
-        self._of_point = {point: [one for one in self._watched.values() if one.rule.point == point] for point in alarms}
+        self._put = put
+        self._watched: dict[str, Watched] = {}
+        self._set(alarms, maintenance, targets, mqtt=mqtt)
         self._silences: dict[str, dict[str, Any]] = {}
         # Those that ended, of which something is left to say.
         self._ended: list[Alarm] = []
 
+    def _set(
+        self,
+        alarms: Mapping[str, Sequence[AlarmSettings]],
+        maintenance: Sequence[MaintenanceSettings],
+        targets: Sequence[str],
+        *,
+        mqtt: bool,
+    ) -> None:
+        self._maintenance, self._targets, self._mqtt = maintenance, targets, mqtt
+        rules = [rule for point, own in alarms.items() for one in own for rule in rules_of(point, one)]
+        # A rule that is as it was goes on in what it counts.
+        self._watched = {
+            rule.key: old if (old := self._watched.get(rule.key)) is not None and old.rule == rule else Watched(rule)
+            for rule in rules
+        }
+        self._of_point = {point: [one for one in self._watched.values() if one.rule.point == point] for point in alarms}
+
+    def change(
+        self,
+        alarms: Mapping[str, Sequence[AlarmSettings]],
+        maintenance: Sequence[MaintenanceSettings],
+        targets: Sequence[str],
+        now_ns: int,
+        *,
+        mqtt: bool,
+    ) -> None:
+        """Go on with other settings: an open alarm stays where there is a rule of its name, else it ends."""
+        before = self._watched
+        self._set(alarms, maintenance, targets, mqtt=mqtt)
+        for key, old in before.items():
+            new = self._watched.get(key)
+            if new is old:
+                continue
+            kept = {} if old.rule.on != "drift" else {DRIFT + key: old.mean.to_tree()}
+            self._adopt([] if old.state.alarm is None else [old.state.alarm], kept, now_ns)
+            if new is not None:
+                new.state.newest_ns = max(new.state.newest_ns, old.state.newest_ns)
+
     def restore(self, alarms: Sequence[Alarm], kept: Mapping[str, Any], now_ns: int) -> None:
         """Go on from what the book holds; what SITE.toml no longer has has ended."""
         self._silences = {key.removeprefix(SILENCE): tree for key, tree in kept.items() if key.startswith(SILENCE)}
+        self._adopt(alarms, kept, now_ns)
+
+    def _adopt(self, alarms: Sequence[Alarm], kept: Mapping[str, Any], now_ns: int) -> None:
+        """Give alarms and daily means to the rules that have their keys."""
         for key, watched in self._watched.items():
             if DRIFT + key in kept:
                 watched.mean = DailyMean.of_tree(kept[DRIFT + key])
@@ -103,7 +143,10 @@ class Watch:
     def tick(self, now_ns: int, ages: Mapping[str, Ages], disk_percent: float | None) -> None:
         """Look at what does not come, and at how much of the disk is used, %; ages: by the points' names."""
         for one in self._watched.values():
-            age = ages[one.rule.point]
+            age = ages.get(one.rule.point)
+            if age is None:
+                # Its point is being begun.
+                continue
             values = {"no_data": age.rows_s, "silent": age.block_s, "disk": disk_percent}
             came = {"no_data": age.rows_came, "silent": age.block_came}.get(one.rule.on, True)
             value = values.get(one.rule.on)

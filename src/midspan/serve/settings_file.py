@@ -5,11 +5,11 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel
 
@@ -18,6 +18,8 @@ from midspan.serve.engine_link import AwayError
 from midspan.serve.login import ADMIN
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
+from midspan.service.changes import Changes
+from midspan.service.live_socket import Tree
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import load_site, require_folders
 from midspan.writing import cannot_be_written, write_whole
@@ -87,10 +89,33 @@ def on_trial(file: Path, content: bytes) -> Iterator[Path]:
         os.unlink(name)
 
 
-def require_valid(file: Path, content: bytes) -> None:
-    """Raises Problem 422 with the key for settings that a site could not run with."""
+async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
+    """What settings would change. Raises Problem 422 with the key for those that a site could not run with."""
     with on_trial(file, content) as trial:
-        require_folders(load_site(trial))
+        changes = await serving.quick.run(changes_of, file, trial)
+        try:
+            answer, _ = await serving.link.ask("reload", trial=str(trial))
+        except AwayError:
+            text = "Not written. They hold once `midspan run` is started."
+            return SettingsDone(text=text, restart=[], **changes.to_dict())
+    return done(answer)
+
+
+def changes_of(file: Path, trial: Path) -> Changes:
+    """What the settings of a file would change of those of another one, where nothing runs with them. Raises what is
+    wrong with them.
+    """
+    site = load_site(trial)
+    require_folders(site)
+    with suppress(MidspanError):
+        return Changes.between(load_site(file), site)
+    return Changes.between(None, site)
+
+
+def done(answer: Tree) -> SettingsDone:
+    """What the engine says of settings."""
+    names = {key: list(answer.get(key, [])) for key in ("added", "changed", "removed")}
+    return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]), **names)
 
 
 routes = APIRouter(prefix="/settings", tags=["settings"])
@@ -123,17 +148,20 @@ async def change(
     response: Response,
     serving: Shared,
     if_match: Annotated[str | None, Header(max_length=200)] = None,
+    dry_run: Annotated[bool, Query(description="only say what would happen")] = False,
 ) -> SettingsDone:
-    """Check new settings and put them in force; the measuring begins anew with them."""
+    """Check new settings and put them in force; the points that they leave as they are lose no row."""
     content = await text_of(request, if_match)
     async with serving.changing:
         file = file_of(serving)
         require_unchanged(file, if_match)
-        await serving.quick.run(require_valid, file, content)
+        found = await tried(serving, file, content)
+        if dry_run:
+            return found
         write_whole(file, content, mode=stat.S_IMODE(file.stat().st_mode))
     response.headers["ETag"] = tag_of(content)
     try:
         answer, _ = await serving.link.ask("reload")
     except AwayError:
-        return SettingsDone(text="Written. They hold once `midspan run` is started.", restart=[])
-    return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]))
+        return found.model_copy(update={"text": "Written. They hold once `midspan run` is started."})
+    return done(answer)

@@ -1,5 +1,6 @@
 """The alarms of a running site: rows and ages to the rules, changes to the book, the broker, the page and people."""
 
+import asyncio
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -15,6 +16,7 @@ from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker
 from midspan.service.places import place_of
 from midspan.service.running import Running
+from midspan.settings.alarms import AlarmSettings
 from midspan.settings.site import Site
 from midspan.store.chunk import Chunk
 
@@ -30,28 +32,30 @@ class MqttTarget:
 
     def __init__(self) -> None:
         self.broker: Broker | None = None
-        self._under_way: tuple[Message, Any] | None = None
+        self._under_way: tuple[Broker, Message, Any] | None = None
 
     def __call__(self, message: Message) -> None:
         """Raises OSError until the broker has it."""
-        if self.broker is None:
+        broker = self.broker
+        if broker is None:
             raise OSError("the broker is away")
-        if self._under_way is None or self._under_way[0] is not message:
+        if self._under_way is None or self._under_way[0] is not broker or self._under_way[1] is not message:
             # A test is for whoever listens now.
             retain = message.tree["state"] != "test"
-            sent = self.broker.deliver(message.topic, body_of(message.tree), retain=retain, wait_s=PUBLISH_S)
-            self._under_way = (message, sent)
+            sent = broker.deliver(message.topic, body_of(message.tree), retain=retain, wait_s=PUBLISH_S)
+            self._under_way = (broker, message, sent)
         with suppress(RuntimeError, ValueError):
-            self._under_way[1].wait_for_publish(PUBLISH_S)
-        if not self._under_way[1].is_published():
+            self._under_way[2].wait_for_publish(PUBLISH_S)
+        if not self._under_way[2].is_published():
             raise OSError("the broker has not acknowledged it yet")
         self._under_way = None
 
 
 def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -> Ages:
     """How long ago a point's newest row came (row_s: when), and the newest record of the source that is silent longest.
-    Of what is paused nothing is expected.
+    Of what is paused nothing is expected. begun_s: since when anything is expected.
     """
+    begun_s = max(begun_s, point.made_s)
     streams = point.streams.values()
     row_s = now_s if any(stream.paused for stream in streams) else row_s
     heard_s = [stream.heard_s for stream in streams if not stream.paused]
@@ -64,18 +68,25 @@ def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -
     )
 
 
+def alarms_of(site: Site) -> dict[str, tuple[AlarmSettings, ...]]:
+    """The alarms of each point."""
+    return {plan.name: plan.alarms for plan in site.points}
+
+
+def people_of(site: Site) -> list[str]:
+    """The names of the targets that people read."""
+    return [target_of(one) for one in site.settings.notify]
+
+
 class Alarming:
     """say: takes one line for a person; frame: takes what goes to the page's server."""
 
     def __init__(self, site: Site, say: Callable[[str], None], frame: Callable[[Tree], None]) -> None:
         self._site, self._say, self._frame = site, say, frame
         self._mqtt = MqttTarget()
-        people = {target_of(one): deliver_to(one, site.name) for one in site.settings.notify}
-        has_broker = site.settings.mqtt is not None
-        targets: dict[str, Deliver] = {**({MQTT_TARGET: self._mqtt} if has_broker else {}), **people}
-        self.delivery = Delivery(place_of(site.store), targets, say)
-        alarms = {plan.name: plan.alarms for plan in site.points}
-        self._watch = Watch(alarms, site.settings.maintenance, list(people), self._put, mqtt=has_broker)
+        self.delivery = Delivery(place_of(site.store), self._targets_of(site), say)
+        watched = (alarms_of(site), site.settings.maintenance, people_of(site))
+        self._watch = Watch(*watched, self._put, mqtt=site.settings.mqtt is not None)
         self._begun_s = self._looked_s = time.time()
         self._is_open, self._is_faulty = False, False
         # When each point's newest row came: those that a restart makes again are none.
@@ -100,6 +111,17 @@ class Alarming:
                 self._say(f"alarms: what was kept cannot be read ({error}); they begin anew.")
         self.delivery.start()
         self._begun_s, self._is_open = time.time(), True
+
+    def _targets_of(self, site: Site) -> dict[str, Deliver]:
+        own: dict[str, Deliver] = {} if site.settings.mqtt is None else {MQTT_TARGET: self._mqtt}
+        return {**own, **{target_of(one): deliver_to(one, site.name) for one in site.settings.notify}}
+
+    async def change(self, site: Site) -> None:
+        """Go on with other settings; called in the loop that gives the rows."""
+        self._site = site
+        watched = (alarms_of(site), site.settings.maintenance, people_of(site))
+        self._watch.change(*watched, time.time_ns(), mqtt=site.settings.mqtt is not None)
+        await asyncio.to_thread(self.delivery.change, self._targets_of(site))
 
     def connect(self, broker: Broker) -> None:
         """The broker that changes go to."""

@@ -8,10 +8,12 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from midspan.errors import DataError, UntrustedError
 from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.service.point import LivePoint
+from midspan.settings.kinds import KINDS
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, calibration_from_dict, load_calibration
 from midspan.store.store import Store
@@ -21,17 +23,30 @@ CHIRPS = "chirps"
 
 
 def number_in_force(live: LivePoint, store: Store, folder: Path) -> int:
-    """The number of the calibration in force: that of the site's file, else the store's own; 0 without one.
+    """The number of the calibration in force: that of the site's file, else the store's own; 0 without one, or where it
+    was made for other sensors.
 
     folder: of the site's file, which `calibration` is relative to.
     """
     given = live.plan.settings.calibration
     if given is None:
         in_force = store.calibration(live.name)
-        return in_force.number if in_force else 0
+        return in_force.number if in_force is not None and _is_of(in_force.settings, live.settings) else 0
     body = json.dumps(load_calibration(folder / given).to_dict())
     known = next((one for one in store.calibrations(live.name) if one.body == body), None)
     return known.number if known else added(live, store, body, accept=True)
+
+
+def _is_of(kept: str, settings: RecordingSettings) -> bool:
+    """Whether a calibration's settings as the store has them are of the same sensors, along the same axes."""
+    now, then = settings.model_dump(mode="json", exclude_none=True), json.loads(kept)
+
+    def named(tree: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+        sections = [(kind, one) for kind in KINDS for one in tree.get(f"{kind}s", ())]
+        return [(kind, one.get("name"), one.get("direction")) for kind, one in sections]
+
+    # An earlier version may have kept none.
+    return not then or named(then) == named(now)
 
 
 def settings_json(settings: RecordingSettings, radars: Mapping[str, RadarInfo]) -> str:

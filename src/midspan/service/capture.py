@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
 from midspan.settings.kinds import ACCELEROMETER, KINDS
+from midspan.settings.load import RECORDING_FILE
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.writing import write_whole
 
@@ -71,8 +72,6 @@ class Capture:
 
     def close(self) -> Path:
         """Finish the files and write the recording.toml; returns the folder."""
-        import tomli_w
-
         files = {sensor.name: sensor.settings.file for sensor in self.settings.sensors}
         files[ACCELEROMETER] = self.settings.accelerometer.file if self.settings.accelerometer else ""
         for name, blocks in self._readings.items():
@@ -81,14 +80,27 @@ class Capture:
             new = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[0] - 1) > 0
             np.savez(self.folder / files[name], time_ns=time_ns[new], value=value[new])
         self.discard()
-        tree = self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-        write_whole(self.folder / "recording.toml", tomli_w.dumps(tree).encode())
+        write_whole(self.folder / RECORDING_FILE, _text(self.settings))
         return self.folder
 
     def discard(self) -> None:
         """Let the files go."""
         for one in self._pictures:
             one.close()
+
+
+def is_captured_with(folder: Path, settings: RecordingSettings) -> bool:
+    """Whether a captured recording has these settings."""
+    try:
+        return (folder / RECORDING_FILE).read_bytes() == _text(settings)
+    except OSError:
+        return False
+
+
+def _text(settings: RecordingSettings) -> bytes:
+    import tomli_w
+
+    return tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)).encode()
 
 
 class _Film:

@@ -47,26 +47,31 @@ class Intake:
     def __init__(self, points: Sequence[Running], folder: Path, taken: Callable[[Running], None], tell: Tell) -> None:
         self._points, self._folder, self._taken, self._tell = points, folder, taken, tell
         self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
-        self._threads: list[ReadingThread] = []
         self.topics: dict[str, list[tuple[Running, str]]] = {}
-        for one in points:
+        self.find_topics()
+
+    def find_topics(self) -> None:
+        """Which topics the points have: to be called where other ones are among them."""
+        topics: dict[str, list[tuple[Running, str]]] = {}
+        for one in self._points:
             for name, address in one.live.plan.sources.items():
                 if address.startswith(MQTT):
-                    self.topics.setdefault(address.removeprefix(MQTT), []).append((one, name))
+                    topics.setdefault(address.removeprefix(MQTT), []).append((one, name))
+        self.topics = topics
 
-    def start_cameras(self) -> None:
+    def start_cameras(self, points: Sequence[Running]) -> None:
         """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
-        for one in self._points:
+        self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
+        for one in points:
             for name, address in one.live.plan.sources.items():
                 if one.kind(name) in CAMERAS:
                     place = self._replay_address(address, name) if address.startswith(REPLAY) else address
                     one.cameras[name] = CameraProcess(place, self._handed(self._pictured, one, name))
                     one.cameras[name].start()
 
-    def begin(self) -> list[asyncio.Task[None]]:
+    def begin(self, points: Sequence[Running]) -> list[asyncio.Task[None]]:
         """Let records come; returns the tasks that replay recordings. Called in the service's loop."""
-        tasks = []
-        for one in self._points:
+        for one in points:
             if one.live.opened is not None:
                 self.cut(one, one.live.opened)
             for name, address in one.live.plan.sources.items():
@@ -75,16 +80,24 @@ class Intake:
                 elif address.startswith((SERIAL, UDP)):
                     self._begin_thread(one, name, address)
                 elif address.startswith(REPLAY):
-                    tasks.append(asyncio.create_task(self._replayed(one, name, address)))
-        return tasks
+                    place = self._replay_address(address, name)
+                    one.replays.append(asyncio.create_task(self._replayed(one, name, place)))
+            one.beginning = False
+            for name, block in one.early:
+                self._block(one, name, block)
+            one.early.clear()
+        return [task for one in points for task in one.replays]
 
-    def end(self) -> None:
-        """Stop cameras, lines and radars."""
-        for one in self._points:
-            for camera in one.cameras.values():
-                camera.stop()
-        for thread in self._threads:
-            thread.stop()
+    async def end(self, points: Sequence[Running]) -> None:
+        """Stop cameras, lines, radars and replays; what is on its way still is left out."""
+        readers: list[CameraProcess | ReadingThread] = []
+        for one in points:
+            one.ended = True
+            readers += [*one.cameras.values(), *one.threads]
+            for task in one.replays:
+                task.cancel()
+        # At the same time: each waits for its own end.
+        await asyncio.gather(*(asyncio.to_thread(reader.stop) for reader in readers))
 
     def cut(self, one: Running, *found: Opened) -> None:
         """Let only the regions and what is around them leave the cameras' processes."""
@@ -101,7 +114,8 @@ class Intake:
             except SourceFault as fault:
                 self._refused(one, name, fault)
             else:
-                self._block(one, name, block)
+                # A point that is being begun, while others run, gets it then.
+                one.early.append((name, block)) if one.beginning else self._block(one, name, block)
 
     def _block(self, one: Running, name: str, block: Block) -> None:
         """A block of values, unless it was there before; lost ones are an event."""
@@ -184,7 +198,7 @@ class Intake:
         else:
             read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
         thread = ReadingThread(f"{one.name} {name}", read, self._handed(self._came, one, name))
-        self._threads.append(thread)
+        one.threads.append(thread)
         thread.start()
 
     def _came(self, one: Running, name: str, item: Block | RangeFrame | SourceFault) -> None:
@@ -201,9 +215,13 @@ class Intake:
         """`taken` in the service's loop, to be called from another thread; nothing once the loop is closed."""
         loop = asyncio.get_running_loop()
 
+        def take(item: Any) -> None:
+            if not one.ended:
+                taken(one, name, item)
+
         def hand(item: Any) -> None:
             with suppress(RuntimeError):
-                loop.call_soon_threadsafe(taken, one, name, item)
+                loop.call_soon_threadsafe(take, item)
 
         return hand
 
@@ -211,12 +229,12 @@ class Intake:
         path = self._folder / address.removeprefix(REPLAY)
         return f"{REPLAY}{path}@{self._started_ns}#{sensor}"
 
-    async def _replayed(self, one: Running, name: str, address: str) -> None:
+    async def _replayed(self, one: Running, name: str, place: str) -> None:
         """The readings or range profiles of a recording as they come due."""
         stream: Stream = one.streams[name]
         try:
             own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
-            for due_s, record in own(self._replay_address(address, name)):
+            for due_s, record in own(place):
                 left_s = due_s - time.time()
                 if left_s > 0:
                     await asyncio.sleep(left_s)

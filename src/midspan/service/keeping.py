@@ -57,6 +57,23 @@ class Keeper:
             self._store = open_store(self._where, points=self._points)
         return self._store
 
+    def lock(self, points: Sequence[str]) -> None:
+        """Lock these points in place of those before. Raises UsageError for one that another process writes, with
+        which the ones before stay; where the store is away they are locked once it is back.
+        """
+        with self._in_use:
+            before, self._points = self._points, points
+            self.write()
+            # Its own locks would be in the way.
+            self._close()
+            try:
+                self.store()
+            except StoreFault as fault:
+                self.reason, self.text = fault.code, str(fault)
+            except MidspanError:
+                self._points = before
+                raise
+
     def write(self) -> None:
         """Write all that waits, oldest first; where the store is away it is tried again the next time."""
         with self._in_use:
@@ -68,6 +85,12 @@ class Keeper:
             except MidspanError as error:
                 self.reason, self.text = "store_unavailable", str(error)
                 self._close()
+
+    def require(self) -> None:
+        """Write all that waits. Raises StoreFault where the store is away."""
+        self.write()
+        if self.reason:
+            raise StoreFault(self.reason, self.text)
 
     def forget_before(self, time_ns: int) -> None:
         """Remove the days before a time, where the store can be used."""

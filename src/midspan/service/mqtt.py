@@ -115,6 +115,21 @@ class Broker:
         )
         self._client.loop_start()
 
+    def change(self, topics: Mapping[str, int], announced: Mapping[str, str]) -> None:
+        """Listen to these topics in place of those before, and retain these announcements."""
+        old, fresh = self._topics.keys() - topics.keys(), topics.items() - self._topics.items()
+        new = announced.items() - self._announced.items()
+        self._topics, self._announced = dict(topics), dict(announced)
+        if not self.connected:
+            # The next connection does the rest.
+            return
+        if old:
+            self._client.unsubscribe(list(old))
+        if fresh:
+            self._client.subscribe(list(fresh))
+        for topic, payload in new:
+            self._client.publish(topic, payload, qos=1, retain=True)
+
     def stop(self) -> None:
         """Say that the site is off, and leave."""
         if self.connected:

@@ -14,7 +14,7 @@ from pathlib import Path
 from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
-from midspan.service.capture import Capture
+from midspan.service.capture import Capture, is_captured_with
 from midspan.service.cutting import wider
 from midspan.service.feeding import Absence, Feeding, Waiting
 from midspan.service.journal import Journal, RowHealth, carried
@@ -275,11 +275,11 @@ class LivePoint:
 
     def resumed(self, found: Opened, folder: Path) -> None:
         """The point is open again, from its checkpoint and the folder that it was opened from then; it is opened anew
-        where another calibration came into force since.
+        where another calibration or other settings came into force since.
         """
         self.follows = False
         self.is_opened(found, folder)
-        if found.journal.calibration != self.number:
+        if found.journal.calibration != self.number or not is_captured_with(folder, self.settings):
             self.phase = Phase.CAPTURING_TO_OPEN
 
     def drop(self) -> None:

@@ -17,6 +17,7 @@ from midspan.errors import DataError, MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
+from midspan.service.changes import Changes
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.discovery import announcements
@@ -31,9 +32,9 @@ from midspan.service.paused import Paused
 from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
-from midspan.service.running import Running, running
+from midspan.service.running import Running, checked, drafted
 from midspan.settings.kinds import ACCELEROMETER
-from midspan.settings.site import Site, captures_of
+from midspan.settings.site import Site
 from midspan.store.archive import archive
 from midspan.store.database import StoreFault
 from midspan.store.store import Batch, Store, open_store
@@ -59,16 +60,13 @@ class Service:
         socket: LiveSocket | None = None,
     ) -> None:
         self.site, self._say, self._note, self._socket = site, say, note, socket
-        self._captures = captures_of(site)
         self._keeper = Keeper(site.store, [plan.name for plan in site.points])
-        self._points = [running(plan, self._captures / plan.name, site.file.parent) for plan in site.points]
+        self._points = drafted(site, [plan.name for plan in site.points])
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
-        paused = Paused(place_of(site.store))
+        self._paused = paused = Paused(place_of(site.store))
         self._alarms = Alarming(site, say, lambda tree: None if socket is None else socket.publish(tree))
         self._commands = Commands(self._points, paused, self._event, self._in_thread, self._alarms.commands)
-        for one in self._points:
-            for name, stream in one.streams.items():
-                stream.paused = paused.reasons.get(f"{one.name}.{name}", "")
+        self._pause(self._points)
         self._broker: Broker | None = None
         self._stop = asyncio.Event()
         # Whether all points are begun, and what comes is kept.
@@ -83,6 +81,9 @@ class Service:
         self._jobs: set[asyncio.Task[None]] = set()
         # One calibration at a time, and one opening, which waits for none: the engine needs the processor.
         self._one_at_a_time = {"calibrate": asyncio.Lock(), "open": asyncio.Lock()}
+        # One change of the settings at a time; what fails unexpectedly ends the run.
+        self._changing = asyncio.Lock()
+        self._failing: asyncio.Future[None] | None = None
 
     # Life
 
@@ -96,7 +97,8 @@ class Service:
         if not await self._patiently(self._keeper.store, for_s):
             return self.record()
         await asyncio.to_thread(self._alarms.open)
-        self._intake.start_cameras()
+        self._failing = self._loop.create_future()
+        self._intake.start_cameras(self._points)
         begun = [asyncio.create_task(self._patiently(partial(self._begin_point, one))) for one in self._points]
         try:
             await asyncio.gather(*begun)
@@ -104,18 +106,18 @@ class Service:
             for starting in begun:
                 starting.cancel()
             await asyncio.gather(*begun, return_exceptions=True)
-            await asyncio.to_thread(self._intake.end)
+            await self._intake.end(self._points)
             await asyncio.to_thread(self._alarms.close)
             # Another service of this process may have the points then.
             await asyncio.to_thread(self._keeper.close)
             raise
-        replays = self._intake.begin()
+        self._begin_intake(self._points)
         self._begin_broker()
-        tasks: list[asyncio.Task[Any]] = [
+        tasks: list[asyncio.Future[Any]] = [
             asyncio.create_task(self._every(TICK_S, self._tick)),
             asyncio.create_task(self._writing()),
             asyncio.create_task(self._every(LOG_S, self._log)),
-            *replays,
+            self._failing,
         ]
         self.begun = True
         self._say(f"{self.site.name}: {len(self._points)} points run.")
@@ -157,12 +159,12 @@ class Service:
                 await asyncio.wait_for(self._stop.wait(), WRITE_S)
         return False
 
-    async def _until_stopped(self, tasks: Sequence[asyncio.Task[Any]], for_s: float | None) -> BaseException | None:
+    async def _until_stopped(self, tasks: Sequence[asyncio.Future[Any]], for_s: float | None) -> BaseException | None:
         """Wait until `stop`, the end of the time, or a task's failure, which is returned: without it nothing would be
         kept any more, and a service manager starts the whole again.
         """
         stopping = asyncio.create_task(self._stop.wait())
-        waiting: set[asyncio.Task[Any]] = {stopping, *tasks}
+        waiting: set[asyncio.Future[Any]] = {stopping, *tasks}
         end_s = math.inf if for_s is None else time.monotonic() + for_s
         while not self._stop.is_set() and (left_s := end_s - time.monotonic()) > 0.0:
             timeout = None if left_s == math.inf else left_s
@@ -182,7 +184,7 @@ class Service:
         for job in self._jobs:
             job.cancel()
         await asyncio.gather(*self._jobs, return_exceptions=True)
-        await asyncio.to_thread(self._intake.end)
+        await self._intake.end(self._points)
         for one in self._points:
             self._publish_rows(one)
         await asyncio.to_thread(self._alarms.close)
@@ -229,9 +231,10 @@ class Service:
         number = head["calibration"]
         if not (folder / "recording.toml").is_file():
             return
-        # Where another calibration came into force since, the rows go on until the point is opened with it.
+        # Where another calibration or other settings came into force since, the rows go on until the point is opened
+        # with them.
         found = opened(folder, one.name, loaded(one.live, store, number), number, push=False)
-        if number != one.live.number and {ACCELEROMETER, *found.point.sensors} != set(one.live.plan.sources):
+        if {ACCELEROMETER, *found.point.sensors} != set(one.live.plan.sources):
             return
         resumed(found, kept, store)
         one.live.resumed(found, folder)
@@ -242,14 +245,25 @@ class Service:
 
     def _begin_job(self, one: Running) -> None:
         if one.live.job is not None and not one.busy:
-            one.busy = True
-            self._begin(self._work(one, one.live.job))
+            one.work = self._begin(self._work(one, one.live.job))
 
-    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+    def _begin(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         assert self._loop is not None
         task = self._loop.create_task(work)
         self._jobs.add(task)
         task.add_done_callback(self._jobs.discard)
+        return task
+
+    def _begin_intake(self, points: Sequence[Running]) -> None:
+        """Let records of points come."""
+        for task in self._intake.begin(points):
+            task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        """Work that is watched ended: where it failed, so does the run."""
+        failing, error = self._failing, None if task.cancelled() else task.exception()
+        if error is not None and failing is not None and not failing.done():
+            failing.set_exception(error)
 
     async def _work(self, one: Running, job: Job) -> None:
         """Do a point's job, and hand it the result."""
@@ -262,8 +276,6 @@ class Service:
         except Exception as error:
             # Whatever it is, the other points go on, and this one is tried again.
             live.refused(str(error) if isinstance(error, MidspanError) else f"{type(error).__name__}: {error}")
-        finally:
-            one.busy = False
 
     async def _calibrate(self, one: Running, job: Job) -> None:
         live, accept = one.live, one.live.plan.settings.accept == "auto"
@@ -288,17 +300,114 @@ class Service:
     async def _in_thread(self, work: Callable[..., Any], live: LivePoint, *arguments: Any) -> Any:
         return await asyncio.to_thread(self._with_store, work, live, *arguments)
 
+    # Other settings
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether points are being begun with other settings."""
+        return self._changing.locked()
+
+    async def take(self, site: Site) -> Changes:
+        """Go on with other settings of the same store; returns as soon as it is certain that they can be run. The
+        points that they leave as they are lose no row.
+
+        Raises what `checked` does, and UsageError for a point that another process writes; nothing has changed then.
+        """
+        await self._changing.acquire()
+        try:
+            changes = Changes.between(self.site, site)
+            fresh = await asyncio.to_thread(checked, site, changes.beginning)
+            if changes.added:
+                names = dict.fromkeys(plan.name for one in (self.site, site) for plan in one.points)
+                await asyncio.to_thread(self._keeper.lock, list(names))
+        except BaseException:
+            self._changing.release()
+            raise
+        self._begin(self._change(site, changes, fresh)).add_done_callback(self._ended)
+        return changes
+
+    async def _change(self, site: Site, changes: Changes, fresh: Sequence[Running]) -> None:
+        try:
+            await self._end_points([one for one in self._points if one.name in changes.ending])
+            named = {one.name: one for one in (*self._points, *fresh)}
+            for one in fresh:
+                one.beginning = True
+            self._pause(fresh)
+            # In place: who commands points and gives them records has the same list.
+            self._points[:] = [named[plan.name] for plan in site.points]
+            before, self.site = self.site, site
+            self._intake.find_topics()
+            await self._alarms.change(site)
+            await self._change_broker(before)
+            await self._begin_points(fresh)
+            for one in self._points:
+                if one.live.plan.settings.calibration is not None and one not in fresh:
+                    # Its file may be another one than it was.
+                    number = await self._in_thread(number_in_force, one.live, site.file.parent)
+                    one.live.calibrated(number) if number != one.live.number else None
+            if changes.removed:
+                await asyncio.to_thread(self._keeper.lock, [plan.name for plan in site.points])
+        finally:
+            self._changing.release()
+
+    async def _begin_points(self, fresh: Sequence[Running]) -> None:
+        """Begin points while others run."""
+        self._intake.start_cameras(fresh)
+        if all(await asyncio.gather(*(self._patiently(partial(self._begin_after, one)) for one in fresh))):
+            self._begin_intake(fresh)
+
+    def _begin_after(self, one: Running) -> None:
+        """A point goes on from what the one before it has left, which is kept first; called in a thread."""
+        self._keeper.require()
+        self._begin_point(one)
+
+    async def _end_points(self, ending: Sequence[Running]) -> None:
+        """End points as the end of the service does: all that came is kept, and how each stands."""
+        await self._intake.end(ending)
+        jobs = [one.work for one in ending if one.work is not None]
+        for job in jobs:
+            job.cancel()
+        await asyncio.gather(*jobs, return_exceptions=True)
+        for one in ending:
+            self._keep(one, last=True)
+            one.live.end()
+
+    async def _change_broker(self, before: Site) -> None:
+        """Connect to the broker of other settings, or listen to other topics of the same."""
+        now = self.site
+        if (now.settings.mqtt, now.name) != (before.settings.mqtt, before.name):
+            if self._broker is not None:
+                await asyncio.to_thread(self._broker.stop)
+            self._broker = None
+            self._begin_broker()
+        elif self._broker is not None:
+            self._broker.change(self._topics, self._announced)
+
+    def _pause(self, points: Sequence[Running]) -> None:
+        """Leave out what was paused."""
+        for one in points:
+            for name, stream in one.streams.items():
+                stream.paused = self._paused.reasons.get(f"{one.name}.{name}", "")
+
     # In
 
+    @property
+    def _topics(self) -> dict[str, int]:
+        """What is listened to at the broker, with the quality of service."""
+        assert self.site.settings.mqtt is not None
+        commands = f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"
+        return dict.fromkeys((*self._intake.topics, commands), 1)
+
+    @property
+    def _announced(self) -> dict[str, str]:
+        assert self.site.settings.mqtt is not None
+        return announcements(self.site.settings.mqtt, self.site.name, [one.name for one in self._points])
+
     def _begin_broker(self) -> None:
-        if self.site.settings.mqtt is None:
+        mqtt = self.site.settings.mqtt
+        if mqtt is None:
             return
-        topics = dict.fromkeys(
-            (*self._intake.topics, f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"), 1
-        )
-        mqtt, name = self.site.settings.mqtt, self.site.name
-        announced = announcements(mqtt, name, [one.name for one in self._points])
-        self._broker = Broker(mqtt, name, topics, self._message, self.site.file.parent, announced)
+        self._broker = Broker(mqtt, self.site.name, self._topics, self._message, self.site.file.parent, self._announced)
         self._broker.start()
         self._alarms.connect(self._broker)
 
@@ -315,8 +424,10 @@ class Service:
             self._acknowledge.append(acknowledge)
         else:
             acknowledge()
-            name, _, command = topic.split("/")[-3:]
-            self._command(name, command, payload[:MAX_WANTED].decode("ascii", "replace").strip())
+            name, of_commands, command = ("", "", *topic.split("/"))[-3:]
+            # The broker's session may bring topics of settings before these.
+            if of_commands == "cmd":
+                self._command(name, command, payload[:MAX_WANTED].decode("ascii", "replace").strip())
 
     def _command(self, name: str, command: str, wanted: str) -> None:
         """`cmd/calibrate`, or `cmd/accept` with the calibration's number (left out: the newest one offered).
@@ -362,11 +473,16 @@ class Service:
     def _tick(self) -> None:
         now_ns = time.time_ns()
         away = self._broker is not None and not self._broker.connected
-        for one in self._points:
+        for one in self._begun:
             one.live.tick(now_ns, away=away and one.live.plan.sources[ACCELEROMETER].startswith(MQTT))
             one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
-        self._alarms.look(now_ns, self._points)
+        self._alarms.look(now_ns, self._begun)
+
+    @property
+    def _begun(self) -> list[Running]:
+        """The points that are not being begun at present."""
+        return [one for one in self._points if not one.beginning]
 
     async def _writing(self) -> None:
         while True:
@@ -416,12 +532,15 @@ class Service:
         """What every point has to keep, to the store and the broker; returns what is acknowledged once it is kept."""
         done = list(self._acknowledge)
         self._acknowledge.clear()
-        for one in self._points:
-            self._publish_rows(one)
-            batch = one.live.batch(last=last)
-            self._keeper.put(batch)
-            self._publish(one, batch)
+        for one in self._begun:
+            self._keep(one, last=last)
         return done
+
+    def _keep(self, one: Running, *, last: bool) -> None:
+        self._publish_rows(one)
+        batch = one.live.batch(last=last)
+        self._keeper.put(batch)
+        self._publish(one, batch)
 
     def _publish_rows(self, one: Running) -> None:
         """The newest rows, as soon as they are there."""

@@ -1,7 +1,10 @@
 """How the points of a running site and their sources stand."""
 
+import asyncio
 import math
+import time
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,13 +13,14 @@ from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.records import RangeFrame
-from midspan.service.camera_process import CameraProcess
+from midspan.service.camera_process import CameraProcess, ReadingThread
 from midspan.service.capture import capture_settings
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
 from midspan.settings.kinds import ACCELEROMETER, LIVE
-from midspan.settings.site import PointPlan, without_secrets
+from midspan.settings.site import PointPlan, Site, captures_of, without_secrets
+from midspan.settings.stored.calibration import load_calibration
 from midspan.sources.accelerometer.units import SI_UNITS, si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info
@@ -135,7 +139,9 @@ class Running:
 
     factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
     scales: kelvin per count, and at count 0, of each infrared camera; published_ns: stamp of the newest row that the
-    broker was given, or that the store had when the point went on.
+    broker was given, or that the store had when the point went on. beginning: whether it is being begun while other
+    points run; early: blocks that came meanwhile; ended: whether no record is taken any more; work: the job that is
+    done; made_s: since when anything is expected of it.
     """
 
     live: LivePoint
@@ -147,7 +153,13 @@ class Running:
     scales: dict[str, tuple[float, float]] = field(default_factory=dict)
     results: int = 0
     published_ns: int = 0
-    busy: bool = False
+    work: asyncio.Task[None] | None = None
+    beginning: bool = False
+    ended: bool = False
+    early: list[tuple[str, Block]] = field(default_factory=list)
+    threads: list[ReadingThread] = field(default_factory=list)
+    replays: list[asyncio.Task[None]] = field(default_factory=list)
+    made_s: float = field(default_factory=time.time)
     # Stamp of the newest row, when that was given out, and how many stamps of the acceleration were wrong until then.
     _row_ns: int | None = None
     _row_s: float | None = None
@@ -157,6 +169,11 @@ class Running:
     def name(self) -> str:
         """The point's name."""
         return self.live.name
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is done."""
+        return self.work is not None and not self.work.done()
 
     def looked_at(self, now_s: float) -> None:
         """Note when the newest row was given out."""
@@ -252,3 +269,17 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
     live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)
     streams = {name: Stream(plan.name, name, without_secrets(at)) for name, at in plan.sources.items()}
     return Running(live, streams, factors, layouts)
+
+
+def drafted(site: Site, names: Collection[str]) -> list[Running]:
+    """The points of a site that have these names, before anything is begun. Raises what `running` does."""
+    folder, captures = site.file.parent, captures_of(site)
+    return [running(plan, captures / plan.name, folder) for plan in site.points if plan.name in names]
+
+
+def checked(site: Site, names: Collection[str]) -> list[Running]:
+    """The same, where the calibrations that they name can be read. Raises DataError for one that cannot."""
+    for plan in site.points:
+        if plan.name in names and plan.settings.calibration is not None:
+            load_calibration(site.file.parent / plan.settings.calibration)
+    return drafted(site, names)

@@ -1,7 +1,8 @@
 """`midspan run`: the site's measuring, the page's server next to it, and what holds where SITE.toml is wrong.
 
 The server is a process of its own, which gets states and rows over the local socket. Settings that come into force
-begin the measuring anew; wrong ones leave the settings that were in force before, or the server alone.
+leave the points as they are that they do not change; wrong ones leave the settings that were in force before, or the
+server alone.
 """
 
 import asyncio
@@ -12,18 +13,20 @@ import socket
 import stat
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError, MidspanError, UsageError
+from midspan.service.changes import Changes
 from midspan.service.live_socket import LiveSocket, Tree
 from midspan.service.notify import notify
 from midspan.service.places import place_of
 from midspan.service.reasons import sentence
 from midspan.service.run import Service
+from midspan.service.running import checked
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import SITE_FILE, ServiceSettings, Site, load_site, require_folders
 from midspan.store.store import is_address
@@ -134,8 +137,8 @@ class Supervisor:
         self._announce = announce
         self._socket = LiveSocket(place_of(settings.where), self._command)
         self._service: Service | None = None
-        # The one whose settings are kept.
-        self._kept: Service | None = None
+        # Whose settings are kept.
+        self._kept: Site | None = None
         self._stop, self._again = asyncio.Event(), asyncio.Event()
 
     def stop(self) -> None:
@@ -252,17 +255,18 @@ class Supervisor:
             state = {**state, "ready": False, "sources": [source, *state["sources"]]}
         return {**state, "settings": None if fault is None else fault.to_dict()}
 
-    def _keep_settings(self, service: Service) -> None:
+    def _keep_settings(self, site: Site) -> None:
         """What runs is what a wrong change falls back to."""
-        self._kept, file, content = service, self.settings.file, self.settings.content
+        self._kept, file, content = site, self.settings.file, self.settings.content
         if content is not None:
             with suppress(OSError, MidspanError):
                 write_whole(in_force_file(file), content, mode=stat.S_IMODE(file.stat().st_mode))
 
     async def _states(self) -> None:
         while True:
-            if self._service is not None and self._service.begun and self._service is not self._kept:
-                self._keep_settings(self._service)
+            service = self._service
+            if service is not None and service.begun and not service.is_changing and service.site is not self._kept:
+                self._keep_settings(service.site)
             self._socket.publish({"kind": "state", **self._state()})
             # Points that are begun are watched by what writes them.
             if self._service is None or not self._service.begun:
@@ -272,24 +276,52 @@ class Supervisor:
     async def _command(self, head: Tree) -> tuple[Tree, bytes]:
         """A command of the server."""
         if head.get("command") == "reload":
-            return self._reload(), b""
+            trial = head.get("trial")
+            return await (self._reload() if trial is None else self._tried(Path(str(trial)))), b""
         if self._service is None:
             raise MidspanError(f"Nothing is measured at present. {sentence('settings')}")
         return await self._service.command(head)
 
-    def _reload(self) -> Tree:
+    async def _tried(self, file: Path) -> Tree:
+        """What settings would change, of a file in the folder of the site's. Raises what is wrong with them."""
+        site = load_site(file)
+        require_folders(site)
+        restart = self._fixed(site.store, site.settings.service)
+        changes = Changes.between(self._running, site)
+        await asyncio.to_thread(checked, site, changes.beginning)
+        text = _needs_restart(restart) if restart else changes.text
+        return {"text": f"Not written. {text}", "restart": restart, **changes.to_dict()}
+
+    async def _reload(self) -> Tree:
         """New settings of the file come into force, where that can be without a new start."""
-        new = settings_of(self.settings.file)
-        fixed = {"store": new.where != self.settings.where, "service": new.service != self.settings.service}
-        restart = [key for key, changed in fixed.items() if changed]
+        new, service = settings_of(self.settings.file), self._service
+        restart = self._fixed(new.where, new.service)
+        changes = Changes() if new.site is None else Changes.between(self._running, new.site)
         if restart:
-            named = " and ".join(f"[{key}]" for key in restart)
-            return {"text": f"Written. Changes of {named} need `midspan run` to be started again.", "restart": restart}
+            return {"text": f"Written. {_needs_restart(restart)}", "restart": restart, **changes.to_dict()}
+        if service is None or not service.begun or new.site is None:
+            self.settings = new
+            self._again.set()
+            if service is not None:
+                service.stop()
+            return {"text": "Written. The measuring begins anew with them.", "restart": [], **changes.to_dict()}
+        try:
+            changes = await service.take(new.site)
+        except (UsageError, DataError) as error:
+            self.settings = replace(self.settings, fault=SettingsFault.of(str(error)), content=None)
+            raise
         self.settings = new
-        self._again.set()
-        if self._service is not None:
-            self._service.stop()
-        return {"text": "Written. The measuring begins anew with them.", "restart": []}
+        self._socket.publish({"kind": "hello", "site": new.site.name, "site_file": str(self.settings.file)})
+        return {"text": f"Written. {changes.text}", "restart": [], **changes.to_dict()}
+
+    def _fixed(self, where: str, service: ServiceSettings) -> list[str]:
+        """The sections of other settings that hold only after a new start."""
+        fixed = {"store": where != self.settings.where, "service": service != self.settings.service}
+        return [key for key, changed in fixed.items() if changed]
+
+    @property
+    def _running(self) -> Site | None:
+        return None if self._service is None else self._service.site
 
     async def _serving(self, listener: socket.socket) -> None:
         """The server's process, started again where it ends."""
@@ -312,6 +344,11 @@ class Supervisor:
                 await _ended(process)
             self._say(f"page: its server ended with code {code}; it is started again.")
             await asyncio.sleep(SERVER_AGAIN_S)
+
+
+def _needs_restart(sections: Sequence[str]) -> str:
+    named = " and ".join(f"[{key}]" for key in sections)
+    return f"Changes of {named} need `midspan run` to be started again; nothing else comes into force before."
 
 
 async def _ended(process: asyncio.subprocess.Process) -> None:

@@ -1,0 +1,53 @@
+"""What other settings of a site change: which of its points begin, begin anew and end. The others go on."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from midspan.settings.site import PointPlan, Site, captures_of
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Names of points: those that begin, those that end and begin anew with other settings, and those that end."""
+
+    added: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+
+    @classmethod
+    def between(cls, before: Site | None, after: Site) -> "Changes":
+        """From one site to another; before: None where none runs. Alarms are no reason to begin a point anew."""
+        old = {} if before is None else {plan.name: _measuring(plan) for plan in before.points}
+        new = {plan.name: _measuring(plan) for plan in after.points}
+        moved = before is not None and captures_of(before) != captures_of(after)
+        return cls(
+            tuple(name for name in new if name not in old),
+            tuple(name for name in new if name in old and (moved or new[name] != old[name])),
+            tuple(name for name in old if name not in new),
+        )
+
+    @property
+    def beginning(self) -> tuple[str, ...]:
+        """Those that begin, anew or for the first time."""
+        return (*self.added, *self.changed)
+
+    @property
+    def ending(self) -> tuple[str, ...]:
+        """Those that end, for good or to begin anew."""
+        return (*self.changed, *self.removed)
+
+    @property
+    def text(self) -> str:
+        """What becomes of the points, in sentences."""
+        said = [("begins", self.added), ("begins anew", self.changed), ("ends", self.removed)]
+        lines = [f"{', '.join(names)}: {what}." for what, names in said if names]
+        return " ".join([*lines, "The other points go on." if lines else "All points go on."])
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the interface has it."""
+        return {"added": list(self.added), "changed": list(self.changed), "removed": list(self.removed)}
+
+
+def _measuring(plan: PointPlan) -> PointPlan:
+    """A plan without what measures nothing."""
+    return replace(plan, alarms=())
