@@ -131,10 +131,12 @@ def state(**changes):
     source = {
         "point": "p", "source": "camera", "reason": "", "text": "", "age_s": 0.1, "records": 5, "faults": 1,
         "skipped": 0, "stamps": "sender", "address": "rtsp://camera/x", "rate_hz": 20.0,
+        "nominal_rate_hz": 25.0, "delay_s": 0.2, "late": 3, "restarts": 1, "clock_offset_s": 0.012,
+        "clock_offset_std_s": 0.001, "clock_drift_ppm": None,
     }  # fmt: skip
     point = {
         "point": "p", "status": "tracking", "reason": "", "text": "", "rows_age_s": 0.1, "sigma_mm": 0.01,
-        "usual_sigma_mm": 0.01, "calibration": 1, "notice": "", "notice_text": "", "phase": "running",
+        "usual_sigma_mm": 0.01, "calibration": 1, "notice": "", "notice_text": "", "phase": "running", "stage": "", "stage_left_s": None, "latency_s": 0.3,
         "sources": [source],
     }  # fmt: skip
     other = {**point, "point": "q", "sources": []}

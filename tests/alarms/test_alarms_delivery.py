@@ -172,6 +172,23 @@ def test_what_was_not_delivered_is_delivered_after_a_restart_once(tmp_path, hook
     assert hook.ids == ["1", "2"]
 
 
+def test_other_targets_get_what_waits_for_their_name_and_the_same_ones_go_on(tmp_path, hook):
+    good, away = settings(webhook=hook.url), settings(webhook="http://127.0.0.1:9/nobody")
+    running = delivery(tmp_path, good, away)
+    same = running.senders[target_of(good)]
+    running.put(entry(1, target_of(away)))
+    running.put(entry(2, target_of(away)))
+    until(lambda: running.senders[target_of(away)].fault)
+    running.change({target_of(good): deliver_to(good, "river bridge"), target_of(away): deliver_to(good, "")})
+    until(lambda: len(hook.came) == 2)
+    assert running.senders[target_of(good)] is same
+    running.change({})
+    assert not same.is_alive()
+    running.stop()
+    assert hook.ids == ["1", "2"]
+    assert Book(tmp_path).waiting() == []
+
+
 def test_mail_says_what_it_is_about(tmp_path):
     box = Mailbox()
     target = settings(smtp=f"127.0.0.1:{box.server_address[1]}", to=["night@example.org", "day@example.org"])

@@ -238,3 +238,35 @@ def test_an_alarm_is_what_the_interface_says(site):
     assert tree["since"] == "2026-09-21T14:13:20.000Z"
     assert (tree["value"], tree["peak"], tree["limit"], tree["unit"]) == (25.0, 25.0, 20.0, "mm")
     assert "25 mm ± 0.2 mm, limit 20 mm" in tree["text"]
+
+
+def test_other_settings_keep_the_open_alarms_of_rules_that_are_still_there(tmp_path):
+    usual = {"on": "displacement", "keep_firing_s": 0.0}
+    site = Site(tmp_path, [{"name": name, "limit_mm": 20.0, **usual} for name in ("same", "other", "gone")])
+    site.move(25, 0)
+    before = {tree["name"]: tree["id"] for tree in site.watch.trees()}
+    assert len(before) == 3
+    rules = [{"name": name, "limit_mm": mm, **usual} for name, mm in (("same", 20.0), ("other", 22.0), ("new", 24.0))]
+    settings = [AlarmSettings.model_validate(one) for one in rules]
+    site.watch.change({"p": settings, "q": []}, [], [TARGET], s(1.0), mqtt=True)
+    now = {tree["name"]: (tree["id"], tree["limit"], tree["state"]) for tree in site.watch.trees()}
+    assert now == {"same": (before["same"], 20.0, "firing"), "other": (before["other"], 22.0, "firing")}
+    (ended,) = [line for line in site.book.audit(100) if line.what == "ended"]
+    assert (ended.alarm, ended.text) == (before["gone"], "is no longer in SITE.toml")
+    # Rows that were looked at already are none of the new settings.
+    site.move(25, 1)
+    names = {tree["name"]: tree["state"] for tree in site.watch.trees()}
+    assert names == {"same": "firing", "other": "firing", "new": "firing"}
+    site.move(21, 2)
+    assert {tree["name"] for tree in site.watch.trees()} == {"same"}
+
+
+def test_a_delay_goes_on_over_other_settings_of_other_rules(tmp_path):
+    slow = {"name": "a", "on": "displacement", "limit_mm": 20.0, "delay_s": 1.5, "keep_firing_s": 0.0, "repeat_s": 60.0}
+    site = Site(tmp_path, [slow])
+    site.move(25, 0)
+    other = {**slow, "name": "b"}
+    settings = [AlarmSettings.model_validate(one) for one in (slow, other)]
+    site.watch.change({"p": settings}, [], [TARGET], s(1.0), mqtt=True)
+    site.move(25, 1)
+    assert {tree["name"]: tree["state"] for tree in site.watch.trees()} == {"a": "firing", "b": "pending"}

@@ -6,6 +6,8 @@ import pytest
 def test_sources_say_how_they_stand(reader):
     (one,) = reader.get("/api/v1/sources").json()
     assert (one["name"], one["reason"], one["stamps"], one["rate_hz"]) == ("p.camera", "", "sender", 20.0)
+    keys = ("nominal_rate_hz", "delay_s", "late", "restarts", "clock_offset_s", "clock_offset_std_s", "clock_drift_ppm")
+    assert [one[key] for key in keys] == [25.0, 0.2, 3, 1, 0.012, 0.001, None]
 
 
 def test_a_picture_is_a_jpeg_with_its_time_and_size(reader, engine):

@@ -189,13 +189,37 @@ def test_silence_is_judged_by_the_usual_interval(site):
     (first, _), _, _ = site
     fast, slow = first.streams["accelerometer"], first.streams["displacement"]
     for number in range(20):
-        fast.heard(1000.0 + 0.1 * number)
-        slow.heard(1000.0 + 30.0 * number)
+        for stream, at_s in ((fast, 1000.0 + 0.1 * number), (slow, 1000.0 + 30.0 * number)):
+            stream.heard(at_s, round(at_s * NANOSECONDS), 1)
     fast.reason = slow.reason = ""
     assert fast.standing(1001.9 + 4.0, "")["reason"] == ""
     assert fast.standing(1001.9 + 6.0, "")["reason"] == "silent"
     assert slow.standing(1570.0 + 60.0, "")["reason"] == ""
     assert slow.standing(1570.0 + 100.0, "")["reason"] == "silent"
+
+
+def test_a_source_says_its_rate_its_delay_and_how_often_it_was_opened_again(site):
+    (first, _), intake, _ = site
+    for number in range(50):
+        intake.payload("a/acc", pack(block(number)))
+    found = first.standing(time.time())["sources"][0]
+    # Values, of which a block holds 20; they were sent 3000 s too late.
+    assert (found["rate_hz"], found["nominal_rate_hz"]) == (100.0, 100.0)
+    # The newest stamps are 3000 s less 2 to 10 s old, and as much older as the test has run.
+    assert found["delay_s"] == pytest.approx(2995.0, abs=60.0)
+    assert found["restarts"] == 0
+    assert {found[key] for key in ("late", "clock_offset_s", "clock_offset_std_s", "clock_drift_ppm")} == {None}
+    gone = SourceFault("stopped", "cannot be read")
+    for number in range(50, 53):
+        intake._came(first, "accelerometer", gone)
+        intake._came(first, "accelerometer", gone)
+        intake._came(first, "accelerometer", block(number))
+    intake._came(first, "accelerometer", SourceFault("payload", "no block"))
+    intake._came(first, "accelerometer", block(53))
+    # What was never heard is opened for the first time.
+    intake._came(first, "displacement", gone)
+    intake._came(first, "displacement", block(0, DISPLACEMENT))
+    assert [one["restarts"] for one in first.standing(time.time())["sources"]] == [3, 0]
 
 
 def test_what_comes_in_float32_has_no_more_digits_in_si_units():

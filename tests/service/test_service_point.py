@@ -31,8 +31,8 @@ unit = "mm"
 BEGIN_NS = 1_790_000_000 * NANOSECONDS
 
 
-def live_point(folder, accept="auto"):
-    (folder / "SITE.toml").write_text(SITE.format(accept=accept))
+def live_point(folder, accept="auto", more=""):
+    (folder / "SITE.toml").write_text(SITE.format(accept=accept) + more)
     (plan,) = load_site(folder / "SITE.toml").points
     return LivePoint(plan, capture_settings(plan.recording, {"displacement": 1e-3}), folder / "captures")
 
@@ -93,6 +93,54 @@ def test_a_point_captures_calibrates_opens_and_runs(tmp_path):
     assert "calibrated" in {event.kind for _, event in batch.events}
     raw = np.unique(np.concatenate([one.time_ns for one in batch.chunks if one.stream == "accelerometer"]))
     assert set(np.diff(raw)) == {10**7}
+
+
+def test_a_point_says_what_is_prepared_and_how_long_that_still_takes(tmp_path):
+    point = live_point(tmp_path)
+    assert (point.stage, point.capture_left_s) == ("", 20.0)
+    for arrival in records(0, 5):
+        point.push(arrival)
+    # Five blocks of a second, of which the displacement's last value is 0.1 s before the end.
+    assert (point.stage, point.capture_left_s) == ("capturing", pytest.approx(15.1, abs=0.01))
+    at_s = pushed(point, 5, 60)
+    assert (point.stage, point.capture_left_s) == ("calibrating", 20.0)
+    point.refused("too little motion")
+    # It is tried again after a minute.
+    assert (point.stage, point.capture_left_s) == ("capturing", 80.0)
+    point.calibrated(1)
+    for arrival in records(at_s + 61, at_s + 63):
+        point.push(arrival)
+    assert (point.stage, point.capture_left_s) == ("capturing", pytest.approx(3.1, abs=0.01))
+    pushed(point, at_s + 63, at_s + 80)
+    assert (point.stage, point.job.kind) == ("opening", "open")
+
+
+def test_the_engine_says_where_a_sensors_clock_is(tmp_path):
+    """As calibrated, and as it has been followed since: the displacement's stamps are 50 ms early, later on 54 ms."""
+    point = live_point(tmp_path, more="estimate_offset = true")
+
+    def push_early(first_s, last_s, early_ns):
+        for one in records(first_s, last_s):
+            moved_ns = early_ns * (one.stream == "displacement")
+            point.push(Arrival(one.stream, 0, Readings(one.record.time_ns - moved_ns, one.record.value)))
+            if point.job is not None:
+                break
+        return int((point.newest_ns - BEGIN_NS) / NANOSECONDS) + 1
+
+    at_s = push_early(0, 40, 50_000_000)
+    calibration = midspan.calibrate(point.job.folder)
+    point.calibrated(1)
+    at_s = push_early(at_s, at_s + 20, 50_000_000)
+    point.is_opened(opened(point.job.folder, "p", calibration, 1))
+    engine = point.opened.point
+    for early_s in (0.050, 0.054):
+        at_s = push_early(at_s, at_s + 20, round(early_s * NANOSECONDS))
+        offset_s, std_s = engine.clock_offset("displacement")
+        # 20 s of it tell it to below a millisecond, what came before it included.
+        assert 0.0 < std_s < 1e-3
+        assert abs(offset_s - early_s) < 4.0 * std_s
+    assert engine.interval_s("displacement") == pytest.approx(0.1)
+    assert engine.interval_s("accelerometer") == pytest.approx(0.01)
 
 
 def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_path):

@@ -287,6 +287,12 @@ impl Estimator {
         }
     }
 
+    /// What is added to the stamps of each channel (c,), s, besides its parameter.
+    fn clock_offsets(&self) -> Vec<f64> {
+        let own = self.own();
+        (0..own.settings.channels.len()).map(|c| own.memory.clocks.offset_s(c)).collect()
+    }
+
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = match &self.stream {
             Stream::Causal(own) => to_bytes(&own.memory),

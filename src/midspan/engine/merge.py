@@ -94,6 +94,10 @@ class Merge:
         held = tuple(tuple(waiting) for waiting in self._held)
         return MergeState(tuple(map(replace, self._streams)), held, self._released_ns, self._now_ns)
 
+    def memory(self, stream: str) -> StreamMemory:
+        """What is known of a stream, to be looked at alone."""
+        return self._streams[self._names[stream]]
+
     def restore(self, state: MergeState) -> None:
         """Go on from where `state` was read."""
         if [stream.name for stream in state.streams] != list(self._names):

@@ -151,6 +151,25 @@ class Point:
             if one.kind is not ParameterKind.CLOCK_OFFSET
         }
 
+    def clock_offset(self, sensor: str) -> tuple[float, float]:
+        """What is to be added to a sensor's stamps to get the accelerometer's clock, s, as calibrated, as set since and
+        as estimated, and its standard deviation, NaN where it is not estimated.
+        """
+        offsets, variances = self.estimator.clock_offsets
+        own = self._channel(sensor)
+        known_s = self.merge.memory(sensor).offset_ns / NANOSECONDS
+        return known_s + float(offsets[own]), float(np.sqrt(variances[own]))
+
+    def interval_s(self, stream: str) -> float:
+        """The usual interval between the values of a stream, s; 0 where it is not known."""
+        if stream == ACCELEROMETER:
+            return 1.0 / self.guard.settings.rate_hz
+        return self.estimator.settings.channels[self._channel(stream)].interval_s
+
+    def _channel(self, sensor: str) -> int:
+        """The number of the first channel of a sensor."""
+        return [one.sensor for one in self.estimator.settings.channels].index(sensor)
+
     @property
     def state(self) -> PointState:
         """All that has an effect on what comes later."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from midspan import _core
 from midspan.errors import DataError
 from midspan.fusion.blocks import Rows, rows_of
-from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.records import Estimate, Event, Floats, Measured, Nanoseconds, Samples
 
 # Measurements of a live point that may wait.
@@ -97,6 +97,18 @@ class Stream:
         """The parameters as estimated (k,) and their variances (k,)."""
         values, variances = self.core.parameters()
         return np.array(values), np.array(variances)
+
+    @property
+    def clock_offsets(self) -> tuple[Floats, Floats]:
+        """What is to be added to the stamps of each channel (c,), s, as estimated, and the variance of that (c,); NaN
+        where its clock is not estimated.
+        """
+        offsets, spread = np.array(self.core.clock_offsets()), np.full(len(self.settings.channels), np.nan)
+        for one, value, variance in zip(self.settings.parameters, *self.parameters, strict=True):
+            if one.kind is ParameterKind.CLOCK_OFFSET:
+                offsets[list(one.channels)] += value
+                spread[list(one.channels)] = variance
+        return offsets, spread
 
 
 class Estimator(Stream):

@@ -173,6 +173,11 @@ class OnSeries:
         """Those of the estimator, see there."""
         return self._inner.parameters
 
+    @property
+    def clock_offsets(self) -> tuple[Floats, Floats]:
+        """Those of the estimator, see there."""
+        return self._inner.clock_offsets
+
     def push(self, record: Samples | Measured | Event) -> list[Rows]:
         """Take one block, as the estimator does."""
         for axis, method in enumerate(self._methods):

@@ -11,6 +11,8 @@ COUNTS = {
     "records": "Records that came.",
     "faults": "Records that could not be used.",
     "skipped": "Frames that were skipped because the engine did not keep up.",
+    "late": "Values and frames that were left out: too late, out of order or doubled.",
+    "restarts": "How often the source was opened again.",
 }
 LABELS = ["point", "source"]
 
@@ -50,6 +52,7 @@ def _of_points(points: list[dict[str, Any]]) -> Iterator[Any]:
         key: CounterMetricFamily(f"midspan_source_{key}", text, labels=LABELS) for key, text in COUNTS.items()
     }
     age = GaugeMetricFamily("midspan_source_age_seconds", "Time since the newest record.", labels=LABELS)
+    delay = GaugeMetricFamily("midspan_source_delay_seconds", "From a record's newest stamp to it.", labels=LABELS)
     of_a_point = f"{', '.join(f'{one.value} {one.name.lower()}' for one in PointStatus)}."
     status = GaugeMetricFamily("midspan_point_status", of_a_point, labels=["point"])
     row_age = GaugeMetricFamily("midspan_point_rows_age_seconds", "Time since the newest row.", labels=["point"])
@@ -62,10 +65,12 @@ def _of_points(points: list[dict[str, Any]]) -> Iterator[Any]:
                 gauge.add_metric([name], point[key])
         for source in point["sources"]:
             for key, family in counts.items():
-                family.add_metric([name, source["source"]], source[key])
-            if source["age_s"] is not None:
-                age.add_metric([name, source["source"]], source["age_s"])
-    yield from (status, row_age, sigma, age, *counts.values())
+                if source.get(key) is not None:
+                    family.add_metric([name, source["source"]], source[key])
+            for gauge, key in ((age, "age_s"), (delay, "delay_s")):
+                if source.get(key) is not None:
+                    gauge.add_metric([name, source["source"]], source[key])
+    yield from (status, row_age, sigma, age, delay, *counts.values())
 
 
 def figures(serving: Serving) -> str:

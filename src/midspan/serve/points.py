@@ -74,7 +74,7 @@ class EventBody(BaseModel):
 
 
 class Span(BaseModel):
-    """A span of time, ISO 8601 UTC; its rows have gaps of half an hour at most."""
+    """First and last row of a span, ISO 8601 UTC; gaps of less than eleven minutes may be in it."""
 
     model_config = ConfigDict(populate_by_name=True)
     begin: str = Field(alias="from")
@@ -242,4 +242,7 @@ async def point_state(serving: Serving, name: str) -> Tree:
         "age_s": None if time_ns is None else reading.age_s(time_ns, now_s),
         "since": None if since_ns is None else reading.iso(since_ns),
         "calibration": state.get("calibration"),
+        "stage": "" if reason else state.get("stage", ""),
+        "stage_left_s": None if reason else state.get("stage_left_s"),
+        "latency_s": None if reason else state.get("latency_s"),
     }

@@ -36,6 +36,8 @@ MAX_FILE_ROWS = 10_000_000
 # A spectrum is made of this many rows at most: six hours at 100 Hz.
 MAX_SPECTRUM_ROWS = 2_200_000
 MAX_EVENTS = 1000
+# Of a calibration as many spans of its rows: a year of weeks with a gap in each.
+MAX_SPANS = 50
 
 
 @contextmanager
@@ -173,13 +175,17 @@ def events(where: str, point: str, first_ns: int, end_ns: int) -> list[Tree]:
 
 
 def calibrations(where: str, point: str) -> list[Tree]:
-    """A point's calibrations with their numbers, times, states and contents."""
+    """A point's calibrations with their numbers, times, states, contents and the rows that were made with each."""
     with opened(where) as store:
-        kept = store.calibrations(point)
+        kept, spans = store.calibrations(point), store.spans(point, rows_stream())
+    rows: dict[int, list[Tree]] = {}
+    for one in spans:
+        rows.setdefault(one.calibration, []).append({"from": iso(one.first_ns), "to": iso(one.last_ns)})
     return [
-        {"id": one.number, "time": iso(one.made_ns), "state": one.state, "calibration": json.loads(one.body)}
+        {"id": one.number, "time": iso(one.made_ns), "state": one.state, "calibration": json.loads(one.body),
+         "rows": rows.get(one.number, [])[-MAX_SPANS:]}
         for one in kept
-    ]
+    ]  # fmt: skip
 
 
 def spectrum_of(where: str, point: str, first_ns: int, end_ns: int) -> Tree:

@@ -160,6 +160,7 @@ class Intake:
     def _pictured(self, one: Running, name: str, item: Delivered | SourceFault) -> None:
         stream = one.streams[name]
         if isinstance(item, SourceFault):
+            stream.failed = True
             self._refused(one, name, item)
             return
         stream.skipped = item.skipped
@@ -204,6 +205,8 @@ class Intake:
     def _came(self, one: Running, name: str, item: Block | RangeFrame | SourceFault) -> None:
         """What a line or a radar gave."""
         if isinstance(item, SourceFault):
+            # A line that is no block is one too, and closes nothing.
+            one.streams[name].failed |= item.code != "payload"
             self._refused(one, name, item)
         elif isinstance(item, RangeFrame):
             if not self._is_ahead(one, name, item.time_ns):
@@ -247,7 +250,7 @@ class Intake:
         stream, record = one.streams[name], arrival.record
         if stream.paused:
             return
-        stream.heard(time.time())
+        stream.heard(time.time(), arrival.newest_ns, len(record.time_ns) if isinstance(record, Readings) else 1)
         # A block without any value tells nothing of the sensor.
         if stream.reason and not (isinstance(record, Readings) and not np.isfinite(record.value).any()):
             if stream.reported:

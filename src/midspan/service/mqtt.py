@@ -104,6 +104,11 @@ class Broker:
             return ""
         return self._reason
 
+    @property
+    def restarts(self) -> int:
+        """How often it was connected again."""
+        return max(self._connections - 1, 0)
+
     def start(self) -> None:
         """Connect, now or as soon as the broker is there."""
         self._client.connect_async(

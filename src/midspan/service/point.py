@@ -19,6 +19,7 @@ from midspan.service.cutting import wider
 from midspan.service.feeding import Absence, Feeding, Waiting
 from midspan.service.journal import Journal, RowHealth, carried
 from midspan.service.opening import Opened, checkpoint
+from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
 from midspan.store.chunk import Chunk, join
@@ -138,7 +139,7 @@ class LivePoint:
     @property
     def disordered(self) -> int:
         """How many readings of the accelerometer were left out since their stamps were wrong."""
-        return 0 if self.opened is None else self.opened.point.merge.state.streams[0].disordered
+        return 0 if self.opened is None else self.opened.point.merge.memory(ACCELEROMETER).disordered
 
     @property
     def held_up(self) -> str:
@@ -162,7 +163,7 @@ class LivePoint:
         if isinstance(record, Readings):
             if not len(record.time_ns):
                 return
-            if arrival.stream == "accelerometer":
+            if arrival.stream == ACCELEROMETER:
                 self.newest_ns = max(self.newest_ns, int(record.time_ns[-1]))
                 self._absence = self._absence.heard()
         if self._feeding is None:
@@ -204,6 +205,24 @@ class LivePoint:
         elif not opens and length_s >= self.plan.settings.calibration_s:
             self.job = Job("calibrate", self._capture.close())
             self._capture, self.phase = None, Phase.CALIBRATING
+
+    @property
+    def stage(self) -> str:
+        """What is prepared: capturing, calibrating, opening; empty where nothing is."""
+        captures = self.phase in AGAIN.values()
+        return "capturing" if captures else self.phase.value if self.phase in AGAIN else ""
+
+    @property
+    def capture_left_s(self) -> float:
+        """How much longer is captured, s: the rest of the window, or until there are enough frames of the slowest
+        camera, after the pause before another try.
+        """
+        pause_s = max(self._again_ns - self.newest_ns, 0) / NANOSECONDS
+        length_s, frames = (0.0, None) if self._capture is None else (self._capture.length_s, self._capture.frames)
+        if self.phase is not Phase.CAPTURING_TO_OPEN:
+            return pause_s + max(self.plan.settings.calibration_s - length_s, 0.0)
+        of_frames_s = length_s * (OPENING_FRAMES - frames) / frames if frames else 0.0
+        return pause_s + max(OPENING_S - length_s, of_frames_s, 0.0)
 
     @property
     def can_calibrate(self) -> bool:

@@ -8,14 +8,14 @@ from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import closing, suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from midspan.errors import DataError, MidspanError
+from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
+from midspan.service.beginning import begin
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
 from midspan.service.changes import Changes
 from midspan.service.commands import Commands
@@ -27,7 +27,7 @@ from midspan.service.keeping import Keeper, written_bytes
 from midspan.service.live_socket import LiveSocket, of_ready, row_bytes
 from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, summary
 from midspan.service.notify import notify
-from midspan.service.opening import head_of, opened, resumed
+from midspan.service.opening import opened
 from midspan.service.paused import Paused
 from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
@@ -210,38 +210,7 @@ class Service:
             self._begin_from(one, store)
 
     def _begin_from(self, one: Running, store: Store) -> None:
-        one.live.number = number_in_force(one.live, store, self.site.file.parent)
-        one.live.follows = store.newest_ns(one.name, ROWS) is not None
-        try:
-            kept = store.checkpoint(one.name)
-        except DataError as error:
-            self._say(f"{one.name}: {error}")
-            return
-        if kept is None or not one.live.number:
-            return
-        try:
-            self._resume(one, store, kept[1])
-        except (MidspanError, ValueError, KeyError, OSError) as error:
-            one.live.drop()
-            self._say(f"{one.name}: its checkpoint cannot be used ({error}); it opens anew.")
-
-    def _resume(self, one: Running, store: Store, kept: bytes) -> None:
-        head = head_of(kept)
-        folder = one.live.folder / Path(head["folder"]).name
-        number = head["calibration"]
-        if not (folder / "recording.toml").is_file():
-            return
-        # Where another calibration or other settings came into force since, the rows go on until the point is opened
-        # with them.
-        found = opened(folder, one.name, loaded(one.live, store, number), number, push=False)
-        if {ACCELEROMETER, *found.point.sensors} != set(one.live.plan.sources):
-            return
-        resumed(found, kept, store)
-        one.live.resumed(found, folder)
-        one.published_ns = store.newest_ns(one.name, ROWS) or 0
-        # That nobody listened meanwhile has to be known before the first record.
-        one.live.tick(time.time_ns())
-        self._say(f"{one.name}: goes on from its checkpoint.")
+        begin(one, store, self.site.file.parent, self._say)
 
     def _begin_job(self, one: Running) -> None:
         if one.live.job is not None and not one.busy:
@@ -272,7 +241,8 @@ class Service:
             if job.kind == "open":
                 live.narrow(needed(await asyncio.to_thread(self._with_store, loaded, live)))
             async with self._one_at_a_time[job.kind]:
-                await (self._calibrate(one, job) if job.kind == "calibrate" else self._open(one, job))
+                with one.timed(job.kind):
+                    await (self._calibrate(one, job) if job.kind == "calibrate" else self._open(one, job))
         except Exception as error:
             # Whatever it is, the other points go on, and this one is tried again.
             live.refused(str(error) if isinstance(error, MidspanError) else f"{type(error).__name__}: {error}")
@@ -606,8 +576,10 @@ class Service:
         """As the topic `state` shows it; without the broker its sources are away, not silent."""
         found = one.standing(now_s)
         for source in found["sources"]:
-            by_broker = one.live.plan.sources[source["source"]].startswith(MQTT)
-            if by_broker and self._broker is not None and self._broker.reason and source["reason"]:
+            if self._broker is None or not one.live.plan.sources[source["source"]].startswith(MQTT):
+                continue
+            source["restarts"] = self._broker.restarts
+            if self._broker.reason and source["reason"]:
                 source["reason"], source["text"] = self._broker.reason, sentence(self._broker.reason)
         return found
 

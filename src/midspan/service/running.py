@@ -4,7 +4,8 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from typing import Any
 from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
-from midspan.records import RangeFrame
+from midspan.records import NANOSECONDS, RangeFrame
 from midspan.service.camera_process import CameraProcess, ReadingThread
 from midspan.service.capture import capture_settings
+from midspan.service.pace import ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
@@ -58,6 +60,11 @@ class Stream:
     # How a camera's frames are dated, see `StampKind`.
     stamps: str = ""
     interval_s: float = 0.0
+    pace: Pace = field(default_factory=Pace)
+    drift: ClockDrift = field(default_factory=ClockDrift)
+    # How often it was opened again, and whether it failed since it was last.
+    restarts: int = 0
+    failed: bool = False
     # Whether the reason was an event, and when each code was one last.
     reported: bool = False
     reported_s: dict[str, float] = field(default_factory=dict)
@@ -81,16 +88,22 @@ class Stream:
             "reason": reason,
             "text": self.paused or self.text or (sentence(reason) if reason else ""),
             "address": self.address,
-            "rate_hz": round(1.0 / self.interval_s, 3) if self.interval_s > 0.0 else None,
+            "rate_hz": rounded(self.pace.rate_hz, 3),
+            "nominal_rate_hz": rounded(1e9 / self.dt_ns if self.dt_ns else None, 3),
+            "delay_s": rounded(self.pace.delay_s, 4),
             "age_s": None if self.heard_s is None else round(now_s - self.heard_s, 3),
             "records": self.records,
             "faults": self.faults,
             "skipped": self.skipped,
+            "restarts": self.restarts,
             "stamps": self.stamps,
         }
 
-    def heard(self, now_s: float) -> None:
-        """A record came."""
+    def heard(self, now_s: float, newest_ns: int, values: int) -> None:
+        """A record came, of this many values, the newest of which has this stamp."""
+        self.pace.came(newest_ns, values, round(now_s * NANOSECONDS))
+        if self.failed:
+            self.failed, self.restarts = False, self.restarts + (self.heard_s is not None)
         if self.heard_s is not None:
             self.interval_s += (max(now_s - self.heard_s, 0.0) - self.interval_s) / min(self.records, AVERAGED)
         self.heard_s, self.records = now_s, self.records + 1
@@ -133,6 +146,11 @@ class Stream:
         return now_s - self.reported_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
 
 
+def rounded(value: float | None, digits: int) -> float | None:
+    """A number with this many digits after the point; None for what is not known, or no number."""
+    return None if value is None or not math.isfinite(value) else round(value, digits)
+
+
 @dataclass(slots=True)
 class Running:
     """One point and its sources in the shell.
@@ -160,6 +178,10 @@ class Running:
     threads: list[ReadingThread] = field(default_factory=list)
     replays: list[asyncio.Task[None]] = field(default_factory=list)
     made_s: float = field(default_factory=time.time)
+    # When the job that is done began, and how long the last one of each kind took, s.
+    _job_s: float | None = None
+    _took_s: dict[str, float] = field(default_factory=dict)
+    _pace: Pace = field(default_factory=Pace)
     # Stamp of the newest row, when that was given out, and how many stamps of the acceleration were wrong until then.
     _row_ns: int | None = None
     _row_s: float | None = None
@@ -179,7 +201,28 @@ class Running:
         """Note when the newest row was given out."""
         newest_ns = self.live.row_health.newest_ns
         if newest_ns != self._row_ns:
+            if newest_ns is not None:
+                self._pace.came(newest_ns, 1, round(now_s * NANOSECONDS))
             self._row_ns, self._row_s, self._disordered = newest_ns, now_s, self.live.disordered
+
+    @contextmanager
+    def timed(self, kind: str) -> Iterator[None]:
+        """A job of a kind, for as long as it is done."""
+        self._job_s = time.monotonic()
+        try:
+            yield
+            self._took_s[kind] = time.monotonic() - self._job_s
+        finally:
+            self._job_s = None
+
+    def _stage(self) -> dict[str, Any]:
+        """What is prepared, and how long that still takes: a job as long as the last one of its kind."""
+        stage, left_s = self.live.stage, None
+        if stage == "capturing":
+            left_s = self.live.capture_left_s
+        elif self.live.job is not None and self._job_s is not None and self.live.job.kind in self._took_s:
+            left_s = max(self._took_s[self.live.job.kind] - (time.monotonic() - self._job_s), 0.0)
+        return {"stage": stage, "stage_left_s": rounded(left_s, 1), "latency_s": rounded(self._pace.delay_s, 3)}
 
     def no_rows(self, now_s: float) -> str:
         """Why the point gives no rows now that can be relied on, empty where it does."""
@@ -215,8 +258,31 @@ class Running:
             "reason": self.live.reason or self.no_rows(now_s),
             "calibration": self.live.number,
             **self._rows(now_s),
-            "sources": [stream.standing(now_s, self.live.unseen(name)) for name, stream in self.streams.items()],
+            "sources": [self._source(name, stream, now_s) for name, stream in self.streams.items()],
         }
+
+    def _source(self, name: str, stream: Stream, now_s: float) -> dict[str, Any]:
+        """How a source stands, with what the engine knows of it."""
+        found = stream.standing(now_s, self.live.unseen(name))
+        unknown: dict[str, float | None] = {
+            "late": None,
+            "clock_offset_s": None,
+            "clock_offset_std_s": None,
+            "clock_drift_ppm": None,
+        }
+        if self.live.opened is None:
+            return {**found, **unknown}
+        point = self.live.opened.point
+        memory, interval_s = point.merge.memory(name), point.interval_s(name)
+        if interval_s > 0.0:
+            found["nominal_rate_hz"] = rounded(1.0 / interval_s, 3)
+        own: dict[str, float | None] = {**unknown, "late": memory.late + memory.disordered}
+        if name != ACCELEROMETER:
+            offset_s, std_s = point.clock_offset(name)
+            stream.drift.look(round(now_s * NANOSECONDS), offset_s)
+            own |= {"clock_offset_s": rounded(offset_s, 6), "clock_offset_std_s": rounded(std_s, 6)}
+            own["clock_drift_ppm"] = rounded(stream.drift.ppm, 2)
+        return {**found, **own}
 
     def ready(self, now_s: float) -> dict[str, Any]:
         """As /readyz shows it: whether there are rows."""
@@ -238,6 +304,7 @@ class Running:
             "notice": notice,
             "notice_text": sentence(notice) if notice else "",
             "phase": self.live.phase.value,
+            **self._stage(),
         }
 
     def _rows(self, now_s: float) -> dict[str, Any]:

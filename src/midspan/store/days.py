@@ -129,6 +129,26 @@ class Day:
         numbers = np.array(rows, dtype=np.float64).reshape(-1, 3)
         return np.array([row[0] for row in rows], dtype=np.int64), numbers[:, 1], numbers[:, 2]
 
+    def begins(self, point: str, stream: str) -> list[int]:
+        """The first stamp of each chunk of a stream, by the index alone."""
+        sql = "SELECT t0_ns FROM {} WHERE point = ? AND stream = ?"
+        return [
+            int(row[0]) for one in self._with_rows for row in self.database.execute(sql.format(one), (point, stream))
+        ]
+
+    def end_ns(self, point: str, stream: str, t0_ns: int) -> int:
+        """The last stamp of the chunk that begins at an instant."""
+        sql = "SELECT MAX(t1_ns) FROM {} WHERE point = ? AND stream = ? AND t0_ns = ?"
+        found = (self.database.execute(sql.format(one), (point, stream, t0_ns))[0][0] for one in self._with_rows)
+        return max(int(one) for one in found if one is not None)
+
+    def head(self, point: str, stream: str, t0_ns: int, count: int) -> tuple[int, bytes]:
+        """The number of the calibration as the table has it, and the first bytes of the chunk that begins there."""
+        sql = "SELECT {}, substr(body, 1, ?) FROM {} WHERE point = ? AND stream = ? AND t0_ns = ?"
+        place = (count, point, stream, t0_ns)
+        rows = [row for one in self._with_rows for row in self.database.execute(sql.format(TABLES[one], one), place)]
+        return int(rows[-1][0]), bytes(rows[-1][1])
+
     def streams(self) -> set[tuple[str, str, int]]:
         """Point, stream and day of all that is kept."""
         found = set()

@@ -20,6 +20,7 @@ from midspan.store.database import Database, FileLocks, PostgresDatabase, Sqlite
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
 from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
+from midspan.store.spans import CalibratedSpan, spans_of
 from midspan.store.summary import STATUS, STD, Drawn
 from midspan.store.summary import Buckets as SummaryBuckets
 
@@ -490,6 +491,10 @@ class Store:
             if one.number == number or (number is None and one.state == "in force"):
                 return one
         return None
+
+    def spans(self, point: str, stream: str) -> list[CalibratedSpan]:
+        """When a stream's rows were made with which calibration."""
+        return spans_of(self._days.all(), self._pieces.of(point, stream), point, stream)
 
     def checkpoint(self, point: str) -> tuple[int, bytes] | None:
         """A point's newest checkpoint and its instant (ns). Raises DataError for a damaged one."""
