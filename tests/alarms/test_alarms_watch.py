@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.alarms.book import Book
+from midspan.alarms.messages import iso
 from midspan.alarms.watch import Ages, Watch
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Status
@@ -211,6 +212,38 @@ def test_a_silent_source_is_counted_from_its_newest_block(tmp_path):
         ("quiet", "firing", "s"),
         ("disk", "firing", "%"),
     ]
+
+
+def test_the_message_of_a_silent_source_names_it_and_since_when():
+    rule = AlarmSettings.model_validate({"name": "quiet", "on": "silent", "delay_s": 5.0, "keep_firing_s": 0.0})
+    trees = []
+    watch = Watch({"p": [rule]}, [], [TARGET], lambda _entry, given: trees.extend(given))
+
+    def text(at_s, age_s, source):
+        watch.tick(s(at_s), {"p": Ages(0.0, age_s, source=source)}, None)
+        return (watch.trees() or trees[-1:])[0]["text"]
+
+    assert text(10, 5.5, "p.camera") == f"p.camera brings nothing since {iso(s(4.5))}, for 5.5 s, limit 5 s."
+    # It is the one that is silent longest now, and not when the alarm began.
+    assert text(30, 22.0, "p.radar") == f"p.radar brings nothing since {iso(s(8))}, for 22 s, limit 5 s."
+    assert text(31, 0.1, "p.camera") == "p.radar brought nothing: ended. It was 22 s at most."
+
+
+def test_a_silence_is_listed_and_ended_without_an_open_alarm(site):
+    site.move(25, 0)
+    site.watch.silence(site.id, "anna", s(3600), "gauge is loose", s(1))
+    site.move(0, 1)
+    assert site.watch.trees() == []
+    (one,) = site.watch.silences()
+    assert {key: one[key] for key in ("point", "name", "no_data", "owner", "reason")} == {
+        "point": "p", "name": "a", "no_data": False, "owner": "anna", "reason": "gauge is loose",
+    }  # fmt: skip
+    with pytest.raises(MidspanError, match="is no silence"):
+        site.watch.end_silence("none", "bert", s(2))
+    site.watch.end_silence(one["id"], "bert", s(2))
+    assert site.watch.silences() == []
+    assert [(line.what, line.who) for line in site.book.audit(1)] == [("silence ended", "bert")]
+    assert "silence:p/a" not in site.book.kept()
 
 
 def test_rows_that_are_lost_say_nothing_of_the_displacement(site):

@@ -50,6 +50,21 @@ def test_an_operator_acknowledges_and_silences(operator, reader, engine):
         assert reader.post(f"/api/v1/alarms/{path}", json=wanted).status_code == 403
 
 
+def test_a_silence_without_an_open_alarm_is_listed_and_ended(operator, reader, engine):
+    silence = {"id": "5e", "point": "p", "name": "deflection", "no_data": False, "until": "2199-01-01T00:00:00.000Z",
+               "owner": "anna", "reason": "gauge is loose"}  # fmt: skip
+    assert reader.get("/api/v1/alarms/silences").json() == []
+    engine.answers["alarms"] = lambda _: {"alarms": [], "targets": [], "limits": [], "silences": [silence]}
+    try:
+        assert reader.get("/api/v1/alarms/silences").json() == [silence]
+        assert reader.delete("/api/v1/alarms/silences/5e").status_code == 403
+        assert operator.delete("/api/v1/alarms/silences/none").status_code == 404
+        assert operator.delete("/api/v1/alarms/silences/5e").status_code == 200
+    finally:
+        del engine.answers["alarms"]
+    assert engine.commands[-1] == {"command": "end_silence", "silence": "5e", "who": "operate"}
+
+
 def test_what_cannot_be_is_said(operator):
     later = "2199-01-01T00:00:00Z"
     assert operator.post("/api/v1/alarms/none/acknowledge").status_code == 404

@@ -143,6 +143,10 @@ def test_events_spectrum_and_calibrations_are_as_stored(reader, begin_ns):
     assert "longer" in reader.get("/api/v1/points/p/spectrum", params=short).json()["reason"]
     kept = reader.get("/api/v1/points/p/calibrations").json()
     assert [(one["id"], one["state"]) for one in kept] == [(1, "in force"), (2, "offered")]
+    # The gap of a minute is shorter than what an index of blocks tells.
+    assert kept[0]["rows"][0]["from"] == iso(begin_ns)
+    assert kept[0]["rows"][-1]["to"] >= iso(at(begin_ns, SECONDS - 0.01))
+    assert kept[1]["rows"] == []
     assert reader.get("/api/v1/points/q/calibrations").json() == []
 
 

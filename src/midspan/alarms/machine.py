@@ -21,7 +21,8 @@ class Alarm:
 
     value, std: at the newest sample, in `unit`; peak: the value furthest from zero. since_ns: when limit or
     band was first exceeded; time_ns: of the newest change. reported: the state that people were notified of last,
-    at reported_ns; "" for none.
+    at reported_ns; "" for none. source: which one is silent, "" of other rules, and
+    silent_ns: since when.
     """
 
     id: str
@@ -42,6 +43,8 @@ class Alarm:
     who: str = ""
     reported: str = ""
     reported_ns: int = 0
+    source: str = ""
+    silent_ns: int = 0
 
 
 @dataclass(slots=True)

@@ -15,7 +15,6 @@ NAMES = {
     "drift": "drift of the daily mean",
     "velocity": "velocity",
     "std": "standard deviation",
-    "silent": "age of the newest block of a source",
     "disk": "used part of the store's disk",
     "no_data": "age of the newest row",
 }
@@ -29,6 +28,12 @@ def iso(time_ns: int) -> str:
 
 def sentence_of(alarm: Alarm) -> str:
     """What an alarm says, in a sentence."""
+    if alarm.on == "silent":
+        source = alarm.source or f"{alarm.point}: a source"
+        if alarm.state == "ended":
+            return f"{source} brought nothing: ended. It was {alarm.peak:.4g} s at most."
+        since_ns = alarm.silent_ns or alarm.since_ns
+        return f"{source} brings nothing since {iso(since_ns)}, for {alarm.value:.4g} s, limit {alarm.limit:.4g} s."
     unit, band = alarm.unit, BAND * alarm.std
     value = f"{alarm.value:.4g} {unit}" + (f" ± {band:.2g} {unit}" if band else "")
     what = f"{alarm.point}: {NAMES[alarm.on]} {value}, limit {alarm.limit:.4g} {unit}"
@@ -50,6 +55,19 @@ def tree_of(alarm: Alarm, silence: Tree | None = None) -> Tree:
         "time": iso(alarm.time_ns), "since": iso(alarm.since_ns), "text": sentence_of(alarm),
         "acknowledged_by": alarm.who, "silence": silence,
     }  # fmt: skip
+
+
+def silence_id(key: str) -> str:
+    """The id of the silence of a rule, by the rule's key."""
+    return hashlib.blake2b(key.encode(), digest_size=8).hexdigest()
+
+
+def silence_tree(key: str, silence: Tree) -> Tree:
+    """A silence as the interface has it; no_data: whether it is that of rows that do not come."""
+    point, _, name = key.partition("/")
+    is_no_data = name.endswith("/no_data")
+    own = {"id": silence_id(key), "point": point, "name": name.removesuffix("/no_data"), "no_data": is_no_data}
+    return {**own, **{one: silence[one] for one in ("until", "owner", "reason")}}
 
 
 def signature(secret: str, body: bytes) -> str:

@@ -9,10 +9,10 @@ import numpy as np
 from midspan.alarms.book import Audit, Entry, Message
 from midspan.alarms.drift import DailyMean
 from midspan.alarms.machine import Alarm, RuleState, acknowledged, advance, is_reported, message_due
-from midspan.alarms.messages import iso, tree_of
+from midspan.alarms.messages import iso, silence_id, silence_tree, tree_of
 from midspan.alarms.rules import Rule, Samples, rules_of, sample
 from midspan.errors import MidspanError
-from midspan.records import Status
+from midspan.records import NANOSECONDS, Status
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings
 from midspan.store.chunk import Chunk
 
@@ -22,14 +22,15 @@ MQTT_TARGET = "mqtt"
 
 @dataclass(frozen=True, slots=True)
 class Ages:
-    """Of a point's newest row, and of the newest block of the source that is silent longest, s. came: whether there was
-    one since the service began; else it is the time since then.
+    """Of a point's newest row, and of the newest block of the source that is silent longest, s, and that one's name.
+    came: whether there was one since the service began; else it is the time since then.
     """
 
     rows_s: float
     block_s: float
     rows_came: bool = True
     block_came: bool = True
+    source: str = ""
 
 
 @dataclass(slots=True)
@@ -152,7 +153,8 @@ class Watch:
             value = values.get(one.rule.on)
             # Soon after a restart it is not known whether what was away before still is.
             if value is not None and (came or value > one.rule.limit):
-                self._take(one, sample(now_ns, value), now_ns)
+                source = age.source if one.rule.on == "silent" and value > one.rule.limit else ""
+                self._take(one, sample(now_ns, value), now_ns, source)
         for key, silence in list(self._silences.items()):
             if silence["until_ns"] <= now_ns:
                 self._unsilenced(key, now_ns, "")
@@ -206,6 +208,18 @@ class Watch:
         self._unsilenced(key, now_ns, who)
         return f"{key}: is no longer silent."
 
+    def silences(self) -> list[dict[str, Any]]:
+        """The silences in force, of rules with an open alarm or without one."""
+        return [silence_tree(key, tree) for key, tree in self._silences.items()]
+
+    def end_silence(self, number: str, who: str, now_ns: int) -> str:
+        """End a silence by its own id. Raises MidspanError where there is none."""
+        key = next((key for key in self._silences if silence_id(key) == number), None)
+        if key is None:
+            raise MidspanError(f"{number}: is no silence. GET /api/v1/alarms/silences lists them.")
+        self._unsilenced(key, now_ns, who)
+        return f"{key}: is no longer silent."
+
     def test(self, who: str, site: str, now_ns: int) -> str:
         """Send a message to every target, which says that it is a test."""
         alarm = Alarm("test", "", "test", "test", "warning", "displacement", "mm", 0.0, "test", "test", 0.0, 0.0, 0.0,
@@ -225,9 +239,15 @@ class Watch:
 
     # Changes
 
-    def _take(self, one: Watched, samples: Samples, now_ns: int) -> None:
+    def _take(self, one: Watched, samples: Samples, now_ns: int, source: str = "") -> None:
         last = one.state.alarm
-        for alarm in advance(one.rule, one.state, samples):
+        changes = advance(one.rule, one.state, samples)
+        if source and one.state.alarm is not None:
+            # One that is about to end keeps the name of the source that was silent.
+            silent_ns = now_ns - round(float(samples.value[-1]) * NANOSECONDS)
+            one.state.alarm = replace(one.state.alarm, source=source, silent_ns=silent_ns)
+            changes = [replace(alarm, source=source, silent_ns=silent_ns) for alarm in changes]
+        for alarm in changes:
             if last is not None and last.id == alarm.id:
                 alarm = replace(alarm, reported=last.reported, reported_ns=last.reported_ns)
             last = self._changed(alarm, now_ns)

@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from midspan.alarms.book import DAY_NS, KEEP_DAYS, Book, has_book
 from midspan.alarms.machine import OPEN
-from midspan.alarms.messages import iso, tree_of
+from midspan.alarms.messages import iso, silence_tree, tree_of
+from midspan.alarms.watch import SILENCE
 from midspan.errors import MidspanError
 from midspan.serve.access import Login
 from midspan.serve.instants import PATTERN, instant_ns
@@ -53,6 +54,18 @@ class AlarmBody(BaseModel):
     text: str
     acknowledged_by: str
     silence: SilenceBody | None
+
+
+class SilenceListed(BaseModel):
+    """A silence that is in force: of a rule, whether an alarm of it is open or not."""
+
+    id: str
+    point: str
+    name: str = Field(description="of the rule")
+    no_data: bool = Field(description="whether it is that of rows that do not come (no_data_s)")
+    until: str
+    owner: str
+    reason: str
 
 
 class AuditBody(BaseModel):
@@ -109,6 +122,15 @@ def kept_alarms(folder: Path, now_ns: int, since_ns: int) -> list[Tree]:
         silent = {key: {name: tree[name] for name in ("until", "owner", "reason")} for key, tree in silences.items()
                   if tree["until_ns"] > now_ns}  # fmt: skip
         return [tree_of(one, silent.get(one.key)) for one in book.alarms(since_ns)]
+
+
+def kept_silences(folder: Path, now_ns: int) -> list[Tree]:
+    """The silences of a service's folder that are in force."""
+    if not has_book(folder):
+        return []
+    with closing(Book(folder, read_only=True)) as book:
+        kept = {key.removeprefix(SILENCE): tree for key, tree in book.kept().items() if key.startswith(SILENCE)}
+    return [silence_tree(key, tree) for key, tree in kept.items() if tree["until_ns"] > now_ns]
 
 
 def kept_audit(folder: Path, count: int, alarm: str | None) -> list[Tree]:
@@ -178,6 +200,25 @@ async def limits(serving: Shared) -> list[Any]:
     """The limits of all points that are measured."""
     answer, _ = await serving.link.ask("alarms")
     return list(answer.get("limits", []))
+
+
+@routes.get("/silences", response_model=list[SilenceListed], dependencies=READ, responses=declared(401, 403))
+async def silences(serving: Shared) -> list[Any]:
+    """The silences that are in force."""
+    try:
+        answer, _ = await serving.link.ask("alarms")
+    except MidspanError:
+        return await serving.quick.run(kept_silences, place_of(serving.where), time.time_ns())
+    return list(answer.get("silences", []))
+
+
+@routes.delete("/silences/{number}", response_model=Done, responses=declared(401, 403, 404, 409, 422))
+async def end_silence(number: str, login: Operator, serving: Shared) -> Done:
+    """End a silence, also one of a rule without an open alarm."""
+    if number not in [one["id"] for one in await silences(serving)]:
+        raise Problem(404, f"{number}: is no silence. GET /api/v1/alarms/silences lists them.")
+    answer, _ = await serving.link.ask("end_silence", silence=number, who=login.name)
+    return Done(text=str(answer["text"]))
 
 
 @routes.post("/test", response_model=Done, responses=declared(401, 403, 409))

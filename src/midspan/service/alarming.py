@@ -58,13 +58,14 @@ def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -
     begun_s = max(begun_s, point.made_s)
     streams = point.streams.values()
     row_s = now_s if any(stream.paused for stream in streams) else row_s
-    heard_s = [stream.heard_s for stream in streams if not stream.paused]
-    oldest_s = min((begun_s if one is None else one for one in heard_s), default=now_s)
+    heard = [(begun_s if one.heard_s is None else one.heard_s, one) for one in streams if not one.paused]
+    oldest_s, oldest = min(heard, key=lambda one: one[0], default=(now_s, None))
     return Ages(
         rows_s=max(now_s - (begun_s if row_s is None else row_s), 0.0),
         block_s=max(now_s - oldest_s, 0.0),
         rows_came=row_s is not None,
-        block_came=None not in heard_s,
+        block_came=all(one.heard_s is not None for _, one in heard),
+        source="" if oldest is None else f"{oldest.point}.{oldest.sensor}",
     )
 
 
@@ -94,10 +95,12 @@ class Alarming:
         self.commands: dict[str, Callable[[Tree], Tree]] = {
             "alarms": lambda _: {
                 "alarms": self._watch.trees(), "targets": self._targets(), "limits": self._watch.limits(),
+                "silences": self._watch.silences(),
             },
             "acknowledge": self._acknowledge,
             "silence": self._silence,
             "unsilence": self._unsilence,
+            "end_silence": self._end_silence,
             "test_alarms": self._test,
         }  # fmt: skip
 
@@ -186,6 +189,9 @@ class Alarming:
 
     def _unsilence(self, head: Tree) -> Tree:
         return {"text": self._watch.unsilence(str(head["alarm"]), str(head["who"]), time.time_ns())}
+
+    def _end_silence(self, head: Tree) -> Tree:
+        return {"text": self._watch.end_silence(str(head["silence"]), str(head["who"]), time.time_ns())}
 
     def _test(self, head: Tree) -> Tree:
         return {"text": self._watch.test(str(head["who"]), self._site.name, time.time_ns())}
