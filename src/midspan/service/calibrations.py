@@ -42,8 +42,10 @@ def _is_of(kept: str, settings: RecordingSettings) -> bool:
     now, then = settings.model_dump(mode="json", exclude_none=True), json.loads(kept)
 
     def named(tree: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-        sections = [(kind, one) for kind in KINDS for one in tree.get(f"{kind}s", ())]
-        return [(kind, one.get("name"), one.get("direction")) for kind, one in sections]
+        # One of a kind is a section, several are a list.
+        given = {kind: tree.get(kind, []) for kind in KINDS}
+        sections = {kind: own if isinstance(own, list) else [own] for kind, own in given.items()}
+        return [(kind, one.get("name"), one.get("direction")) for kind, own in sections.items() for one in own]
 
     # An earlier version may have kept none.
     return not then or named(then) == named(now)
