@@ -111,8 +111,15 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (('user = "midspan"\n', ""), r"mqtt: must have user with password"),
         (("[mqtt]", '[mqtt]\nhost = "127.0.0.1:1883"'), r"mqtt.host = '127.0.0.1:1883': must be a host alone"),
         (
+            ("[mqtt]", '[mqtt]\nhost = "mqtt://broker:1883"'),
+            r"must be a host alone; the port is a key of its own: host = 'broker', port = 1883",
+        ),
+        (("[mqtt]", '[mqtt]\nhost = "[::1]:1883"'), r"must be a host alone; .*: host = '::1', port = 1883"),
+        (("[mqtt]", '[mqtt]\nhost = "mqtt://broker"'), r"mqtt.host = 'mqtt://broker': must be a host alone, as"),
+        (('user = "midspan"', 'user = ""'), r"mqtt.user = ''"),
+        (
             ("[mqtt]", '[service]\nlisten = "0.0.0.0:8080"\n[mqtt]'),
-            r"service: must be on loopback, as 127.0.0.1, without",
+            r"service: must be on loopback, as 127.0.0.1, without .*; received listen = '0.0.0.0:8080'",
         ),
         (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both, a certificate and its key"),
         (

@@ -107,9 +107,12 @@ def _is_safe(listen: str, tls_cert: str | None, tls_key: str | None) -> None:
 
 
 def _is_a_host(value: str) -> str:
-    if value.count(":") == 1:
-        host, _, port = value.partition(":")
+    match = re.fullmatch(r"(?:[a-z]+://)?(\[[^\]]*\]|[^:/]*)(?::(\d+))?/?", value)
+    host, port = (match[1].strip("[]"), match[2]) if match else (value, None)
+    if port is not None:
         raise ValueError(f"must be a host alone; the port is a key of its own: host = {host!r}, port = {port}")
+    if host != value or re.search(r"[\s/@\[\]]", value):
+        raise ValueError('must be a host alone, as "broker.example.org", "192.168.1.5" or "::1"')
     return value
 
 
@@ -148,7 +151,7 @@ class MqttSettings(Section):
         "127.0.0.1", description="name or address of the broker"
     )
     port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(1883, description="its port")
-    user: str | None = Field(None, description="user name; left out: none")
+    user: Annotated[str, Field(min_length=1)] | None = Field(None, description="user name; left out: none")
     password: SecretStr | None = Field(None, description='password; write "{NAME}" to take it from the environment')
     prefix: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] = Field(
         "midspan", description="what all topics of results begin with"
@@ -192,7 +195,10 @@ class ServiceSettings(Section):
 
     @model_validator(mode="after")
     def _is_protected(self) -> "ServiceSettings":
-        _is_safe(self.listen, self.tls_cert, self.tls_key)
+        try:
+            _is_safe(self.listen, self.tls_cert, self.tls_key)
+        except ValueError as error:
+            raise ValueError(f"{error}; received listen = {self.listen!r}") from None
         return self
 
 
