@@ -16,6 +16,7 @@ from pathlib import Path
 from midspan.records import NANOSECONDS
 from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, decode, encode, layout_of, span_of
 from midspan.store.database import PostgresDatabase, StoreFault, lock_file, locked, sqlite_faults
+from midspan.store.seconds import merge
 
 LOGS = "log"
 # A power cut takes at most what came since the log was synchronised, s of the records' time; a page of 4 kB is written
@@ -242,6 +243,8 @@ class TablePieces:
                 stamps = (int(chunk.time_ns[0]), int(chunk.time_ns[-1]))
                 values = (chunk.point, chunk.stream, chunk.shown, *stamps, body)
                 self.database.execute("INSERT INTO piece VALUES (?, ?, ?, ?, ?, ?)", values)
+                if chunk.shown:
+                    merge(self.database, chunk)
                 self._size += len(body)
 
     def sync(self) -> None:

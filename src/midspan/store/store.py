@@ -20,6 +20,7 @@ from midspan.store.database import Database, FileLocks, PostgresDatabase, Sqlite
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
 from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
+from midspan.store.seconds import SECOND_TABLE
 from midspan.store.summary import STATUS, STD, Drawn
 from midspan.store.summary import Buckets as SummaryBuckets
 
@@ -542,7 +543,7 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
             server = PostgresDatabase(str(where), partial(lock_in_session, points=points))
             database: Database = server
             store = Store(server, server, OneDatabase(server), TablePieces(server), points=points)
-            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, PIECE_TABLE)
+            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, PIECE_TABLE, SECOND_TABLE)
         else:
             folder = Path(where)
             if read_only and not (folder / SITE_FILE).is_file():
