@@ -4,8 +4,9 @@ import hashlib
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import astuple
 from pathlib import Path
 from typing import Annotated
 
@@ -13,12 +14,14 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel
 
-from midspan.errors import MidspanError
+from midspan.errors import MidspanError, UsageError
+from midspan.recording.tracking.opening import given_targets
 from midspan.serve.engine_link import AwayError
 from midspan.serve.login import ADMIN
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.settings_fault import SettingsFault
+from midspan.settings.camera import CameraSettings
 from midspan.settings.site import load_site, require_folders
 from midspan.writing import cannot_be_written, write_whole
 
@@ -81,10 +84,28 @@ def on_trial(file: Path, content: bytes) -> Iterator[Path]:
         os.unlink(name)
 
 
-def require_valid(file: Path, content: bytes) -> None:
-    """Raises Problem 422 with the key for settings that a site could not run with."""
+def require_valid(file: Path, content: bytes, sizes_px: Mapping[str, tuple[int, int]]) -> None:
+    """Raises Problem 422 with the key for settings that a site could not run with.
+
+    sizes_px: width and height of the newest picture of each camera (POINT.KIND) that somebody looked at.
+    """
     with on_trial(file, content) as trial:
-        require_folders(load_site(trial))
+        site = load_site(trial)
+        require_folders(site)
+        for point in site.points:
+            for name, _, section in point.recording.streams:
+                size_px = sizes_px.get(f"{point.name}.{name}")
+                if size_px is not None and isinstance(section, CameraSettings):
+                    require_inside(section, size_px, f"{trial}: point {point.name!r}: {name}")
+
+
+def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str) -> None:
+    """Raises UsageError for a region that reaches beyond the camera's picture (width, height)."""
+    for number, target in enumerate(given_targets(camera), 1):
+        if not target.region.inside(*size_px):
+            key, shown = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
+            text = f"must lie inside the picture ({size_px[0]} x {size_px[1]} px); received {list(shown)}."
+            raise UsageError(f"{where}.{key}: {text} Correct it; where the camera's size changed, look at it first.")
 
 
 routes = APIRouter(prefix="/settings", tags=["settings"])
@@ -123,7 +144,8 @@ async def change(
     async with serving.changing:
         file = file_of(serving)
         require_unchanged(file, if_match)
-        await serving.quick.run(require_valid, file, content)
+        sizes_px = {name: (tree["width"], tree["height"]) for name, (_, tree, _) in serving.pictures.items()}
+        await serving.quick.run(require_valid, file, content, sizes_px)
         write_whole(file, content, mode=stat.S_IMODE(file.stat().st_mode))
     response.headers["ETag"] = tag_of(content)
     try:
