@@ -186,7 +186,9 @@ def main(length_s: float = LENGTH_S) -> int:
         goal("server's share of a core, each viewer", 100.0 * each, 100.0 * GOAL_A_VIEWER, unit="%")
         goal(f"server's share of a core, {VIEWERS} viewers", 100.0 * share, 100.0 * GOAL_ALL, unit="%")
         goal("latest row that a viewer saw", max(late_s), GOAL_LATE_S, unit="s")
-        print(f"        median {np.median(late_s):.2f} s, p99 {np.percentile(late_s, 99):.2f} s; alone {100 * alone:.1f} %")
+        print(
+            f"        median {np.median(late_s):.2f} s, p99 {np.percentile(late_s, 99):.2f} s; alone {100 * alone:.1f} %"
+        )
         goal("sample to published row, p99, beside them", beside_ms, alone_ms + UNCHANGED_MS, unit="ms")
         goal("memory of a stalled viewer", stalled_mb(site, token, length_s), GOAL_STALLED_MB, unit="MB")
     return 0
