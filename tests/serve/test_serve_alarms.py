@@ -1,11 +1,14 @@
 """Alarms in the interface: what is kept, and what operators do."""
 
+import threading
 import time
 
 import pytest
+from page import Alarms, swinging
 
 from midspan.alarms.book import Audit, Book, Entry
 from midspan.alarms.machine import Alarm
+from midspan.alarms.watch import Watch
 from midspan.records import NANOSECONDS
 
 
@@ -72,3 +75,36 @@ def test_what_cannot_be_is_said(operator):
     for wrong in ({}, {"until": later}, {"until": "2020-01-01T00:00:00Z", "reason": "x"}, {"until": "x", "reason": "x"},
                   {"until": later, "reason": ""}, {"until": later, "reason": "x", "who": "y"}):  # fmt: skip
         assert operator.post("/api/v1/alarms/1a/silence", json=wrong).status_code == 422, wrong
+
+
+def test_of_two_who_acknowledge_at_once_one_is_told(store_folder, engine, served, tokens):
+    """The alarm of a watch that fires, as `midspan run` has it."""
+    changed = []
+    watch = Watch({"p": [Alarms.SETTINGS]}, (), (), lambda entry, trees: changed.extend(trees))
+    for k in range(10):
+        watch.rows("p", swinging(time.time_ns() + k * NANOSECONDS // 5, "p", 50.0), time.time_ns())
+    (one,) = [tree for tree in watch.trees() if tree["state"] == "firing"]
+    engine.answers = {
+        "alarms": lambda _: {"alarms": watch.trees(), "limits": [], "targets": []},
+        "acknowledge": lambda head: {"text": watch.acknowledge(head["alarm"], head["who"], time.time_ns())},
+    }
+    both, answers = threading.Barrier(2), []
+
+    def acknowledge(scope):
+        with served.client(tokens[scope]) as client:
+            client.get("/healthz")
+            both.wait(20.0)
+            answers.append(client.post(f"/api/v1/alarms/{one['id']}/acknowledge"))
+
+    try:
+        threads = [threading.Thread(target=acknowledge, args=[scope]) for scope in ("operate", "admin")]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30.0)
+    finally:
+        engine.answers = {}
+    done, refused = sorted(answers, key=lambda one: one.status_code)
+    assert (done.status_code, refused.status_code) == (200, 409)
+    assert "is acknowledged" in refused.json()["detail"]
+    assert len([tree for tree in changed if tree["state"] == "acknowledged"]) == 1

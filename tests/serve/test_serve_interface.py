@@ -1,12 +1,14 @@
 """The interface is as its own description says, whatever comes."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import pytest
 
-from served import Served
+from served import Served, opened_recordings
 
 SETTINGS = Path(__file__).with_name("schemathesis.toml")
 
@@ -19,20 +21,39 @@ def own_server(store_folder, tokens, engine):
     served.stop()
 
 
-def test_every_answer_is_declared_whatever_is_sent(own_server, tokens, store_folder, tmp_path):
+def tried(address, token, folder, *more):
     """schemathesis with all of its checks: of each operation the examples, the edges, some random values, sequences."""
     pytest.importorskip("schemathesis")
-    (store_folder.parent / "SITE.toml").write_text("a wrong one\n")
     done = subprocess.run(
         [
             sys.executable, "-m", "schemathesis.cli", "--config-file", str(SETTINGS), "run",
-            f"http://127.0.0.1:{own_server.port}/api/v1/openapi.json", "-H", f"Authorization: Bearer {tokens['admin']}",
-            "--checks", "all", "--max-examples", "5", "--seed", "1", "--continue-on-failure", "--no-color",
+            f"{address}/api/v1/openapi.json", "-H", f"Authorization: Bearer {token}",
+            "--checks", "all", "--seed", "1", "--continue-on-failure", "--no-color", *more,
         ],
-        capture_output=True, text=True, check=False, timeout=900, cwd=tmp_path,
+        capture_output=True, text=True, check=False, timeout=900, cwd=folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-20_000:] + done.stderr[-2000:]
+
+
+def test_every_answer_is_declared_whatever_is_sent(own_server, tokens, store_folder, tmp_path):
+    (store_folder.parent / "SITE.toml").write_text("a wrong one\n")
+    tried(f"http://127.0.0.1:{own_server.port}", tokens["admin"], tmp_path, "--max-examples", "5")
     assert "Traceback" not in own_server.log
+
+
+@pytest.mark.slow
+def test_over_recordings_as_well(footbridge_copy, tmp_path):
+    """The interface of `midspan open`; each inspect and estimate that is asked for is a process of its own."""
+    process, document = opened_recordings(footbridge_copy)
+    try:
+        address, _, link = document["address"].partition("/#")
+        link = re.search(r"[\w-]{40,}", link)[0]
+        token = httpx.post(f"{address}/api/v1/link", json={"link": link}, timeout=60.0).json()["token"]
+        tried(address, token, tmp_path, "--max-examples", "3", "--phases", "examples,coverage,fuzzing")
+    finally:
+        process.terminate()
+        _, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors
 
 
 def test_every_error_of_every_operation_is_declared(admin):

@@ -1,13 +1,17 @@
 """The page in a browser, against the server's own process: login, values, every zoom, a cut, region, settings."""
 
+import contextlib
 import gzip
+import json
 import re
+import time
 
 import pytest
-from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDE, WIDTH, LiveSite, Wire, violations
+from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDE, WIDTH, LiveSite, Wire, picture, violations
 
-from midspan.records import NANOSECONDS
+from midspan.records import NANOSECONDS, Event
 from midspan.serve.application import PAGE
+from midspan.store.store import Batch, open_store
 from served import PEAK_MM, PEAK_S, logged_in, state, until
 
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -124,6 +128,43 @@ def test_a_source_that_is_wrong_is_said_in_a_sentence_as_text(opened, site):
         play.expect(card).to_have_attribute("data-state", "notice")
     finally:
         site.engine.state = state()
+
+
+def test_what_others_wrote_is_text_in_every_view(opened, site):
+    """Names, reasons, addresses, events and calibrations come from sensors, files and people; none of it is markup."""
+    source = {**state()["sources"][0], "reason": "payload", "stamps": HOSTILE, "text": HOSTILE,
+              "address": f"mqtt:{HOSTILE}"}  # fmt: skip
+    point = {**state()["points"][0], "reason": "lost", "text": HOSTILE, "notice": HOSTILE, "notice_text": HOSTILE,
+             "sources": [source]}  # fmt: skip
+    site.file.write_text(SITE.replace('"site"', f"'{HOSTILE}'"))
+    wrong = {"text": HOSTILE, "file": HOSTILE, "key": HOSTILE}
+    with contextlib.closing(open_store(site.store)) as store:
+        store.write(Batch(events=[("p", Event(time.time_ns(), HOSTILE, HOSTILE))]))
+        body = json.dumps({"version": 1, "warnings": [HOSTILE], "created": HOSTILE, HOSTILE: HOSTILE})
+        number = store.add_calibration("p", time.time_ns(), body, "{}", accept=False)
+    try:
+        other = {**state()["points"][1], "point": "q"}
+        site.engine.state = state(ready=False, points=[point, other], sources=[source], settings=wrong)
+        site.engine.say({"kind": "hello", "site": HOSTILE, "site_file": str(site.file)})
+        site.engine.picture = picture(), WIDTH, HEIGHT
+        page, shown = opened(), 0
+        page.on("dialog", lambda dialog: pytest.fail(dialog.message))
+        for view in VIEWS:
+            page.evaluate("view => { location.hash = `#/${view}`; }", view)
+            site.engine.say({"kind": "event", "point": "p", "time_ns": time.time_ns(), "text": HOSTILE})
+            play.expect(page.locator("main")).not_to_be_empty()
+            # Answers, and what came by the socket.
+            page.wait_for_timeout(400)
+            assert page.locator("img, script:not([src]), [onerror]").count() == 0, view
+            shown += HOSTILE in page.locator("body").inner_text()
+        # As text it is there: where reasons, events and addresses are shown.
+        assert shown >= 3
+    finally:
+        with contextlib.closing(open_store(site.store)) as store:
+            store.refuse("p", number)
+        site.engine.state = state()
+        site.engine.say({"kind": "hello", "site": "site", "site_file": str(site.file)})
+        site.file.write_text(SITE)
 
 
 def test_a_peak_keeps_its_height_at_every_zoom_and_a_gap_is_open(opened, site):

@@ -1,8 +1,11 @@
 """SITE.toml over the interface: checked before it is written, and nobody's change is lost."""
 
 import stat
+import threading
 
 import pytest
+
+from served import until
 
 SITE = """name = "site"
 [store]
@@ -74,3 +77,48 @@ def test_wrong_settings_are_not_written(admin, file, text, key, words):
 def test_other_content_than_text_is_refused(admin, file):
     headers = {"If-Match": "*", "Content-Type": "application/json"}
     assert admin.put("/api/v1/settings", content="{}", headers=headers).status_code == 415
+
+
+def test_of_two_who_write_at_once_one_is_told(admin, file, served, tokens):
+    tag, both, codes = admin.get("/api/v1/settings").headers["etag"], threading.Barrier(2), []
+
+    def write(name):
+        with served.client(tokens["admin"]) as client:
+            client.get("/healthz")
+            both.wait(20.0)
+            text = SITE.replace('name = "site"', f'name = "{name}"')
+            codes.append(client.put("/api/v1/settings", content=text, headers={"If-Match": tag}).status_code)
+
+    threads = [threading.Thread(target=write, args=[name]) for name in ("one", "two")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30.0)
+    assert sorted(codes) == [200, 412]
+    assert file.read_text().count("one") + file.read_text().count("two") == 1
+
+
+CAMERA = SITE.replace("[point.displacement]", "[point.camera]").replace('"serial:/dev/d"', '"rtsp://camera/x"')
+CAMERA = CAMERA.replace('unit = "mm"', "roi = {}")
+TARGETS = CAMERA.replace("roi = {}", '[[point.camera.target]]\nname = "a"\nroi = {}')
+
+
+@pytest.mark.parametrize(("text", "key"), [(CAMERA, "roi"), (TARGETS, "target[1].roi")])
+def test_a_region_beyond_the_picture_is_not_written(admin, file, engine, text, key):
+    """Of a camera that somebody looked at: its size is known."""
+    before = engine.picture
+    try:
+        engine.picture = b"\xff\xd8jpeg", 320, 240
+        until(lambda: admin.get("/api/v1/sources/p.camera/picture").headers["x-midspan-width"] == "320")
+        for roi in ("[300, 100, 64, 48]", "[10, 200, 64, 48]", "[0, 0, 321, 240]"):
+            answer = admin.put("/api/v1/settings", content=text.format(roi), headers={"If-Match": "*"})
+            assert answer.status_code == 422
+            assert answer.json()["key"] == f"point 'p': camera.{key}"
+            assert "320 x 240 px" in answer.json()["detail"]
+        assert file.read_text() == SITE
+        inside = admin.put("/api/v1/settings", content=text.format("[256, 192, 64, 48]"), headers={"If-Match": "*"})
+        assert inside.status_code == 200, inside.text
+    finally:
+        engine.picture = before
+        file.write_text(SITE)
+        until(lambda: admin.get("/api/v1/sources/p.camera/picture").headers["x-midspan-width"] == "2")

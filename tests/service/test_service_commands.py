@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 
 import pytest
 
@@ -9,7 +10,7 @@ from midspan.errors import MidspanError
 from midspan.service.point import Phase
 from midspan.service.run import Service
 from midspan.settings.site import load_site
-from midspan.store.store import open_store
+from midspan.store.store import Store, open_store
 
 SITE = """name = "site"
 [store]
@@ -102,3 +103,25 @@ def test_a_calibration_is_asked_for_once(service):
     service._points[0].live.job = object()
     with pytest.raises(MidspanError, match="is being calibrated"):
         asked(service, "calibrate", point="p")
+
+
+def test_of_two_who_decide_at_once_one_is_told(service, monkeypatch):
+    """Both see the calibration offered before either of them has decided."""
+    service._points[0].live.offered(1)
+    both, looked = threading.Barrier(2), Store.calibrations
+
+    def at_once(store, point):
+        found = looked(store, point)
+        both.wait(20.0)
+        return found
+
+    monkeypatch.setattr(Store, "calibrations", at_once)
+
+    async def decide():
+        one = {"command": "accept", "point": "p", "number": 1}
+        return await asyncio.gather(service.command(one), service.command(one), return_exceptions=True)
+
+    answers = asyncio.run(decide())
+    (refused,) = [one for one in answers if isinstance(one, MidspanError)]
+    assert "calibration 1 is not offered" in str(refused)
+    assert [one[0]["text"] for one in answers if one is not refused] == ["p: calibration 1 is in force."]

@@ -11,3 +11,9 @@ def store_at(request, tmp_path):
     if request.param == "sqlite":
         return str(tmp_path / "store")
     return request.getfixturevalue("postgres").database(f"store_{secrets.token_hex(6)}")
+
+
+@pytest.fixture
+def store_name():
+    """The name of a database that there is not yet."""
+    return f"store_{secrets.token_hex(6)}"

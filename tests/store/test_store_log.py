@@ -13,9 +13,9 @@ from midspan.errors import UsageError
 from midspan.records import NANOSECONDS
 from midspan.store import pieces
 from midspan.store import store as module
-from midspan.store.chunk import Chunk, join
+from midspan.store.chunk import Chunk, body_of, join
 from midspan.store.days import BLOCK_S, DAY_NS
-from midspan.store.pieces import SYNC_S
+from midspan.store.pieces import PIECE, SYNC_S, Followed, layout_bytes, record_of
 from midspan.store.store import Batch, open_store
 
 BEGIN_NS, RATE_HZ = 20_700 * DAY_NS, 100
@@ -183,3 +183,39 @@ def test_a_day_of_rows_takes_what_they_tell(tmp_path):
     (day,) = (tmp_path / "days").iterdir()
     # 10 bits of noise are 40 kB; the rest are seconds of 14 bytes (4.5 kB) and empty pages.
     assert day.stat().st_size < 1.5 * count * 10 / 8 + 16_384
+
+
+def test_a_log_is_followed_as_it_grows_and_begins_anew(tmp_path):
+    """Who looks again and again sees what one sees who looks once; no record is read twice."""
+    path, taken = tmp_path / "a.log", []
+    following = Followed(path)
+
+    def record(number, point="p"):
+        chunk, new = second(number, point), number % 7 == 0 or point != "p"
+        layout, body = layout_bytes(chunk), body_of(chunk)
+        return record_of(PIECE.pack(0, len(layout) if new else 0, len(body)) + (layout if new else b"") + body)
+
+    def seen():
+        found = {place: [one.t0_ns for one in own] for place, own in following.look().items()}
+        assert found == {place: [one.t0_ns for one in own] for place, own in Followed(path).look().items()}
+        return found
+
+    assert seen() == {}
+    data = b""
+    for number in range(5):
+        data += record(number)
+        # With half of the next one.
+        path.write_bytes(data + record(number + 1)[:100])
+        taken.append(BEGIN_NS + number * NANOSECONDS)
+        assert seen() == {("p", "rows"): taken}
+    # Begun anew, and already longer than it was.
+    again = b"".join(record(number) for number in range(7, 14))
+    path.write_bytes(again)
+    assert seen() == {("p", "rows"): [BEGIN_NS + number * NANOSECONDS for number in range(7, 14)]}
+    before = following.look()["p", "rows"][0]
+    path.write_bytes(again + record(14)[:50])
+    assert following.look()["p", "rows"][0] is before
+    path.write_bytes(record(0, "q"))
+    assert list(seen()) == [("q", "rows")]
+    path.unlink()
+    assert seen() == {}

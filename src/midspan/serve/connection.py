@@ -41,6 +41,9 @@ class Connection(H11Protocol):
         super().connection_made(transport)
         bind = transport.get_extra_info("socket")
         bind.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        # Headers and content are two writes: with Nagle's algorithm the second one waits 40 ms for the other end's
+        # acknowledgement. asyncio sets this only for sockets that were made for TCP by name.
+        bind.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._address = self.client[0] if self.client else ""
         self._of_addresses[self._address] += 1
         if len(self.connections) > MAX_CONNECTIONS or self._of_addresses[self._address] > MAX_OF_AN_ADDRESS:

@@ -80,7 +80,7 @@ def login_of(connection: HTTPConnection) -> tuple[Login, str]:
 def require(scope: Scope) -> Any:
     """A dependency of routes that need a scope; with a session, changes need its CSRF token."""
 
-    def allowed(
+    async def allowed(
         request: Request,
         _token: Annotated[HTTPAuthorizationCredentials | None, Depends(TokenScheme)],
     ) -> Login:

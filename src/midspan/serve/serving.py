@@ -200,8 +200,8 @@ class Serving:
             worker.close()
 
 
-def serving_of(connection: HTTPConnection) -> Serving:
-    """What a request's application shares."""
+async def serving_of(connection: HTTPConnection) -> Serving:
+    """What a request's application shares. A coroutine: FastAPI gives plain functions a thread, which costs 0.2 ms."""
     serving: Serving = connection.app.state.serving
     return serving
 

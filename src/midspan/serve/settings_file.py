@@ -4,8 +4,9 @@ import hashlib
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import astuple
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,8 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel
 
-from midspan.errors import MidspanError
+from midspan.errors import MidspanError, UsageError
+from midspan.recording.tracking.opening import given_targets
 from midspan.serve.engine_link import AwayError
 from midspan.serve.login import ADMIN
 from midspan.serve.problems import Problem, declared
@@ -21,6 +23,7 @@ from midspan.serve.serving import Serving, Shared
 from midspan.service.changes import Changes
 from midspan.service.live_socket import Tree
 from midspan.service.settings_fault import SettingsFault
+from midspan.settings.camera import CameraSettings
 from midspan.settings.site import load_site, require_folders
 from midspan.writing import cannot_be_written, write_whole
 
@@ -92,7 +95,8 @@ def on_trial(file: Path, content: bytes) -> Iterator[Path]:
 async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
     """What settings would change. Raises Problem 422 with the key for those that a site could not run with."""
     with on_trial(file, content) as trial:
-        changes = await serving.quick.run(changes_of, file, trial)
+        sizes_px = {name: (tree["width"], tree["height"]) for name, (_, tree, _) in serving.pictures.items()}
+        changes = await serving.quick.run(changes_of, file, trial, sizes_px)
         try:
             answer, _ = await serving.link.ask("reload", trial=str(trial))
         except AwayError:
@@ -101,12 +105,19 @@ async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
     return done(answer)
 
 
-def changes_of(file: Path, trial: Path) -> Changes:
-    """What the settings of a file would change of those of another one, where nothing runs with them. Raises what is
+def changes_of(file: Path, trial: Path, sizes_px: Mapping[str, tuple[int, int]]) -> Changes:
+    """What the settings of a file would change of those of another one, where nothing runs with them.
+
+    sizes_px: width and height of the newest picture of each camera (POINT.KIND) that somebody looked at. Raises what is
     wrong with them.
     """
     site = load_site(trial)
     require_folders(site)
+    for point in site.points:
+        for name, _, section in point.recording.streams:
+            size_px = sizes_px.get(f"{point.name}.{name}")
+            if size_px is not None and isinstance(section, CameraSettings):
+                require_inside(section, size_px, f"{trial}: point {point.name!r}: {name}")
     with suppress(MidspanError):
         return Changes.between(load_site(file), site)
     return Changes.between(None, site)
@@ -116,6 +127,13 @@ def done(answer: Tree) -> SettingsDone:
     """What the engine says of settings."""
     names = {key: list(answer.get(key, [])) for key in ("added", "changed", "removed")}
     return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]), **names)
+def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str) -> None:
+    """Raises UsageError for a region that reaches beyond the camera's picture (width, height)."""
+    for number, target in enumerate(given_targets(camera), 1):
+        if not target.region.inside(*size_px):
+            key, shown = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
+            text = f"must lie inside the picture ({size_px[0]} x {size_px[1]} px); received {list(shown)}."
+            raise UsageError(f"{where}.{key}: {text} Correct it; where the camera's size changed, look at it first.")
 
 
 routes = APIRouter(prefix="/settings", tags=["settings"])

@@ -74,9 +74,8 @@ def accepted(live: LivePoint, store: Store, wanted: str) -> int | None:
     """Put an offered calibration in force: the one of a number, or the newest; None where there is no such one."""
     offered = [one for one in store.calibrations(live.name) if one.state == "offered"]
     chosen = next((one for one in reversed(offered) if not wanted or str(one.number) == wanted), None)
-    if chosen is None:
+    if chosen is None or not store.accept(live.name, chosen.number):
         return None
-    store.accept(live.name, chosen.number)
     return chosen.number
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
-from midspan.store import summary
+from midspan.store import seconds, summary
 from midspan.store.chunk import Chunk, decode, encode
 from midspan.store.database import Database, Row, SqliteDatabase
 from midspan.store.summary import Buckets as SummaryBuckets
@@ -244,11 +244,29 @@ class Days:
         return sorted((date.fromisoformat(name) - date(1970, 1, 1)).days for name in names)
 
 
+class ServerDay(Day):
+    """All days of a PostgreSQL database, and the table of seconds that others read there."""
+
+    def forget_since(self, point: str, time_ns: int) -> None:
+        """Remove a point's rows from a time on; of the second that this is in, the rows before it stay."""
+        super().forget_since(point, time_ns)
+        begin_ns = time_ns - time_ns % NANOSECONDS
+        for stream in seconds.forget_since(self.database, point, time_ns):
+            for chunk in self.chunks(point, stream, begin_ns, time_ns - 1):
+                if len((part := part_of(chunk, begin_ns, time_ns - 1)).time_ns):
+                    seconds.merge(self.database, part)
+
+    def forget_before(self, time_ns: int) -> None:
+        """Remove all from before a time."""
+        super().forget_before(time_ns)
+        seconds.forget_before(self.database, time_ns)
+
+
 class OneDatabase(Days):
     """All days in one PostgreSQL database."""
 
     def __init__(self, database: Database) -> None:
-        self._day = Day(database)
+        self._day = ServerDay(database)
 
     def of(self, day: int) -> Day:
         """The database."""

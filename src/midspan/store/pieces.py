@@ -8,6 +8,7 @@ import json
 import os
 import secrets
 import struct
+import threading
 import zlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from pathlib import Path
 from midspan.records import NANOSECONDS
 from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, decode, encode, layout_of, span_of
 from midspan.store.database import PostgresDatabase, StoreFault, lock_file, locked, sqlite_faults
+from midspan.store.seconds import merge
 
 LOGS = "log"
 # A power cut takes at most what came since the log was synchronised, s of the records' time; a page of 4 kB is written
@@ -100,12 +102,13 @@ class FilePieces:
 
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces in all logs, in the order of time."""
-        found = (one for one in self._all() if (one.point, one.stream) == (point, stream))
+        found = [one for log in followed(self.folder) for one in log.get((point, stream), ())]
         return sorted(found, key=lambda one: one.t0_ns)
 
     def streams(self) -> set[tuple[str, str, int]]:
         """Point, stream and first stamp of all pieces."""
-        return {(one.point, one.stream, one.t0_ns) for one in self._all()}
+        pieces = (one for log in followed(self.folder) for own in log.values() for one in own)
+        return {(one.point, one.stream, one.t0_ns) for one in pieces}
 
     def own(self, points: Sequence[str]) -> list[Piece]:
         """What this process has added."""
@@ -154,10 +157,6 @@ class FilePieces:
         number = self._layouts.setdefault(layout, len(self._layouts))
         return PIECE.pack(number, len(layout) if new else 0, len(body)) + (layout if new else b"") + body
 
-    def _all(self) -> Iterator[Piece]:
-        for path in sorted(self.folder.glob("*.log")):
-            yield from read(path)
-
 
 def record_of(data: bytes) -> bytes:
     """A record of a log, compressed: the heads of columns are much the same each second."""
@@ -195,16 +194,60 @@ def _records(data: bytes) -> Iterator[tuple[bytes, int]]:
 
 def read(path: Path) -> Iterator[Piece]:
     """The pieces of a log up to the first record that is not whole: what a power cut left of the last ones."""
-    import pyarrow as pa
+    for own in Followed(path).look().values():
+        yield from own
 
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        # Its pieces have become blocks meanwhile.
-        return
-    codec, layouts = pa.Codec("zstd"), list[tuple[str, str, str, Layout]]()
-    for record, whole in _records(data):
-        yield from _pieces(codec.decompress(record, decompressed_size=whole, asbytes=True), layouts)
+
+class Followed:
+    """A log as it grows: each look reads what was appended since the one before. A page's server looks at the log of
+    minutes again and again, for each viewer.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._begin()
+
+    def _begin(self) -> None:
+        self._layouts: list[tuple[str, str, str, Layout]] = []
+        self._streams: dict[tuple[str, str], list[Piece]] = {}
+        # Where the last whole record began, what stands at its head, and where it ended.
+        self._last, self._head, self._end = 0, b"", 0
+
+    def look(self) -> dict[tuple[str, str], list[Piece]]:
+        """The pieces by point and stream."""
+        import pyarrow as pa
+
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._last)
+                # Its check sum is another one where the log was begun anew meanwhile.
+                if file.read(len(self._head)) != self._head:
+                    self._begin()
+                file.seek(self._end)
+                data = file.read()
+        except FileNotFoundError:
+            # Its pieces have become blocks meanwhile.
+            return {}
+        codec = pa.Codec("zstd")
+        for record, whole in _records(data):
+            head = RECORD.pack(len(record), zlib.crc32(record), whole)
+            self._last, self._head, self._end = self._end, head, self._end + RECORD.size + len(record)
+            for one in _pieces(codec.decompress(record, decompressed_size=whole, asbytes=True), self._layouts):
+                self._streams.setdefault((one.point, one.stream), []).append(one)
+        return {stream: list(own) for stream, own in self._streams.items()}
+
+
+_LOCK = threading.Lock()
+_FOLLOWED: dict[Path, Followed] = {}
+
+
+def followed(folder: Path) -> list[dict[tuple[str, str], list[Piece]]]:
+    """The pieces of all logs of a folder, each by point and stream."""
+    paths = sorted(folder.glob("*.log"))
+    with _LOCK:
+        for path in [one for one in _FOLLOWED if one.parent == folder and one not in paths]:
+            del _FOLLOWED[path]
+        return [_FOLLOWED.setdefault(path, Followed(path)).look() for path in paths]
 
 
 def _pieces(record: bytes, layouts: list[tuple[str, str, str, Layout]]) -> Iterator[Piece]:
@@ -242,6 +285,8 @@ class TablePieces:
                 stamps = (int(chunk.time_ns[0]), int(chunk.time_ns[-1]))
                 values = (chunk.point, chunk.stream, chunk.shown, *stamps, body)
                 self.database.execute("INSERT INTO piece VALUES (?, ?, ?, ?, ?, ?)", values)
+                if chunk.shown:
+                    merge(self.database, chunk)
                 self._size += len(body)
 
     def sync(self) -> None:

@@ -21,6 +21,7 @@ from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days
 from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
 from midspan.store.spans import CalibratedSpan, spans_of
+from midspan.store.seconds import SECOND_TABLE
 from midspan.store.summary import STATUS, STD, Drawn
 from midspan.store.summary import Buckets as SummaryBuckets
 
@@ -249,30 +250,31 @@ class Store:
             last = self._site.execute("SELECT MAX(number) FROM calibration WHERE point = ?", (point,))[0][0]
             number = 1 + (last or 0)
             sql = "INSERT INTO calibration VALUES (?, ?, ?, ?, ?, ?)"
-            self._site.execute(sql, (point, number, made_ns, "offered", body, settings))
+            state = "in force" if accept else "offered"
+            self._site.execute(sql, (point, number, made_ns, state, body, settings))
             if accept:
-                self._put_in_force(point, number)
+                self._retire_others(point, number)
         return number
 
-    def accept(self, point: str, number: int) -> None:
-        """Put an offered calibration in force."""
+    def accept(self, point: str, number: int) -> bool:
+        """Put an offered calibration in force; whether there was such a one: of two who accept it one did."""
         with self._site.transaction():
-            self._put_in_force(point, number)
+            found = self._decided(point, number, "in force")
+            if found:
+                self._retire_others(point, number)
+        return found
 
     def refuse(self, point: str, number: int) -> bool:
         """Refuse an offered calibration; whether there was such a one."""
-        with self._site.transaction():
-            place = (point, number)
-            sql = "SELECT 1 FROM calibration WHERE point = ? AND number = ? AND state = 'offered'"
-            found = bool(self._site.execute(sql, place))
-            self._site.execute(
-                "UPDATE calibration SET state = 'refused' WHERE point = ? AND number = ? AND state = 'offered'", place
-            )
-        return found
+        return self._decided(point, number, "refused")
 
-    def _put_in_force(self, point: str, number: int) -> None:
-        self._site.execute("UPDATE calibration SET state = 'retired' WHERE point = ? AND state = 'in force'", (point,))
-        self._site.execute("UPDATE calibration SET state = 'in force' WHERE point = ? AND number = ?", (point, number))
+    def _decided(self, point: str, number: int, state: str) -> bool:
+        sql = "UPDATE calibration SET state = ? WHERE point = ? AND number = ? AND state = 'offered' RETURNING number"
+        return bool(self._site.execute(sql, (state, point, number)))
+
+    def _retire_others(self, point: str, number: int) -> None:
+        sql = "UPDATE calibration SET state = 'retired' WHERE point = ? AND state = 'in force' AND number <> ?"
+        self._site.execute(sql, (point, number))
 
     def forget_before(self, time_ns: int) -> None:
         """Remove the chunks of whole days before a time; events, calibrations and the pyramid stay."""
@@ -547,7 +549,7 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
             server = PostgresDatabase(str(where), partial(lock_in_session, points=points))
             database: Database = server
             store = Store(server, server, OneDatabase(server), TablePieces(server), points=points)
-            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, PIECE_TABLE)
+            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, PIECE_TABLE, SECOND_TABLE)
         else:
             folder = Path(where)
             if read_only and not (folder / SITE_FILE).is_file():

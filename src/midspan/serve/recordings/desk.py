@@ -41,7 +41,7 @@ class Desk:
             worker.close()
 
 
-def desk_of(connection: HTTPConnection) -> Desk:
+async def desk_of(connection: HTTPConnection) -> Desk:
     """What a request's application shares."""
     desk: Desk = connection.app.state.serving
     return desk
