@@ -1,6 +1,7 @@
 """A site whose rows come at real time, and a wire to its server that can be cut, for the page's tests."""
 
 import contextlib
+import re
 import socket
 import threading
 import time
@@ -44,6 +45,15 @@ def violations(page):
     page.evaluate(AXE.read_text())
     found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
     return [(one["id"], one["nodes"][0]["html"]) for one in found["violations"]]
+
+
+# What the browser itself says of answers that are expected (a wrong login, a cut), and of a canvas that a test reads.
+EXPECTED = re.compile(r"Failed to load resource|WebSocket connection to|willReadFrequently")
+
+
+def address(site):
+    """Where a site's page logs in."""
+    return f"http://127.0.0.1:{site.served.port}/api/v1/login"
 
 
 class LiveSite:

@@ -18,6 +18,9 @@ export interface PointState {
   age_s: number | null;
   since: string | null;
   calibration: number | null;
+  /** capturing, calibrating or opening; empty where nothing is prepared. */
+  stage?: string;
+  stage_left_s?: number | null;
 }
 export interface SourceState {
   name: string;
@@ -32,6 +35,15 @@ export interface SourceState {
   stamps: string;
   address: string;
   rate_hz: number | null;
+  nominal_rate_hz?: number | null;
+  /** Arrival less stamp. */
+  delay_s?: number | null;
+  late?: number | null;
+  restarts?: number | null;
+  /** Added to its stamps for the accelerometer's clock. */
+  clock_offset_s?: number | null;
+  clock_offset_std_s?: number | null;
+  clock_drift_ppm?: number | null;
 }
 export interface Health {
   ready: boolean;
@@ -65,6 +77,8 @@ export interface CalibrationBody {
   time: string;
   state: string;
   calibration: Record<string, unknown>;
+  /** When it made rows. */
+  rows?: { from: string; to: string }[];
 }
 export interface SpectrumBody {
   frequency_hz: Numbers;

@@ -13,6 +13,12 @@ export function signed(value: number, digits: number): string {
   return value < 0 ? `−${Math.abs(value).toFixed(digits)}` : value.toFixed(digits);
 }
 
+/** A value with one standard deviation, in two digits of that. */
+export function withSigma(value: number, std: number, unit: string): string {
+  const digits = std > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(std)), 0), 9) : 5;
+  return `${signed(value, digits)}${std > 0 ? ` ± ${std.toFixed(digits)}` : ""} ${unit}`.trim();
+}
+
 /** A duration with the two units that matter. */
 export function duration(seconds: number): string {
   if (!Number.isFinite(seconds)) return "unknown";

@@ -3,7 +3,7 @@
 import { type CalibrationBody, get, ofPoint, post } from "../api.ts";
 import { button, choice, el, line, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
-import { clock, signed } from "../words.ts";
+import { clock, withSigma } from "../words.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 const ASK_MS = 2000;
@@ -38,9 +38,7 @@ export function figures(calibration: Record<string, unknown>): Map<string, strin
         if (value === null) continue;
         const std = stdKey ? number(section as Section, stdKey) : null;
         const name = typeof (section as Section)["name"] === "string" ? ` ${String((section as Section)["name"])}` : "";
-        const band = !std ? "" : ` ± ${(factor * std).toPrecision(2)}`;
-        const digits = std ? Math.min(Math.max(1 - Math.floor(Math.log10(Math.abs(factor * std))), 0), 9) : 5;
-        found.set(`${kind}${name}: ${text}`, `${signed(factor * value, digits)}${band} ${unit}`.trim());
+        found.set(`${kind}${name}: ${text}`, withSigma(factor * value, factor * (std ?? 0), unit));
       }
     }
   }
