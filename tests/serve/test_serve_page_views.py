@@ -35,7 +35,7 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
     page = opened("sources", viewport=PHONE)
     row = page.locator("tbody tr")
     for name, text in (
-        ("Rate", "20.0 of 30.0 /s"), ("Delay", "137 ms"), ("Left out", "3 late, 1 faulty, opened again 2 times"),
+        ("Rate", "20 of 30 /s"), ("Delay", "137 ms"), ("Left out", "3 late, 1 faulty, opened again 2 times"),
         ("Clock ± σ", "−12.3 ± 2.1 ms, 1.3 ppm"), ("Time stamps", "the camera's clock"),
     ):  # fmt: skip
         play.expect(row.locator(f"[data-name='{name}']")).to_have_text(text)
@@ -46,4 +46,46 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
     play.expect(row.locator("[data-name='Left out']")).to_have_text("none")
     for name in ("Delay", "Clock ± σ"):
         play.expect(row.locator(f"[data-name='{name}']")).to_be_empty()
-    play.expect(row.locator("[data-name=Rate]")).to_have_text(re.compile(r"^20\.0 /s$"))
+    play.expect(row.locator("[data-name=Rate]")).to_have_text(re.compile(r"^20 /s$"))
+
+
+def answered(page, path, body):
+    """Answer a question of the page, as a server would that has more to say than the one of these tests."""
+    page.route(re.compile(re.escape(path)), lambda route: route.fulfill(json=body))
+
+
+def kept(number, scale, state="retired", **changes):
+    """A calibration whose scale has a deviation of 0.002 mm/px."""
+    camera = {"scale_mm_per_px": scale, "scale_std_mm_per_px": 0.002, "time_offset_s": 0.01, "time_offset_std_s": 1e-3}
+    time = f"2026-0{number}-01T00:00:00Z"
+    body = {"camera": camera, "warnings": []}
+    return {"id": number, "time": time, "state": state, "calibration": body, "rows": [], **changes}
+
+
+def test_calibrations_show_what_an_offer_changes_how_they_drifted_and_which_rows_they_made(opened, stated):
+    stated(point={"stage": "capturing", "stage_left_s": 41.0})
+    spans = [{"from": f"2026-05-0{day}T10:00:00Z", "to": f"2026-05-0{day}T11:00:00Z"} for day in range(1, 6)]
+    page = opened("")
+    # Ten deviations of their difference, five of the line through all.
+    answered(page, "/points/p/calibrations", [
+        kept(1, 1.0), kept(2, 1.0), kept(3, 1.0), kept(4, 9.0, "refused"), kept(5, 1.0, "in force", rows=spans),
+        kept(6, 1.0283, "offered"),
+    ])  # fmt: skip
+    page.evaluate("location.hash = '#/calibration/p'")
+    scale = page.locator("tr", has=page.get_by_role("rowheader", name="camera: scale"))
+    play.expect(scale.locator("td")).to_have_text(
+        ["1.0000 ± 0.0020 mm/px", "1.0283 ± 0.0020 mm/px", "+2.83 % (10.0 σ)"]
+    )
+    play.expect(scale.locator(".words")).to_have_attribute("data-state", "notice")
+    course = page.locator("section", has=page.get_by_role("heading", name="camera: scale", exact=True))
+    play.expect(course.locator(".words")).to_have_text(re.compile(r"^Has drifted: .* σ\) since Jan 1, 2026$"))
+    play.expect(course.locator("canvas")).to_have_count(1)
+    offset = page.locator("section", has=page.get_by_role("heading", name="camera: clock offset", exact=True))
+    play.expect(offset.locator(".words")).to_have_text("Has not drifted: +0.00 ms (0.0 σ) since Jan 1, 2026")
+    play.expect(page.locator("tbody tr", has_text="in force").last).to_contain_text("2 earlier spans")
+    play.expect(page.get_by_text(re.compile(r"^Records are captured: about (3\d|40|41) s left\.$"))).to_be_visible()
+    play.expect(page.get_by_role("progressbar")).to_be_visible()
+    if AXE.is_file():
+        assert violations(page) == []
+    stated()
+    play.expect(page.get_by_role("progressbar")).to_be_hidden()

@@ -78,6 +78,12 @@ export class SiteState {
     return point.time === null ? null : Math.max(this.now() - Date.parse(point.time), 0) / 1000;
   }
 
+  /** How long what a point prepares still takes, s; null where that is not known. */
+  leftS(point: PointState): number | null {
+    if (point.stage_left_s == null) return null;
+    return Math.max(point.stage_left_s - (performance.now() - this.answered) / 1000, 0);
+  }
+
   rowsOf(name: string): Newest {
     let found = this.newest.get(name);
     if (!found) this.newest.set(name, (found = new Newest(KEPT_S)));

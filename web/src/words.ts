@@ -42,7 +42,12 @@ export function clock(ms: number): string {
   const when = new Date(ms);
   const today = new Date().toDateString() === when.toDateString();
   const time = when.toLocaleTimeString([], { hour12: false });
-  return today ? time : `${when.toLocaleDateString([], { year: "numeric", month: "short", day: "numeric" })} ${time}`;
+  return today ? time : `${day(ms)} ${time}`;
+}
+
+/** A day (ms since 1970) in the zone of the reader. */
+export function day(ms: number): string {
+  return new Date(ms).toLocaleDateString([], { year: "numeric", month: "short", day: "numeric" });
 }
 
 /** How a point is measured, as a sentence's subject needs it. */

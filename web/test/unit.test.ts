@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { joined } from "../src/charts/series.ts";
 import { TimeWindow } from "../src/charts/window.ts";
+import { changeOf } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
 import { Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
 import { duration, withBand } from "../src/words.ts";
@@ -164,4 +165,15 @@ test("numbers and durations are said with what matters of them", () => {
   assert.equal(withBand(-1.23456, 0.01), "−1.235 ± 0.020 mm");
   assert.equal(withBand(null, null), "no value");
   assert.deepEqual([2, 75, 3600, 100_000].map(duration), ["2.0 s", "1 min 15 s", "1 h", "1 d 3 h"]);
+});
+
+test("a change is that of the likeliest line, and of two values their difference", () => {
+  const at = (x: number, value: number, std: number | null) => ({ x, of: { value, std, unit: "" } });
+  const two = changeOf([at(0, 1, 3), at(1, 6, 4)]);
+  assert.ok(two && Math.abs(two.by - 5) < 1e-9 && Math.abs((two.sigmas ?? 0) - 1) < 1e-9);
+  // Unweighted: slope Σ(x−2)y / Σ(x−2)² = 10/10, over four steps, with a deviation of 4/√10.
+  const line = changeOf([0, 1, 2, 3, 4].map((x) => at(x, x + (x === 2 ? 7 : 0), 1)));
+  assert.ok(line && Math.abs(line.by - 4) < 1e-9 && Math.abs((line.sigmas ?? 0) - Math.sqrt(10)) < 1e-9);
+  assert.deepEqual(changeOf([at(0, 1, null), at(1, 3, 1)]), { by: 2, sigmas: null });
+  assert.equal(changeOf([at(0, 1, 1)]), null);
 });

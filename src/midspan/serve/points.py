@@ -242,4 +242,7 @@ async def point_state(serving: Serving, name: str) -> Tree:
         "age_s": None if time_ns is None else reading.age_s(time_ns, now_s),
         "since": None if since_ns is None else reading.iso(since_ns),
         "calibration": state.get("calibration"),
+        "stage": state.get("stage", ""),
+        "stage_left_s": state.get("stage_left_s"),
+        "latency_s": state.get("latency_s"),
     }

@@ -17,7 +17,7 @@ type Range = [fromS: number, toS: number];
 
 // Ticks in the 24 h form. Each: smallest step (s), text, and what stands below it where year, day or minute begin.
 const DAY = "\n{D} {MMM}";
-const TIME_TEXTS: uPlot.Axis.Values = [
+export const TIME_TEXTS: uPlot.Axis.Values = [
   [31536000, "{YYYY}", null, null, null, null, null, null, 1],
   [2419200, "{MMM}", "\n{YYYY}", null, null, null, null, null, 1],
   [86400, "{D} {MMM}", "\n{YYYY}", null, null, null, null, null, 1],
@@ -162,7 +162,7 @@ function lineOf(name: string, width: number): uPlot.Series {
   return width ? { stroke: () => colour(name), width, points: { show: false } } : { width: 0, points: { show: false } };
 }
 
-function axis(): uPlot.Axis {
+export function axis(): uPlot.Axis {
   return {
     stroke: () => colour("text"),
     grid: { stroke: () => colour("grid"), width: 1 },
@@ -171,7 +171,7 @@ function axis(): uPlot.Axis {
   };
 }
 
-function sizeOf(root: HTMLElement): { width: number; height: number } {
+export function sizeOf(root: HTMLElement): { width: number; height: number } {
   return { width: Math.max(root.clientWidth, 200), height: Math.max(Math.min(root.clientWidth * 0.5, 420), 260) };
 }
 

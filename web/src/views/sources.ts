@@ -7,19 +7,7 @@ import { duration, signed, withSigma } from "../words.ts";
 import { repeat, sentenceOf, type View } from "./view.ts";
 
 const ASK_MS = 2000;
-const COLUMNS = [
-  "Stream",
-  "State",
-  "Newest",
-  "Rate",
-  "Delay",
-  "Records",
-  "Left out",
-  "Time stamps",
-  "Clock ± σ",
-  "Address",
-  "",
-];
+const COLUMNS = ["Stream", "State", "Age", "Rate", "Delay", "Records", "Left out", "Time stamps", "Clock ± σ", ""];
 /** How a camera's frames are dated. */
 const STAMPS: Record<string, string> = { sender: "the camera's clock", arrival: "arrival here" };
 
@@ -32,9 +20,9 @@ function words(source: SourceState): string {
 /** The rate next to the one that the calibration saw, a second. */
 export function rateWords(source: SourceState): string {
   if (source.rate_hz === null) return "";
-  const digits = source.rate_hz < 10 ? 2 : 1;
-  const nominal = source.nominal_rate_hz ? ` of ${source.nominal_rate_hz.toFixed(digits)}` : "";
-  return `${source.rate_hz.toFixed(digits)}${nominal} /s`;
+  // Three digits of it, as many as matter.
+  const short = (rate: number) => String(Number(rate.toPrecision(rate < 1000 ? 3 : 4)));
+  return `${short(source.rate_hz)}${source.nominal_rate_hz ? ` of ${short(source.nominal_rate_hz)}` : ""} /s`;
 }
 
 /** What was not used of a stream, and how often it was opened again. */
@@ -69,6 +57,7 @@ class Row {
       "aria-label": `Pause or resume ${source.name}`,
     });
     this.root.append(...this.#cells);
+    this.#cells[0]?.append(source.name, el("span", { class: "quiet below" }, source.address));
     if (site.session.scope !== "read") this.#cells[this.#cells.length - 1]?.append(this.#pause);
   }
 
@@ -76,18 +65,16 @@ class Row {
     this.#paused = source.reason === "paused";
     mark(this.root, source.reason === "" ? "good" : this.#paused ? "unknown" : "wrong");
     const texts = [
-      source.name,
       words(source),
-      source.age_s === null ? "nothing yet" : `${duration(source.age_s)} ago`,
+      source.age_s === null ? "nothing yet" : duration(source.age_s),
       rateWords(source),
       source.delay_s == null ? "" : `${(1000 * source.delay_s).toFixed(0)} ms`,
       String(source.records),
       leftOut(source),
       STAMPS[source.stamps] ?? source.stamps,
       clockWords(source),
-      source.address,
     ];
-    texts.forEach((text, at) => say(this.#cells[at] as HTMLElement, text));
+    texts.forEach((text, at) => say(this.#cells[at + 1] as HTMLElement, text));
     this.#cells[1]?.classList.add("words");
     mark(this.#cells[1] as HTMLElement, this.root.dataset["state"] ?? "");
     say(this.#pause, this.#paused ? "Resume" : "Pause …");
