@@ -163,11 +163,11 @@ def test_wrong_settings_are_said_with_their_key_and_change_nothing(opened, site)
     area = page.get_by_label("SITE.toml")
     play.expect(area).to_have_value(SITE)
     area.fill(SITE.replace("unit =", "unt ="))
-    page.get_by_role("button", name="Check and put in force").click()
+    page.get_by_role("button", name="Save and put in force").click()
     play.expect(page.get_by_role("alert")).to_contain_text("unt")
     assert site.file.read_text() == SITE
     area.fill(SITE.replace('"site"', '"bridge"'))
-    page.get_by_role("button", name="Check and put in force").click()
+    page.get_by_role("button", name="Save and put in force").click()
     play.expect(page.locator(".done")).to_have_text("reload done")
     assert 'name = "bridge"' in site.file.read_text()
 

@@ -1,9 +1,10 @@
 """Each view of the page in a browser: what it says of a site in which everything has a figure."""
 
 import re
+import tomllib
 
 import pytest
-from page import AXE, PHONE, violations
+from page import AXE, PHONE, SITE, violations
 
 from midspan.serve.application import PAGE
 from served import state
@@ -89,3 +90,55 @@ def test_calibrations_show_what_an_offer_changes_how_they_drifted_and_which_rows
         assert violations(page) == []
     stated()
     play.expect(page.get_by_role("progressbar")).to_be_hidden()
+
+
+def test_a_check_says_what_would_change_and_only_saving_writes(opened, site):
+    site.file.write_text(SITE)
+    page, tried = opened("settings"), []
+
+    def answer(route):
+        tried.append(route.request.post_data)
+        route.fulfill(json={"text": "Not written.", "restart": ["store"], "added": ["pier"], "removed": ["p"]})
+
+    page.route(re.compile("dry_run=true"), answer)
+    area = page.get_by_label("SITE.toml")
+    play.expect(area).to_have_value(SITE)
+    page.get_by_text("Add or remove points and sources").click()
+    form = page.locator("details form")
+    form.get_by_label("Name").fill("pier")
+    form.get_by_label("Source").fill("serial:/dev/c")
+    form.get_by_role("button", name="Insert").click()
+    form.get_by_label("Sensor").select_option("camera")
+    form.get_by_label("Source").fill("rtsp://10.0.0.9/x")
+    form.get_by_label("Source").press("Enter")
+    play.expect(page.get_by_text("camera of pier is in the text below.")).to_be_visible()
+    page.locator("details .bar").last.get_by_role("combobox").select_option("p")
+    page.get_by_role("button", name="Remove it from the text").click()
+    made = area.input_value()
+    assert tomllib.loads(made)["point"] == [{
+        "name": "pier", "accelerometer": {"source": "serial:/dev/c", "unit": "m/s^2"},
+        "camera": {"source": "rtsp://10.0.0.9/x", "direction": "y"},
+    }]  # fmt: skip
+    if AXE.is_file():
+        assert violations(page) == []
+    page.get_by_role("button", name="Check", exact=True).click()
+    play.expect(page.locator(".changes li")).to_have_text(
+        ["Begin: pier.", "End: p.", "Hold only once midspan run is started again: store."]
+    )
+    assert (tried, site.file.read_text()) == ([made], SITE)
+    page.get_by_role("button", name="Save").click()
+    play.expect(page.locator(".done")).to_have_text("reload done")
+    assert site.file.read_text() == made
+    site.file.write_text(SITE)
+
+
+def test_a_fault_of_settings_stands_with_its_line(opened, site):
+    site.file.write_text(SITE)
+    page = opened("settings")
+    area = page.get_by_label("SITE.toml")
+    play.expect(area).to_have_value(SITE)
+    area.fill(SITE + '[[point]]\nname = "q"\n[point.accelerometer]\nsource = "serial:/dev/b"\nunt = "m/s^2"\n')
+    page.get_by_role("button", name="Save").click()
+    play.expect(page.get_by_role("alert")).to_have_text(re.compile(r"^Line 16: .*unt: is not a known key"))
+    chosen = "area => area.value.slice(area.selectionStart, area.selectionEnd)"
+    assert area.evaluate(chosen) == 'unt = "m/s^2"'

@@ -229,14 +229,26 @@ export async function settings(below = ""): Promise<{ text: string; tag: string 
   return { text: await answer.text(), tag: answer.headers.get("ETag") ?? "*" };
 }
 
+/** What became of settings, or would: names of points, and keys that hold only after another start. */
+export interface SettingsDone {
+  text: string;
+  restart: string[];
+  added?: string[];
+  changed?: string[];
+  removed?: string[];
+}
+
+/** isTrial: nothing is written, and the answer says what would happen. */
 export async function putSettings(
   text: string,
   tag: string,
   below = "",
-): Promise<{ text: string; restart: string[]; tag: string }> {
+  isTrial = false,
+): Promise<SettingsDone & { tag: string }> {
   const headers = { "Content-Type": "text/plain", "If-Match": tag };
-  const answer = await ask(`${below}/settings`, { method: "PUT", body: text, headers });
-  const body = (await answer.json()) as { text: string; restart?: string[] };
+  const path = `${below}/settings${isTrial ? "?dry_run=true" : ""}`;
+  const answer = await ask(path, { method: "PUT", body: text, headers });
+  const body = (await answer.json()) as Partial<SettingsDone> & { text: string };
   return { restart: [], ...body, tag: answer.headers.get("ETag") ?? "*" };
 }
 

@@ -7,6 +7,7 @@ import { TimeWindow } from "../src/charts/window.ts";
 import { changeOf } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
 import { Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
+import { lineOf, pointNames, withoutPoint, withPoint, withSource } from "../src/site_text.ts";
 import { duration, withBand } from "../src/words.ts";
 
 // Ten rows a second from a whole second on, three missing.
@@ -176,4 +177,53 @@ test("a change is that of the likeliest line, and of two values their difference
   assert.ok(line && Math.abs(line.by - 4) < 1e-9 && Math.abs((line.sigmas ?? 0) - Math.sqrt(10)) < 1e-9);
   assert.deepEqual(changeOf([at(0, 1, null), at(1, 3, 1)]), { by: 2, sigmas: null });
   assert.equal(changeOf([at(0, 1, 1)]), null);
+});
+
+const BRIDGE = `name = "site" # of all
+[store]
+path = "store"
+
+[[point]]
+name = "a"
+[point.accelerometer]
+source = "x"
+unit = "g"
+
+# The second one.
+[[point]]
+name = "b"
+
+[point.camera]
+source = "y"
+[[point.alarm]]
+name = "high"
+
+[mqtt]
+host = "h"
+`;
+
+test("the line of a wrong key is found in its own point, and of a missing one its section", () => {
+  const at = (key: string | null, fault = "") => BRIDGE.split("\n")[lineOf(BRIDGE, key, fault) ?? -1];
+  assert.equal(at("point 'a': accelerometer.unit"), 'unit = "g"');
+  assert.equal(at("point 'b': camera.source"), 'source = "y"');
+  assert.equal(at("point[1]: camera.direction"), "[point.camera]");
+  assert.equal(at("mqtt.host"), 'host = "h"');
+  assert.equal(at("name"), 'name = "site" # of all');
+  assert.equal(at(null, "is not valid TOML (at line 3, column 8)."), 'path = "store"');
+  assert.equal(at("point 'c': camera.source"), undefined);
+  assert.equal(lineOf(BRIDGE, null, "no line"), null);
+});
+
+test("points and sources are added and removed, and everything else stays as it is", () => {
+  const source = { kind: "radar", source: "udp:4098", keys: { config: "radar.cfg", unit: "" } };
+  assert.deepEqual(pointNames(BRIDGE), ["a", "b"]);
+  const block = '[point.radar]\nsource = "udp:4098"\nconfig = "radar.cfg"\n';
+  assert.equal(withPoint(BRIDGE, "c", source), `${BRIDGE}\n[[point]]\nname = "c"\n\n${block}`);
+  assert.equal(withSource(BRIDGE, "a", source), BRIDGE.replace('unit = "g"\n', `unit = "g"\n\n${block}`));
+  // Before the point's alarms.
+  assert.equal(withSource(BRIDGE, "b", source), BRIDGE.replace("[[point.alarm]]", `${block}\n[[point.alarm]]`));
+  assert.equal(withSource(BRIDGE, "b", { ...source, kind: "camera" }), null);
+  assert.equal(withoutPoint(BRIDGE, "a"), BRIDGE.replace(/\[\[point\]\]\nname = "a"[^]*?(?=# The)/, ""));
+  assert.equal(withoutPoint(BRIDGE, "b"), BRIDGE.replace(/# The second[^]*?(?=\[mqtt\])/, ""));
+  assert.equal(withoutPoint(BRIDGE, "c"), null);
 });
