@@ -1,13 +1,16 @@
 """Each view of the page in a browser: what it says of a site in which everything has a figure."""
 
+import json
 import re
+import time
 import tomllib
 
 import pytest
 from page import AXE, PHONE, SITE, violations
 
+from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
-from served import state
+from served import state, until
 
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
@@ -142,3 +145,55 @@ def test_a_fault_of_settings_stands_with_its_line(opened, site):
     play.expect(page.get_by_role("alert")).to_have_text(re.compile(r"^Line 16: .*unt: is not a known key"))
     chosen = "area => area.value.slice(area.selectionStart, area.selectionEnd)"
     assert area.evaluate(chosen) == 'unt = "m/s^2"'
+
+
+def test_rows_that_are_predicted_or_not_final_are_drawn_as_such(opened, site):
+    page = opened("")
+    head = []
+
+    def forward(socket):
+        def message(text):
+            socket.send(text)
+            came = json.loads(text)
+            if came.get("point") == "p" and "time" in came:
+                head.append(came["time"][-1])
+                later = [came["time"][-1] + k * 10_000_000 for k in range(1, 60)]
+                values = {"displacement_mm": [0.2] * 59, "displacement_std_mm": [0.1] * 59}
+                socket.send(json.dumps({"type": "head", "point": "p", "time": later, **values}))
+
+        socket.connect_to_server().on_message(message)
+
+    page.route_web_socket(re.compile("/live"), forward)
+    page.reload()
+    page.evaluate("location.hash = '#/point/p'")
+    key = page.locator(".legend .key")
+    play.expect(key.nth(0)).to_be_visible()
+    play.expect(key.nth(2)).to_be_visible()
+    play.expect(key.nth(1)).to_be_hidden()
+    # The newest of them is the end of what is shown, and its words are those of its layer.
+    until(lambda: head)
+    box = page.locator(".u-over").bounding_box()
+    page.mouse.move(box["x"] + box["width"] - 1, box["y"] + 50)
+    play.expect(page.get_by_text(re.compile("0.200 mm, with the band 0.004 to 0.396, not final yet"))).to_be_visible()
+
+
+def test_the_course_of_frequencies_is_asked_for_until_it_is_whole(opened, site):
+    page, asked = opened("point/p"), []
+
+    def answer(route):
+        asked.append(route.request.url)
+        count = 2 * len(asked)
+        course = {"frequency_hz": [2.0 + 0.01 * k for k in range(count)], "frequency_std_hz": [0.002] * count,
+                  "rms_mm": [1.0] * count}  # fmt: skip
+        now_ns = time.time_ns()
+        times = [now_ns - k * 10_800 * NANOSECONDS for k in range(count, 0, -1)]
+        route.fulfill(json={"step_s": 10_800, "segment_s": 1200, "time": times, "modes": [course], "reason": "",
+                            "complete": len(asked) == 2})  # fmt: skip
+
+    page.route(re.compile("/frequencies"), answer)
+    page.get_by_role("button", name="Course of the natural frequencies").click()
+    play.expect(page.get_by_text("2.0150 ± 0.0020 Hz, from 2.000 to 2.030, in 4 segments")).to_be_visible()
+    play.expect(page.get_by_text("one segment of 20 minutes in each 3 h")).to_be_visible()
+    assert len(asked) == 2
+    if AXE.is_file():
+        assert violations(page) == []

@@ -87,6 +87,15 @@ export interface SpectrumBody {
   modes: Record<string, number>[];
   reason: string;
 }
+/** One segment a step; complete: false where asking again gives more. */
+export interface FrequenciesBody {
+  step_s: number;
+  segment_s: number;
+  time: number[];
+  modes: { frequency_hz: Numbers; frequency_std_hz: Numbers; rms_mm: Numbers }[];
+  complete: boolean;
+  reason: string;
+}
 export interface AlarmBody {
   id: string;
   point: string;

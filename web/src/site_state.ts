@@ -3,7 +3,7 @@
 import type { AlarmBody, Health, PointState, Session } from "./api.ts";
 import { Away, get, Refused } from "./api.ts";
 import { Live, type Message } from "./live.ts";
-import { Newest } from "./rows.ts";
+import { type Head, Newest } from "./rows.ts";
 
 // States change in seconds, and rows come in between, ms.
 const ASK_MS = 3000;
@@ -19,6 +19,8 @@ export class SiteState {
   /** The alarms that are open, newest change first. */
   alarms: AlarmBody[] = [];
   newest = new Map<string, Newest>();
+  /** Of each point the rows that are not final yet. */
+  heads = new Map<string, Head>();
   session: Session;
   /** When the server answered last, ms of performance.now(); what it last failed with. */
   answered = performance.now();
@@ -90,6 +92,11 @@ export class SiteState {
     return found;
   }
 
+  /** The rows of a point that are not final yet; null without any, or without a connection. */
+  headOf(name: string): Head | null {
+    return this.fresh ? (this.heads.get(name) ?? null) : null;
+  }
+
   async #ask(): Promise<void> {
     window.clearTimeout(this.#timer);
     try {
@@ -113,6 +120,7 @@ export class SiteState {
     // What is missing is in the store alone: rows on both sides of it would look like a gap.
     if ("type" in message && message.type === "gap") this.newest.clear();
     if ("type" in message && message.type === "alarm") this.#changed(message);
+    if ("type" in message && message.type === "head") this.heads.set(message.point, message);
     if (!("sequence" in message)) return;
     this.rowsOf(message.point).add(message);
     const point = this.point(message.point);

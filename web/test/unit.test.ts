@@ -6,7 +6,7 @@ import { joined } from "../src/charts/series.ts";
 import { TimeWindow } from "../src/charts/window.ts";
 import { changeOf } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
-import { Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
+import { layers, Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
 import { lineOf, pointNames, withoutPoint, withPoint, withSource } from "../src/site_text.ts";
 import { duration, withBand } from "../src/words.ts";
 
@@ -226,4 +226,17 @@ test("points and sources are added and removed, and everything else stays as it 
   assert.equal(withoutPoint(BRIDGE, "a"), BRIDGE.replace(/\[\[point\]\]\nname = "a"[^]*?(?=# The)/, ""));
   assert.equal(withoutPoint(BRIDGE, "b"), BRIDGE.replace(/# The second[^]*?(?=\[mqtt\])/, ""));
   assert.equal(withoutPoint(BRIDGE, "c"), null);
+});
+
+test("coasting rows and those that are not final are layers of their own, which touch", () => {
+  const came = rows(0, 5);
+  came.status[2] = "coasting";
+  const head = { time: [1.4e9, 1.5e9, 1.6e9], displacement_mm: [7, 8, null], displacement_std_mm: [1, 1, 1] };
+  const [measured, coasting, open] = layers(ofRows(came), head);
+  assert.deepEqual(measured.low, [1, 1, null, 1, 1, null, null]);
+  assert.deepEqual(coasting.low, [null, 1, 1, 1, null, null, null]);
+  // What is final by now is not drawn as if it were not.
+  assert.deepEqual(open.low, [null, null, null, null, 1, 8, null]);
+  assert.equal(measured.x, coasting.x);
+  assert.ok(layers(ofRows(rows(0, 3)), null)[2].low.every((one) => one === null));
 });
