@@ -35,7 +35,7 @@ def test_steps_are_the_shortest_of_which_sixty_are_enough():
     assert [frequencies.step_of(days * 86_400.0) for days in (0.01, 1, 7, 28, 365)] == [
         1800,
         1800,
-        21_600,
+        10_800,
         43_200,
         604_800,
     ]
