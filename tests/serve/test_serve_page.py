@@ -4,7 +4,7 @@ import gzip
 import re
 
 import pytest
-from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDTH, Wire, address, violations
+from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDTH, Wire, address, traced, violations
 
 from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
@@ -14,31 +14,6 @@ play = pytest.importorskip("playwright.sync_api", reason="playwright is not inst
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
 
 VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
-
-
-def traced(page, part=(0.0, 1.0)):
-    """Which columns of the plot, in a part of its width, hold anything of the trace's colour."""
-    return page.evaluate(
-        """([from, to]) => {
-            const canvas = document.querySelector(".chart canvas"), over = document.querySelector(".u-over");
-            const scale = canvas.width / canvas.clientWidth, left = over.offsetLeft * scale;
-            const width = over.clientWidth * scale, begin = Math.round(left + from * width);
-            const size = Math.round((to - from) * width);
-            const top = over.offsetTop * scale, height = over.clientHeight * scale;
-            const data = canvas.getContext("2d").getImageData(begin, top, size, height).data;
-            const found = [];
-            for (let x = 0; x < size; x++) {
-                let hit = false;
-                for (let y = 0; y < height; y++) {
-                    const at = 4 * (y * size + x);
-                    hit ||= data[at + 3] > 0 && data[at + 2] - data[at] > 60;
-                }
-                found.push(hit);
-            }
-            return found;
-        }""",
-        list(part),
-    )
 
 
 def test_a_login_shows_every_point_with_its_newest_value(opened, site):

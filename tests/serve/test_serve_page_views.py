@@ -6,7 +6,7 @@ import time
 import tomllib
 
 import pytest
-from page import AXE, PHONE, SITE, violations
+from page import AXE, PHONE, SITE, traced, violations
 
 from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
@@ -195,5 +195,32 @@ def test_the_course_of_frequencies_is_asked_for_until_it_is_whole(opened, site):
     play.expect(page.get_by_text("2.0150 ± 0.0020 Hz, from 2.000 to 2.030, in 4 segments")).to_be_visible()
     play.expect(page.get_by_text("one segment of 20 minutes in each 3 h")).to_be_visible()
     assert len(asked) == 2
+    if AXE.is_file():
+        assert violations(page) == []
+
+
+def test_an_infrared_picture_has_a_scale_of_temperatures(opened, site, stated):
+    site.engine.shown = {"low": -3.25, "high": 18.5, "unit": "degC"}
+    stated(camera={"source": "infrared"})
+    try:
+        page = opened("camera")
+        play.expect(page.locator(".scale")).to_have_text("−3.3 °C  18.5 °C")
+        play.expect(page.locator(".shades")).to_be_visible()
+        if AXE.is_file():
+            assert violations(page) == []
+    finally:
+        site.engine.shown = {"low": None, "high": None, "unit": ""}
+    page.wait_for_timeout(600)
+    page.get_by_role("button", name="New picture").click()
+    play.expect(page.locator(".scale")).to_be_hidden()
+
+
+def test_a_radar_shows_its_range_profile_with_its_targets(opened, stated):
+    stated(camera={"source": "radar"})
+    page = opened("camera", viewport=PHONE)
+    play.expect(page.get_by_role("heading", name="Radar")).to_be_visible()
+    play.expect(page.locator(".chart canvas")).to_have_count(1)
+    play.expect(page.locator("tbody tr td")).to_have_text(["1", "3.05 m", "31 dB"])
+    until(lambda: any(traced(page)))
     if AXE.is_file():
         assert violations(page) == []

@@ -266,17 +266,34 @@ export interface Picture {
   ms: number;
   width: number;
   height: number;
+  /** What black and white stand for: of grey levels nothing. */
+  shown: { low: number; high: number; unit: string } | null;
+}
+
+/** The newest range profile of a radar: dB of its strongest bin over range, m; null: the range of bins is not known. */
+export interface ProfileBody {
+  time_ns: number;
+  range_m: number[] | null;
+  magnitude_db: number[];
+  targets: { bin: number; range_m: number | null; snr_db: number }[];
 }
 
 /** of: the address of what has a picture. */
 export async function picture(of: string): Promise<Picture> {
   const answer = await ask(`${of}/picture`);
   const number = (name: string) => Number(answer.headers.get(name) ?? 0);
+  const unit = answer.headers.get("X-Midspan-Unit");
+  const shown = {
+    low: number("X-Midspan-Low"),
+    high: number("X-Midspan-High"),
+    unit: unit === "degC" ? "°C" : (unit ?? ""),
+  };
   return {
     blob: await answer.blob(),
     ms: number("X-Midspan-Time") / 1e6,
     width: number("X-Midspan-Width"),
     height: number("X-Midspan-Height"),
+    shown: unit ? shown : null,
   };
 }
 

@@ -230,6 +230,8 @@ class Intake:
         if stream.paused:
             return
         stream.heard(time.time())
+        if isinstance(record, RangeFrame):
+            one.profiles[name] = record
         # A block without any value tells nothing of the sensor.
         if stream.reason and not (isinstance(record, Readings) and not np.isfinite(record.value).any()):
             if stream.reported:
