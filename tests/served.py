@@ -58,6 +58,14 @@ def made_store(folder, begin_ns):
     store.close()
 
 
+# A radar's frame: a target at 3 m, and a stronger one beside it that is none of the point's.
+PROFILE = {
+    "time_ns": 1, "range_m": [0.5 * k for k in range(16)],
+    "magnitude_db": [-3.0 if k == 6 else 0.0 if k == 9 else -40.0 - k % 3 for k in range(16)],
+    "targets": [{"bin": 6.1, "range_m": 3.05, "snr_db": 31.0}],
+}  # fmt: skip
+
+
 class Engine:
     """The engine's end of the local socket in a thread: it says what it is given, and keeps the commands."""
 
@@ -65,9 +73,11 @@ class Engine:
         self.folder, self.commands, self.refuse = folder, [], ""
         self.site_file = ""
         # What answers commands instead of a sentence that says nothing: functions of the command, by its name.
-        self.answers = {}
+        self.answers = {"profile": lambda _: PROFILE}
         # A camera's frame as JPEG, its width and height, px.
         self.picture = b"\xff\xd8jpeg", 2, 3
+        # What black and white of it stand for.
+        self.shown = {"low": None, "high": None, "unit": ""}
         self.state = state()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
@@ -120,6 +130,8 @@ class Engine:
             return self.answers[head["command"]](head), b""
         jpeg, width, height = self.picture
         answer = {"text": f"{head['command']} done", "restart": [], "time_ns": 1, "width": width, "height": height}
+        if head["command"] == "picture":
+            answer |= self.shown
         return answer, jpeg
 
     def _do(self, work):

@@ -1,8 +1,10 @@
 """A store with ten minutes of rows, an engine that says what a test lets it, and the server's own process on both."""
 
+import re
 import time
 
 import pytest
+from page import EXPECTED, WIDE, LiveSite, address
 
 from midspan.records import NANOSECONDS
 from served import SECONDS, Engine, Served, logged_in, made_store, until
@@ -69,3 +71,47 @@ def admin(served, tokens):
     """A client that may do everything."""
     with served.client(tokens["admin"]) as client:
         yield client
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory):
+    """A site whose rows come at real time."""
+    made = LiveSite(tmp_path_factory.mktemp("page"))
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
+def cookie(browser, site):
+    """A session that the tests share: each login is a hash of a quarter of a second."""
+    context = browser.new_context()
+    answer = context.request.post(address(site), data={"user": "anna", "password": site.password})
+    assert answer.ok
+    kept = context.cookies()
+    context.close()
+    return kept
+
+
+@pytest.fixture
+def opened(browser, site, cookie):
+    """A function that opens a view; what goes wrong on it, or leaves the host, is seen at the end."""
+    contexts, wrong, asked = [], [], []
+
+    def open_view(view="site", port=None, logged_in=True, viewport=WIDE, **options):
+        context = browser.new_context(viewport=viewport, **options)
+        contexts.append(context)
+        if logged_in:
+            context.add_cookies(cookie)
+        page = context.new_page()
+        page.set_default_timeout(10_000)
+        page.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(f"http://127.0.0.1:{port or site.served.port}/#/{view}")
+        return page
+
+    yield open_view
+    for context in contexts:
+        context.close()
+    assert [text for text in wrong if not EXPECTED.search(text)] == []
+    assert [url for url in asked if not re.match(r"(blob:)?(http|ws)://127\.0\.0\.1:", url)] == []

@@ -1,6 +1,7 @@
 """A site whose rows come at real time, and a wire to its server that can be cut, for the page's tests."""
 
 import contextlib
+import re
 import socket
 import threading
 import time
@@ -44,6 +45,40 @@ def violations(page):
     page.evaluate(AXE.read_text())
     found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
     return [(one["id"], one["nodes"][0]["html"]) for one in found["violations"]]
+
+
+# What the browser itself says of answers that are expected (a wrong login, a cut), and of a canvas that a test reads.
+EXPECTED = re.compile(r"Failed to load resource|WebSocket connection to|willReadFrequently")
+
+
+def address(site):
+    """Where a site's page logs in."""
+    return f"http://127.0.0.1:{site.served.port}/api/v1/login"
+
+
+def traced(page, part=(0.0, 1.0)):
+    """Which columns of the plot, in a part of its width, hold anything of the trace's colour."""
+    return page.evaluate(
+        """([from, to]) => {
+            const canvas = document.querySelector(".chart canvas"), over = document.querySelector(".u-over");
+            const scale = canvas.width / canvas.clientWidth, left = over.offsetLeft * scale;
+            const width = over.clientWidth * scale, begin = Math.round(left + from * width);
+            const size = Math.round((to - from) * width);
+            const top = over.offsetTop * scale, height = over.clientHeight * scale;
+            const data = canvas.getContext("2d").getImageData(begin, top, size, height).data;
+            const found = [];
+            for (let x = 0; x < size; x++) {
+                let hit = false;
+                for (let y = 0; y < height; y++) {
+                    const at = 4 * (y * size + x);
+                    hit ||= data[at + 3] > 0 && data[at + 2] - data[at] > 60;
+                }
+                found.push(hit);
+            }
+            return found;
+        }""",
+        list(part),
+    )
 
 
 class LiveSite:
@@ -102,7 +137,7 @@ class Alarms:
     def __init__(self, folder, engine):
         self._engine, self._book, self._lock = engine, Book(folder), threading.Lock()
         self._watch = Watch({"p": [self.SETTINGS], "q": []}, (), ["http://example.org 1"], self._put)
-        engine.answers = {
+        engine.answers |= {
             "alarms": self._all,
             "acknowledge": lambda head: self._text("acknowledge", head["alarm"], head["who"]),
             "silence": lambda head: self._text("silence", head["alarm"], head["who"], head["until_ns"], head["reason"]),

@@ -7,7 +7,7 @@ import re
 import time
 
 import pytest
-from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDE, WIDTH, LiveSite, Wire, picture, violations
+from page import AXE, HEIGHT, HOSTILE, PHONE, SITE, WIDTH, Wire, address, picture, traced, violations
 
 from midspan.records import NANOSECONDS, Event
 from midspan.serve.application import PAGE
@@ -18,80 +18,6 @@ play = pytest.importorskip("playwright.sync_api", reason="playwright is not inst
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
 
 VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
-# What the browser itself says of answers that are expected (a wrong login, a cut), and of a canvas that a test reads.
-EXPECTED = re.compile(r"Failed to load resource|WebSocket connection to|willReadFrequently")
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    made = LiveSite(tmp_path_factory.mktemp("page"))
-    yield made
-    made.stop()
-
-
-@pytest.fixture(scope="module")
-def cookie(browser, site):
-    """A session that the tests share: each login is a hash of a quarter of a second."""
-    context = browser.new_context()
-    answer = context.request.post(address(site), data={"user": "anna", "password": site.password})
-    assert answer.ok
-    kept = context.cookies()
-    context.close()
-    return kept
-
-
-def address(site):
-    return f"http://127.0.0.1:{site.served.port}/api/v1/login"
-
-
-@pytest.fixture
-def opened(browser, site, cookie):
-    """A function that opens a view; what goes wrong on it, or leaves the host, is seen at the end."""
-    contexts, wrong, asked = [], [], []
-
-    def open_view(view="site", port=None, logged_in=True, viewport=WIDE, **options):
-        context = browser.new_context(viewport=viewport, **options)
-        contexts.append(context)
-        if logged_in:
-            context.add_cookies(cookie)
-        page = context.new_page()
-        page.set_default_timeout(10_000)
-        page.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(f"http://127.0.0.1:{port or site.served.port}/#/{view}")
-        return page
-
-    yield open_view
-    for context in contexts:
-        context.close()
-    assert [text for text in wrong if not EXPECTED.search(text)] == []
-    assert [url for url in asked if not re.match(r"(blob:)?(http|ws)://127\.0\.0\.1:", url)] == []
-
-
-def traced(page, part=(0.0, 1.0)):
-    """Which columns of the plot, in a part of its width, hold anything of the trace's colour."""
-    return page.evaluate(
-        """([from, to]) => {
-            const canvas = document.querySelector(".chart canvas"), over = document.querySelector(".u-over");
-            const scale = canvas.width / canvas.clientWidth, left = over.offsetLeft * scale;
-            const width = over.clientWidth * scale, begin = Math.round(left + from * width);
-            const size = Math.round((to - from) * width);
-            const top = over.offsetTop * scale, height = over.clientHeight * scale;
-            const data = canvas.getContext("2d").getImageData(begin, top, size, height).data;
-            const found = [];
-            for (let x = 0; x < size; x++) {
-                let hit = false;
-                for (let y = 0; y < height; y++) {
-                    const at = 4 * (y * size + x);
-                    hit ||= data[at + 3] > 0 && data[at + 2] - data[at] > 60;
-                }
-                found.push(hit);
-            }
-            return found;
-        }""",
-        list(part),
-    )
 
 
 def test_a_login_shows_every_point_with_its_newest_value(opened, site):
@@ -253,11 +179,11 @@ def test_wrong_settings_are_said_with_their_key_and_change_nothing(opened, site)
     area = page.get_by_label("SITE.toml")
     play.expect(area).to_have_value(SITE)
     area.fill(SITE.replace("unit =", "unt ="))
-    page.get_by_role("button", name="Check and put in force").click()
+    page.get_by_role("button", name="Save and put in force").click()
     play.expect(page.get_by_role("alert")).to_contain_text("unt")
     assert site.file.read_text() == SITE
     area.fill(SITE.replace('"site"', '"bridge"'))
-    page.get_by_role("button", name="Check and put in force").click()
+    page.get_by_role("button", name="Save and put in force").click()
     play.expect(page.locator(".done")).to_have_text("reload done")
     assert 'name = "bridge"' in site.file.read_text()
 

@@ -1,6 +1,10 @@
 """Sources, and what the engine refuses."""
 
+import time
+
 import pytest
+
+from served import PROFILE
 
 
 def test_sources_say_how_they_stand(reader):
@@ -16,6 +20,24 @@ def test_a_picture_is_a_jpeg_with_its_time_and_size(reader, engine):
     assert answer.content.startswith(b"\xff\xd8")
     assert (answer.headers["x-midspan-width"], answer.headers["x-midspan-height"]) == ("2", "3")
     assert reader.get("/api/v1/sources/p.none/picture").status_code == 404
+
+
+def test_a_picture_says_what_black_and_white_are_where_they_are_temperatures(reader, engine):
+    time.sleep(0.6)  # of the picture that is shared
+    assert "x-midspan-unit" not in reader.get("/api/v1/sources/p.camera/picture").headers
+    engine.shown = {"low": -3.25, "high": 18.5, "unit": "degC"}
+    try:
+        time.sleep(0.6)
+        headers = reader.get("/api/v1/sources/p.camera/picture").headers
+    finally:
+        engine.shown = {"low": None, "high": None, "unit": ""}
+    assert [headers[f"x-midspan-{name}"] for name in ("low", "high", "unit")] == ["-3.25", "18.5", "degC"]
+
+
+def test_a_radar_shows_its_range_profile_with_its_targets(reader):
+    found = reader.get("/api/v1/sources/p.camera/profile").json()
+    assert found == PROFILE
+    assert reader.get("/api/v1/sources/p.none/profile").status_code == 404
 
 
 def test_a_source_is_paused_with_a_reason(operator, engine):

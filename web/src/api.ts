@@ -18,6 +18,9 @@ export interface PointState {
   age_s: number | null;
   since: string | null;
   calibration: number | null;
+  /** capturing, calibrating or opening; empty where nothing is prepared. */
+  stage?: string;
+  stage_left_s?: number | null;
 }
 export interface SourceState {
   name: string;
@@ -32,6 +35,15 @@ export interface SourceState {
   stamps: string;
   address: string;
   rate_hz: number | null;
+  nominal_rate_hz?: number | null;
+  /** Arrival less stamp. */
+  delay_s?: number | null;
+  late?: number | null;
+  restarts?: number | null;
+  /** Added to its stamps for the accelerometer's clock. */
+  clock_offset_s?: number | null;
+  clock_offset_std_s?: number | null;
+  clock_drift_ppm?: number | null;
 }
 export interface Health {
   ready: boolean;
@@ -65,12 +77,23 @@ export interface CalibrationBody {
   time: string;
   state: string;
   calibration: Record<string, unknown>;
+  /** When it made rows. */
+  rows?: { from: string; to: string }[];
 }
 export interface SpectrumBody {
   frequency_hz: Numbers;
   density_mm2_hz: Numbers;
   segment_s: number | null;
   modes: Record<string, number>[];
+  reason: string;
+}
+/** One segment a step; complete: false where asking again gives more. */
+export interface FrequenciesBody {
+  step_s: number;
+  segment_s: number;
+  time: number[];
+  modes: { frequency_hz: Numbers; frequency_std_hz: Numbers; rms_mm: Numbers }[];
+  complete: boolean;
   reason: string;
 }
 export interface AlarmBody {
@@ -215,14 +238,26 @@ export async function settings(below = ""): Promise<{ text: string; tag: string 
   return { text: await answer.text(), tag: answer.headers.get("ETag") ?? "*" };
 }
 
+/** What became of settings, or would: names of points, and keys that hold only after another start. */
+export interface SettingsDone {
+  text: string;
+  restart: string[];
+  added?: string[];
+  changed?: string[];
+  removed?: string[];
+}
+
+/** isTrial: nothing is written, and the answer says what would happen. */
 export async function putSettings(
   text: string,
   tag: string,
   below = "",
-): Promise<{ text: string; restart: string[]; tag: string }> {
+  isTrial = false,
+): Promise<SettingsDone & { tag: string }> {
   const headers = { "Content-Type": "text/plain", "If-Match": tag };
-  const answer = await ask(`${below}/settings`, { method: "PUT", body: text, headers });
-  const body = (await answer.json()) as { text: string; restart?: string[] };
+  const path = `${below}/settings${isTrial ? "?dry_run=true" : ""}`;
+  const answer = await ask(path, { method: "PUT", body: text, headers });
+  const body = (await answer.json()) as Partial<SettingsDone> & { text: string };
   return { restart: [], ...body, tag: answer.headers.get("ETag") ?? "*" };
 }
 
@@ -231,17 +266,34 @@ export interface Picture {
   ms: number;
   width: number;
   height: number;
+  /** What black and white stand for: of grey levels nothing. */
+  shown: { low: number; high: number; unit: string } | null;
+}
+
+/** The newest range profile of a radar: dB of its strongest bin over range, m; null: the range of bins is not known. */
+export interface ProfileBody {
+  time_ns: number;
+  range_m: number[] | null;
+  magnitude_db: number[];
+  targets: { bin: number; range_m: number | null; snr_db: number }[];
 }
 
 /** of: the address of what has a picture. */
 export async function picture(of: string): Promise<Picture> {
   const answer = await ask(`${of}/picture`);
   const number = (name: string) => Number(answer.headers.get(name) ?? 0);
+  const unit = answer.headers.get("X-Midspan-Unit");
+  const shown = {
+    low: number("X-Midspan-Low"),
+    high: number("X-Midspan-High"),
+    unit: unit === "degC" ? "°C" : (unit ?? ""),
+  };
   return {
     blob: await answer.blob(),
     ms: number("X-Midspan-Time") / 1e6,
     width: number("X-Midspan-Width"),
     height: number("X-Midspan-Height"),
+    shown: unit ? shown : null,
   };
 }
 

@@ -1,6 +1,7 @@
 // Live rows over the websocket: connected again after a cut from the newest sequence on, so that no row is missing.
 
 import type { AlarmBody, Rows } from "./api.ts";
+import type { Head } from "./rows.ts";
 
 export interface RowsMessage extends Rows {
   sequence: number;
@@ -18,8 +19,13 @@ export interface GapMessage {
   after: number;
   first: number;
 }
+/** Rows that are not final yet. */
+export interface HeadMessage extends Head {
+  type: "head";
+  point: string;
+}
 export type AlarmMessage = AlarmBody & { type: "alarm" };
-export type Message = RowsMessage | EventMessage | GapMessage | AlarmMessage;
+export type Message = RowsMessage | EventMessage | GapMessage | HeadMessage | AlarmMessage;
 
 // Tried again after, ms: at first at once, later as a server's restart takes seconds.
 const FIRST_MS = 250;

@@ -2,7 +2,8 @@
 
 import type { Buckets, Rows } from "./api.ts";
 
-/** x in s since 1970; low, high: least and largest; lower, upper: those with 1.96 σ; mean. */
+/** x in s since 1970; low, high: least and largest; lower, upper: those with 1.96 σ; mean; coasting: whether
+ * any of it rests on no measurement. */
 export interface Envelope {
   x: number[];
   low: (number | null)[];
@@ -10,13 +11,14 @@ export interface Envelope {
   lower: (number | null)[];
   upper: (number | null)[];
   mean: (number | null)[];
+  coasting: boolean[];
 }
 
 // Rows that are further apart than this many of their usual steps have a gap between them: one row may be late.
 const GAP_STEPS = 2.5;
 
 export function emptyEnvelope(): Envelope {
-  return { x: [], low: [], high: [], lower: [], upper: [], mean: [] };
+  return { x: [], low: [], high: [], lower: [], upper: [], mean: [], coasting: [] };
 }
 
 function push(
@@ -26,11 +28,13 @@ function push(
   high: number | null,
   mean: number | null,
   std: number | null,
+  status: string | null,
 ) {
   into.x.push(x);
   into.low.push(low);
   into.high.push(high);
   into.mean.push(mean);
+  into.coasting.push(status === "coasting");
   // A bucket without a deviation (over more than 32 days) has no band.
   into.lower.push(low === null || std === null ? null : low - 1.96 * std);
   into.upper.push(high === null || std === null ? null : high + 1.96 * std);
@@ -50,6 +54,7 @@ export function ofBuckets(buckets: Buckets, toMs: number): Envelope {
       high,
       buckets.displacement_mm_mean[at] ?? null,
       buckets.displacement_std_mm[at] ?? null,
+      buckets.status[at] ?? null,
     );
   });
   return made;
@@ -72,11 +77,44 @@ export function ofRows(rows: Rows): Envelope {
   rows.time.forEach((ns, at) => {
     const x = ns / 1e9;
     const before = made.x[made.x.length - 1];
-    if (before !== undefined && x - before > GAP_STEPS * step) push(made, before + step, null, null, null, null);
+    if (before !== undefined && x - before > GAP_STEPS * step) push(made, before + step, null, null, null, null, null);
     const value = rows.status[at] === "lost" ? null : (rows.displacement_mm[at] ?? null);
-    push(made, x, value, value, value, rows.displacement_std_mm[at] ?? null);
+    push(made, x, value, value, value, rows.displacement_std_mm[at] ?? null, rows.status[at] ?? null);
   });
   return made;
+}
+
+/** Rows that are not final yet: the next ones replace them. */
+export interface Head {
+  time: number[];
+  displacement_mm: (number | null)[];
+  displacement_std_mm: (number | null)[];
+}
+
+/** What is drawn differently: measured, coasting and not final, each null where it is another; neighbours touch. */
+export function layers(all: Envelope, head: Head | null): [Envelope, Envelope, Envelope] {
+  const last = all.x[all.x.length - 1] ?? -Infinity;
+  const whole: Envelope = { ...all, x: [...all.x] };
+  for (const name of ["low", "high", "lower", "upper", "mean"] as const) whole[name] = [...all[name]];
+  whole.coasting = [...all.coasting];
+  const count = all.x.length;
+  head?.time.forEach((ns, at) => {
+    const value = head.displacement_mm[at] ?? null;
+    if (ns / 1e9 > last) push(whole, ns / 1e9, value, value, value, head.displacement_std_mm[at] ?? null, null);
+  });
+  const isCoasting = (at: number) => at < count && whole.coasting[at] === true;
+  const hasHead = whole.x.length > count;
+  const only = (keep: (at: number) => boolean): Envelope => {
+    const made: Envelope = { ...whole };
+    for (const name of ["low", "high", "lower", "upper", "mean"] as const)
+      made[name] = whole[name].map((value, at) => (keep(at) ? value : null));
+    return made;
+  };
+  return [
+    only((at) => at < count && !isCoasting(at)),
+    only((at) => isCoasting(at) || ((isCoasting(at - 1) || isCoasting(at + 1)) && at < count)),
+    only((at) => at >= count || (hasHead && at === count - 1)),
+  ];
 }
 
 /** The newest rows of a point, of `keptS` seconds at most. */

@@ -3,7 +3,7 @@
 import type { AlarmBody, Health, PointState, Session } from "./api.ts";
 import { Away, get, Refused } from "./api.ts";
 import { Live, type Message } from "./live.ts";
-import { Newest } from "./rows.ts";
+import { type Head, Newest } from "./rows.ts";
 
 // States change in seconds, and rows come in between, ms.
 const ASK_MS = 3000;
@@ -19,6 +19,8 @@ export class SiteState {
   /** The alarms that are open, newest change first. */
   alarms: AlarmBody[] = [];
   newest = new Map<string, Newest>();
+  /** Of each point the rows that are not final yet. */
+  heads = new Map<string, Head>();
   session: Session;
   /** When the server answered last, ms of performance.now(); what it last failed with. */
   answered = performance.now();
@@ -78,10 +80,21 @@ export class SiteState {
     return point.time === null ? null : Math.max(this.now() - Date.parse(point.time), 0) / 1000;
   }
 
+  /** How long what a point prepares still takes, s; null where that is not known. */
+  leftS(point: PointState): number | null {
+    if (point.stage_left_s == null) return null;
+    return Math.max(point.stage_left_s - (performance.now() - this.answered) / 1000, 0);
+  }
+
   rowsOf(name: string): Newest {
     let found = this.newest.get(name);
     if (!found) this.newest.set(name, (found = new Newest(KEPT_S)));
     return found;
+  }
+
+  /** The rows of a point that are not final yet; null without any, or without a connection. */
+  headOf(name: string): Head | null {
+    return this.fresh ? (this.heads.get(name) ?? null) : null;
   }
 
   async #ask(): Promise<void> {
@@ -107,6 +120,7 @@ export class SiteState {
     // What is missing is in the store alone: rows on both sides of it would look like a gap.
     if ("type" in message && message.type === "gap") this.newest.clear();
     if ("type" in message && message.type === "alarm") this.#changed(message);
+    if ("type" in message && message.type === "head") this.heads.set(message.point, message);
     if (!("sequence" in message)) return;
     this.rowsOf(message.point).add(message);
     const point = this.point(message.point);

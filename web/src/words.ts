@@ -13,6 +13,12 @@ export function signed(value: number, digits: number): string {
   return value < 0 ? `−${Math.abs(value).toFixed(digits)}` : value.toFixed(digits);
 }
 
+/** A value with one standard deviation, in two digits of that. */
+export function withSigma(value: number, std: number, unit: string): string {
+  const digits = std > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(std)), 0), 9) : 5;
+  return `${signed(value, digits)}${std > 0 ? ` ± ${std.toFixed(digits)}` : ""} ${unit}`.trim();
+}
+
 /** A duration with the two units that matter. */
 export function duration(seconds: number): string {
   if (!Number.isFinite(seconds)) return "unknown";
@@ -36,7 +42,12 @@ export function clock(ms: number): string {
   const when = new Date(ms);
   const today = new Date().toDateString() === when.toDateString();
   const time = when.toLocaleTimeString([], { hour12: false });
-  return today ? time : `${when.toLocaleDateString([], { year: "numeric", month: "short", day: "numeric" })} ${time}`;
+  return today ? time : `${day(ms)} ${time}`;
+}
+
+/** A day (ms since 1970) in the zone of the reader. */
+export function day(ms: number): string {
+  return new Date(ms).toLocaleDateString([], { year: "numeric", month: "short", day: "numeric" });
 }
 
 /** How a point is measured, as a sentence's subject needs it. */

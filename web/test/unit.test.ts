@@ -4,8 +4,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { joined } from "../src/charts/series.ts";
 import { TimeWindow } from "../src/charts/window.ts";
+import { changeOf } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
-import { Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
+import { layers, Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
+import { lineOf, pointNames, withoutPoint, withPoint, withSource } from "../src/site_text.ts";
 import { duration, withBand } from "../src/words.ts";
 
 // Ten rows a second from a whole second on, three missing.
@@ -164,4 +166,77 @@ test("numbers and durations are said with what matters of them", () => {
   assert.equal(withBand(-1.23456, 0.01), "−1.235 ± 0.020 mm");
   assert.equal(withBand(null, null), "no value");
   assert.deepEqual([2, 75, 3600, 100_000].map(duration), ["2.0 s", "1 min 15 s", "1 h", "1 d 3 h"]);
+});
+
+test("a change is that of the likeliest line, and of two values their difference", () => {
+  const at = (x: number, value: number, std: number | null) => ({ x, of: { value, std, unit: "" } });
+  const two = changeOf([at(0, 1, 3), at(1, 6, 4)]);
+  assert.ok(two && Math.abs(two.by - 5) < 1e-9 && Math.abs((two.sigmas ?? 0) - 1) < 1e-9);
+  // Unweighted: slope Σ(x−2)y / Σ(x−2)² = 10/10, over four steps, with a deviation of 4/√10.
+  const line = changeOf([0, 1, 2, 3, 4].map((x) => at(x, x + (x === 2 ? 7 : 0), 1)));
+  assert.ok(line && Math.abs(line.by - 4) < 1e-9 && Math.abs((line.sigmas ?? 0) - Math.sqrt(10)) < 1e-9);
+  assert.deepEqual(changeOf([at(0, 1, null), at(1, 3, 1)]), { by: 2, sigmas: null });
+  assert.equal(changeOf([at(0, 1, 1)]), null);
+});
+
+const BRIDGE = `name = "site" # of all
+[store]
+path = "store"
+
+[[point]]
+name = "a"
+[point.accelerometer]
+source = "x"
+unit = "g"
+
+# The second one.
+[[point]]
+name = "b"
+
+[point.camera]
+source = "y"
+[[point.alarm]]
+name = "high"
+
+[mqtt]
+host = "h"
+`;
+
+test("the line of a wrong key is found in its own point, and of a missing one its section", () => {
+  const at = (key: string | null, fault = "") => BRIDGE.split("\n")[lineOf(BRIDGE, key, fault) ?? -1];
+  assert.equal(at("point 'a': accelerometer.unit"), 'unit = "g"');
+  assert.equal(at("point 'b': camera.source"), 'source = "y"');
+  assert.equal(at("point[1]: camera.direction"), "[point.camera]");
+  assert.equal(at("mqtt.host"), 'host = "h"');
+  assert.equal(at("name"), 'name = "site" # of all');
+  assert.equal(at(null, "is not valid TOML (at line 3, column 8)."), 'path = "store"');
+  assert.equal(at("point 'c': camera.source"), undefined);
+  assert.equal(lineOf(BRIDGE, null, "no line"), null);
+});
+
+test("points and sources are added and removed, and everything else stays as it is", () => {
+  const source = { kind: "radar", source: "udp:4098", keys: { config: "radar.cfg", unit: "" } };
+  assert.deepEqual(pointNames(BRIDGE), ["a", "b"]);
+  const block = '[point.radar]\nsource = "udp:4098"\nconfig = "radar.cfg"\n';
+  assert.equal(withPoint(BRIDGE, "c", source), `${BRIDGE}\n[[point]]\nname = "c"\n\n${block}`);
+  assert.equal(withSource(BRIDGE, "a", source), BRIDGE.replace('unit = "g"\n', `unit = "g"\n\n${block}`));
+  // Before the point's alarms.
+  assert.equal(withSource(BRIDGE, "b", source), BRIDGE.replace("[[point.alarm]]", `${block}\n[[point.alarm]]`));
+  assert.equal(withSource(BRIDGE, "b", { ...source, kind: "camera" }), null);
+  assert.equal(withoutPoint(BRIDGE, "a"), BRIDGE.replace(/\[\[point\]\]\nname = "a"[^]*?(?=# The)/, ""));
+  assert.equal(withoutPoint(BRIDGE, "b"), BRIDGE.replace(/# The second[^]*?(?=\[mqtt\])/, ""));
+  assert.equal(withoutPoint(BRIDGE, "c"), null);
+});
+
+test("coasting rows and those that are not final are layers of their own, which touch", () => {
+  const came = rows(0, 5);
+  came.status[2] = "coasting";
+  const head = { time: [1.4e9, 1.5e9, 1.6e9], displacement_mm: [7, 8, null], displacement_std_mm: [1, 1, 1] };
+  const [measured, coasting, open] = layers(ofRows(came), head);
+  assert.deepEqual(measured.low, [1, 1, null, 1, 1, null, null]);
+  assert.deepEqual(coasting.low, [null, 1, 1, 1, null, null, null]);
+  // What is final by now is not drawn as if it were not.
+  assert.deepEqual(open.low, [null, null, null, null, 1, 8, null]);
+  assert.equal(measured.x, coasting.x);
+  assert.ok(layers(ofRows(rows(0, 3)), null)[2].low.every((one) => one === null));
 });

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from starlette.staticfiles import StaticFiles
 
 from midspan._version import __version__
-from midspan.serve import alarms, live, login, points, problems, settings_file, sources
+from midspan.serve import alarms, frequencies, live, login, points, problems, settings_file, sources
 from midspan.serve.limits import Limits
 from midspan.serve.login import READ, passwords
 from midspan.serve.metrics import figures
@@ -21,7 +21,7 @@ from midspan.service.live_socket import Tree
 API = "/api/v1"
 # Where the page's files are shipped, once they are built.
 PAGE = Path(__file__).parent / "page"
-PARTS = (login, points, sources, alarms, settings_file, live)
+PARTS = (login, points, frequencies, sources, alarms, settings_file, live)
 """A module a part of the interface, with its `routes`; another part is another name."""
 
 

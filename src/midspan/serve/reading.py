@@ -19,7 +19,7 @@ from midspan.serve.viewers import plain
 from midspan.service.journal import rows_stream
 from midspan.service.stored_recording import stored_rows, stored_table
 from midspan.sinks.table import WORDS, words_of
-from midspan.store.chunk import Chunk
+from midspan.store.chunk import Chunk, join
 from midspan.store.database import StoreFault
 from midspan.store.store import Store, is_store, open_store
 from midspan.store.summary import Drawn
@@ -215,6 +215,31 @@ def spectrum_tree(series: TimeSeries) -> Tree:
         **found.to_dict(),
         "reason": "",
     }
+
+
+def segment_modes(where: str, point: str, first_ns: int, end_ns: int, length_ns: int) -> tuple[int, list[Tree]] | None:
+    """Begin (ns) and natural frequencies of the first segment of this length of a time.
+
+    None without rows of half of it: of less, modes are known ten times worse.
+    """
+    from midspan.evaluate.spectrum import spectrum
+
+    with opened(where) as store:
+        names = {"displacement_m", "status"}
+        first = next(store.chunks(point, rows_stream(), first_ns, end_ns - 1, names=names), None)
+        if first is None:
+            return None
+        begin_ns = int(first.time_ns[0])
+        last_ns = min(begin_ns + length_ns, end_ns) - 1
+        rows = join(list(store.chunks(point, rows_stream(), begin_ns, last_ns, names=names)))
+    if len(rows.time_ns) > MAX_SPECTRUM_ROWS or rows.time_ns[-1] - begin_ns < length_ns // 2:
+        return None
+    value = np.where(rows.columns["status"] == WORDS["status"].index("lost"), np.nan, rows.columns["displacement_m"])
+    try:
+        found = spectrum(TimeSeries(rows.time_ns, np.asarray(value, dtype=np.float64)))
+    except DataError:
+        return None
+    return begin_ns, found.to_dict()["modes"]
 
 
 def export(where: str, point: str, span: tuple[int, int], file: str) -> None:

@@ -115,6 +115,9 @@ class Serving:
     # One change of the settings, and one file of rows, at a time.
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     exporting: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
+    # Natural frequencies of segments by point, step (ns) and its number, and who computes them.
+    segments: dict[tuple[str, int, int], tuple[int, list[Tree]] | None] = field(default_factory=dict)
+    following: asyncio.Lock = field(default_factory=asyncio.Lock)
     access: Access = field(init=False)
     link: EngineLink = field(init=False)
     live: LiveRows = field(default_factory=LiveRows)

@@ -127,6 +127,8 @@ def done(answer: Tree) -> SettingsDone:
     """What the engine says of settings."""
     names = {key: list(answer.get(key, [])) for key in ("added", "changed", "removed")}
     return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]), **names)
+
+
 def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str) -> None:
     """Raises UsageError for a region that reaches beyond the camera's picture (width, height)."""
     for number, target in enumerate(given_targets(camera), 1):

@@ -50,11 +50,34 @@ class Pause(BaseModel):
     reason: Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
-PICTURE_HEADERS = {"X-Midspan-Time": "time_ns", "X-Midspan-Width": "width", "X-Midspan-Height": "height"}
-"""Of a picture: when it was taken (ns UTC), and the size of the frame, which regions count in, px."""
+class ProfileTarget(BaseModel):
+    """A target of a radar, as it was calibrated."""
+
+    bin: float
+    range_m: float | None
+    snr_db: float
+
+
+class ProfileBody(BaseModel):
+    """The newest range profile of a radar, the mean of its channels."""
+
+    time_ns: int
+    range_m: list[float] | None = Field(description="of each bin; null where it is not known")
+    magnitude_db: list[float] = Field(description="of each bin, relative to the strongest one")
+    targets: list[ProfileTarget]
+
+
+PICTURE_HEADERS = {
+    "X-Midspan-Time": "time_ns", "X-Midspan-Width": "width", "X-Midspan-Height": "height",
+    "X-Midspan-Low": "low", "X-Midspan-High": "high", "X-Midspan-Unit": "unit",
+}  # fmt: skip
+"""Of a picture: when it was taken (ns UTC), the size of the frame, which regions count in, px, and what black and white
+stand for where they are no grey levels: degC, or counts.
+"""
 
 routes = APIRouter(prefix="/sources", tags=["sources"])
 COMMANDED = declared(401, 403, 404, 409, 413, 415, 422)
+SHOWN = declared(401, 403, 404, 409, 422)
 
 
 def known(serving: Serving) -> list[Tree]:
@@ -78,20 +101,37 @@ async def sources(serving: Shared) -> list[Tree]:
 @routes.get(
     "/{name}/picture", dependencies=READ, response_class=Response,
     responses={
-        **declared(401, 403, 404, 409, 422),
+        **SHOWN,
         200: {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}},
     },
 )  # fmt: skip
 async def picture(name: str, serving: Shared) -> Response:
     """A camera's newest frame, whole; there are two a second at most."""
+    answer, body = await newest(serving, name, "picture")
+    found = {key: answer.get(value) for key, value in PICTURE_HEADERS.items()}
+    headers = {key: str(value) for key, value in found.items() if value not in (None, "")}
+    return Response(body, media_type="image/jpeg", headers=headers)
+
+
+@routes.get(
+    "/{name}/profile", response_model=ProfileBody, dependencies=READ, responses=declared(401, 403, 404, 409, 422)
+)
+async def profile(name: str, serving: Shared) -> Tree:
+    """A radar's newest range profile with its targets; there are two a second at most."""
+    return (await newest(serving, name, "profile"))[0]
+
+
+async def newest(serving: Serving, name: str, command: str) -> tuple[Tree, bytes]:
+    """What the engine shows of a source, shared by all who ask at the time. Raises Problem."""
     require_source(serving, name)
     async with serving.looking.setdefault(name, asyncio.Lock()):
         taken_s, answer, body = serving.pictures.get(name, (-PICTURE_S, {}, b""))
-        if time.monotonic() - taken_s > PICTURE_S:
-            answer, body = await serving.link.ask("picture", source=name)
+        # Of a source there is a picture or a profile; what the other one's command says is not kept.
+        if time.monotonic() - taken_s > PICTURE_S or answer.get("command") != command:
+            found, body = await serving.link.ask(command, source=name)
+            answer = {**found, "command": command}
             serving.pictures[name] = (time.monotonic(), answer, body)
-    headers = {key: str(answer[value]) for key, value in PICTURE_HEADERS.items()}
-    return Response(body, media_type="image/jpeg", headers=headers)
+    return answer, body
 
 
 @routes.post("/{name}/pause", response_model=Done, dependencies=OPERATE, responses=COMMANDED)

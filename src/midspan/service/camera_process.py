@@ -106,11 +106,17 @@ class Delivered:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A whole frame as JPEG, for people: what does not fit into 8 bits is scaled to its own range."""
+    """A whole frame as JPEG, for people: what does not fit into 8 bits is scaled to its own range.
+
+    low, high: what black and white stand for, °C or counts of an infrared camera; None: grey levels as they came.
+    """
 
     time_ns: int
     shape: tuple[int, int]
     jpeg: bytes
+    low: float | None = None
+    high: float | None = None
+    is_counts: bool = False
 
 
 # Of JPEG (0 to 100): the sharpness of edges that a region is drawn by, at a tenth of the bytes.
@@ -123,13 +129,16 @@ def pictured(frame: Frame) -> Picture:
     import cv2
 
     pixels: NDArray[Any] = frame.pixels
+    low = high = None
     if pixels.dtype != np.uint8:
         values = pixels.astype(np.float32)
-        low, high = np.percentile(values, (1.0, 99.0))
-        pixels = np.clip((values - low) * (255.0 / max(float(high - low), 1e-9)), 0.0, 255.0).astype(np.uint8)
+        low, high = (float(one) for one in np.nanpercentile(values, (1.0, 99.0)))
+        values = np.nan_to_num(values, nan=low)
+        pixels = np.clip((values - low) * (255.0 / max(high - low, 1e-9)), 0.0, 255.0).astype(np.uint8)
     _, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     rows, columns = pixels.shape[:2]
-    return Picture(frame.time_ns, (rows, columns), jpeg.tobytes())
+    is_counts = frame.pixels.dtype == np.uint16
+    return Picture(frame.time_ns, (rows, columns), jpeg.tobytes(), low, high, is_counts)
 
 
 class CameraProcess:

@@ -5,13 +5,19 @@ import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from midspan.engine.sensors import RadarSensor
 from midspan.errors import MidspanError
+from midspan.radar.target import Target
+from midspan.records import Floats, RangeFrame
 from midspan.service.calibrations import accepted, refused
 from midspan.service.camera_process import Picture
 from midspan.service.live_socket import Tree
 from midspan.service.paused import Paused
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, Stream
+from midspan.sources.thermal.temperatures import celsius_of
 
 # A picture is the next frame: a camera of one frame in five seconds is a slow one.
 PICTURE_S = 6.0
@@ -41,6 +47,7 @@ class Commands:
             "pause": self._pause,
             "resume": self._resume,
             "picture": self._picture,
+            "profile": self._profile,
         }
         self._alarms = dict(alarms or {})
 
@@ -118,7 +125,19 @@ class Commands:
         except TimeoutError:
             raise MidspanError(f"{head['source']}: no frame came within {PICTURE_S:g} s.") from None
         rows, columns = picture.shape
-        return {"time_ns": picture.time_ns, "width": columns, "height": rows, "now_s": time.time()}, picture.jpeg
+        found = {"time_ns": picture.time_ns, "width": columns, "height": rows, "now_s": time.time()}
+        return {**found, **shown_range(picture, one.scales.get(stream.sensor))}, picture.jpeg
+
+    async def _profile(self, head: Tree) -> Answer:
+        one, stream = self._stream(head)
+        info, frame = one.live.radars.get(stream.sensor), one.profiles.get(stream.sensor)
+        if info is None:
+            raise MidspanError(f"{head['source']}: has no range profile; only radars have.")
+        if frame is None:
+            raise MidspanError(f"{head['source']}: no frame came yet. {stream.text or sentence('starting')}")
+        sensor = None if one.live.opened is None else one.live.opened.point.sensors.get(stream.sensor)
+        targets = [followed.target for followed in sensor.chain.targets] if isinstance(sensor, RadarSensor) else []
+        return profile_of(frame, info.range_m, targets), b""
 
     def _point(self, head: Tree) -> Running:
         return next((one for one in self._points if one.name == head.get("point")), None) or _no("point", head)
@@ -127,6 +146,33 @@ class Commands:
         point, _, sensor = str(head.get("source")).partition(".")
         one = next((one for one in self._points if one.name == point and sensor in one.streams), None)
         return (one, one.streams[sensor]) if one is not None else _no("source", head)
+
+
+def shown_range(picture: Picture, scale: tuple[float, float] | None) -> Tree:
+    """What black and white of a picture stand for; scale: kelvin per count and at count 0, None: not known."""
+    values, unit = (picture.low, picture.high), "counts" if picture.is_counts else "degC"
+    if values[0] is None or values[1] is None:
+        return {"low": None, "high": None, "unit": ""}
+    if picture.is_counts and scale is not None:
+        values, unit = tuple(celsius_of(np.array(values), *scale).tolist()), "degC"
+    return {"low": values[0], "high": values[1], "unit": unit}
+
+
+def profile_of(frame: RangeFrame, range_m: Floats, targets: Sequence[Target]) -> Tree:
+    """A radar's frame for people: power (dB of the strongest bin) over range, m, None without one; its targets."""
+    power = np.mean(np.abs(frame.phasors[frame.valid]) ** 2, axis=0) if frame.valid.any() else np.array([])
+    is_known = len(range_m) == len(power) and bool(np.isfinite(range_m).all())
+    # Nothing at all is 200 dB below: float32 holds no less beside a target.
+    magnitude_db = 10.0 * np.log10(np.maximum(power / max(float(power.max(initial=0.0)), 1e-300), 1e-20))
+    return {
+        "time_ns": frame.time_ns,
+        "range_m": range_m.tolist() if is_known else None,
+        "magnitude_db": np.round(magnitude_db, 2).tolist(),
+        "targets": [
+            {"bin": one.place_bin, "range_m": one.range_m if np.isfinite(one.range_m) else None, "snr_db": one.snr_db}
+            for one in targets
+        ],
+    }
 
 
 def _no(key: str, head: Tree) -> Any:

@@ -251,6 +251,8 @@ class Intake:
         if stream.paused:
             return
         stream.heard(time.time(), arrival.newest_ns, len(record.time_ns) if isinstance(record, Readings) else 1)
+        if isinstance(record, RangeFrame):
+            one.profiles[name] = record
         # A block without any value tells nothing of the sensor.
         if stream.reason and not (isinstance(record, Readings) and not np.isfinite(record.value).any()):
             if stream.reported:

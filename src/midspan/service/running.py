@@ -169,6 +169,8 @@ class Running:
     cameras: dict[str, CameraProcess] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     scales: dict[str, tuple[float, float]] = field(default_factory=dict)
+    # The newest frame of each radar, for people.
+    profiles: dict[str, RangeFrame] = field(default_factory=dict)
     results: int = 0
     published_ns: int = 0
     work: asyncio.Task[None] | None = None

@@ -20,8 +20,8 @@ from midspan.store.database import Database, FileLocks, PostgresDatabase, Sqlite
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
 from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
-from midspan.store.spans import CalibratedSpan, spans_of
 from midspan.store.seconds import SECOND_TABLE
+from midspan.store.spans import CalibratedSpan, spans_of
 from midspan.store.summary import STATUS, STD, Drawn
 from midspan.store.summary import Buckets as SummaryBuckets
 

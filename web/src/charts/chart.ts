@@ -17,7 +17,7 @@ type Range = [fromS: number, toS: number];
 
 // Ticks in the 24 h form. Each: smallest step (s), text, and what stands below it where year, day or minute begin.
 const DAY = "\n{D} {MMM}";
-const TIME_TEXTS: uPlot.Axis.Values = [
+export const TIME_TEXTS: uPlot.Axis.Values = [
   [31536000, "{YYYY}", null, null, null, null, null, null, 1],
   [2419200, "{MMM}", "\n{YYYY}", null, null, null, null, null, 1],
   [86400, "{D} {MMM}", "\n{YYYY}", null, null, null, null, null, 1],
@@ -36,6 +36,11 @@ const faded = (name: string, percent: number) => `color-mix(in srgb, ${colour(na
 export interface Drawn {
   envelope: Envelope;
 }
+/** How a trace is drawn: in a colour of the style sheet, with dashes (px) or without. */
+export interface Style {
+  colour: string;
+  dash?: number[];
+}
 
 export class Chart {
   #plot: uPlot;
@@ -51,7 +56,7 @@ export class Chart {
    * instants since 1970, else seconds of a clock of its own. */
   constructor(
     root: HTMLElement,
-    colours: string[],
+    styles: Style[],
     selected: (range: Range) => void,
     read: (x: number | null, values: (number | null)[]) => void,
     isClock = true,
@@ -59,9 +64,10 @@ export class Chart {
     this.#drawn = [];
     const series: uPlot.Series[] = [{}];
     const bands: uPlot.Band[] = [];
-    for (const name of colours) {
+    for (const style of styles) {
+      const name = style.colour;
       const first = series.length;
-      series.push(...[0, 0, 1, 1].map((width) => lineOf(name, width)));
+      series.push(...[0, 0, 1, 1].map((width) => lineOf(style, width)));
       bands.push({ series: [first + 1, first], fill: () => faded(name, 22) });
       bands.push({ series: [first + 3, first + 2], fill: () => faded(name, 70) });
     }
@@ -104,14 +110,16 @@ export class Chart {
     );
     const first = tables[0];
     if (!first) return;
-    this.#plot.setData(
-      tables.length > 1
-        ? uPlot.join(
-            tables,
-            tables.map((one) => one.map(() => 2)),
-          )
-        : first,
-    );
+    // Parts of one trace have one axis of time already.
+    const isOne = tables.every((one) => one[0] === first[0]);
+    if (isOne) this.#plot.setData([first[0], ...tables.flatMap(([, ...values]) => values)] as uPlot.AlignedData);
+    else
+      this.#plot.setData(
+        uPlot.join(
+          tables,
+          tables.map((one) => one.map(() => 2)),
+        ),
+      );
   }
 
   destroy(): void {
@@ -157,12 +165,13 @@ export class Chart {
   }
 }
 
-function lineOf(name: string, width: number): uPlot.Series {
+function lineOf({ colour: name, dash }: Style, width: number): uPlot.Series {
   // Of lines without width the bands are made.
-  return width ? { stroke: () => colour(name), width, points: { show: false } } : { width: 0, points: { show: false } };
+  const points = { show: false };
+  return width ? { stroke: () => colour(name), width, points, ...(dash ? { dash } : {}) } : { width: 0, points };
 }
 
-function axis(): uPlot.Axis {
+export function axis(): uPlot.Axis {
   return {
     stroke: () => colour("text"),
     grid: { stroke: () => colour("grid"), width: 1 },
@@ -171,7 +180,7 @@ function axis(): uPlot.Axis {
   };
 }
 
-function sizeOf(root: HTMLElement): { width: number; height: number } {
+export function sizeOf(root: HTMLElement): { width: number; height: number } {
   return { width: Math.max(root.clientWidth, 200), height: Math.max(Math.min(root.clientWidth * 0.5, 420), 260) };
 }
 

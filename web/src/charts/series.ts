@@ -64,7 +64,7 @@ export function joined(kept: Envelope, came: Envelope): Envelope {
   if (first === undefined) return kept;
   let end = kept.x.length;
   while (end > 0 && (kept.x[end - 1] ?? 0) >= first) end -= 1;
-  const both = (name: keyof Envelope) => [...kept[name].slice(0, end), ...came[name]];
+  const both = (name: Exclude<keyof Envelope, "coasting">) => [...kept[name].slice(0, end), ...came[name]];
   return {
     x: both("x") as number[],
     low: both("low"),
@@ -72,5 +72,6 @@ export function joined(kept: Envelope, came: Envelope): Envelope {
     lower: both("lower"),
     upper: both("upper"),
     mean: both("mean"),
+    coasting: [...kept.coasting.slice(0, end), ...came.coasting],
   };
 }

@@ -3,8 +3,8 @@
 import { get, post } from "../api.ts";
 import type { Mark } from "../charts/chart.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
-import { clock, signed } from "../words.ts";
-import { figures } from "../views/calibration.ts";
+import { clock, signed, withSigma } from "../words.ts";
+import { quantities } from "../quantities.ts";
 import { sentenceOf } from "../views/view.ts";
 import { type Desk, type Job, ofRecording, type Recording } from "./desk.ts";
 import { type Span, Trace } from "./trace.ts";
@@ -249,7 +249,8 @@ class ResultView {
 
 function calibrationTable(calibration: Record<string, unknown>): HTMLElement {
   const rows = el("tbody");
-  for (const [name, text] of figures(calibration)) rows.append(line(FIGURE_COLUMNS, [name, text]));
+  for (const [name, { value, std, unit }] of quantities(calibration))
+    rows.append(line(FIGURE_COLUMNS, [name, withSigma(value, std ?? 0, unit)]));
   const warnings = Array.isArray(calibration["warnings"]) ? calibration["warnings"].map(String) : [];
   return el("div", {}, table(FIGURE_COLUMNS, rows), ...warnings.map((text) => el("p", { class: "wrong" }, text)));
 }

@@ -80,7 +80,7 @@ export class Trace {
   begin(): void {
     this.#chart = new Chart(
       this.#frame,
-      ["second", "trace"],
+      [{ colour: "second" }, { colour: "trace" }],
       ([from, to]) => this.#change(() => this.#window.show(1000 * from, 1000 * to)),
       (x, values) => this.#read(x, values.slice(SERIES)),
       this.#span.from_s > CLOCK_S,

@@ -59,7 +59,7 @@ const showSettings: OfRecording = (root, recording, desk) =>
     below: `/recordings/${recording.number}`,
     note: `${recording.folder}/recording.toml. Wrong settings are not written.`,
     save: "Check and write",
-    fault: () => recording.fault,
+    fault: () => (recording.fault ? { text: recording.fault, key: null } : null),
     written: () => desk.ask(),
   });
 

@@ -1,69 +1,139 @@
-// Calibrations of a point: start, progress, the one offered next to the one in force, accept and refuse, history.
+// Calibrations: what is prepared, the offered one next to the one in force, how they went over time, and their rows.
 
-import { type CalibrationBody, get, ofPoint, post } from "../api.ts";
-import { button, choice, el, line, say, table } from "../dom.ts";
+import { type CalibrationBody, get, ofPoint, type PointState, post } from "../api.ts";
+import { type History, historyChart } from "../charts/history.ts";
+import { button, choice, el, line, mark, say, table } from "../dom.ts";
+import { type Change, changeOf, type Quantity, quantities } from "../quantities.ts";
 import type { SiteState } from "../site_state.ts";
-import { clock, signed } from "../words.ts";
+import { clock, day, duration, signed, withSigma } from "../words.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
-const ASK_MS = 2000;
-const COLUMNS = ["Number", "Made", "State"];
+const [ASK_MS, DRAW_MS] = [3000, 500];
+const COLUMNS = ["Number", "Made", "State", "Rows made with it"];
+// Spans of rows that a line of the history names, the newest of them.
+const LISTED_SPANS = 3;
+// A change that chance makes once in 16 000 calibrations is one, standard deviations.
+const CHANGED_SIGMAS = 4;
 
-/** What is shown of a sensor's section: value, deviation, digits, unit. */
-const FIGURES: [key: string, std: string, text: string, unit: string, factor: number][] = [
-  ["scale_mm_per_px", "scale_std_mm_per_px", "scale", "mm/px", 1],
-  ["phase_scale_mm_per_rad", "", "phase scale", "mm/rad", 1],
-  ["conversion_factor", "conversion_factor_std", "conversion factor", "", 1],
-  ["target_range_m", "", "range of the target", "m", 1],
-  ["scale", "scale_std", "gain", "", 1],
-  ["time_offset_s", "time_offset_std_s", "clock offset", "ms", 1000],
-  ["noise_std_m_s2", "", "noise", "m/s²", 1],
-];
+/** What a point prepares, in words. */
+const STAGES: Record<string, string> = {
+  capturing: "Records are captured",
+  calibrating: "The calibration is computed",
+  opening: "The point is opened with it",
+};
 
-type Section = Record<string, unknown>;
-
-function number(of: Section, key: string): number | null {
-  const found = of[key];
-  return typeof found === "number" ? found : null;
+/** A change in words: relative where the value is no offset, and in deviations. */
+function changeWords({ by, sigmas }: Change, from: Quantity): string {
+  const sign = by < 0 ? "" : "+";
+  const isOffset = from.unit === "ms";
+  const text = isOffset ? `${signed(by, 2)} ${from.unit}` : `${signed((100 * by) / Math.abs(from.value), 2)} %`;
+  return `${sign}${text}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
 }
 
-/** The figures of a calibration, one a sensor and quantity, by their names. */
-export function figures(calibration: Record<string, unknown>): Map<string, string> {
-  const found = new Map<string, string>();
-  for (const [kind, content] of Object.entries(calibration)) {
-    for (const section of Array.isArray(content) ? content : [content]) {
-      if (typeof section !== "object" || section === null) continue;
-      for (const [key, stdKey, text, unit, factor] of FIGURES) {
-        const value = number(section as Section, key);
-        if (value === null) continue;
-        const std = stdKey ? number(section as Section, stdKey) : null;
-        const name = typeof (section as Section)["name"] === "string" ? ` ${String((section as Section)["name"])}` : "";
-        const band = !std ? "" : ` ± ${(factor * std).toPrecision(2)}`;
-        const digits = std ? Math.min(Math.max(1 - Math.floor(Math.log10(Math.abs(factor * std))), 0), 9) : 5;
-        found.set(`${kind}${name}: ${text}`, `${signed(factor * value, digits)}${band} ${unit}`.trim());
-      }
-    }
-  }
-  return found;
-}
+const isSure = ({ sigmas }: Change) => (sigmas ?? 0) > CHANGED_SIGMAS;
 
+/** Calibrations side by side; of two, what the second one changes. */
 function compared(shown: CalibrationBody[]): HTMLElement {
-  const columns = shown.map((one) => figures(one.calibration));
+  const columns = shown.map((one) => quantities(one.calibration));
   const names = [...new Set(columns.flatMap((one) => [...one.keys()]))];
   const heads = shown.map((one) => el("th", { scope: "col" }, `${one.id}, ${one.state}`));
-  const lines = names.map((name) =>
-    el("tr", {}, el("th", { scope: "row" }, name), ...columns.map((of) => el("td", {}, of.get(name) ?? "–"))),
-  );
-  return el(
-    "div",
-    { class: "wide" },
-    el(
-      "table",
-      {},
-      el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads)),
-      el("tbody", {}, ...lines),
+  if (shown.length === 2) heads.push(el("th", { scope: "col" }, "Change"));
+  const lines = names.map((name) => {
+    const values = columns.map((of) => of.get(name));
+    const cells = values.map((of) => el("td", {}, of ? withSigma(of.value, of.std ?? 0, of.unit) : "–"));
+    const [first, second] = values;
+    if (shown.length === 2) {
+      const by =
+        first && second
+          ? changeOf([
+              { x: 0, of: first },
+              { x: 1, of: second },
+            ])
+          : null;
+      const cell = el("td", { class: "words" }, by && first ? changeWords(by, first) : "–");
+      if (by && isSure(by)) mark(cell, "notice");
+      cells.push(cell);
+    }
+    return el("tr", {}, el("th", { scope: "row" }, name), ...cells);
+  });
+  const head = el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads));
+  return el("div", { class: "wide" }, el("table", {}, head, el("tbody", {}, ...lines)));
+}
+
+/** Quantities with a deviation over time, and whether they drifted. Returns how the charts end. */
+function showCourse(root: HTMLElement, all: CalibrationBody[]): () => void {
+  const used = all.filter((one) => one.state !== "refused");
+  const names = [
+    ...new Set(
+      used.flatMap((one) => [...quantities(one.calibration)].filter(([, of]) => of.std).map(([name]) => name)),
     ),
-  );
+  ];
+  const ends = names.map((name) => {
+    const found = used.flatMap((one) => {
+      const of = quantities(one.calibration).get(name);
+      return of?.std ? [{ x: Date.parse(one.time) / 1000, is: one.state, of }] : [];
+    });
+    const [first, by] = [found[0], changeOf(found)];
+    if (!first || !by) return () => undefined;
+    const words = `${isSure(by) ? "Has drifted" : "Has not drifted"}: ${changeWords(by, first.of)} since ${day(1000 * first.x)}`;
+    const said = el("p", { class: "words" }, words);
+    mark(said, isSure(by) ? "notice" : "good");
+    const frame = el("div", {
+      class: "chart small",
+      role: "img",
+      "aria-label": `${name} of ${found.length} calibrations: ${words}`,
+    });
+    root.append(el("section", {}, el("h3", {}, name), said, frame));
+    const of = (offered: boolean): History => ({
+      colour: offered ? "notice" : "trace",
+      open: offered,
+      points: found
+        .filter((one) => (one.is === "offered") === offered)
+        .map((one) => ({ x: one.x, y: one.of.value, half: 1.96 * (one.of.std ?? 0) })),
+    });
+    return historyChart(frame, [of(false), of(true)], first.of.unit || "factor");
+  });
+  return () => ends.forEach((end) => end());
+}
+
+/** When a calibration made rows, the newest spans first. */
+function rowsWords({ rows }: CalibrationBody): string {
+  if (!rows) return "";
+  const when = (iso: string) => clock(Date.parse(iso));
+  const texts = rows
+    .slice(-LISTED_SPANS)
+    .reverse()
+    .map((one) => `${when(one.from)} to ${when(one.to)}`);
+  if (rows.length > LISTED_SPANS) texts.push(`${rows.length - LISTED_SPANS} earlier spans`);
+  return texts.join("; ") || "none";
+}
+
+/** What is prepared, with a bar; nothing where nothing is. */
+class Progress {
+  root = el("div");
+  #words = el("p");
+  #bar = el("progress", { max: 1, "aria-label": "Progress of what is prepared" });
+
+  constructor() {
+    this.root.append(this.#words, this.#bar);
+  }
+
+  show(point: PointState | undefined, site: SiteState): void {
+    const [stage, left] = [point?.stage ?? "", point ? site.leftS(point) : null];
+    this.#bar.hidden = stage === "";
+    const words = STAGES[stage];
+    if (!words)
+      return say(this.#words, point ? point.text || "The point is measured with the calibration in force." : "");
+    say(
+      this.#words,
+      left === null
+        ? `${words}.`
+        : `${words}: ${left > 1 ? `about ${duration(Math.round(left))} left` : "nearly done"}.`,
+    );
+    const passedS = point?.since ? Math.max(site.now() - Date.parse(point.since), 0) / 1000 : null;
+    if (left === null || passedS === null) this.#bar.removeAttribute("value");
+    else this.#bar.value = passedS / (passedS + left + 1e-3);
+  }
 }
 
 function warnings(of: CalibrationBody): string[] {
@@ -78,10 +148,11 @@ export const showCalibration: View = (root, site, given) => {
 };
 
 function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
-  const [said, progress] = [el("p", { role: "status", class: "words" }), el("p")];
-  const [offered, history] = [el("div"), el("tbody")];
+  const said = el("p", { role: "status", class: "words" });
+  const [offered, history, course] = [el("div"), el("tbody"), el("div", { class: "small-charts" })];
+  const progress = new Progress();
   const may = site.session.scope !== "read";
-  let before = "";
+  let [before, endCourse] = ["", () => undefined as void];
 
   async function command(what: string): Promise<void> {
     try {
@@ -95,11 +166,8 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   function show(all: CalibrationBody[]): void {
     const inForce = all.filter((one) => one.state === "in force");
     const waiting = all.filter((one) => one.state === "offered");
-    offered.replaceChildren(
-      ...(inForce.length || waiting.length
-        ? [compared([...inForce, ...waiting])]
-        : [el("p", {}, "No calibration is kept yet.")]),
-    );
+    const shown = [...inForce, ...waiting];
+    offered.replaceChildren(shown.length ? compared(shown) : el("p", {}, "No calibration is kept yet."));
     for (const one of waiting) {
       const bar = el(
         "div",
@@ -111,18 +179,19 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const lines = [...all].reverse();
-    history.replaceChildren(
-      ...lines.map((one) => line(COLUMNS, [String(one.id), clock(Date.parse(one.time)), one.state])),
-    );
+    const texts = [...all]
+      .reverse()
+      .map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, rowsWords(one)]);
+    history.replaceChildren(...texts.map((one) => line(COLUMNS, one)));
+    endCourse();
+    course.replaceChildren();
+    endCourse = showCourse(course, all);
   }
 
   async function ask(): Promise<void> {
-    const point = site.point(name ?? "");
-    say(progress, point ? point.text || "The point is measured with the calibration in force." : "");
     try {
       const all = await get<CalibrationBody[]>(ofPoint(name, "calibrations"));
-      const now = JSON.stringify(all.map((one) => [one.id, one.state]));
+      const now = JSON.stringify(all.map((one) => [one.id, one.state, one.rows]));
       if (now !== before) show(all);
       before = now;
     } catch (error) {
@@ -145,10 +214,17 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
       may && button("Calibrate again", () => void command("calibrate")),
     ),
     said,
-    progress,
+    progress.root,
     offered,
+    el("h2", {}, "Over time, with 95 % bars"),
+    course,
     el("h2", {}, "History"),
     table(COLUMNS, history),
   );
-  return repeat(() => void ask(), ASK_MS);
+  const ends = [
+    repeat(() => progress.show(site.point(name), site), DRAW_MS),
+    repeat(() => void ask(), ASK_MS),
+    () => endCourse(),
+  ];
+  return () => ends.forEach((end) => end());
 }

@@ -1,4 +1,4 @@
-// A camera's picture on demand, and the region of interest on it.
+// A camera's picture on demand, and the region of interest on it; of a radar its range profile.
 
 import {
   type CalibrationBody,
@@ -14,10 +14,11 @@ import { button, choice, el, say } from "../dom.ts";
 import { calibrated, regionOf, withRegion } from "../region.ts";
 import { HOW_TO_DRAW, RegionCanvas } from "../region_canvas.ts";
 import type { SiteState } from "../site_state.ts";
-import { clock, duration } from "../words.ts";
+import { clock, duration, signed } from "../words.ts";
+import { showRadar } from "./radar.ts";
 import { sentenceOf, type View } from "./view.ts";
 
-const CAMERAS = ["camera", "infrared"];
+const SHOWN = ["camera", "infrared", "radar"];
 // The server has a new picture so often, ms.
 const PICTURE_MS = 500;
 
@@ -29,11 +30,18 @@ export const showCamera: View = (root, site, name) => {
 
   async function begin(): Promise<void> {
     try {
-      const cameras = (await get<SourceState[]>("/sources")).filter((one) => CAMERAS.includes(one.source));
+      const cameras = (await get<SourceState[]>("/sources")).filter((one) => SHOWN.includes(one.source));
       const chosen = cameras.find((one) => one.name === name) ?? cameras[0];
       if (ended) return;
-      if (!chosen) return say(wait, "No camera brings pictures here now.");
-      const view = new CameraView(root, site, chosen, cameras);
+      if (!chosen) return say(wait, "No camera and no radar is here now.");
+      const names = cameras.map((one): [string, string] => [one.name, one.name]);
+      const go = (other: string) => (location.hash = `#/camera/${encodeURIComponent(other)}`);
+      const chooser = choice(chosen.source === "radar" ? "Radar" : "Camera", names, chosen.name, go);
+      if (chosen.source === "radar") {
+        end = showRadar(root, site, chosen, chooser);
+        return;
+      }
+      const view = new CameraView(root, site, chosen, chooser);
       end = () => view.end();
     } catch (error) {
       say(wait, sentenceOf(error));
@@ -56,10 +64,11 @@ class CameraView {
   #said = el("p", { role: "status" });
   #taken = el("p", { class: "quiet" }, " ");
   #where = el("p");
+  #scale = el("p", { class: "scale", hidden: true });
   #watch = button("Watch", () => this.#toggle(), { "aria-pressed": "false" });
   #save = button("Put the region in force", () => void this.#put(), { disabled: true });
 
-  constructor(root: HTMLElement, site: SiteState, source: SourceState, all: SourceState[]) {
+  constructor(root: HTMLElement, site: SiteState, source: SourceState, chooser: HTMLElement) {
     this.#site = site;
     this.#source = source;
     this.#may = site.session.scope === "admin";
@@ -67,19 +76,19 @@ class CameraView {
       say(this.#where, this.#drawn.text);
       this.#save.disabled = !this.#drawn.changed;
     });
-    const names = all.map((one): [string, string] => [one.name, one.name]);
     root.replaceChildren(
       el("h1", {}, "Camera"),
       el(
         "div",
         { class: "bar" },
-        choice("Camera", names, source.name, (name) => (location.hash = `#/camera/${encodeURIComponent(name)}`)),
+        chooser,
         button("New picture", () => void this.#ask()),
         this.#watch,
         this.#may && this.#save,
       ),
       this.#said,
       el("div", { class: "picture" }, this.#drawn.canvas),
+      this.#scale,
       this.#taken,
       this.#where,
       (this.#may && el("p", { class: "quiet" }, `${HOW_TO_DRAW} It is written into SITE.toml.`)) || el("p"),
@@ -121,6 +130,12 @@ class CameraView {
   #show(found: Picture, image: ImageBitmap): void {
     this.#drawn.show(image, found.width, found.height);
     const { width, height } = this.#drawn.canvas;
+    this.#scale.hidden = !found.shown;
+    if (found.shown) {
+      const [low, high] = [found.shown.low, found.shown.high].map((one) => signed(one, 1));
+      const bar = el("span", { class: "shades", role: "img", "aria-label": "from black to white" });
+      this.#scale.replaceChildren(`${low ?? ""} ${found.shown.unit} `, bar, ` ${high ?? ""} ${found.shown.unit}`);
+    }
     const age = duration(Math.max(this.#site.now() - found.ms, 0) / 1000);
     say(this.#taken, `${width} × ${height} px, ${clock(found.ms)}, ${age} old`);
   }

@@ -73,7 +73,7 @@ export const showCompare: View = (root, site) => {
   );
   const chart = new Chart(
     frame,
-    ["trace", "second"],
+    [{ colour: "trace" }, { colour: "second" }],
     ([from, to]) => {
       seconds = to - from;
       toMs = 1000 * to;

@@ -2,14 +2,15 @@
 
 import { showAlarms } from "../alarms.ts";
 import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
-import { Chart, type Level, type Mark } from "../charts/chart.ts";
+import { Chart, type Level, type Mark, type Style } from "../charts/chart.ts";
 import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.ts";
 import { listStatistics } from "../charts/figures.ts";
 import { SPANS, TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
-import { emptyEnvelope, ofRows, statistics, within } from "../rows.ts";
+import { type Envelope, emptyEnvelope, layers, ofRows, statistics, within } from "../rows.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration, signed, withBand, ZONE } from "../words.ts";
+import { FrequencyPanel } from "./frequencies.ts";
 import { SpectrumPanel } from "./spectrum.ts";
 import { OLD_S, standing, trouble } from "./site.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
@@ -21,6 +22,15 @@ const [AGAIN_MIN_S, AGAIN_MAX_S, AGAIN_PART] = [3, 100, 300];
 const FORMATS = ["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"];
 const LISTED = 200;
 const EVENT_COLUMNS = ["Time", "Event", "What"];
+
+// What is drawn differently, with its words: as `layers` has it.
+const LAYERS: (Style & { text: string })[] = [
+  { colour: "trace", text: "measured" },
+  { colour: "coasting", text: "predicted: nothing measures" },
+  { colour: "head", dash: [4, 3], text: "not final yet" },
+];
+// Of each of them: lower, upper, low, high.
+const SERIES = 4;
 
 export const showPoint: View = (root, site, given) => {
   const name = given || site.points[0]?.name;
@@ -51,11 +61,14 @@ class PointView {
   #figures = el("dl", { class: "figures" });
   #eventList = el("tbody");
   #spectrum = new SpectrumPanel();
+  #frequencies: FrequencyPanel;
+  #keys = LAYERS.map(({ colour, text }) => el("span", { class: `key ${colour}` }, text));
   #follow = button("Freeze", () => this.#toggle());
 
   constructor(root: HTMLElement, site: SiteState, name: string) {
     [this.#site, this.#name] = [site, name];
     this.#window = new TimeWindow(60, () => this.#newestMs());
+    this.#frequencies = new FrequencyPanel(name, () => this.#window.toMs);
     const frame = el("div", {
       class: "chart",
       tabindex: 0,
@@ -66,7 +79,7 @@ class PointView {
     root.replaceChildren(...this.#parts(frame));
     this.#chart = new Chart(
       frame,
-      ["trace"],
+      LAYERS,
       ([from, to]) => this.#change(() => this.#window.show(1000 * from, 1000 * to)),
       (x, values) => this.#read(x, values),
     );
@@ -83,6 +96,7 @@ class PointView {
     this.#asking?.abort();
     for (const end of this.#ends) end();
     this.#spectrum.end();
+    this.#frequencies.end();
     this.#chart.destroy();
   }
 
@@ -122,11 +136,13 @@ class PointView {
       bar,
       this.#wrong,
       frame,
+      el("p", { class: "quiet legend" }, ...this.#keys),
       this.#readout,
       this.#spanText,
       this.#figures,
       below,
       this.#spectrum.root,
+      this.#frequencies.root,
       el("h2", {}, "Events of what is shown"),
       table(EVENT_COLUMNS, this.#eventList),
     ];
@@ -154,7 +170,11 @@ class PointView {
   #newestMs(): number {
     const { time } = this.#site.rowsOf(this.#name).rows;
     const point = this.#site.point(this.#name);
-    const newest = (time[time.length - 1] ?? 0) / 1e6 || Date.parse(point?.time ?? "") || this.#site.now();
+    const head = this.#site.headOf(this.#name)?.time ?? [];
+    const newest =
+      Math.max(time[time.length - 1] ?? 0, head[head.length - 1] ?? 0) / 1e6 ||
+      Date.parse(point?.time ?? "") ||
+      this.#site.now();
     // Rows that stay away are a gap that is seen to grow; of a store that nothing measures the newest rows are shown.
     const isAway = point?.reason !== "not_measuring" && this.#site.now() - newest > 1000 * OLD_S;
     return isAway ? this.#site.now() : newest;
@@ -240,21 +260,29 @@ class PointView {
     const came = ofRows(within(this.#site.rowsOf(this.#name).rows, from, to));
     const all = this.#window.following ? joined(this.#loaded.envelope, came) : this.#loaded.envelope;
     const marks: Mark[] = this.#events.map((one) => ({ x: one.time_ns / 1e9, kind: one.kind }));
-    this.#chart.draw([from, to], [{ envelope: all }], marks, this.#levels);
+    const drawn = layers(all, this.#window.following ? this.#site.headOf(this.#name) : null);
+    const envelopes = drawn.map((envelope) => ({ envelope }));
+    this.#chart.draw([from, to], envelopes, marks, this.#levels);
+    const isIn = ({ x, low }: Envelope) => low.some((one, at) => one !== null && (x[at] ?? 0) >= from);
+    drawn.forEach((one, at) => this.#keys[at]?.toggleAttribute("hidden", !isIn(one)));
     say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
     const limits = this.#levels.filter(({ y }) => y > 0).map(({ y, name }) => [`limit ${name}`, `±${y} mm`] as const);
     listStatistics(this.#figures, statistics(all, this.#loaded.areRows), limits);
   }
 
   #read(x: number | null, values: (number | null)[]): void {
-    const [lower, upper, low, high] = values;
+    const layer = LAYERS.findIndex((_, at) => values[SERIES * at + 2] != null);
+    const [lower, upper, low, high] = values.slice(SERIES * layer);
     if (x === null) say(this.#readout, " ");
     else if (low == null || high == null) say(this.#readout, `${clock(1000 * x)}: no value`);
     else {
       const range = low === high ? signed(low, 3) : `${signed(low, 3)} to ${signed(high, 3)}`;
       const band = lower == null || upper == null ? "" : `, with the band ${signed(lower, 3)} to ${signed(upper, 3)}`;
       const ms = new Date(1000 * x).getMilliseconds().toString().padStart(3, "0");
-      say(this.#readout, `${clock(1000 * x)}.${ms}: ${range} mm${band}`);
+      say(
+        this.#readout,
+        `${clock(1000 * x)}.${ms}: ${range} mm${band}${layer ? `, ${LAYERS[layer]?.text ?? ""}` : ""}`,
+      );
     }
   }
 

@@ -1,16 +1,20 @@
-// Settings as text: checked before they come into force; what is wrong stands next to them.
+// Settings as text: checked before they come into force; what is wrong stands next to them, with its line.
 
-import { putSettings, Refused, settings } from "../api.ts";
+import { putSettings, Refused, settings, type SettingsDone } from "../api.ts";
 import { button, el, say } from "../dom.ts";
+import { lineOf } from "../site_text.ts";
+import { SiteForm } from "./site_form.ts";
 import { sentenceOf, type View } from "./view.ts";
 
-/** file: what they are; below: the address that they are at; note: what becomes of new ones; fault: what is wrong. */
+/** file: what they are; below: the address that they are at; note: what becomes of new ones; fault: what is wrong;
+ * isSite: whether points can be added, and a check says what would change. */
 export interface SettingsPlace {
   file: string;
   below: string;
   note: string;
   save: string;
-  fault: () => string;
+  isSite?: boolean;
+  fault: () => { text: string; key: string | null } | null;
   written?: () => Promise<void>;
 }
 
@@ -18,58 +22,80 @@ export const showSettings: View = (root, site) =>
   editSettings(root, {
     file: "SITE.toml",
     below: "",
-    note: "SITE.toml. New settings begin the measuring anew, from the kept states. Wrong ones change nothing.",
-    save: "Check and put in force",
-    fault: () => site.health?.settings?.text ?? "",
+    note: "SITE.toml. Wrong settings change nothing. Check says what new ones would change.",
+    save: "Save and put in force",
+    isSite: true,
+    fault: () => site.health?.settings ?? null,
   });
+
+/** What settings change, a line each. */
+export function changesOf({ added = [], changed = [], removed = [], restart }: SettingsDone): string[] {
+  const named: [string, string[]][] = [
+    ["Begin", added],
+    ["Begin anew", changed],
+    ["End", removed],
+    ["Hold only once midspan run is started again", restart],
+  ];
+  return named.filter(([, names]) => names.length).map(([text, names]) => `${text}: ${names.join(", ")}.`);
+}
 
 /** A form of settings; returns how it ends. */
 export function editSettings(root: HTMLElement, place: SettingsPlace): () => void {
   const area = el("textarea", { spellcheck: "false", autocapitalize: "off", "aria-label": place.file });
-  const [done, wrong] = [el("p", { class: "done", role: "status" }), el("p", { class: "wrong", role: "alert" })];
-  const save = button(place.save, () => void put());
+  const [done, changes] = [el("p", { class: "done", role: "status" }), el("ul", { class: "changes" })];
+  const wrong = el("p", { class: "wrong", role: "alert", id: "settings-wrong" });
+  const save = button(place.save, () => void put(false), { class: "main" });
+  const check = button("Check", () => void put(true));
+  const text = { get: () => area.value, set: (value: string) => (area.value = value) };
+  const form = place.isSite ? new SiteForm(text) : null;
   let [tag, kept] = ["*", ""];
 
   async function load(): Promise<void> {
     try {
       const found = await settings(place.below);
       [tag, kept, area.value] = [found.tag, found.text, found.text];
-      say(wrong, place.fault());
+      const fault = place.fault();
+      show("", [], fault?.text ?? "", fault?.key ?? null);
+      form?.show();
     } catch (error) {
-      say(wrong, sentenceOf(error));
+      show("", [], sentenceOf(error), null);
     }
   }
 
-  async function put(): Promise<void> {
-    save.disabled = true;
-    say(done, "");
-    say(wrong, "");
+  async function put(isTrial: boolean): Promise<void> {
+    save.disabled = check.disabled = true;
+    show("", [], "", null);
     try {
-      const found = await putSettings(area.value, tag, place.below);
-      [tag, kept] = [found.tag, area.value];
-      await place.written?.();
-      say(
-        done,
-        found.restart.length ? `${found.text} Start midspan run again for: ${found.restart.join(", ")}.` : found.text,
-      );
+      const found = await putSettings(area.value, tag, place.below, isTrial);
+      if (!isTrial) {
+        [tag, kept] = [found.tag, area.value];
+        await place.written?.();
+      }
+      show(isTrial ? `Nothing is wrong. ${found.text}` : found.text, changesOf(found), "", null);
     } catch (error) {
-      say(wrong, sentenceOf(error));
-      if (error instanceof Refused && error.key) select(error.key);
+      show("", [], sentenceOf(error), error instanceof Refused ? error.key : null);
     } finally {
-      save.disabled = false;
+      save.disabled = check.disabled = false;
     }
   }
 
-  /** Select the line of a wrong key, where its name stands once. */
-  function select(key: string): void {
-    const last = key.split(".").pop() ?? key;
-    const at = area.value.search(new RegExp(`^\\s*${last.replace(/[^\w-]/g, "")}\\s*=`, "m"));
-    if (at < 0) return;
+  /** What was done, what changes, or what is wrong; the line of a wrong key is selected. */
+  function show(text: string, lines: string[], fault: string, key: string | null): void {
+    say(done, text);
+    changes.replaceChildren(...lines.map((one) => el("li", {}, one)));
+    const at = fault ? lineOf(area.value, key, fault) : null;
+    say(wrong, at === null ? fault : `Line ${at + 1}: ${fault}`);
+    if (fault) area.setAttribute("aria-describedby", wrong.id);
+    else area.removeAttribute("aria-describedby");
+    if (at !== null) select(at);
+  }
+
+  function select(at: number): void {
+    const lines = area.value.split("\n");
+    const from = lines.slice(0, at).join("\n").length + (at ? 1 : 0);
     area.focus();
-    area.setSelectionRange(
-      at,
-      area.value.indexOf("\n", at + 1) < 0 ? area.value.length : area.value.indexOf("\n", at + 1),
-    );
+    area.setSelectionRange(from, from + (lines[at] ?? "").length);
+    area.scrollTop = (at / lines.length) * area.scrollHeight - area.clientHeight / 2;
   }
 
   const ask = (event: BeforeUnloadEvent) => {
@@ -79,13 +105,16 @@ export function editSettings(root: HTMLElement, place: SettingsPlace): () => voi
   root.replaceChildren(
     el("h1", {}, "Settings"),
     el("p", { class: "quiet" }, place.note),
+    form?.root ?? "",
     el(
       "div",
       { class: "bar" },
+      place.isSite ? check : "",
       save,
       button("Read again", () => void load()),
     ),
     done,
+    changes,
     wrong,
     area,
   );

@@ -3,16 +3,46 @@
 import { get, post, type SourceState } from "../api.ts";
 import { button, el, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
-import { duration } from "../words.ts";
+import { duration, signed, withSigma } from "../words.ts";
 import { repeat, sentenceOf, type View } from "./view.ts";
 
 const ASK_MS = 2000;
-const COLUMNS = ["Stream", "State", "Age", "Rate", "Records", "Skipped", "Faults", "Time stamps", "Address", ""];
+const COLUMNS = ["Stream", "State", "Age", "Rate", "Delay", "Records", "Left out", "Time stamps", "Clock ± σ", ""];
+/** How a camera's frames are dated. */
+const STAMPS: Record<string, string> = { sender: "the camera's clock", arrival: "arrival here" };
 
 /** A stream's state in one sentence. */
 function words(source: SourceState): string {
   if (source.reason === "paused") return `paused: ${source.text}`;
   return source.reason ? source.text : "fresh";
+}
+
+/** The rate next to the one that the calibration saw, a second. */
+export function rateWords(source: SourceState): string {
+  if (source.rate_hz === null) return "";
+  // Three digits of it, as many as matter.
+  const short = (rate: number) => String(Number(rate.toPrecision(rate < 1000 ? 3 : 4)));
+  return `${short(source.rate_hz)}${source.nominal_rate_hz ? ` of ${short(source.nominal_rate_hz)}` : ""} /s`;
+}
+
+/** What was not used of a stream, and how often it was opened again. */
+export function leftOut({ skipped, late, faults, restarts }: SourceState): string {
+  const counts: [number | null | undefined, string][] = [
+    [skipped, "skipped"],
+    [late, "late"],
+    [faults, "faulty"],
+  ];
+  const texts = counts.filter(([count]) => count).map(([count, text]) => `${count} ${text}`);
+  if (restarts) texts.push(`opened again ${restarts === 1 ? "once" : `${restarts} times`}`);
+  return texts.join(", ") || "none";
+}
+
+/** The offset of a stream's clock from the accelerometer's, and how it drifts. */
+export function clockWords(source: SourceState): string {
+  const { clock_offset_s: offset, clock_offset_std_s: std, clock_drift_ppm: drift } = source;
+  if (offset == null) return "";
+  const text = std == null ? `${signed(1000 * offset, 1)} ms` : withSigma(1000 * offset, 1000 * std, "ms");
+  return drift == null ? text : `${text}, ${signed(drift, 1)} ppm`;
 }
 
 class Row {
@@ -27,6 +57,7 @@ class Row {
       "aria-label": `Pause or resume ${source.name}`,
     });
     this.root.append(...this.#cells);
+    this.#cells[0]?.append(source.name, el("span", { class: "quiet below" }, source.address));
     if (site.session.scope !== "read") this.#cells[this.#cells.length - 1]?.append(this.#pause);
   }
 
@@ -34,17 +65,16 @@ class Row {
     this.#paused = source.reason === "paused";
     mark(this.root, source.reason === "" ? "good" : this.#paused ? "unknown" : "wrong");
     const texts = [
-      source.name,
       words(source),
       source.age_s === null ? "nothing yet" : duration(source.age_s),
-      source.rate_hz === null ? "" : `${source.rate_hz.toFixed(source.rate_hz < 10 ? 2 : 1)} a second`,
+      rateWords(source),
+      source.delay_s == null ? "" : `${(1000 * source.delay_s).toFixed(0)} ms`,
       String(source.records),
-      String(source.skipped),
-      String(source.faults),
-      source.stamps,
-      source.address,
+      leftOut(source),
+      STAMPS[source.stamps] ?? source.stamps,
+      clockWords(source),
     ];
-    texts.forEach((text, at) => say(this.#cells[at] as HTMLElement, text));
+    texts.forEach((text, at) => say(this.#cells[at + 1] as HTMLElement, text));
     this.#cells[1]?.classList.add("words");
     mark(this.#cells[1] as HTMLElement, this.root.dataset["state"] ?? "");
     say(this.#pause, this.#paused ? "Resume" : "Pause …");
