@@ -3,7 +3,8 @@
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.site import is_site, load_site, require_folders, without_secrets
+from midspan.settings.live_sources import without_secrets
+from midspan.settings.site import is_site, load_site, require_folders
 
 SITE = """
 name = "river-bridge"

@@ -78,7 +78,8 @@ def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
-    from midspan.settings.site import load_site, require_folders, without_secrets
+    from midspan.settings.live_sources import without_secrets
+    from midspan.settings.site import load_site, require_folders
 
     site = load_site(file)
     file = str(site.file)

@@ -1,6 +1,7 @@
 """What brings records to the points of a site: topics of the broker, cameras, serial lines, replayed recordings.
 
-All of it runs in the service's loop; cameras and lines have threads of their own, which hand over what they have.
+All of it runs in the service's loop; cameras and lines have threads of their own, which hand over what they have. What
+several points have the same address of is opened once, and each of them gets what comes.
 """
 
 import asyncio
@@ -22,8 +23,9 @@ from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
-from midspan.service.running import Running, Stream
+from midspan.service.running import Running
 from midspan.settings.kinds import CAMERAS, LIVE
+from midspan.settings.live_sources import connection
 from midspan.sources.live.blocks import Block, parse
 from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
@@ -39,6 +41,8 @@ MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
 
 Tell = Callable[[Running, str, str], None]
 """Takes a point, the kind of an event and its text."""
+Users = list[tuple[Running, str]]
+"""The points that one source brings records to, each with the name of its sensor."""
 
 
 class Intake:
@@ -48,20 +52,23 @@ class Intake:
         self._points, self._folder, self._taken, self._tell = points, folder, taken, tell
         self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
         self._threads: list[ReadingThread] = []
-        self.topics: dict[str, list[tuple[Running, str]]] = {}
+        self._cameras: dict[str, CameraProcess] = {}
+        # By what is opened: an address, of a recording with its sensor.
+        self._users: dict[str, Users] = {}
         for one in points:
             for name, address in one.live.plan.sources.items():
-                if address.startswith(MQTT):
-                    self.topics.setdefault(address.removeprefix(MQTT), []).append((one, name))
+                self._users.setdefault(self._opened_at(address, name), []).append((one, name))
+        self.topics = {at.removeprefix(MQTT): users for at, users in self._users.items() if at.startswith(MQTT)}
 
     def start_cameras(self) -> None:
         """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
-        for one in self._points:
-            for name, address in one.live.plan.sources.items():
-                if one.kind(name) in CAMERAS:
-                    place = self._replay_address(address, name) if address.startswith(REPLAY) else address
-                    one.cameras[name] = CameraProcess(place, self._handed(self._pictured, one, name))
-                    one.cameras[name].start()
+        for at, users in self._users.items():
+            cameras = [(one, name) for one, name in users if one.kind(name) in CAMERAS]
+            if cameras:
+                self._cameras[at] = CameraProcess(at)
+                for one, name in cameras:
+                    one.cameras[name] = self._cameras[at].feed(self._handed(self._pictured, [(one, name)]))
+                self._cameras[at].start()
 
     def begin(self) -> list[asyncio.Task[None]]:
         """Let records come; returns the tasks that replay recordings. Called in the service's loop."""
@@ -69,20 +76,19 @@ class Intake:
         for one in self._points:
             if one.live.opened is not None:
                 self.cut(one, one.live.opened)
-            for name, address in one.live.plan.sources.items():
-                if name in one.cameras:
-                    one.cameras[name].take()
-                elif address.startswith((SERIAL, UDP)):
-                    self._begin_thread(one, name, address)
-                elif address.startswith(REPLAY):
-                    tasks.append(asyncio.create_task(self._replayed(one, name, address)))
+        for at, users in self._users.items():
+            if at in self._cameras:
+                self._cameras[at].take()
+            elif at.startswith((SERIAL, UDP)):
+                self._begin_thread(at, users)
+            elif at.startswith(REPLAY):
+                tasks.append(asyncio.create_task(self._replayed(at, users)))
         return tasks
 
     def end(self) -> None:
         """Stop cameras, lines and radars."""
-        for one in self._points:
-            for camera in one.cameras.values():
-                camera.stop()
+        for camera in self._cameras.values():
+            camera.stop()
         for thread in self._threads:
             thread.stop()
 
@@ -177,13 +183,15 @@ class Intake:
             one.scales[name] = count_scale(float(np.median(frame.pixels.astype(np.float64))), ThermalRequest(), name)
         return replace(frame, pixels=celsius_of(frame.pixels, *one.scales[name]))
 
-    def _begin_thread(self, one: Running, name: str, address: str) -> None:
+    def _begin_thread(self, address: str, users: Users) -> None:
+        # The settings see to it that all of them mean the same: the kind of a line's values, a radar's settings.
+        one, name = users[0]
         if address.startswith(SERIAL):
             kind = LIVE[one.kind(name)].block
             read: Callable[[], Iterable[Any]] = partial(blocks, address.removeprefix(SERIAL), kind)
         else:
             read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
-        thread = ReadingThread(f"{one.name} {name}", read, self._handed(self._came, one, name))
+        thread = ReadingThread(address, read, self._handed(self._came, users))
         self._threads.append(thread)
         thread.start()
 
@@ -197,33 +205,42 @@ class Intake:
         else:
             self._block(one, name, item)
 
-    def _handed(self, taken: Callable[[Running, str, Any], None], one: Running, name: str) -> Callable[[Any], None]:
-        """`taken` in the service's loop, to be called from another thread; nothing once the loop is closed."""
+    def _handed(self, taken: Callable[[Running, str, Any], None], users: Users) -> Callable[[Any], None]:
+        """`taken` for each user in the service's loop, to be called from another thread; nothing once it is closed."""
         loop = asyncio.get_running_loop()
+
+        def each(item: Any) -> None:
+            for one, name in users:
+                taken(one, name, item)
 
         def hand(item: Any) -> None:
             with suppress(RuntimeError):
-                loop.call_soon_threadsafe(taken, one, name, item)
+                loop.call_soon_threadsafe(each, item)
 
         return hand
 
-    def _replay_address(self, address: str, sensor: str) -> str:
-        path = self._folder / address.removeprefix(REPLAY)
-        return f"{REPLAY}{path}@{self._started_ns}#{sensor}"
+    def _opened_at(self, address: str, sensor: str) -> str:
+        """What is opened for an address: the same for all points that name the same source."""
+        if not address.startswith(REPLAY):
+            return connection(address)
+        return f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{self._started_ns}#{sensor}"
 
-    async def _replayed(self, one: Running, name: str, address: str) -> None:
+    async def _replayed(self, at: str, users: Users) -> None:
         """The readings or range profiles of a recording as they come due."""
-        stream: Stream = one.streams[name]
+        one, name = users[0]
+        own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
         try:
-            own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
-            for due_s, record in own(self._replay_address(address, name)):
+            for due_s, record in own(at):
                 left_s = due_s - time.time()
                 if left_s > 0:
                     await asyncio.sleep(left_s)
-                self._heard(one, name, Arrival(name, 0, record))
-            stream.reason, stream.text = "ended", "the recording that is replayed has ended"
+                for one, name in users:
+                    self._heard(one, name, Arrival(name, 0, record))
+            reason, text = "ended", "the recording that is replayed has ended"
         except MidspanError as error:
-            stream.reason, stream.text = "damaged", str(error)
+            reason, text = "damaged", str(error)
+        for one, name in users:
+            one.streams[name].reason, one.streams[name].text = reason, text
 
     def _heard(self, one: Running, name: str, arrival: Arrival) -> None:
         stream, record = one.streams[name], arrival.record

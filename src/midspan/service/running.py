@@ -10,13 +10,14 @@ from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.records import RangeFrame
-from midspan.service.camera_process import CameraProcess
+from midspan.service.camera_process import CameraFeed
 from midspan.service.capture import capture_settings
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
 from midspan.settings.kinds import ACCELEROMETER, LIVE
-from midspan.settings.site import PointPlan, without_secrets
+from midspan.settings.live_sources import without_secrets
+from midspan.settings.site import PointPlan
 from midspan.sources.accelerometer.units import SI_UNITS, si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info
@@ -142,7 +143,7 @@ class Running:
     streams: dict[str, Stream]
     factors: dict[str, float]
     layouts: dict[str, Layout]
-    cameras: dict[str, CameraProcess] = field(default_factory=dict)
+    cameras: dict[str, CameraFeed] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     scales: dict[str, tuple[float, float]] = field(default_factory=dict)
     results: int = 0
