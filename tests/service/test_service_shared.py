@@ -13,7 +13,7 @@ import pytest
 from midspan.errors import UsageError
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Region
 from midspan.service import intake
-from midspan.service.camera_process import _Sender
+from midspan.service.camera_process import CameraProcess, _Sender
 from midspan.service.cutting import part_of, whole_frame
 from midspan.service.intake import Intake
 from midspan.service.running import running
@@ -68,18 +68,20 @@ def intake_of(points, folder):
     return Intake(points, folder, lambda _one: None, lambda _one, _kind, _text: None)
 
 
-async def taken_in(one, done, seconds=30.0):
+async def taken_in(one, points, done, seconds=30.0):
     """Let an intake work until a condition holds."""
-    one.start_cameras()
-    for point in one._points:
+    one.start_cameras(points)
+    for point in points:
         for name, feed in point.cameras.items():
             assert name == "camera"
             feed.cut(REGIONS[point.name])
-    tasks, until_s = one.begin(), time.monotonic() + seconds
+    one.begin(points)
+    opened, until_s = dict(one._sources), time.monotonic() + seconds
     while not done() and time.monotonic() < until_s:
         await asyncio.sleep(0.02)
-    await asyncio.to_thread(one.end)
-    await asyncio.gather(*tasks)
+    await one.end(points)
+    assert not one._sources
+    return opened
 
 
 @pytest.fixture
@@ -107,16 +109,18 @@ def test_points_on_one_camera_get_what_each_would_get_alone(film, tmp_path, monk
     one, cut = intake_of(points, tmp_path), []
 
     def done():
-        # One point is calibrated anew, for which it needs whole frames, in the middle.
+        # In the middle one point is calibrated anew, for which it needs whole frames, and another one leaves.
         if not cut and len(first.live.of("camera")) == 5:
             cut.append(first.cameras["camera"].cut(None))
+            third.cameras["camera"].leave()
         return len(second.live.of("camera")) == FRAMES and len(second.live.of("accelerometer")) == 20
 
-    asyncio.run(taken_in(one, done))
-    assert len(one._cameras) == 1
+    opened = asyncio.run(taken_in(one, points, done))
+    (at,) = (at for at, source in opened.items() if isinstance(source.reader, CameraProcess))
+    begin_ns = int(at.rpartition("@")[2].partition("#")[0])
     for point in (first, second):
         stamps = np.concatenate([part.time_ns for part in point.live.of("accelerometer")])
-        np.testing.assert_array_equal(stamps, one._started_ns + 10**7 * np.arange(200))
+        np.testing.assert_array_equal(stamps, begin_ns + 10**7 * np.arange(200))
     # Each frame is there, in its place, with what the point needs of it, bit for bit.
     for frame, whole in zip(second.live.of("camera"), film, strict=True):
         np.testing.assert_array_equal(frame.pixels, whole_frame(*part_of(whole, REGIONS["b"]), SHAPE))
@@ -128,6 +132,21 @@ def test_points_on_one_camera_get_what_each_would_get_alone(film, tmp_path, monk
     # A pause is of one point alone.
     assert not third.live.of("camera")
     assert len(third.live.of("accelerometer")) == 20
+
+
+def test_a_point_that_leaves_lets_the_others_go_on(tmp_path):
+    points = points_of(tmp_path, "ab", kind="displacement", accelerometer="mqtt:x", source="mqtt:y", more="")
+    one = intake_of(points, tmp_path)
+    payload = json.dumps({"sequence": 0, "t0": 1_790_000_000 * NANOSECONDS, "dt_s": 0.1, "values": [1.0]}).encode()
+    asyncio.run(one.end(points[:1]))
+    one.payload("x", payload)
+    assert [len(point.live.of("accelerometer")) for point in points] == [0, 1]
+    # One that joins later gets what comes from then on.
+    one.join(points[:1])
+    one.payload("x", payload.replace(b"0,", b"1,", 1))
+    assert [len(point.live.of("accelerometer")) for point in points] == [1, 2]
+    asyncio.run(one.end(points))
+    assert not one.topics
 
 
 def test_a_part_that_two_points_need_leaves_the_process_once():
@@ -161,10 +180,10 @@ def test_two_points_on_a_serial_line_get_every_block(tmp_path):
             sent += 1
         return all(len(point.live.of("accelerometer")) >= 25 and sent == 30 for point in points)
 
-    asyncio.run(taken_in(one, done, 10.0))
+    opened = asyncio.run(taken_in(one, points, done, 10.0))
     os.close(master)
     os.close(slave)
-    assert len(one._threads) == 1
+    assert len([source for source in opened.values() if source.reader is not None]) == 1
     first, second = ([r.value[0, 0] for r in point.live.of("accelerometer")] for point in points)
     assert first == second
     assert len(first) >= 25
@@ -185,7 +204,7 @@ def test_two_points_on_a_radar_share_its_port(tmp_path, monkeypatch):
     source = {"kind": "radar", "accelerometer": "mqtt:x", "source": "udp:4098", "more": 'config = "radar.cfg"'}
     points = points_of(tmp_path, "ab", **source)
     one = intake_of(points, tmp_path)
-    asyncio.run(taken_in(one, lambda: len(points[1].live.arrivals) >= 5))
+    asyncio.run(taken_in(one, points, lambda: len(points[1].live.arrivals) >= 5))
     assert opened == [":4098"]
     first, second = ([r.time_ns for r in point.live.of("radar")] for point in points)
     assert first == second

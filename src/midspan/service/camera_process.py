@@ -5,6 +5,7 @@ takes what it can. Frames wait in the camera's process, a few at most: where the
 skipped and counted.
 """
 
+import itertools
 import math
 import multiprocessing
 import threading
@@ -142,7 +143,8 @@ class CameraProcess:
     def __init__(self, address: str) -> None:
         self.address = address
         self._context = multiprocessing.get_context("spawn")
-        # Of each feed, by its number: who takes its frames, and the part of each frame that is needed.
+        # Of each feed, by its number, which is never used again: who takes its frames, and the part that is needed.
+        self._numbers = itertools.count()
         self._takers: dict[int, Callable[[Delivered | SourceFault], None]] = {}
         self._regions: dict[int, Region | None] = {}
         # How the newest frame was dated: the next process need not find out again.
@@ -156,11 +158,17 @@ class CameraProcess:
 
     def feed(self, taken: Callable[[Delivered | SourceFault], None]) -> "CameraFeed":
         """Whole frames for one more point. taken: called from a thread for each of them and each fault."""
-        number = len(self._takers)
+        number = next(self._numbers)
         # Replaced, not changed: the thread may be going through it.
         self._takers = {**self._takers, number: taken}
         self.cut(number, None)
         return CameraFeed(self, number)
+
+    def leave(self, number: int) -> None:
+        """A feed's point needs no more frames."""
+        self._takers = {one: taken for one, taken in self._takers.items() if one != number}
+        self._regions = {one: region for one, region in self._regions.items() if one != number}
+        self._send(self._regions)
 
     def start(self) -> None:
         """Start the process; what it gives waits there until `take`."""
@@ -252,7 +260,10 @@ class CameraProcess:
         else:
             for number, delivered in item.items():
                 self._stamps = delivered.kind
-                self._takers[number](delivered)
+                taken = self._takers.get(number)
+                # One that has just left has none any more.
+                if taken is not None:
+                    taken(delivered)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,6 +276,10 @@ class CameraFeed:
     def cut(self, region: Region | None) -> None:
         """From now on only this part of each frame is needed; None: whole frames. The other points' are as before."""
         self.camera.cut(self.number, region)
+
+    def leave(self) -> None:
+        """The point needs no more frames."""
+        self.camera.leave(self.number)
 
 
 def serve(

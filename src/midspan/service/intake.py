@@ -8,7 +8,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,55 +42,87 @@ MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
 Tell = Callable[[Running, str, str], None]
 """Takes a point, the kind of an event and its text."""
 Users = list[tuple[Running, str]]
-"""The points that one source brings records to, each with the name of its sensor."""
+"""Points that a source brings records to, each with the name of its sensor."""
+
+
+@dataclass(slots=True)
+class Source:
+    """One source, opened once, and who uses it now."""
+
+    users: Users = field(default_factory=list)
+    reader: CameraProcess | ReadingThread | asyncio.Task[None] | None = None
 
 
 class Intake:
     """taken: called after each record that a point was given; tell: takes events. folder: of the site's file."""
 
     def __init__(self, points: Sequence[Running], folder: Path, taken: Callable[[Running], None], tell: Tell) -> None:
-        self._points, self._folder, self._taken, self._tell = points, folder, taken, tell
-        self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
-        self._threads: list[ReadingThread] = []
-        self._cameras: dict[str, CameraProcess] = {}
-        # By what is opened: an address, of a recording with its sensor.
-        self._users: dict[str, Users] = {}
+        self._folder, self._taken, self._tell = folder, taken, tell
+        # By what is opened: an address, of a recording with its sensor and its start.
+        self._sources: dict[str, Source] = {}
+        self.topics: dict[str, Users] = {}
+        self.join(points)
+
+    def join(self, points: Sequence[Running]) -> None:
+        """Let points use the sources that they name; they get records from `begin` on, blocks of topics at once."""
+        started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
         for one in points:
             for name, address in one.live.plan.sources.items():
-                self._users.setdefault(self._opened_at(address, name), []).append((one, name))
-        self.topics = {at.removeprefix(MQTT): users for at, users in self._users.items() if at.startswith(MQTT)}
+                at = connection(address)
+                if address.startswith(REPLAY):
+                    at = f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{started_ns}#{name}"
+                self._sources.setdefault(at, Source()).users.append((one, name))
+        self._find_topics()
 
-    def start_cameras(self) -> None:
+    def _find_topics(self) -> None:
+        sources = self._sources.items()
+        self.topics = {at.removeprefix(MQTT): source.users for at, source in sources if at.startswith(MQTT)}
+
+    def start_cameras(self, points: Sequence[Running]) -> None:
         """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
-        for at, users in self._users.items():
-            cameras = [(one, name) for one, name in users if one.kind(name) in CAMERAS]
-            if cameras:
-                self._cameras[at] = CameraProcess(at)
-                for one, name in cameras:
-                    one.cameras[name] = self._cameras[at].feed(self._handed(self._pictured, [(one, name)]))
-                self._cameras[at].start()
+        for at, source in self._sources.items():
+            for one, name in source.users:
+                if one not in points or one.kind(name) not in CAMERAS:
+                    continue
+                camera = source.reader
+                if not isinstance(camera, CameraProcess):
+                    source.reader = camera = CameraProcess(at)
+                    camera.start()
+                one.cameras[name] = camera.feed(self._handed(self._pictured, [(one, name)]))
 
-    def begin(self) -> list[asyncio.Task[None]]:
+    def begin(self, points: Sequence[Running]) -> list[asyncio.Task[None]]:
         """Let records come; returns the tasks that replay recordings. Called in the service's loop."""
-        tasks = []
-        for one in self._points:
+        for one in points:
             if one.live.opened is not None:
                 self.cut(one, one.live.opened)
-        for at, users in self._users.items():
-            if at in self._cameras:
-                self._cameras[at].take()
-            elif at.startswith((SERIAL, UDP)):
-                self._begin_thread(at, users)
-            elif at.startswith(REPLAY):
-                tasks.append(asyncio.create_task(self._replayed(at, users)))
+        tasks = []
+        for at, source in self._sources.items():
+            if isinstance(source.reader, CameraProcess):
+                source.reader.take()
+            elif source.reader is None and at.startswith((SERIAL, UDP)):
+                source.reader = self._thread(at, source.users)
+                source.reader.start()
+            elif source.reader is None and at.startswith(REPLAY):
+                source.reader = asyncio.create_task(self._replayed(at, source.users))
+                tasks.append(source.reader)
         return tasks
 
-    def end(self) -> None:
-        """Stop cameras, lines and radars."""
-        for camera in self._cameras.values():
-            camera.stop()
-        for thread in self._threads:
-            thread.stop()
+    async def end(self, points: Sequence[Running]) -> None:
+        """Give points nothing more; what nobody uses any more is stopped."""
+        for one in points:
+            for feed in one.cameras.values():
+                feed.leave()
+        for source in self._sources.values():
+            source.users[:] = [(one, name) for one, name in source.users if one not in points]
+        unused = [source.reader for source in self._sources.values() if not source.users]
+        self._sources = {at: source for at, source in self._sources.items() if source.users}
+        self._find_topics()
+        for reader in unused:
+            if isinstance(reader, asyncio.Task):
+                reader.cancel()
+        readers = [one for one in unused if isinstance(one, CameraProcess | ReadingThread)]
+        # At the same time: each waits for its own end.
+        await asyncio.gather(*(asyncio.to_thread(one.stop) for one in readers))
 
     def cut(self, one: Running, *found: Opened) -> None:
         """Let only the regions and what is around them leave the cameras' processes."""
@@ -183,7 +215,8 @@ class Intake:
             one.scales[name] = count_scale(float(np.median(frame.pixels.astype(np.float64))), ThermalRequest(), name)
         return replace(frame, pixels=celsius_of(frame.pixels, *one.scales[name]))
 
-    def _begin_thread(self, address: str, users: Users) -> None:
+    def _thread(self, address: str, users: Users) -> ReadingThread:
+        """What reads a line or a radar's port."""
         # The settings see to it that all of them mean the same: the kind of a line's values, a radar's settings.
         one, name = users[0]
         if address.startswith(SERIAL):
@@ -191,9 +224,7 @@ class Intake:
             read: Callable[[], Iterable[Any]] = partial(blocks, address.removeprefix(SERIAL), kind)
         else:
             read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
-        thread = ReadingThread(address, read, self._handed(self._came, users))
-        self._threads.append(thread)
-        thread.start()
+        return ReadingThread(address, read, self._handed(self._came, users))
 
     def _came(self, one: Running, name: str, item: Block | RangeFrame | SourceFault) -> None:
         """What a line or a radar gave."""
@@ -206,7 +237,9 @@ class Intake:
             self._block(one, name, item)
 
     def _handed(self, taken: Callable[[Running, str, Any], None], users: Users) -> Callable[[Any], None]:
-        """`taken` for each user in the service's loop, to be called from another thread; nothing once it is closed."""
+        """`taken` for each user of then in the service's loop, to be called from another thread; nothing once that is
+        closed.
+        """
         loop = asyncio.get_running_loop()
 
         def each(item: Any) -> None:
@@ -218,12 +251,6 @@ class Intake:
                 loop.call_soon_threadsafe(each, item)
 
         return hand
-
-    def _opened_at(self, address: str, sensor: str) -> str:
-        """What is opened for an address: the same for all points that name the same source."""
-        if not address.startswith(REPLAY):
-            return connection(address)
-        return f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{self._started_ns}#{sensor}"
 
     async def _replayed(self, at: str, users: Users) -> None:
         """The readings or range profiles of a recording as they come due."""

@@ -96,7 +96,7 @@ class Service:
         if not await self._patiently(self._keeper.store, for_s):
             return self.record()
         await asyncio.to_thread(self._alarms.open)
-        self._intake.start_cameras()
+        self._intake.start_cameras(self._points)
         begun = [asyncio.create_task(self._patiently(partial(self._begin_point, one))) for one in self._points]
         try:
             await asyncio.gather(*begun)
@@ -104,12 +104,12 @@ class Service:
             for starting in begun:
                 starting.cancel()
             await asyncio.gather(*begun, return_exceptions=True)
-            await asyncio.to_thread(self._intake.end)
+            await self._intake.end(self._points)
             await asyncio.to_thread(self._alarms.close)
             # Another service of this process may have the points then.
             await asyncio.to_thread(self._keeper.close)
             raise
-        replays = self._intake.begin()
+        replays = self._intake.begin(self._points)
         self._begin_broker()
         tasks: list[asyncio.Task[Any]] = [
             asyncio.create_task(self._every(TICK_S, self._tick)),
@@ -182,7 +182,7 @@ class Service:
         for job in self._jobs:
             job.cancel()
         await asyncio.gather(*self._jobs, return_exceptions=True)
-        await asyncio.to_thread(self._intake.end)
+        await self._intake.end(self._points)
         for one in self._points:
             self._publish_rows(one)
         await asyncio.to_thread(self._alarms.close)

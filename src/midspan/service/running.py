@@ -130,7 +130,7 @@ class Stream:
         return now_s - self.reported_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Running:
     """One point and its sources in the shell.
 
