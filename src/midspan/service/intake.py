@@ -24,7 +24,7 @@ from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running
-from midspan.settings.kinds import CAMERAS, LIVE
+from midspan.settings.kinds import ACCELEROMETER, CAMERAS, LIVE
 from midspan.settings.live_sources import connection
 from midspan.sources.live.blocks import Block, parse
 from midspan.sources.live.instants import SourceFault
@@ -70,7 +70,10 @@ class Intake:
             for name, address in one.live.plan.sources.items():
                 at = connection(address)
                 if address.startswith(REPLAY):
-                    at = f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{started_ns}#{name}"
+                    # A recording may have an acceleration along each image axis.
+                    axis = one.live.plan.axis if name == ACCELEROMETER else ""
+                    stream = f"{name}_{axis}" if axis else name
+                    at = f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{started_ns}#{stream}"
                 self._sources.setdefault(at, Source()).users.append((one, name))
         self._find_topics()
 

@@ -16,6 +16,7 @@ from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER, LIVE
+from midspan.settings.live_axes import by_axis
 from midspan.settings.live_sources import address_of, one_use
 from midspan.settings.load import RECORDING_FILE, validate
 from midspan.settings.messages import unknown
@@ -222,6 +223,11 @@ class PointPlan:
         """The point's name."""
         return self.settings.name
 
+    @property
+    def axis(self) -> str:
+        """The image axis "x" or "y" that it measures along; empty without a camera."""
+        return (*self.recording.axes, "")[0]
+
 
 @dataclass(frozen=True, slots=True)
 class Site:
@@ -266,10 +272,16 @@ def load_site(path: str | Path) -> Site:
     if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
     settings = validate(tree, str(file), SiteFile)
-    plans = tuple(_plan(point, f"{file}: {point_at(number, point)}") for number, point in enumerate(points, start=1))
+    places = [f"{file}: {point_at(number, point)}" for number, point in enumerate(points, start=1)]
+    axes = [by_axis(point, place, file.parent) for point, place in zip(points, places, strict=True)]
+    plans = tuple(_plan(half, place) for halves, place in zip(axes, places, strict=True) for half in halves)
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
-        raise UsageError(f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.")
+        seconds = [half.get("name") for halves in axes for half in halves[1:]]
+        hint = ' One is the x axis of a point with direction = "xy".' if name in seconds else ""
+        raise UsageError(
+            f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.{hint}"
+        )
     alike = Counter(plan.name.casefold() for plan in plans).most_common(1)[0]
     if alike[1] > 1:
         both = " and ".join(repr(plan.name) for plan in plans if plan.name.casefold() == alike[0])
@@ -414,8 +426,6 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
         raise UsageError(
             f"{where}: {kind}.{refused[0]}: belongs to files; a live section has source instead. Take it out."
         )
-    if section.get("direction") == "xy":
-        raise UsageError(f'{where}: {kind}.direction = "xy": must be "x" or "y"; both axes are for recordings.')
     known = ["source", *(key for key in LIVE[kind].section.model_fields if key not in FILE_KEYS)]
     for key, value in section.items():
         if key not in known:
