@@ -3,7 +3,8 @@
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.site import is_site, load_site, require_folders, without_secrets
+from midspan.settings.live_sources import without_secrets
+from midspan.settings.site import is_site, load_site, require_folders
 
 SITE = """
 name = "river-bridge"
@@ -99,7 +100,11 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
             ('unit = "g"', 'unitt = "g"'),
             r"accelerometer.unitt: is not a known key. Did you mean 'unit'\? Known: source, unit, rate_hz, noise_std,",
         ),
-        (('direction = "y"', 'direction = "xy"'), r"""camera.direction = "xy": must be "x" or "y"; both axes are"""),
+        (('direction = "y"', 'direction = "xy"'), r"""accelerometer: must have source_x and source_y, one for each"""),
+        (
+            ('source = "mqtt:bridge/acc1"', 'source_x = "mqtt:x"'),
+            r"""source_x: must have camera.direction = "xy" with""",
+        ),
         (('method = "lag"', "lag_s = 0.4"), r"""'quarter-span': must have method = "lag" with lag_s"""),
         (("mqtt:bridge/acc1", "mqtt:bridge/#"), r"accelerometer.source: must be one topic, without the wildcards"),
         (("mqtt:bridge/acc1", "mqtt:+/acc1"), r"accelerometer.source: must be one topic, without the wildcards"),
@@ -138,6 +143,53 @@ def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeyp
         loaded(tmp_path, monkeypatch, SITE.replace(*change))
     assert "SITE.toml" in str(error.value)
     assert "hidden" not in str(error.value)
+
+
+BOTH = SITE.replace('direction = "y"', 'direction = "xy"').replace(
+    'source = "mqtt:bridge/acc1"', 'source_x = "mqtt:bridge/x"\nsource_y = "mqtt:bridge/y"'
+)
+
+
+def test_a_point_along_both_axes_is_two_that_share_their_camera(tmp_path, monkeypatch):
+    alarm = '[[point.alarm]]\nname = "deflection"\non = "displacement"\nlimit_mm = 20.0\nlevel = "critical"\n'
+    down, sideways = loaded(tmp_path, monkeypatch, BOTH + alarm).points
+    assert (down.name, down.axis, down.sources["accelerometer"]) == ("quarter-span", "y", "mqtt:bridge/y")
+    assert (sideways.name, sideways.axis, sideways.sources["accelerometer"]) == ("quarter-span-x", "x", "mqtt:bridge/x")
+    assert down.sources["camera"] == sideways.sources["camera"]
+    assert down.recording.camera.roi == sideways.recording.camera.roi == (10, 20, 64, 64)
+    assert down.alarms == sideways.alarms
+    assert down.recording.accelerometer.unit == sideways.recording.accelerometer.unit == "g"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("roi =", "scale_mm_per_px = 2.0\nroi ="), r"camera.scale_mm_per_px: must have direction"),
+        (('\nsource_y = "mqtt:bridge/y"', ""), r"accelerometer: must have source_x and source_y"),
+        (("source_x =", 'source = "mqtt:z"\nsource_x ='), r"accelerometer: must have source_x and source_y"),
+        (("[point.camera]", '[point.displacement]\nsource = "mqtt:z"\n[point.camera]'), r"must be the only sensor"),
+        (
+            ("[[point]]", '[[point]]\nname = "quarter-span-x"\naccelerometer.source = "mqtt:p"\n'
+             'displacement.source = "mqtt:q"\n[[point]]'),
+            r"2 have the name 'quarter-span-x'. One is the x axis of a point",
+        ),
+        (('name = "quarter-span"', f'name = "{63 * "q"}"'), r"name = 'q+-x': must be 1 to 64 letters"),
+    ],
+)  # fmt: skip
+def test_what_both_axes_need_is_said(tmp_path, monkeypatch, change, words):
+    assert change[0] in BOTH
+    with pytest.raises(UsageError, match=words):
+        loaded(tmp_path, monkeypatch, BOTH.replace(*change, 1))
+
+
+def test_a_recording_along_both_axes_has_both_accelerations(tmp_path, monkeypatch):
+    text = BOTH.replace('source_x = "mqtt:bridge/x"\nsource_y = "mqtt:bridge/y"', 'source = "replay:bridge"')
+    # One that is not there yet may have both.
+    assert len(loaded(tmp_path, monkeypatch, text).points) == 2
+    (tmp_path / "bridge").mkdir()
+    (tmp_path / "bridge" / "recording.toml").write_text('[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n')
+    with pytest.raises(UsageError, match=r"must be a recording with accelerometer.value_x and value_y"):
+        loaded(tmp_path, monkeypatch, text)
 
 
 def test_a_certificate_that_is_missing_is_named_with_its_key(tmp_path, monkeypatch):

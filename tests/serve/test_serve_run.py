@@ -34,7 +34,7 @@ source = "{source}"
 """
 NOTHING = {
     "store": 'path = "store"', "calibration": "", "accelerometer": "serial:/dev/none", "kind": "displacement",
-    "source": "serial:/dev/none", "more": 'unit = "mm"',
+    "source": "serial:/dev/nothing", "more": 'unit = "mm"',
 }  # fmt: skip
 
 

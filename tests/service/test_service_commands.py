@@ -21,7 +21,7 @@ accept = "manual"
 [point.accelerometer]
 source = "serial:/dev/none"
 [point.displacement]
-source = "serial:/dev/none"
+source = "serial:/dev/nothing"
 """
 
 

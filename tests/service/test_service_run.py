@@ -122,8 +122,7 @@ def until(condition, seconds=300.0):
 def service_of(folder, count):
     """A service of this many points whose sources do not exist."""
     point = '[[point]]\nname = "p{}"\n[point.accelerometer]\nsource = "{}"\n[point.displacement]\nsource = "{}"\n'
-    none = "serial:/dev/none"
-    points = "".join(point.format(k, none, none) for k in range(count))
+    points = "".join(point.format(k, "serial:/dev/none", "serial:/dev/nothing") for k in range(count))
     (folder / "SITE.toml").write_text('name = "site"\n[store]\npath = "store"\n' + points)
     return Service(load_site(folder / "SITE.toml"), lambda _line: None)
 
@@ -261,10 +260,10 @@ def test_a_camera_that_accepts_and_is_silent_is_given_up():
 
 def test_what_fails_unexpectedly_ends_the_service(tmp_path):
     """A service that keeps nothing any more, or publishes nothing, must not live on as if it did."""
-    source = 'source = "serial:/dev/none"'
     (tmp_path / "SITE.toml").write_text(
         f'name = "site"\n[store]\npath = "store"\n[service]\nlisten = "127.0.0.1:{free_port()}"\n[[point]]\n'
-        f'name = "p"\n[point.accelerometer]\n{source}\n[point.displacement]\n{source}\n'
+        'name = "p"\n[point.accelerometer]\nsource = "serial:/dev/none"\n'
+        '[point.displacement]\nsource = "serial:/dev/nothing"\n'
     )
     service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
     service._keeper.write = lambda: 1 // 0

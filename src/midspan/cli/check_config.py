@@ -78,7 +78,8 @@ def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
-    from midspan.settings.site import load_site, require_folders, without_secrets
+    from midspan.settings.live_sources import without_secrets
+    from midspan.settings.site import load_site, require_folders
 
     site = load_site(file)
     file = str(site.file)
@@ -118,7 +119,7 @@ def _missing(plan: "PointPlan", folder: Path, where: str) -> list[str]:
     lines = [f"{key} = {name!r}: no such file yet." for key, name in named.items() if not (folder / name).is_file()]
     if plan.settings.calibration is not None and (folder / plan.settings.calibration).is_file():
         try:
-            load_calibration(folder / plan.settings.calibration)
+            load_calibration(folder / plan.settings.calibration, axis=plan.axis)
         except DataError as error:
             raise DataError(f"{where}: calibration: {error}") from None
     for name, address in plan.sources.items():

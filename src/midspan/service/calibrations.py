@@ -32,7 +32,7 @@ def number_in_force(live: LivePoint, store: Store, folder: Path) -> int:
     if given is None:
         in_force = store.calibration(live.name)
         return in_force.number if in_force is not None and _is_of(in_force.settings, live.settings) else 0
-    body = json.dumps(load_calibration(folder / given).to_dict())
+    body = json.dumps(load_calibration(folder / given, axis=live.plan.axis).to_dict())
     known = next((one for one in store.calibrations(live.name) if one.body == body), None)
     return known.number if known else added(live, store, body, accept=True)
 

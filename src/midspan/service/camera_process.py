@@ -1,15 +1,17 @@
 """Sources that are opened again when they fail: lines and radars in threads, each camera in a process of its own.
 
-A camera's process decodes, cuts the region out and stamps; the engine's process takes what it can.
-Frames wait in the camera's process, a few at most: where the engine does not keep up the oldest is skipped and counted.
+A camera's process decodes and stamps each frame once, and cuts out of it what each point needs; the engine's process
+takes what it can. Frames wait in the camera's process, a few at most: where the engine does not keep up the oldest is
+skipped and counted.
 """
 
+import itertools
 import math
 import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -93,7 +95,7 @@ MAX_WAITING = 30
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """A frame as it comes out of a camera's process: whole, or the part at (x, y) of a frame of `shape`."""
+    """A frame as one point gets it out of a camera's process: whole, or the part at (x, y) of a frame of `shape`."""
 
     time_ns: int
     kind: StampKind
@@ -144,13 +146,16 @@ def pictured(frame: Frame) -> Picture:
 class CameraProcess:
     """Runs a camera's process and hands on what it gives; a process that dies is started again.
 
-    taken: called from a thread for each `Delivered` and each fault.
+    It serves any number of points, each by a `CameraFeed`.
     """
 
-    def __init__(self, address: str, taken: Callable[[Delivered | SourceFault], None]) -> None:
-        self.address, self._taken = address, taken
+    def __init__(self, address: str) -> None:
+        self.address = address
         self._context = multiprocessing.get_context("spawn")
-        self._region: Region | None = None
+        # Of each feed, by its number, which is never used again: who takes its frames, and the part that is needed.
+        self._numbers = itertools.count()
+        self._takers: dict[int, Callable[[Delivered | SourceFault], None]] = {}
+        self._regions: dict[int, Region | None] = {}
         # How the newest frame was dated: the next process need not find out again.
         self._stamps: StampKind | None = None
         self._ending, self._taking, self._pauses = threading.Event(), threading.Event(), Pauses()
@@ -160,6 +165,20 @@ class CameraProcess:
         self._looking: list[Callable[[Picture], None]] = []
         self._thread = threading.Thread(target=self._watch, daemon=True, name=f"camera {address.partition(':')[0]}")
 
+    def feed(self, taken: Callable[[Delivered | SourceFault], None]) -> "CameraFeed":
+        """Whole frames for one more point. taken: called from a thread for each of them and each fault."""
+        number = next(self._numbers)
+        # Replaced, not changed: the thread may be going through it.
+        self._takers = {**self._takers, number: taken}
+        self.cut(number, None)
+        return CameraFeed(self, number)
+
+    def leave(self, number: int) -> None:
+        """A feed's point needs no more frames."""
+        self._takers = {one: taken for one, taken in self._takers.items() if one != number}
+        self._regions = {one: region for one, region in self._regions.items() if one != number}
+        self._send(self._regions)
+
     def start(self) -> None:
         """Start the process; what it gives waits there until `take`."""
         self._thread.start()
@@ -168,10 +187,10 @@ class CameraProcess:
         """From now on hand on what it gives."""
         self._taking.set()
 
-    def cut(self, region: Region | None) -> None:
-        """From now on only this part of each frame is needed; None: whole frames."""
-        self._region = region
-        self._send(region)
+    def cut(self, number: int, region: Region | None) -> None:
+        """From now on a feed needs only this part of each frame; None: whole frames."""
+        self._regions = {**self._regions, number: region}
+        self._send(self._regions)
 
     def ask_picture(self, came: Callable[[Picture], None]) -> None:
         """Give the next frame as a picture to `came`, called from a thread; all who ask meanwhile get the same."""
@@ -190,7 +209,7 @@ class CameraProcess:
         """The process's number."""
         return None if self._process is None else self._process.pid
 
-    def _send(self, message: Region | str | None) -> None:
+    def _send(self, message: dict[int, Region | None] | str) -> None:
         if self._pipe is not None:
             with suppress(OSError):
                 self._pipe.send(message)
@@ -200,31 +219,31 @@ class CameraProcess:
             self._run_once()
             if self._ending.is_set():
                 return
-            self._taken(SourceFault("process_ended", "the camera's process ended; it is started again"))
+            self._failed(SourceFault("process_ended", "the camera's process ended; it is started again"))
             self._ending.wait(self._pauses.next_s())
+
+    def _failed(self, fault: SourceFault) -> None:
+        """Every point learns why there are no frames."""
+        for taken in self._takers.values():
+            taken(fault)
 
     def _run_once(self) -> None:
         """One life of the process."""
         self._pipe, child = self._context.Pipe()
-        self._process = self._context.Process(target=serve, args=(self.address, child, self._stamps), daemon=True)
+        asked = (self.address, child, self._regions, self._stamps)
+        self._process = self._context.Process(target=serve, args=asked, daemon=True)
         self._process.start()
         child.close()
-        self._send(self._region)
         self._taking.wait()
         heard_s = time.monotonic()
         try:
             while not self._ending.is_set():
                 if self._pipe.poll(0.5):
                     item = self._pipe.recv()
-                    if isinstance(item, Picture):
-                        looking, self._looking = self._looking, []
-                        for came in looking:
-                            came(item)
-                        continue
-                    self._stamps = item.kind if isinstance(item, Delivered) else self._stamps
-                    self._taken(item)
-                    self._pauses.worked()
-                    heard_s = time.monotonic()
+                    self._hand_on(item)
+                    if not isinstance(item, Picture):
+                        self._pauses.worked()
+                        heard_s = time.monotonic()
                     if self.address.startswith("replay:") and isinstance(item, SourceFault) and item.code == "ended":
                         # Nothing brings a recording back that has been replayed.
                         self._ending.wait()
@@ -239,13 +258,48 @@ class CameraProcess:
                 self._process.join(timeout=1.0)
             self._pipe.close()
 
+    def _hand_on(self, item: "dict[int, Delivered] | Picture | SourceFault") -> None:
+        """What came out of the process, to whom it concerns."""
+        if isinstance(item, Picture):
+            looking, self._looking = self._looking, []
+            for came in looking:
+                came(item)
+        elif isinstance(item, SourceFault):
+            self._failed(item)
+        else:
+            for number, delivered in item.items():
+                self._stamps = delivered.kind
+                taken = self._takers.get(number)
+                # One that has just left has none any more.
+                if taken is not None:
+                    taken(delivered)
 
-def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> None:
+
+@dataclass(frozen=True, slots=True)
+class CameraFeed:
+    """The part of a camera's frames that one point gets."""
+
+    camera: CameraProcess
+    number: int
+
+    def cut(self, region: Region | None) -> None:
+        """From now on only this part of each frame is needed; None: whole frames. The other points' are as before."""
+        self.camera.cut(self.number, region)
+
+    def leave(self) -> None:
+        """The point needs no more frames."""
+        self.camera.leave(self.number)
+
+
+def serve(
+    address: str, pipe: Connection, regions: Mapping[int, Region | None], stamps: StampKind | None = None
+) -> None:
     """The camera's process: read, cut, stamp and send, and open again what failed, until the end is asked for.
 
-    stamps: how the frames of an earlier process were dated.
+    regions: that are needed at first, by the numbers of the feeds; stamps: how the frames of an earlier process were
+    dated.
     """
-    sender, pauses, replayed = _Sender(pipe), Pauses(), address.startswith("replay:")
+    sender, pauses, replayed = _Sender(pipe, regions), Pauses(), address.startswith("replay:")
     if replayed:
         # What reads recordings is imported where one is replayed alone.
         from midspan.service.replayed import film
@@ -269,9 +323,8 @@ def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> No
 class _Sender:
     """Sends what waits from a thread of its own, and takes commands."""
 
-    def __init__(self, pipe: Connection) -> None:
-        self._pipe, self.ended = pipe, False
-        self._region: Region | None = None
+    def __init__(self, pipe: Connection, regions: Mapping[int, Region | None]) -> None:
+        self._pipe, self._regions, self.ended = pipe, regions, False
         self._wanted = False
         self._waiting: deque[Any] = deque()
         self._some = threading.Condition()
@@ -287,19 +340,26 @@ class _Sender:
             with self._some:
                 self._waiting.append(picture)
                 self._some.notify()
-        rows, columns = stamped.frame.pixels.shape
-        part, place = part_of(stamped.frame.pixels, self._region)
         with self._some:
-            frames = [one for one in self._waiting if isinstance(one, Delivered)]
+            frames = [one for one in self._waiting if isinstance(one, dict)]
             if len(frames) >= MAX_WAITING:
                 self._waiting.remove(frames[0])
                 self._skipped += 1
-            made = Delivered(
-                stamped.frame.time_ns, stamped.kind, (rows, columns), place, part, self._count, self._skipped
-            )
+            self._waiting.append(self._delivered(stamped))
             self._count += 1
-            self._waiting.append(made)
             self._some.notify()
+
+    def _delivered(self, stamped: Stamped) -> dict[int, Delivered]:
+        """A frame for each feed."""
+        pixels, regions = stamped.frame.pixels, self._regions
+        rows, columns = pixels.shape
+        # One array for feeds that need the same part: it goes through the pipe once.
+        parts = {region: part_of(pixels, region) for region in set(regions.values())}
+        time_ns, kind, count, skipped = stamped.frame.time_ns, stamped.kind, self._count, self._skipped
+        return {
+            number: Delivered(time_ns, kind, (rows, columns), place, part, count, skipped)
+            for number, (part, place) in ((number, parts[region]) for number, region in regions.items())
+        }
 
     def say(self, fault: SourceFault) -> None:
         """Queue why there are no frames."""
@@ -334,6 +394,6 @@ class _Sender:
                 if found == PICTURE:
                     self._wanted = True
                 else:
-                    self._region = found
+                    self._regions = found
         # The end is asked for, or the service is gone.
         self.ended = True

@@ -108,8 +108,8 @@ class Commands:
 
     async def _picture(self, head: Tree) -> Answer:
         one, stream = self._stream(head)
-        camera = one.cameras.get(stream.sensor)
-        if camera is None:
+        feed = one.cameras.get(stream.sensor)
+        if feed is None:
             raise MidspanError(f"{head['source']}: has no picture; only cameras have.")
         if stream.reason and not stream.paused:
             raise MidspanError(f"{head['source']}: brings no picture. {stream.text or sentence(stream.reason)}")
@@ -119,7 +119,7 @@ class Commands:
         def came(picture: Picture) -> None:
             loop.call_soon_threadsafe(lambda: None if coming.done() else coming.set_result(picture))
 
-        camera.ask_picture(came)
+        feed.camera.ask_picture(came)
         try:
             picture = await asyncio.wait_for(coming, PICTURE_S)
         except TimeoutError:

@@ -1,13 +1,14 @@
 """What brings records to the points of a site: topics of the broker, cameras, serial lines, replayed recordings.
 
-All of it runs in the service's loop; cameras and lines have threads of their own, which hand over what they have.
+All of it runs in the service's loop; cameras and lines have threads of their own, which hand over what they have. What
+several points have the same address of is opened once, and each of them gets what comes.
 """
 
 import asyncio
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
-from midspan.service.running import Running, Stream
-from midspan.settings.kinds import CAMERAS, LIVE
+from midspan.service.running import Running
+from midspan.settings.kinds import ACCELEROMETER, CAMERAS, LIVE
+from midspan.settings.live_sources import connection
 from midspan.sources.live.blocks import Block, parse
 from midspan.sources.live.instants import SourceFault
 from midspan.sources.live.radar import profiles
@@ -39,65 +41,101 @@ MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
 
 Tell = Callable[[Running, str, str], None]
 """Takes a point, the kind of an event and its text."""
+Users = list[tuple[Running, str]]
+"""Points that a source brings records to, each with the name of its sensor."""
+
+
+@dataclass(slots=True)
+class Source:
+    """One source, opened once, and who uses it now."""
+
+    users: Users = field(default_factory=list)
+    reader: CameraProcess | ReadingThread | asyncio.Task[None] | None = None
 
 
 class Intake:
     """taken: called after each record that a point was given; tell: takes events. folder: of the site's file."""
 
     def __init__(self, points: Sequence[Running], folder: Path, taken: Callable[[Running], None], tell: Tell) -> None:
-        self._points, self._folder, self._taken, self._tell = points, folder, taken, tell
-        self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
-        self.topics: dict[str, list[tuple[Running, str]]] = {}
-        self.find_topics()
+        self._folder, self._taken, self._tell = folder, taken, tell
+        # By what is opened: an address, of a recording with its sensor and its start.
+        self._sources: dict[str, Source] = {}
+        self.topics: dict[str, Users] = {}
+        self.join(points)
 
-    def find_topics(self) -> None:
-        """Which topics the points have: to be called where other ones are among them."""
-        topics: dict[str, list[tuple[Running, str]]] = {}
-        for one in self._points:
+    def join(self, points: Sequence[Running]) -> None:
+        """Let points use the sources that they name; they get records from `begin` on, blocks of topics at once."""
+        started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
+        for one in points:
             for name, address in one.live.plan.sources.items():
-                if address.startswith(MQTT):
-                    topics.setdefault(address.removeprefix(MQTT), []).append((one, name))
-        self.topics = topics
+                at = connection(address)
+                if address.startswith(REPLAY):
+                    # A recording may have an acceleration along each image axis.
+                    axis = one.live.plan.axis if name == ACCELEROMETER else ""
+                    stream = f"{name}_{axis}" if axis else name
+                    at = f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{started_ns}#{stream}"
+                self._sources.setdefault(at, Source()).users.append((one, name))
+        self._find_topics()
+
+    def _find_topics(self) -> None:
+        sources = self._sources.items()
+        self.topics = {at.removeprefix(MQTT): source.users for at, source in sources if at.startswith(MQTT)}
 
     def start_cameras(self, points: Sequence[Running]) -> None:
         """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
-        self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
-        for one in points:
-            for name, address in one.live.plan.sources.items():
-                if one.kind(name) in CAMERAS:
-                    place = self._replay_address(address, name) if address.startswith(REPLAY) else address
-                    one.cameras[name] = CameraProcess(place, self._handed(self._pictured, one, name))
-                    one.cameras[name].start()
+        for at, source in self._sources.items():
+            for one, name in source.users:
+                # A camera that runs already gives a point frames from `begin` on.
+                if source.reader is None and one in points and one.kind(name) in CAMERAS:
+                    source.reader = CameraProcess(at)
+                    source.reader.start()
+                    self._feed(source.reader, source.users)
+
+    def _feed(self, camera: CameraProcess, users: Users) -> None:
+        """Let those who get no frames of a camera yet have some."""
+        for one, name in users:
+            if name not in one.cameras:
+                one.cameras[name] = camera.feed(self._handed(self._pictured, [(one, name)]))
 
     def begin(self, points: Sequence[Running]) -> list[asyncio.Task[None]]:
         """Let records come; returns the tasks that replay recordings. Called in the service's loop."""
+        tasks = []
+        for at, source in self._sources.items():
+            if isinstance(source.reader, CameraProcess):
+                self._feed(source.reader, source.users)
+                source.reader.take()
+            elif source.reader is None and at.startswith((SERIAL, UDP)):
+                source.reader = self._thread(at, source.users)
+                source.reader.start()
+            elif source.reader is None and at.startswith(REPLAY):
+                source.reader = asyncio.create_task(self._replayed(at, source.users))
+                tasks.append(source.reader)
         for one in points:
             if one.live.opened is not None:
                 self.cut(one, one.live.opened)
-            for name, address in one.live.plan.sources.items():
-                if name in one.cameras:
-                    one.cameras[name].take()
-                elif address.startswith((SERIAL, UDP)):
-                    self._begin_thread(one, name, address)
-                elif address.startswith(REPLAY):
-                    place = self._replay_address(address, name)
-                    one.replays.append(asyncio.create_task(self._replayed(one, name, place)))
             one.beginning = False
-            for name, block in one.early:
-                self._block(one, name, block)
+            for take in one.early:
+                take()
             one.early.clear()
-        return [task for one in points for task in one.replays]
+        return tasks
 
     async def end(self, points: Sequence[Running]) -> None:
-        """Stop cameras, lines, radars and replays; what is on its way still is left out."""
-        readers: list[CameraProcess | ReadingThread] = []
+        """Give points nothing more; what nobody uses any more is stopped."""
         for one in points:
             one.ended = True
-            readers += [*one.cameras.values(), *one.threads]
-            for task in one.replays:
-                task.cancel()
+            for feed in one.cameras.values():
+                feed.leave()
+        for source in self._sources.values():
+            source.users[:] = [(one, name) for one, name in source.users if one not in points]
+        unused = [source.reader for source in self._sources.values() if not source.users]
+        self._sources = {at: source for at, source in self._sources.items() if source.users}
+        self._find_topics()
+        for reader in unused:
+            if isinstance(reader, asyncio.Task):
+                reader.cancel()
+        readers = [one for one in unused if isinstance(one, CameraProcess | ReadingThread)]
         # At the same time: each waits for its own end.
-        await asyncio.gather(*(asyncio.to_thread(reader.stop) for reader in readers))
+        await asyncio.gather(*(asyncio.to_thread(one.stop) for one in readers))
 
     def cut(self, one: Running, *found: Opened) -> None:
         """Let only the regions and what is around them leave the cameras' processes."""
@@ -114,8 +152,14 @@ class Intake:
             except SourceFault as fault:
                 self._refused(one, name, fault)
             else:
-                # A point that is being begun, while others run, gets it then.
-                one.early.append((name, block)) if one.beginning else self._block(one, name, block)
+                self._give(one, partial(self._block, one, name, block))
+
+    def _give(self, one: Running, take: Callable[[], None]) -> None:
+        """Let a point take what came; one that is being begun, while others run, does so then."""
+        if one.beginning:
+            one.early.append(take)
+        elif not one.ended:
+            take()
 
     def _block(self, one: Running, name: str, block: Block) -> None:
         """A block of values, unless it was there before; lost ones are an event."""
@@ -192,15 +236,16 @@ class Intake:
             one.scales[name] = count_scale(float(np.median(frame.pixels.astype(np.float64))), ThermalRequest(), name)
         return replace(frame, pixels=celsius_of(frame.pixels, *one.scales[name]))
 
-    def _begin_thread(self, one: Running, name: str, address: str) -> None:
+    def _thread(self, address: str, users: Users) -> ReadingThread:
+        """What reads a line or a radar's port."""
+        # The settings see to it that all of them mean the same: the kind of a line's values, a radar's settings.
+        one, name = users[0]
         if address.startswith(SERIAL):
             kind = LIVE[one.kind(name)].block
             read: Callable[[], Iterable[Any]] = partial(blocks, address.removeprefix(SERIAL), kind)
         else:
             read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
-        thread = ReadingThread(f"{one.name} {name}", read, self._handed(self._came, one, name))
-        one.threads.append(thread)
-        thread.start()
+        return ReadingThread(address, read, self._handed(self._came, users))
 
     def _came(self, one: Running, name: str, item: Block | RangeFrame | SourceFault) -> None:
         """What a line or a radar gave."""
@@ -214,37 +259,38 @@ class Intake:
         else:
             self._block(one, name, item)
 
-    def _handed(self, taken: Callable[[Running, str, Any], None], one: Running, name: str) -> Callable[[Any], None]:
-        """`taken` in the service's loop, to be called from another thread; nothing once the loop is closed."""
+    def _handed(self, taken: Callable[[Running, str, Any], None], users: Users) -> Callable[[Any], None]:
+        """`taken` for each user of then in the service's loop, to be called from another thread; nothing once that is
+        closed.
+        """
         loop = asyncio.get_running_loop()
 
-        def take(item: Any) -> None:
-            if not one.ended:
-                taken(one, name, item)
+        def each(item: Any) -> None:
+            for one, name in users:
+                self._give(one, partial(taken, one, name, item))
 
         def hand(item: Any) -> None:
             with suppress(RuntimeError):
-                loop.call_soon_threadsafe(take, item)
+                loop.call_soon_threadsafe(each, item)
 
         return hand
 
-    def _replay_address(self, address: str, sensor: str) -> str:
-        path = self._folder / address.removeprefix(REPLAY)
-        return f"{REPLAY}{path}@{self._started_ns}#{sensor}"
-
-    async def _replayed(self, one: Running, name: str, place: str) -> None:
+    async def _replayed(self, at: str, users: Users) -> None:
         """The readings or range profiles of a recording as they come due."""
-        stream: Stream = one.streams[name]
+        one, name = users[0]
+        own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
         try:
-            own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
-            for due_s, record in own(place):
+            for due_s, record in own(at):
                 left_s = due_s - time.time()
                 if left_s > 0:
                     await asyncio.sleep(left_s)
-                self._heard(one, name, Arrival(name, 0, record))
-            stream.reason, stream.text = "ended", "the recording that is replayed has ended"
+                for one, name in users:
+                    self._give(one, partial(self._heard, one, name, Arrival(name, 0, record)))
+            reason, text = "ended", "the recording that is replayed has ended"
         except MidspanError as error:
-            stream.reason, stream.text = "damaged", str(error)
+            reason, text = "damaged", str(error)
+        for one, name in users:
+            one.streams[name].reason, one.streams[name].text = reason, text
 
     def _heard(self, one: Running, name: str, arrival: Arrival) -> None:
         stream, record = one.streams[name], arrival.record

@@ -23,12 +23,26 @@ from midspan.sources.live.instants import SourceFault
 def _opened(address: str) -> tuple[Recording, Any, int]:
     """The recording of `replay:RECORDING@START#SENSOR`, the sensor's view (None: of the accelerometer), and by how much
     its stamps are moved, so that the accelerometer begins at START (ns UTC).
+
+    SENSOR of the accelerometer may have the image axis that it is along, accelerometer_x: where the recording has both.
     """
     rest, _, sensor = address.removeprefix("replay:").rpartition("#")
     path, _, start = rest.rpartition("@")
     recording = open_recording(path)
-    view = None if sensor == ACCELEROMETER else _view(recording, sensor)
-    return recording, view, int(start) - int(recording.acceleration.time_ns[0])
+    moved_ns = int(start) - int(recording.acceleration.time_ns[0])
+    if sensor in (ACCELEROMETER, f"{ACCELEROMETER}_x", f"{ACCELEROMETER}_y"):
+        return _along(recording, sensor.removeprefix(ACCELEROMETER).lstrip("_")), None, moved_ns
+    return recording, _view(recording, sensor), moved_ns
+
+
+def _along(recording: Recording, axis: str) -> Recording:
+    """A recording along one of its two image axes; one that has a single axis as it is."""
+    across = recording.across
+    if across is None or axis != across.axis:
+        return recording
+    if not across.fused:
+        raise DataError(f"{recording.file}: accelerometer.value_{axis}: is missing. Name the column along {axis}.")
+    return across
 
 
 def _view(recording: Recording, sensor: str) -> Any:

@@ -306,7 +306,7 @@ class Service:
             # In place: who commands points and gives them records has the same list.
             self._points[:] = [named[plan.name] for plan in site.points]
             before, self.site = self.site, site
-            self._intake.find_topics()
+            self._intake.join(fresh)
             await self._alarms.change(site)
             await self._change_broker(before)
             await self._begin_points(fresh)

@@ -4,7 +4,7 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,14 +14,15 @@ from midspan.engine.point import PointStatus
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
-from midspan.service.camera_process import CameraProcess, ReadingThread
+from midspan.service.camera_process import CameraFeed
 from midspan.service.capture import capture_settings
 from midspan.service.pace import ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
 from midspan.settings.kinds import ACCELEROMETER, LIVE
-from midspan.settings.site import PointPlan, Site, captures_of, without_secrets
+from midspan.settings.live_sources import without_secrets
+from midspan.settings.site import PointPlan, Site, captures_of
 from midspan.settings.stored.calibration import load_calibration
 from midspan.sources.accelerometer.units import SI_UNITS, si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
@@ -151,14 +152,14 @@ def rounded(value: float | None, digits: int) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, digits)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Running:
     """One point and its sources in the shell.
 
     factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
     scales: kelvin per count, and at count 0, of each infrared camera; published_ns: stamp of the newest row that the
     broker was given, or that the store had when the point went on. beginning: whether it is being begun while other
-    points run; early: blocks that came meanwhile; ended: whether no record is taken any more; work: the job that is
+    points run; early: takes what came meanwhile; ended: whether no record is taken any more; work: the job that is
     done; made_s: since when anything is expected of it.
     """
 
@@ -166,7 +167,7 @@ class Running:
     streams: dict[str, Stream]
     factors: dict[str, float]
     layouts: dict[str, Layout]
-    cameras: dict[str, CameraProcess] = field(default_factory=dict)
+    cameras: dict[str, CameraFeed] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     scales: dict[str, tuple[float, float]] = field(default_factory=dict)
     # The newest frame of each radar, for people.
@@ -176,9 +177,7 @@ class Running:
     work: asyncio.Task[None] | None = None
     beginning: bool = False
     ended: bool = False
-    early: list[tuple[str, Block]] = field(default_factory=list)
-    threads: list[ReadingThread] = field(default_factory=list)
-    replays: list[asyncio.Task[None]] = field(default_factory=list)
+    early: list[Callable[[], None]] = field(default_factory=list)
     made_s: float = field(default_factory=time.time)
     # When the job that is done began, and how long the last one of each kind took, s.
     _job_s: float | None = None

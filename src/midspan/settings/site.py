@@ -16,43 +16,12 @@ from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER, LIVE
+from midspan.settings.live_axes import by_axis
+from midspan.settings.live_sources import address_of, one_use
 from midspan.settings.load import RECORDING_FILE, validate
 from midspan.settings.messages import unknown
 from midspan.settings.recording import RecordingSettings
-from midspan.sources.live.radar import host_and_port
-from midspan.sources.live.serial_line import device_and_baud
 from midspan.trees import TreeError, read_toml
-
-
-def address_of(kind: str, section: dict[str, Any], where: str) -> str:
-    """The `source` of a sensor's section; `where` names the section in UsageError."""
-    value = section.get("source")
-    known = LIVE[kind].schemes
-    if not isinstance(value, str) or not value.startswith(known) or value in known:
-        listed = ", ".join(f"{one}…" for one in known)
-        raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
-                         f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
-    scheme = next(one for one in known if value.startswith(one))
-    place = value.removeprefix(scheme)
-    try:
-        if scheme == "serial:":
-            device_and_baud(place)
-        elif scheme == "udp:":
-            host_and_port(place)
-        elif scheme == "usb:" and not (place.isascii() and place.isdecimal()):
-            raise ValueError("must be usb: and the number of a camera, as usb:0 for /dev/video0")
-        elif scheme == "mqtt:" and any(sign in place for sign in "+#"):
-            raise ValueError("must be one topic, without the wildcards + and #; write one source for each topic")
-    except ValueError as error:
-        raise UsageError(f"{where}.source: {error}; received {without_secrets(value)!r}.") from None
-    return value
-
-
-def without_secrets(address: str) -> str:
-    """An address without user and password."""
-    scheme, at, rest = address.partition("://")
-    return f"{scheme}://{rest.rpartition('@')[2]}" if at else address
-
 
 SITE_FILE = "SITE.toml"
 # Keys of a recording's section that say where its file is: a live section has `source` instead.
@@ -260,6 +229,11 @@ class PointPlan:
         """The point's name."""
         return self.settings.name
 
+    @property
+    def axis(self) -> str:
+        """The image axis "x" or "y" that it measures along; empty without a camera."""
+        return (*self.recording.axes, "")[0]
+
 
 @dataclass(frozen=True, slots=True)
 class Site:
@@ -304,17 +278,38 @@ def load_site(path: str | Path) -> Site:
     if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
     settings = validate(tree, str(file), SiteFile)
-    plans = tuple(_plan(point, f"{file}: {point_at(number, point)}") for number, point in enumerate(points, start=1))
+    places = [f"{file}: {point_at(number, point)}" for number, point in enumerate(points, start=1)]
+    axes = [by_axis(point, place, file.parent) for point, place in zip(points, places, strict=True)]
+    plans = tuple(_plan(half, place) for halves, place in zip(axes, places, strict=True) for half in halves)
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
-        raise UsageError(f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.")
+        seconds = [half.get("name") for halves in axes for half in halves[1:]]
+        hint = ' One is the x axis of a point with direction = "xy".' if name in seconds else ""
+        raise UsageError(
+            f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.{hint}"
+        )
     alike = Counter(plan.name.casefold() for plan in plans).most_common(1)[0]
     if alike[1] > 1:
         both = " and ".join(repr(plan.name) for plan in plans if plan.name.casefold() == alike[0])
         raise UsageError(f"{file}: point.name: must differ by more than case; received {both}. Rename one.")
     for plan in plans:
         _require_topics(settings, plan, f"{file}: point {plan.name!r}")
+    _require_one_use(plans, str(file))
     return Site(file, settings, plans)
+
+
+def _require_one_use(plans: Sequence[PointPlan], where: str) -> None:
+    """UsageError for a serial line or a radar's port that sensors use in different ways: it is opened once for all."""
+    uses: dict[str, tuple[str, str]] = {}
+    for plan in plans:
+        for name, kind, section in plan.recording.streams:
+            opened, use = one_use(kind, plan.sources[name], section)
+            first, by = uses.setdefault(opened, (use, f"{plan.name}.{name}"))
+            if first != use:
+                raise UsageError(
+                    f"{where}: point {plan.name!r}: {name}.source: {opened} must be used in one way, as it is opened "
+                    f"once; received {use} here and {first} for {by}. Write the same for both."
+                )
 
 
 def _require_topics(settings: SiteFile, plan: PointPlan, where: str) -> None:
@@ -437,8 +432,6 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
         raise UsageError(
             f"{where}: {kind}.{refused[0]}: belongs to files; a live section has source instead. Take it out."
         )
-    if section.get("direction") == "xy":
-        raise UsageError(f'{where}: {kind}.direction = "xy": must be "x" or "y"; both axes are for recordings.')
     known = ["source", *(key for key in LIVE[kind].section.model_fields if key not in FILE_KEYS)]
     for key, value in section.items():
         if key not in known:

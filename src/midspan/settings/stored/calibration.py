@@ -149,6 +149,23 @@ class Calibration:
             return ""
         return self.first_camera.direction if self.across is None and not self.left_out else "xy"
 
+    def of_axis(self, axis: str, where: str = CALIBRATION_FILE) -> "Calibration":
+        """The part of the image axis "x" or "y" where both were calibrated, else itself.
+
+        where: names the calibration in DataError, for an axis that moved too little or had no accelerometer.
+        """
+        main, second = self.first_camera, None if self.across is None else self.across.first_camera
+        if self.direction != "xy" or main is None:
+            return self
+        if main.direction == axis:
+            return replace(self, across=None, left_out="")
+        if self.across is None or second is None or not second.fused:
+            raise DataError(
+                f"{where}: has no scale factor along {axis}: it moved too little, or had no accelerometer of its own. "
+                "Calibrate on another recording, or let the point calibrate itself."
+            )
+        return self.across
+
     def noise_density(self, rate_hz: float) -> float:
         """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
         return self.noise_std_m_s2**2 / rate_hz
@@ -218,10 +235,11 @@ class StoredCalibration(sections.Stored):
         return self
 
 
-def load_calibration(path: str | Path) -> Calibration:
+def load_calibration(path: str | Path, *, axis: str = "") -> Calibration:
     """Read a `calibration.json` (or the folder that holds it).
 
-    Raises DataError naming file and key where it is missing, damaged or holds a value that cannot be.
+    axis: the image axis "x" or "y" that is wanted of one with both; empty: all that is in it. Raises DataError naming
+    file and key where it is missing, damaged or holds a value that cannot be, and for an axis that it does not have.
     """
     path = path_of("path", path)
     path = path / CALIBRATION_FILE if path.is_dir() else path
@@ -231,7 +249,8 @@ def load_calibration(path: str | Path) -> Calibration:
         raise DataError(f"{path}: cannot be read ({error.strerror}). `midspan calibrate` writes one.") from None
     except TreeError as error:
         raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
-    return calibration_from_dict(tree, str(path))
+    found = calibration_from_dict(tree, str(path))
+    return found.of_axis(axis, str(path)) if axis else found
 
 
 def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibration:

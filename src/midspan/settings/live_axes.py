@@ -1,0 +1,83 @@
+"""A live point along both image axes: two points of one axis each, which share their camera and accelerometer.
+
+docs/decisions/0020-live-axes.md says why.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from midspan.errors import DataError, UsageError
+from midspan.settings.kinds import ACCELEROMETER, CAMERAS, KINDS
+from midspan.settings.load import load_settings
+
+# The point keeps its name along the first one, as the main columns of a recording are those of y.
+AXES = ("y", "x")
+SOURCES = {axis: f"source_{axis}" for axis in AXES}
+
+
+def by_axis(point: dict[str, Any], where: str, folder: Path) -> list[dict[str, Any]]:
+    """The tree of a point, or with direction = "xy" those along y and x, called NAME and NAME-x.
+
+    where: names the point in UsageError; folder: that its recordings are relative to.
+    """
+    sections = [(kind, one) for kind in KINDS if kind in point for one in _listed(point[kind])]
+    both = [kind for kind, one in sections if kind in CAMERAS and one.get("direction") == "xy"]
+    accelerometer = (*_listed(point.get(ACCELEROMETER)), {})[0]
+    if not both:
+        if named := sorted(set(SOURCES.values()) & set(accelerometer)):
+            raise UsageError(
+                f'{where}: accelerometer.{named[0]}: must have camera.direction = "xy" with it; for one axis give '
+                "accelerometer.source."
+            )
+        return [point]
+    (kind, camera), *others = sections
+    if others:
+        raise UsageError(
+            f'{where}: {both[0]}.direction = "xy": must be the only sensor besides the accelerometer. Write the others '
+            "in a point of their own, which may name the same sources."
+        )
+    if "scale_mm_per_px" in camera:
+        raise UsageError(
+            f'{where}: {kind}.scale_mm_per_px: must have direction = "x" or "y" with it, as the sign may differ. Write '
+            "two points, which may name the same sources."
+        )
+    sources = _sources(accelerometer, f"{where}: accelerometer", folder)
+    channel = {key: value for key, value in accelerometer.items() if key not in ("source", *SOURCES.values())}
+    return [
+        {
+            **point,
+            "name": point.get("name") if axis == AXES[0] else f"{point.get('name')}-{axis}",
+            ACCELEROMETER: {"source": sources[axis], **channel},
+            kind: {**camera, "direction": axis},
+        }
+        for axis in AXES
+    ]
+
+
+def _listed(section: Any) -> list[dict[str, Any]]:
+    """One section or several of a kind; what is no section is refused where a point is read."""
+    return [one for one in (section if isinstance(section, list) else [section]) if isinstance(one, dict)]
+
+
+def _sources(accelerometer: dict[str, Any], where: str, folder: Path) -> dict[str, Any]:
+    """The source of each axis; `where` names the section."""
+    given = {axis: accelerometer[key] for axis, key in SOURCES.items() if key in accelerometer}
+    source = accelerometer.get("source")
+    if len(given) == len(AXES) and source is None:
+        return given
+    if given or not str(source).startswith("replay:"):
+        raise UsageError(
+            f'{where}: must have source_x and source_y, one for each image axis, with direction = "xy"; source alone '
+            "is for a recording that has both, replay:RECORDING."
+        )
+    try:
+        own = load_settings(folder / str(source).removeprefix("replay:")).accelerometer
+    except (UsageError, DataError):
+        # What is missing or wrong with it is said where it is read.
+        return dict.fromkeys(AXES, source)
+    if own is None or not (own.value_x and own.value_y):
+        raise UsageError(
+            f"{where}.source = {source!r}: must be a recording with accelerometer.value_x and value_y, with "
+            'direction = "xy". Name both there, or write source_x and source_y.'
+        )
+    return dict.fromkeys(AXES, source)
