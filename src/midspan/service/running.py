@@ -148,6 +148,8 @@ class Running:
     scales: dict[str, tuple[float, float]] = field(default_factory=dict)
     results: int = 0
     published_ns: int = 0
+    # Stamp of the newest provisional row that viewers were given.
+    head_ns: int = 0
     busy: bool = False
     # Stamp of the newest row, when that was given out, and how many stamps of the acceleration were wrong until then.
     _row_ns: int | None = None
