@@ -96,6 +96,30 @@ def test_any_cutting_and_a_saved_state_give_the_same_bits():
         assert np.array_equal(getattr(rows, name), getattr(expected, name))
 
 
+def test_the_head_of_a_lag_is_the_filters_row_and_reading_it_changes_nothing():
+    _, samples, sensors = spoilt()
+    measured, settings = measured_of(sensors), settings_of(sensors)
+    filtered, undisturbed, stream = Estimator(settings), Lag(settings, 40), Lag(settings, 40)
+    causal = rows_of([*filtered.push(measured), *filtered.push(samples)])
+    expected = rows_of([*undisturbed.push(measured), *undisturbed.push(samples), *undisturbed.finish()])
+    assert stream.head is None
+    found, heads, done = [], [], -1
+    for first in range(0, len(samples.time_ns), 7):
+        block = part(samples, slice(first, first + 7))
+        due = (measured.time_ns > done) & (measured.time_ns <= block.time_ns[-1])
+        found += [*stream.push(part(measured, due)), *stream.push(block)]
+        done = block.time_ns[-1]
+        if stream.head is not None:
+            heads.append(stream.head)
+            assert stream.head.time_ns[0] == block.time_ns[-1]
+    rows, head = rows_of([*found, *stream.finish()]), joined(heads)
+    assert len(head.time_ns) > 0.9 * len(samples.time_ns) / 7
+    at = np.searchsorted(causal.time_ns, head.time_ns)
+    for name in ("time_ns", "displacement_m", "variance_m2", "velocity_m_s", "source", "status"):
+        assert np.array_equal(getattr(head, name), getattr(causal, name)[at])
+        assert np.array_equal(getattr(rows, name), getattr(expected, name))
+
+
 def test_the_smoother_does_not_depend_on_its_blocks():
     rng = np.random.default_rng(3)
     length_s = 2.5 * BLOCK / 100.0

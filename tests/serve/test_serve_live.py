@@ -210,6 +210,28 @@ def test_a_viewer_that_takes_nothing_is_dropped_and_the_others_are_not(monkeypat
     asyncio.run(look())
 
 
+def test_provisional_rows_go_to_who_asks_for_them_and_are_not_kept(begin_ns):
+    async def look():
+        live = LiveRows()
+        asks, other = live.enter(None, None, head=True), live.enter(None, None)
+        elsewhere = live.enter(frozenset({"q"}), None, head=True)
+        for k in (0, 1):
+            live.came_ahead("p", row_bytes(part(begin_ns, k)))
+        live.send()
+        head = json.loads(await asks.next())
+        assert (head["type"], head["point"], "sequence" in head, "status" in head) == ("head", "p", False, False)
+        assert head["time"] == [*part(begin_ns, 0).time_ns.tolist(), *part(begin_ns, 1).time_ns.tolist()]
+        assert len(head["displacement_mm"]) == len(head["displacement_std_mm"]) == len(head["time"])
+        assert not other.waiting
+        assert not elsewhere.waiting
+        # Sent once, and none of what a viewer that was cut off is given.
+        live.send()
+        assert not asks.waiting
+        assert not live._kept
+
+    asyncio.run(look())
+
+
 def test_what_is_kept_no_longer_is_said_to_be_a_gap(monkeypatch, begin_ns):
     monkeypatch.setattr(viewers, "MAX_KEPT_BYTES", 20_000)
 

@@ -6,10 +6,10 @@
 use super::clocks::Clocks;
 use super::decided::{Log, Logged, MAX_UNDECIDED, Undecided, channels_exist};
 use super::innovation::{Work, predict_value};
-use super::model::{Model, since};
+use super::model::{Model, instant, since};
 use super::motion::GAP_STEPS;
 use super::reports::{Report, Reports};
-use super::rows::{Output, zero_variance};
+use super::rows::{Output, Rows, zero_variance};
 use super::run::Filter;
 use super::samples::{Integrated, Samples, View};
 use super::settings::Settings;
@@ -264,6 +264,19 @@ impl Estimator {
         if !output.reports.is_empty() {
             outputs.get_or_insert_default().reports.append(&mut output.reports);
         }
+    }
+
+    /// The row at the newest sample as the filter has it, before what comes later smooths it; None where there is none,
+    /// or a clock may have stepped. Needs the log.
+    pub fn head(&self) -> Option<Rows> {
+        let filter = self.memory.filter.as_ref().filter(|_| self.memory.clocks.is_plain())?;
+        let samples = self.log.as_ref()?.samples.view();
+        let newest = samples.part(samples.len().checked_sub(1)?, samples.len());
+        let is_there = since(newest.time_ns[0], self.origin_ns()) == filter.clock.time_s;
+        let first_ns = instant(self.memory.first_s, self.origin_ns());
+        let mut work = Work::new(&self.model);
+        let rows = filter.row_now(&self.model, (newest, first_ns), &[], &mut work);
+        (is_there && !rows.is_empty()).then_some(rows)
     }
 
     /// Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.

@@ -275,6 +275,11 @@ impl Estimator {
         Ok(own.predict(channel, time_ns))
     }
 
+    /// The row of each axis at the newest sample, which is logged, before it is smoothed; None where there is none.
+    fn head<'py>(&self, py: Python<'py>) -> Option<RowArrays<'py>> {
+        self.own().head().map(|rows| row_arrays(py, rows))
+    }
+
     /// Parameters (k,) and their variances (k,).
     fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
         let own = self.own();

@@ -20,7 +20,19 @@ from midspan.fusion.blocks import Rows
 from midspan.fusion.estimator import BLOCK, Estimator, Lag, State
 from midspan.fusion.model import ParameterKind
 from midspan.fusion.on_series import OnSeries, OnSeriesState
-from midspan.records import NANOSECONDS, Arrival, ClockOffset, Complete, Event, Readings, Samples, Status, Tick, part
+from midspan.records import (
+    NANOSECONDS,
+    Arrival,
+    ClockOffset,
+    Complete,
+    Estimate,
+    Event,
+    Readings,
+    Samples,
+    Status,
+    Tick,
+    part,
+)
 from midspan.signals.stamps import shown
 
 ACCELEROMETER = "accelerometer"
@@ -130,6 +142,11 @@ class Point:
             return PointStatus.CALIBRATING
         status = self._support.status
         return PointStatus.WARMING if status is None else PointStatus(status)
+
+    @property
+    def head(self) -> Estimate | None:
+        """With `lag` the row of the main axis at the newest sample, before what comes later smooths it; else None."""
+        return self.estimator.head
 
     def unseen(self, stream: str) -> str:
         """Why a sensor's newest records measure nothing, once that lasts: dark, frozen, lost; else nothing."""

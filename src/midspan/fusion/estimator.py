@@ -88,6 +88,15 @@ class Stream:
         restore(self.core, state)
 
     @property
+    def head(self) -> Estimate | None:
+        """Where rows come later: the main axis's row at the newest sample as `Estimator` gives it, not smoothed yet.
+
+        None before the first row, and while a clock's step is looked for.
+        """
+        found = self.core.head() if self.lag_samples else None
+        return None if found is None else Estimate(found[0], *found[1][0])
+
+    @property
     def seeks_clock(self) -> bool:
         """Whether a sensor's clock may have stepped, and by how much is looked for."""
         return self.core.seeks_clock()

@@ -164,6 +164,11 @@ class OnSeries:
         return self._inner.settings
 
     @property
+    def head(self) -> None:
+        """No row comes before its time: a method's rows are its own from the first on."""
+        return None
+
+    @property
     def seeks_clock(self) -> bool:
         """That of the estimator, see there."""
         return self._inner.seeks_clock

@@ -26,7 +26,9 @@ routes = APIRouter()
 
 @routes.websocket("/live")
 async def live(socket: WebSocket, serving: Shared) -> None:
-    """Numbered messages; `points` names points, `after` the newest sequence that a viewer has."""
+    """Numbered messages; `points` names points, `after` the newest sequence that a viewer has, `head=true` asks for
+    provisional rows, too.
+    """
     try:
         require_own_origin(socket)
         login_of(socket)
@@ -37,7 +39,7 @@ async def live(socket: WebSocket, serving: Shared) -> None:
         await socket.send_denial_response(answer(problem.status_code, problem.detail, problem.headers))
         return
     await socket.accept()
-    viewer = serving.live.enter(points, after)
+    viewer = serving.live.enter(points, after, head=socket.query_params.get("head") == "true")
     try:
         await shown(socket, viewer, serving)
     finally:

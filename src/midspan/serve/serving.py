@@ -138,6 +138,8 @@ class Serving:
     def _came(self, head: Tree, body: bytes) -> None:
         if head["kind"] == "rows":
             self.live.came(str(head["point"]), body)
+        elif head["kind"] == "head":
+            self.live.came_ahead(str(head["point"]), body)
         elif head["kind"] == "state":
             for one in head["points"]:
                 now = (str(one["status"]), str(one["reason"] or one.get("notice", "")))

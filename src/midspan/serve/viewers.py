@@ -33,9 +33,10 @@ TRY_AGAIN = 1013
 
 @dataclass(slots=True, eq=False)
 class Viewer:
-    """points: whose rows it gets; None: of all. dropped: it did not take what waited for it."""
+    """points: whose rows it gets; None: of all. head: provisional ones, too. dropped: it did not take what waited."""
 
     points: frozenset[str] | None
+    head: bool = False
     waiting: deque[str] = field(default_factory=deque)
     bytes: int = 0
     some: asyncio.Event = field(default_factory=asyncio.Event)
@@ -50,6 +51,10 @@ class Viewer:
             self.waiting.append(text)
             self.bytes += len(text)
         self.some.set()
+
+    def gets(self, point: str) -> bool:
+        """Whether a point's rows are for it."""
+        return self.points is None or point in self.points
 
     async def next(self) -> str | None:
         """The next message; None once it is dropped."""
@@ -75,6 +80,8 @@ class LiveRows:
         self._kept: deque[tuple[int, int, str, str]] = deque()
         self._kept_bytes = 0
         self._came: dict[str, list[NDArray[Any]]] = {}
+        # Rows that are not final, of which nothing is kept.
+        self._ahead: dict[str, list[NDArray[Any]]] = {}
         self._viewers: set[Viewer] = set()
         self.newest: dict[str, dict[str, Any]] = {}
         self.dropped = 0
@@ -90,8 +97,21 @@ class LiveRows:
         if len(found):
             self._came.setdefault(point, []).append(found)
 
+    def came_ahead(self, point: str, rows: bytes) -> None:
+        """Rows of the engine that what comes later will change."""
+        self._ahead.setdefault(point, []).append(np.frombuffer(rows, dtype=ROW))
+
     def send(self) -> None:
         """Give what came to the viewers."""
+        self._send_rows()
+        ahead, self._ahead = self._ahead, {}
+        for point, rows in ahead.items():
+            viewers = [one for one in self._viewers if one.head and one.gets(point)]
+            text = head_message(point, np.concatenate(rows)) if viewers else ""
+            for viewer in viewers:
+                self._give(viewer, text)
+
+    def _send_rows(self) -> None:
         room = MAX_SENT
         for point in list(self._came):
             rows = np.concatenate(self._came.pop(point))
@@ -109,7 +129,7 @@ class LiveRows:
             self._number += 1
             text = message(self._number, point, part)
             self._keep(point, text)
-            for viewer in [one for one in self._viewers if one.points is None or point in one.points]:
+            for viewer in [one for one in self._viewers if one.gets(point)]:
                 self._give(viewer, text)
 
     def tell(self, message_tree: dict[str, Any]) -> None:
@@ -118,16 +138,16 @@ class LiveRows:
         for viewer in list(self._viewers):
             self._give(viewer, text)
 
-    def enter(self, points: frozenset[str] | None, after: int | None) -> Viewer:
+    def enter(self, points: frozenset[str] | None, after: int | None, *, head: bool = False) -> Viewer:
         """A viewer that first gets what is kept after a sequence number; where some of it is gone, that is said."""
-        viewer = Viewer(points)
+        viewer = Viewer(points, head)
         if after is not None:
             first, texts, room = self._number + 1, deque[str](), MAX_WAITING_BYTES // 2
             for number, _, point, text in reversed(self._kept):
                 if number <= after or room < len(text):
                     break
                 first = number
-                if points is None or point in points:
+                if viewer.gets(point):
                     texts.appendleft(text)
                     room -= len(text)
             if after + 1 < first:
@@ -169,16 +189,19 @@ def newest_of(rows: NDArray[Any]) -> dict[str, Any]:
 def message(number: int, point: str, rows: NDArray[Any]) -> str:
     """Rows as a viewer gets them: times in ns (UTC), values and deviations in mm, words."""
     words = WORDS["status"]
-    values, stds = np.round(rows["displacement_mm"], 6), np.round(rows["displacement_std_mm"].astype(np.float64), 6)
-    tree = {
-        "sequence": number,
-        "point": point,
-        "time": rows["time_ns"].tolist(),
-        "displacement_mm": plain(values),
-        "displacement_std_mm": plain(stds),
-        "status": [words[code] for code in rows["status"].tolist()],
-    }
+    status = [words[code] for code in rows["status"].tolist()]
+    tree = {"sequence": number, "point": point, **_columns(rows), "status": status}
     return json.dumps(tree, separators=(",", ":"))
+
+
+def head_message(point: str, rows: NDArray[Any]) -> str:
+    """The same of rows that are not final: without a number, as nothing of them is kept."""
+    return json.dumps({"type": "head", "point": point, **_columns(rows)}, separators=(",", ":"))
+
+
+def _columns(rows: NDArray[Any]) -> dict[str, Any]:
+    values, stds = np.round(rows["displacement_mm"], 6), np.round(rows["displacement_std_mm"].astype(np.float64), 6)
+    return {"time": rows["time_ns"].tolist(), "displacement_mm": plain(values), "displacement_std_mm": plain(stds)}
 
 
 def plain(values: NDArray[Any]) -> list[float | None]:

@@ -323,6 +323,13 @@ class Journal:
         new, self._given = self._rows[self._given :], len(self._rows)
         return self._rows_along(0, "", new)
 
+    def provisional(self, row: Estimate) -> Chunk | None:
+        """A row (1,) that is not given out yet as it would be kept, from the zero in force; None where it is lost."""
+        if row.status[-1] == Status.LOST:
+            return None
+        kept = KeptRows((row,), self._zero_m2)
+        return self._rows_along(0, "", [kept if self._zero is None else kept.counted_from(self._zero)])
+
     def _found_chunks(self) -> list[Chunk]:
         chunks = []
         for sensor, frames in self._found.items():

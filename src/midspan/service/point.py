@@ -342,6 +342,12 @@ class LivePoint:
         chunks = [one for one in both if one is not None]
         return join(chunks) if chunks else None
 
+    @property
+    def head(self) -> Chunk | None:
+        """With `lag` the newest row before it is smoothed: for viewers alone, never kept; None without one."""
+        row = None if self.opened is None else self.opened.point.head
+        return None if row is None or self.opened is None else self.opened.journal.provisional(row)
+
     def batch(self, *, last: bool = False) -> Batch:
         """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""
         batches, self._last = [self._journal.batch(), *self._last], []

@@ -447,6 +447,7 @@ class Service:
             one.live.tick(now_ns, away=away and one.live.plan.sources[ACCELEROMETER].startswith(MQTT))
             one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
+            self._publish_head(one)
         self._alarms.look(now_ns, self._begun)
 
     @property
@@ -528,6 +529,13 @@ class Service:
             for part in even_parts(new):
                 self._broker.publish(f"{one.name}/displacement", result_payload(part, one.results))
                 one.results += 1
+
+    def _publish_head(self, one: Running) -> None:
+        """The newest row of a point whose rows come later, before it is final: for viewers, one a tick at most."""
+        row = one.live.head if self._socket is not None and self._socket.has_readers else None
+        if row is not None and self._socket is not None and int(row.time_ns[-1]) > max(one.head_ns, one.published_ns):
+            one.head_ns = int(row.time_ns[-1])
+            self._socket.publish({"kind": "head", "point": one.name}, row_bytes(row))
 
     def _publish(self, one: Running, batch: Batch) -> None:
         for _, event in batch.events:

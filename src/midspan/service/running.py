@@ -174,6 +174,8 @@ class Running:
     profiles: dict[str, RangeFrame] = field(default_factory=dict)
     results: int = 0
     published_ns: int = 0
+    # Stamp of the newest provisional row that viewers were given.
+    head_ns: int = 0
     work: asyncio.Task[None] | None = None
     beginning: bool = False
     ended: bool = False
