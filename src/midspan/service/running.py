@@ -16,6 +16,7 @@ from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
 from midspan.service.camera_process import CameraProcess, ReadingThread
 from midspan.service.capture import capture_settings
+from midspan.service.mqtt import MAX_QUEUED
 from midspan.service.pace import ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
@@ -174,7 +175,8 @@ class Running:
     work: asyncio.Task[None] | None = None
     beginning: bool = False
     ended: bool = False
-    early: list[tuple[str, Block]] = field(default_factory=list)
+    # As many as the broker's client lets wait, should the store be away that long.
+    early: deque[tuple[str, Block]] = field(default_factory=lambda: deque(maxlen=MAX_QUEUED))
     threads: list[ReadingThread] = field(default_factory=list)
     replays: list[asyncio.Task[None]] = field(default_factory=list)
     made_s: float = field(default_factory=time.time)
