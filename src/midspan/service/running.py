@@ -4,7 +4,7 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -338,6 +338,14 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
     live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)
     streams = {name: Stream(plan.name, name, without_secrets(at)) for name, at in plan.sources.items()}
     return Running(live, streams, factors, layouts)
+
+
+def line_of(standing: Mapping[str, Any]) -> str:
+    """How points and sources stand, in a line."""
+    points, sources = standing["points"], standing["sources"]
+    words = [f"{one['point']} {one['status']}" + f" ({one['reason']})" * bool(one["reason"]) for one in points]
+    down = [f"{one['point']}/{one['source']}: {one['reason']}".lstrip("/") for one in sources if one["reason"]]
+    return "; ".join([", ".join(words), *down])
 
 
 def drafted(site: Site, names: Collection[str]) -> list[Running]:
