@@ -115,6 +115,18 @@ def test_a_point_says_what_is_prepared_and_how_long_that_still_takes(tmp_path):
     assert (point.stage, point.job.kind) == ("opening", "open")
 
 
+@pytest.mark.parametrize(("more", "phase"), [("", Phase.RUNNING), ("noise_std = 0.1", Phase.CAPTURING_TO_OPEN)])
+def test_a_point_whose_settings_have_changed_is_opened_anew(tmp_path, more, phase):
+    """Its rows go on until then with what it was opened from."""
+    point = live_point(tmp_path)
+    calibration, _ = running(point)
+    later = live_point(tmp_path, more=more)
+    later.number = 1
+    later.resumed(opened(point.settled_in, "p", calibration, 1), point.settled_in)
+    assert later.phase is phase
+    assert later.opened is not None
+
+
 def test_the_engine_says_where_a_sensors_clock_is(tmp_path):
     """As calibrated, and as it has been followed since: the displacement's stamps are 50 ms early, later on 54 ms."""
     point = live_point(tmp_path, more="estimate_offset = true")

@@ -183,5 +183,7 @@ async def change(
     try:
         answer, _ = await serving.link.ask("reload")
     except AwayError:
-        return found.model_copy(update={"text": "Written. They hold once `midspan run` is started."})
+        # One that is busy with the change before takes them up next.
+        when = "the measuring process answers" if serving.link.is_connected else "`midspan run` is started"
+        return found.model_copy(update={"text": f"Written. They hold once {when}."})
     return done(answer)

@@ -67,6 +67,7 @@ class Intake:
         """Let points use the sources that they name; they get records from `begin` on, blocks of topics at once."""
         started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
         for one in points:
+            one.ended = False
             for name, address in one.live.plan.sources.items():
                 at = connection(address)
                 if address.startswith(REPLAY):

@@ -98,10 +98,14 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     delay_s = 1.25 * point.estimator.lag_samples * interval_s(recording.acceleration.time_ns)
     found = Opened(point, journal, {}, {}, regions, bins, delay_s)
     if push:
+        # Nobody has brought all up to the last frame: what comes after the recording would be too late.
+        last_ns = int(recording.acceleration.time_ns[-1]) - round(LATENESS_S * NANOSECONDS)
         for stream, record in records_of(point, sides, tracked_cameras, block_s=BLOCK_S):
             if isinstance(record, Arrival):
                 found.counts[stream] = found.counts.get(stream, -1) + 1
                 found.newest_ns[stream] = record.newest_ns
+            elif record.time_ns > last_ns:
+                continue
             journal.given(point.push(record))
     for tracked_camera in tracked_cameras:
         tracked_camera.tracking.close()

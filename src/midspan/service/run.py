@@ -32,7 +32,7 @@ from midspan.service.paused import Paused
 from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
-from midspan.service.running import Running, checked, drafted
+from midspan.service.running import Running, checked, drafted, line_of
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
 from midspan.store.archive import archive
@@ -593,12 +593,7 @@ class Service:
 
     def _log(self) -> None:
         """One line a minute."""
-        now = self.standing()
-        words = [
-            f"{one['point']} {one['status']}" + f" ({one['reason']})" * bool(one["reason"]) for one in now["points"]
-        ]
-        down = [f"{s['point']}/{s['source']}: {s['reason']}".lstrip("/") for s in now["sources"] if s["reason"]]
-        self._say("; ".join([", ".join(words), *down]))
+        self._say(line_of(self.standing()))
         if self._note is not None:
             self._note(self.record())
 

@@ -4,7 +4,7 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +16,7 @@ from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
 from midspan.service.camera_process import CameraFeed
 from midspan.service.capture import capture_settings
+from midspan.service.mqtt import MAX_QUEUED
 from midspan.service.pace import ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
@@ -179,7 +180,8 @@ class Running:
     work: asyncio.Task[None] | None = None
     beginning: bool = False
     ended: bool = False
-    early: list[Callable[[], None]] = field(default_factory=list)
+    # As many as the broker's client lets wait, should the store be away that long.
+    early: deque[Callable[[], None]] = field(default_factory=lambda: deque(maxlen=MAX_QUEUED))
     made_s: float = field(default_factory=time.time)
     # When the job that is done began, and how long the last one of each kind took, s.
     _job_s: float | None = None
@@ -339,6 +341,14 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
     live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)
     streams = {name: Stream(plan.name, name, without_secrets(at)) for name, at in plan.sources.items()}
     return Running(live, streams, factors, layouts)
+
+
+def line_of(standing: Mapping[str, Any]) -> str:
+    """How points and sources stand, in a line."""
+    points, sources = standing["points"], standing["sources"]
+    words = [f"{one['point']} {one['status']}" + f" ({one['reason']})" * bool(one["reason"]) for one in points]
+    down = [f"{one['point']}/{one['source']}: {one['reason']}".lstrip("/") for one in sources if one["reason"]]
+    return "; ".join([", ".join(words), *down])
 
 
 def drafted(site: Site, names: Collection[str]) -> list[Running]:
