@@ -14,7 +14,7 @@ from midspan.records import NANOSECONDS
 from midspan.serve import viewers
 from midspan.serve.viewers import LiveRows
 from midspan.service.live_socket import row_bytes
-from served import rows, until
+from served import rows, state, until
 
 
 def address(served, query=""):
@@ -79,6 +79,34 @@ def test_a_viewer_gets_the_points_that_it_asked_for(served, engine, tokens, begi
 
     (found,) = asyncio.run(watch())
     assert found["point"] == "q"
+
+
+def test_changes_of_states_and_rows_that_are_not_final_come_too(served, engine, tokens):
+    head = {"kind": "head", "point": "p", "time": [1], "displacement_mm": [2.0], "displacement_std_mm": [0.1]}
+    first, second = state()["points"]
+
+    async def watch():
+        async with connect(address(served), **signed(tokens["read"])) as client:
+            # What changes by itself is no change.
+            engine.state = state(points=[{**first, "rows_age_s": 9.0}, second])
+            await asyncio.sleep(0.5)
+            engine.state = state(points=[first, {**second, "reason": "offered"}], ready=False)
+            await asyncio.to_thread(engine.say, head)
+            found = []
+            while len(found) < 2:
+                message = json.loads(await asyncio.wait_for(client.recv(), 20.0))
+                if message.get("type") in ("state", "head"):
+                    found.append(message)
+            return {one["type"]: one for one in found}
+
+    try:
+        found = asyncio.run(watch())
+    finally:
+        engine.state = state()
+    assert found["head"] == {"type": "head", **{key: value for key, value in head.items() if key != "kind"}}
+    (changed,) = found["state"]["points"]
+    assert (changed["name"], changed["reason"], changed["status"]) == ("q", "offered", "tracking")
+    assert (found["state"]["ready"], found["state"]["sources"], found["state"]["again"]) == (False, [], False)
 
 
 @pytest.mark.parametrize(

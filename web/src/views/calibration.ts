@@ -57,7 +57,8 @@ function compared(shown: CalibrationBody[]): HTMLElement {
     return el("tr", {}, el("th", { scope: "row" }, name), ...cells);
   });
   const head = el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads));
-  return el("div", { class: "wide" }, el("table", {}, head, el("tbody", {}, ...lines)));
+  const frame = { class: "wide", tabindex: 0, role: "region", "aria-label": "Calibrations side by side" };
+  return el("div", frame, el("table", {}, head, el("tbody", {}, ...lines)));
 }
 
 /** Quantities with a deviation over time, and whether they drifted. Returns how the charts end. */
