@@ -30,7 +30,7 @@ DESK_VIEWS = {
     "sources": "sources", "calibration": "calibration/quarter-span", "infrared": "camera/midspan.infrared",
     "radar": "camera/pier-3.radar", "settings": "settings",
 }  # fmt: skip
-PHONE_VIEWS = {"site": "site", "point": "point/quarter-span", "sources": "sources"}
+PHONE_VIEWS = {"point": "point/quarter-span"}
 COLOURS = 64
 
 
@@ -47,7 +47,7 @@ class Bridge:
         self.engine.site_file = str(folder / "SITE.toml")
         self.engine.state = scene.state()
         self.engine.picture = scene.picture(infrared=True), 960, 540
-        self.engine.shown = {"low": 3.4, "high": 17.9, "unit": "degC"}
+        self.engine.shown = {"low": 3.4, "high": 17.9, "unit": "degC", "time_ns": time.time_ns()}
         self.engine.answers |= {
             "profile": lambda _: scene.profile(),
             "alarms": lambda _: scene.alarms(time.time_ns()),

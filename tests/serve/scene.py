@@ -162,7 +162,7 @@ def alarms(now_ns):
     silence = {"until": iso(now_ns + 500 * minute_ns), "owner": "anna", "reason": "load test until the evening"}
     listed = [
         alarm("midspan", "serviceability", "firing", -3.42, 3.0, now_ns - 4 * minute_ns, level="critical"),
-        alarm("quarter-span", "traffic", "acknowledged", -2.31, 2.0, now_ns - 21 * minute_ns, acknowledged_by="tom"),
+        alarm("midspan", "traffic", "acknowledged", -2.31, 2.0, now_ns - 21 * minute_ns, acknowledged_by="tom"),
         alarm("pier-3", "drift", "firing", 1.26, 1.0, now_ns - 190 * minute_ns, on="drift", silence=silence),
     ]
     limits = [{"point": "quarter-span", "name": "traffic", "on": "displacement", "level": "warning", "limit": 2.0,

@@ -75,14 +75,14 @@ class Worker:
 
 
 RETRY = {"Retry-After": "5"}
-# What viewers are told of a source that is wrong.
+# What is reported to viewers of a source that is wrong.
 WRONG = ("point", "source", "reason", "text")
-# What changes by itself, and how viewers count on alone.
+# What changes from one state to the next; viewers count it down alone.
 PASSING = ("stage_left_s", "latency_s")
 
 
 def _lasting(stands: Tree) -> Tree:
-    """How a point stands, without what changes by itself."""
+    """How a point stands, without what changes from one state to the next."""
     return {key: value for key, value in stands.items() if key not in PASSING}
 
 
@@ -136,8 +136,8 @@ class Serving:
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
     _points: tuple[float, list[str]] = (-POINTS_S, [])
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
-    # What viewers were told last: how each point stands, and what is wrong.
-    _told: tuple[dict[str, Tree], Tree] = field(default_factory=lambda: ({}, {}))
+    # What was reported to viewers last: how each point stands, and what is wrong.
+    _reported: tuple[dict[str, Tree], Tree] = field(default_factory=lambda: ({}, {}))
     # Of each point: status and reason, and when they became so (ns UTC), as far as this process saw it.
     _since: dict[str, tuple[tuple[str, str], int]] = field(default_factory=dict)
 
@@ -214,7 +214,7 @@ class Serving:
         }
 
     def tell_changes(self) -> None:
-        """Tell viewers which points stand otherwise than they were told, and what is wrong: they need not ask."""
+        """Report to viewers which points stand otherwise than before, and what is wrong: they need not ask."""
         names = [str(one["point"]) for one in self.link.state.get("points", [])]
         now, standing = {name: self.stands(name) for name in names}, self.standing()
         wrong = {
@@ -222,11 +222,11 @@ class Serving:
             "sources": [{key: one[key] for key in WRONG} for one in standing["sources"] if one["reason"]],
             "settings": standing["settings"],
         }
-        before, wrong_before = self._told
+        before, wrong_before = self._reported
         changed = [one for name, one in now.items() if _lasting(one) != _lasting(before.get(name, {}))]
         if not changed and wrong == wrong_before and now.keys() == before.keys():
             return
-        self._told = now, wrong
+        self._reported = now, wrong
         self.live.tell({"type": "state", "points": changed, "again": now.keys() != before.keys(), **wrong})
 
     def standing(self) -> Tree:
