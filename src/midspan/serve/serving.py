@@ -208,9 +208,9 @@ class Serving:
             "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
             "since": None if since_ns is None else reading.iso(since_ns),
             "calibration": state.get("calibration"),
-            "stage": state.get("stage", ""),
-            "stage_left_s": state.get("stage_left_s"),
-            "latency_s": state.get("latency_s"),
+            "stage": "" if reason else state.get("stage", ""),
+            "stage_left_s": None if reason else state.get("stage_left_s"),
+            "latency_s": None if reason else state.get("latency_s"),
         }
 
     def tell_changes(self) -> None:
