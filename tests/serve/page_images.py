@@ -24,9 +24,13 @@ from served import Engine, Served, logged_in  # noqa: E402
 
 STEP_S = 0.2
 DESK, PHONE = {"width": 1180, "height": 820}, {"width": 390, "height": 780}
-# Name of the picture, the view, and what is done there before it is taken.
-DESK_VIEWS = ("site", "point", "alarms", "sources", "calibration", "camera", "compare", "settings")
-PHONE_VIEWS = ("site", "point", "sources")
+# Name of each picture and its view.
+DESK_VIEWS = {
+    "site": "site", "point": "point/quarter-span", "frequencies": "point/quarter-span", "alarms": "alarms",
+    "sources": "sources", "calibration": "calibration/quarter-span", "infrared": "camera/midspan.infrared",
+    "radar": "camera/pier-3.radar", "settings": "settings",
+}  # fmt: skip
+PHONE_VIEWS = {"point": "point/quarter-span"}
 COLOURS = 64
 
 
@@ -42,7 +46,12 @@ class Bridge:
         self.engine = Engine(self.store)
         self.engine.site_file = str(folder / "SITE.toml")
         self.engine.state = scene.state()
-        self.engine.picture = scene.picture(), 960, 540
+        self.engine.picture = scene.picture(infrared=True), 960, 540
+        self.engine.shown = {"low": 3.4, "high": 17.9, "unit": "degC", "time_ns": time.time_ns()}
+        self.engine.answers |= {
+            "profile": lambda _: scene.profile(),
+            "alarms": lambda _: scene.alarms(time.time_ns()),
+        }
         self.engine.start()
         self.served = Served(self.store)
         self._ending = threading.Event()
@@ -75,27 +84,36 @@ class Bridge:
         self.engine.end()
 
 
-def prepared(page, view):
+def prepared(page, name):
     """Wait for what a view shows, and open what it shows on demand."""
     page.wait_for_selector("main h1")
-    page.wait_for_timeout(1500)
-    if view == "point":
+    page.wait_for_timeout(2000)
+    if name == "point":
         page.get_by_role("button", name="Freeze").click()
-        page.wait_for_timeout(500)
+    elif name == "frequencies":
+        page.locator("section select").select_option("28")
+        page.get_by_role("button", name="Course of the natural frequencies").click()
+        page.get_by_text("Natural frequencies, one segment").wait_for(timeout=120_000)
+    elif name == "settings":
+        page.get_by_text("Add or remove points and sources").click()
+    page.wait_for_timeout(500)
 
 
-def taken(browser, bridge, folder, views, viewport, name, **options):
+def taken(browser, bridge, folder, views, viewport, prefix, **options):
     """A picture of each view."""
     context = browser.new_context(viewport=viewport, **options)
     at = f"http://127.0.0.1:{bridge.served.port}"
     context.request.post(f"{at}/api/v1/login", data={"user": "anna", "password": bridge.password})
-    page = context.new_page()
-    page.goto(at)
-    for view in views:
-        page.evaluate("view => location.hash = '#/' + view", view)
-        prepared(page, view)
-        file = folder / f"{name}-{view}.png"
-        page.screenshot(path=file, full_page=view != "settings")
+    for name, view in views.items():
+        page = context.new_page()
+        page.goto(f"{at}/#/{view}")
+        prepared(page, name)
+        file = folder / f"{prefix}-{name}.png"
+        if name == "frequencies":
+            page.locator("section", has=page.get_by_role("button", name="Course")).screenshot(path=file)
+        else:
+            page.screenshot(path=file, full_page=name != "settings" and prefix == "page")
+        page.close()
         smaller(file)
     context.close()
 

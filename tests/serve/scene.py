@@ -1,10 +1,12 @@
 """A made-up bridge of which every view of the page has something to show: for its tests and its pictures."""
 
 import json
+import time
 
 import cv2
 import numpy as np
 
+from midspan.alarms.messages import iso
 from midspan.records import NANOSECONDS, Event
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch, open_store
@@ -135,7 +137,7 @@ def state():
         }  # fmt: skip
 
     points = [
-        point("quarter-span", notice="offered", notice_text="A calibration is offered; accept or refuse it."),
+        point("quarter-span"),
         point("midspan"),
         point("pier-3", stage="calibrating", stage_left_s=42.0, notice="calibrating",
               notice_text="The point is being calibrated."),
@@ -143,6 +145,42 @@ def state():
     return {
         "ready": True, "points": points, "sources": sources, "settings": None, "store": {"waiting": 0, "dropped": 0}
     }  # fmt: skip
+
+
+def alarm(point, name, state, value, limit, since_ns, **changes):
+    """An alarm as the interface has it."""
+    return {
+        "id": f"{point}-{name}", "point": point, "name": name, "state": state, "level": "warning", "on": "displacement",
+        "reason": "limit", "value": value, "value_std": 0.04, "peak": value, "limit": limit, "unit": "mm",
+        "time": iso(since_ns), "since": iso(since_ns), "text": "", "acknowledged_by": "", "silence": None, **changes,
+    }  # fmt: skip
+
+
+def alarms(now_ns):
+    """What the engine says of alarms: one that fires, one that is taken care of, and how delivery stands."""
+    minute_ns = 60 * NANOSECONDS
+    silence = {"until": iso(now_ns + 500 * minute_ns), "owner": "anna", "reason": "load test until the evening"}
+    listed = [
+        alarm("midspan", "serviceability", "firing", -3.42, 3.0, now_ns - 4 * minute_ns, level="critical"),
+        alarm("midspan", "traffic", "acknowledged", -2.31, 2.0, now_ns - 21 * minute_ns, acknowledged_by="tom"),
+        alarm("pier-3", "drift", "firing", 1.26, 1.0, now_ns - 190 * minute_ns, on="drift", silence=silence),
+    ]
+    limits = [{"point": "quarter-span", "name": "traffic", "on": "displacement", "level": "warning", "limit": 2.0,
+               "unit": "mm"}]  # fmt: skip
+    targets = [{"target": "mail bridge@example.org", "waiting": 0, "sent": 12, "fault": "",
+                "sent_s": now_ns / NANOSECONDS - 240.0}]  # fmt: skip
+    return {"alarms": listed, "limits": limits, "targets": targets}
+
+
+def profile():
+    """A radar's range profile: the pier, a bank that reflects more, and noise."""
+    rng, range_m = np.random.default_rng(7), 0.12 * np.arange(256)
+    power = 1e-6 * rng.chisquare(8, 256)
+    for place_m, size in ((18.42, 0.3), (24.1, 1.0), (6.3, 0.02), (21.0, 0.01)):
+        power += size * np.exp(-(((range_m - place_m) / 0.17) ** 2))
+    target = {"bin": 153.5, "range_m": 18.42, "snr_db": 43.0}
+    return {"time_ns": time.time_ns(), "range_m": range_m.round(3).tolist(), "targets": [target],
+            "magnitude_db": (10 * np.log10(power / power.max())).round(2).tolist()}  # fmt: skip
 
 
 SITE = """name = "river bridge"
@@ -194,15 +232,16 @@ config = "radar.cfg"
 def picture(width=960, height=540, *, infrared=False):
     """A bank beyond a river with a bolted plate on it, as JPEG; infrared: as a thermal camera shows it."""
     rng = np.random.default_rng(5)
-    ramp = np.linspace(200, 90, height)[:, None] + 8 * np.sin(np.arange(width) / 90)[None, :]
-    frame = ramp + rng.normal(0, 3, (height, width))
+    warm = 70.0 if infrared else 0.0
+    ramp = np.linspace(200 - warm, 90 + warm, height)[:, None] + 8 * np.sin(np.arange(width) / 90)[None, :]
+    frame = ramp + rng.normal(0, 1, (height, width))
     frame[height // 2 :] -= 25 + 10 * np.sin(np.arange(height // 2) / 6)[:, None]
     for left, top, right, bottom, grey in (
         (60, 110, 230, 330, 95),
         (700, 150, 910, 300, 120),
         (380, 205, 580, 365, 60),
     ):
-        frame[top:bottom, left:right] = grey + rng.normal(0, 6, (bottom - top, right - left))
+        frame[top:bottom, left:right] = grey + rng.normal(0, 2, (bottom - top, right - left))
     for x in (425, 475, 525):
         for y in (260, 310):
             cv2.circle(frame, (x, y), 13, 210, -1)

@@ -14,7 +14,7 @@ from midspan.records import NANOSECONDS
 from midspan.serve import viewers
 from midspan.serve.viewers import LiveRows
 from midspan.service.live_socket import row_bytes
-from served import rows, until
+from served import rows, state, until
 
 
 def address(served, query=""):
@@ -79,6 +79,29 @@ def test_a_viewer_gets_the_points_that_it_asked_for(served, engine, tokens, begi
 
     (found,) = asyncio.run(watch())
     assert found["point"] == "q"
+
+
+def test_changes_of_states_come_too(served, engine, tokens):
+    first, second = state()["points"]
+
+    async def watch():
+        async with connect(address(served), **signed(tokens["read"])) as client:
+            # What changes by itself is no change.
+            engine.state = state(points=[{**first, "rows_age_s": 9.0}, second])
+            await asyncio.sleep(0.5)
+            engine.state = state(points=[first, {**second, "reason": "offered"}], ready=False)
+            while True:
+                message = json.loads(await asyncio.wait_for(client.recv(), 20.0))
+                if message.get("type") == "state":
+                    return message
+
+    try:
+        found = asyncio.run(watch())
+    finally:
+        engine.state = state()
+    (changed,) = found["points"]
+    assert (changed["name"], changed["reason"], changed["status"]) == ("q", "offered", "tracking")
+    assert (found["ready"], found["sources"], found["again"]) == (False, [], False)
 
 
 @pytest.mark.parametrize(

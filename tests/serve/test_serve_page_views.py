@@ -224,3 +224,46 @@ def test_a_radar_shows_its_range_profile_with_its_targets(opened, stated):
     until(lambda: any(traced(page)))
     if AXE.is_file():
         assert violations(page) == []
+
+
+def test_a_change_is_shown_at_once_and_nothing_is_asked_for_meanwhile(opened, site, stated):
+    page, asked = opened(), []
+    card = page.locator(".card").first
+    play.expect(card).to_have_attribute("data-state", "good")
+    page.on("request", lambda request: asked.append(request.url))
+    page.wait_for_timeout(3500)
+    stated(point={"status": "coasting"})
+    play.expect(card.locator(".words")).to_have_text(re.compile("^predicted"), timeout=1500)
+    source = {"reason": "silent", "text": "Nothing comes."}
+    stated(camera=source, ready=False)
+    play.expect(card.locator(".why")).to_have_text("camera: Nothing comes.", timeout=1500)
+    stated()
+    play.expect(card).to_have_attribute("data-state", "good", timeout=1500)
+    assert asked == []
+
+
+def test_a_silence_without_an_open_alarm_is_listed_and_ended(opened, site):
+    page, kept, ended = opened(""), [], []
+    kept += [{"id": f"s{k}", "point": "p", "name": f"rule {k}", "no_data": False, "until": "2030-01-01T00:00:00Z",
+              "owner": "anna", "reason": "gauge is loose"} for k in (1, 2)]  # fmt: skip
+
+    def answer(route):
+        if route.request.method == "DELETE":
+            ended.append(route.request.url.rpartition("/")[2])
+            kept.pop(0)
+            return route.fulfill(json={"text": "The silence is ended."})
+        return route.fulfill(json=kept)
+
+    page.route(re.compile("/alarms/silences"), answer)
+    page.evaluate("location.hash = '#/alarms'")
+    part = page.locator("main section", has=page.get_by_role("heading", name="Silences without"))
+    play.expect(part.locator("tbody tr")).to_have_count(2)
+    play.expect(part).to_contain_text("gauge is loose")
+    if AXE.is_file():
+        assert violations(page) == []
+    part.get_by_role("button", name="End the silence of p: rule 1").click()
+    play.expect(page.get_by_text("The silence is ended.")).to_be_visible()
+    play.expect(part.locator("tbody tr")).to_have_count(1)
+    assert ended == ["s1"]
+    part.get_by_role("button").click()
+    play.expect(part).to_be_hidden()

@@ -33,7 +33,7 @@ export function stateWords(alarm: AlarmBody): string {
 /** A value in the alarm's unit, with its 95 % band. */
 export function measured(value: number, std: number, unit: string): string {
   const half = 1.96 * std;
-  const digits = Math.min(Math.max(2 - Math.floor(Math.log10(Math.max(half, Math.abs(value) / 100, 1e-9))), 0), 6);
+  const digits = Math.min(Math.max(1 - Math.floor(Math.log10(Math.max(half, Math.abs(value) / 100, 1e-9))), 0), 6);
   return `${signed(value, digits)}${std ? ` ± ${half.toFixed(digits)}` : ""} ${unit}`;
 }
 

@@ -7,20 +7,23 @@ export interface Session {
   /** What the page is over. */
   serves: "site" | "recordings";
 }
-export interface PointState {
+/** How a point stands, without its newest row. */
+export interface PointStands {
   name: string;
   status: string | null;
   reason: string;
   text: string;
-  displacement_mm: number | null;
-  displacement_std_mm: number | null;
-  time: string | null;
-  age_s: number | null;
   since: string | null;
   calibration: number | null;
   /** capturing, calibrating or opening; empty where nothing is prepared. */
   stage?: string;
   stage_left_s?: number | null;
+}
+export interface PointState extends PointStands {
+  displacement_mm: number | null;
+  displacement_std_mm: number | null;
+  time: string | null;
+  age_s: number | null;
 }
 export interface SourceState {
   name: string;
@@ -116,6 +119,15 @@ export interface AlarmBody {
   acknowledged_by: string;
   silence: { until: string; owner: string; reason: string } | null;
 }
+/** A silence of a rule, with or without an open alarm. */
+export interface SilenceBody {
+  id: string;
+  point: string;
+  name: string;
+  until: string;
+  owner: string;
+  reason: string;
+}
 export interface TargetBody {
   target: string;
   waiting: number;
@@ -201,6 +213,11 @@ export async function post<T>(path: string, body?: unknown): Promise<T> {
     body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
   const answer = await ask(path, { method: "POST", ...content });
   return (answer.status === 204 ? undefined : await answer.json()) as T;
+}
+
+/** DELETE: the server's sentence. */
+export async function remove(path: string): Promise<string> {
+  return ((await (await ask(path, { method: "DELETE" })).json()) as { text: string }).text;
 }
 
 /** A session that goes on; null where there is none, after `whenOver` was called. */

@@ -1,6 +1,6 @@
 // Live rows over the websocket: connected again after a cut from the newest sequence on, so that no row is missing.
 
-import type { AlarmBody, Rows } from "./api.ts";
+import type { AlarmBody, Health, PointStands, Rows } from "./api.ts";
 import type { Head } from "./rows.ts";
 
 export interface RowsMessage extends Rows {
@@ -24,8 +24,14 @@ export interface HeadMessage extends Head {
   type: "head";
   point: string;
 }
+/** How points stand that stand otherwise than before, and all that is wrong; again: other points are there. */
+export interface StateMessage extends Omit<Health, "points"> {
+  type: "state";
+  points: PointStands[];
+  again: boolean;
+}
 export type AlarmMessage = AlarmBody & { type: "alarm" };
-export type Message = RowsMessage | EventMessage | GapMessage | HeadMessage | AlarmMessage;
+export type Message = RowsMessage | EventMessage | GapMessage | HeadMessage | StateMessage | AlarmMessage;
 
 // Tried again after, ms: at first at once, later as a server's restart takes seconds.
 const FIRST_MS = 250;
@@ -35,6 +41,8 @@ const SILENT_MS = 15_000;
 
 export class Live {
   connected = false;
+  /** Called at each connection: what changed meanwhile did not come. */
+  opened: () => void = () => undefined;
   /** When something came last, ms of performance.now(). */
   heard = 0;
   #sequence = 0;
@@ -70,14 +78,15 @@ export class Live {
   }
 
   #connect(): void {
-    const after = this.#sequence ? `?after=${this.#sequence}` : "";
+    const after = this.#sequence ? `&after=${this.#sequence}` : "";
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/api/v1/live${after}`);
+    const socket = new WebSocket(`${scheme}://${location.host}/api/v1/live?head=true${after}`);
     this.#socket = socket;
     socket.onopen = () => {
       this.connected = true;
       this.heard = performance.now();
       this.#wait = FIRST_MS;
+      this.opened();
     };
     socket.onmessage = (event: MessageEvent<string>) => this.#came(JSON.parse(event.data) as Message);
     socket.onclose = () => {

@@ -127,7 +127,8 @@ async function beginRecordings(): Promise<void> {
 
 async function begin(of: Session): Promise<void> {
   await (of.serves === "site" ? beginSite(of) : beginRecordings());
-  main.focus();
+  // What is above it, as the views' names, stays in sight.
+  main.focus({ preventScroll: true });
 }
 
 /** Nobody is logged in: what was shown ends. */

@@ -2,11 +2,14 @@
 
 import type { AlarmBody, Health, PointState, Session } from "./api.ts";
 import { Away, get, Refused } from "./api.ts";
-import { Live, type Message } from "./live.ts";
+import { type HeadMessage, Live, type Message, type StateMessage } from "./live.ts";
 import { type Head, Newest } from "./rows.ts";
 
-// States change in seconds, and rows come in between, ms.
-const ASK_MS = 3000;
+// Changes come on their own; whether anything has to be asked for is looked at so often, ms: where nothing comes, or a
+// point prepares something whose end is counted down, it is asked for then.
+const LOOK_MS = 3000;
+// The clock of the server, and what a change may have missed, is asked for this often, ms.
+const ASK_MS = 30_000;
 // Alarms come on their own as they change; what a cut hid is asked for this often, ms.
 const ALARMS_MS = 30_000;
 // What is kept of live rows for traces, s.
@@ -29,12 +32,17 @@ export class SiteState {
   clockMs = 0;
   #timer = 0;
   #alarmsMs = -Infinity;
+  #askedMs = -Infinity;
+  // When stages were told last.
+  #stagesMs = 0;
   #changes = 0;
+  #states = 0;
   #stopped = false;
 
   constructor(session: Session) {
     this.session = session;
     this.live.listen((message) => this.#came(message));
+    this.live.opened = () => (this.#askedMs = -Infinity);
   }
 
   /** Whether what is shown is of now. */
@@ -46,6 +54,7 @@ export class SiteState {
   async start(): Promise<void> {
     this.live.open();
     await this.#ask();
+    this.#look();
   }
 
   stop(): void {
@@ -83,7 +92,7 @@ export class SiteState {
   /** How long what a point prepares still takes, s; null where that is not known. */
   leftS(point: PointState): number | null {
     if (point.stage_left_s == null) return null;
-    return Math.max(point.stage_left_s - (performance.now() - this.answered) / 1000, 0);
+    return Math.max(point.stage_left_s - (performance.now() - this.#stagesMs) / 1000, 0);
   }
 
   rowsOf(name: string): Newest {
@@ -97,13 +106,28 @@ export class SiteState {
     return this.fresh ? (this.heads.get(name) ?? null) : null;
   }
 
+  /** Ask where that is due, again and again. */
+  #look(): void {
+    if (this.#stopped) return;
+    this.live.check();
+    const now = performance.now();
+    const isSilent = now - Math.max(this.live.heard, this.#askedMs) > LOOK_MS - 100;
+    const isPrepared = this.points.some((one) => one.stage);
+    if (this.trouble || isSilent || isPrepared || now - this.#askedMs > ASK_MS) void this.#ask();
+    this.#timer = window.setTimeout(() => this.#look(), LOOK_MS);
+  }
+
   async #ask(): Promise<void> {
-    window.clearTimeout(this.#timer);
+    this.#askedMs = performance.now();
+    const before = this.#states;
     try {
       const [points, health] = await Promise.all([get<PointState[]>("/points"), get<Health>("/health")]);
       const dated = points.find((one) => one.time !== null && one.age_s !== null);
       if (dated) this.clockMs = Date.parse(dated.time ?? "") + 1000 * (dated.age_s ?? 0) - Date.now();
-      [this.points, this.health, this.trouble, this.answered] = [points, health, "", performance.now()];
+      [this.trouble, this.answered] = ["", performance.now()];
+      // A change that came meanwhile is newer than the answer.
+      if (this.#states === before) [this.points, this.health, this.#stagesMs] = [points, health, performance.now()];
+      else this.#askedMs = -Infinity;
       if (performance.now() - this.#alarmsMs > ALARMS_MS) await this.askAlarms();
     } catch (error) {
       if (error instanceof Refused && error.status === 401) return;
@@ -111,16 +135,14 @@ export class SiteState {
       this.#alarmsMs = -Infinity;
       this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
     }
-    if (this.#stopped) return;
-    this.live.check();
-    this.#timer = window.setTimeout(() => void this.#ask(), ASK_MS);
   }
 
   #came(message: Message): void {
     // What is missing is in the store alone: rows on both sides of it would look like a gap.
     if ("type" in message && message.type === "gap") this.newest.clear();
     if ("type" in message && message.type === "alarm") this.#changed(message);
-    if ("type" in message && message.type === "head") this.heads.set(message.point, message);
+    if ("type" in message && message.type === "state") this.#stands(message);
+    if ("type" in message && message.type === "head") this.#ahead(message);
     if (!("sequence" in message)) return;
     this.rowsOf(message.point).add(message);
     const point = this.point(message.point);
@@ -130,6 +152,34 @@ export class SiteState {
       point.displacement_mm = message.displacement_mm[last] ?? null;
       point.displacement_std_mm = message.displacement_std_mm[last] ?? null;
     }
+  }
+
+  #stands({ points, ready, sources, settings, again }: StateMessage): void {
+    this.#states += 1;
+    this.health = { points: [], ready, sources, settings };
+    for (const stands of points) {
+      const point = this.point(stands.name);
+      // Of a point that nothing measures the newest row says how it stood.
+      if (point) Object.assign(point, stands, stands.status === null ? { status: point.status } : {});
+    }
+    if (points.length) this.#stagesMs = performance.now();
+    if (again) void this.#ask();
+  }
+
+  /** Provisional rows: they follow those that are there, until final rows take their place. */
+  #ahead({ point, ...came }: HeadMessage): void {
+    const { time } = this.rowsOf(point).rows;
+    const finalNs = time[time.length - 1] ?? 0;
+    const before = this.heads.get(point);
+    const first = came.time[0] ?? 0;
+    const stays = (before?.time ?? []).map((one) => one > finalNs && one < first);
+    const joined = (values: "time" | "displacement_mm" | "displacement_std_mm") =>
+      [...(before?.[values] ?? []).filter((_, at) => stays[at]), ...came[values]] as number[];
+    this.heads.set(point, {
+      time: joined("time"),
+      displacement_mm: joined("displacement_mm"),
+      displacement_std_mm: joined("displacement_std_mm"),
+    });
   }
 
   #changed(alarm: AlarmBody): void {

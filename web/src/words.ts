@@ -10,7 +10,8 @@ export function withBand(value: number | null, std: number | null): string {
 }
 
 export function signed(value: number, digits: number): string {
-  return value < 0 ? `−${Math.abs(value).toFixed(digits)}` : value.toFixed(digits);
+  const text = Math.abs(value).toFixed(digits);
+  return value < 0 && Number(text) !== 0 ? `−${text}` : text;
 }
 
 /** A value with one standard deviation, in two digits of that. */

@@ -115,7 +115,7 @@ def course(segments: list[Segment]) -> Tree:
     kept = [one for one in segments if one is not None]
     times = [begin_ns for begin_ns, _ in kept]
     if not kept:
-        text = f"There are no rows of {SEGMENT_S // 120} minutes or more at a stretch in that time."
+        text = f"There are no rows of {SEGMENT_S // 120} minutes or more without a break in that time."
         return {"time": [], "modes": [], "reason": text}
     groups = [one for one in grouped([modes for _, modes in kept]) if len(one) >= MIN_SHARE * len(kept)]
     keys = ("frequency_hz", "frequency_std_hz", "rms_mm")

@@ -17,7 +17,6 @@ from midspan.serve.login import OPERATE, READ
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
-from midspan.service.reasons import sentence
 
 # What a file of rows may take, s, and how many are made at a time.
 EXPORT_S = 900.0
@@ -227,22 +226,13 @@ async def _decided(serving: Serving, command: str, name: str, number: int) -> Do
 
 async def point_state(serving: Serving, name: str) -> Tree:
     """A point as `PointState` has it: of the rows that came last, else of the store's newest."""
-    reason = serving.link.reason
-    state: Tree = next((one for one in serving.link.state.get("points", []) if one["point"] == name), {})
-    known, now_s = await serving.newest(name), time.time()
-    time_ns, since_ns = known.get("time_ns"), serving.since_ns(name)
+    known, now_s, stands = await serving.newest(name), time.time(), serving.stands(name)
+    time_ns = known.get("time_ns")
     return {
-        "name": name,
-        "status": known.get("status") if reason or not state else state["status"],
-        "reason": reason or state.get("reason") or state.get("notice", ""),
-        "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
+        **stands,
+        "status": known.get("status") if stands["status"] is None else stands["status"],
         "displacement_mm": known.get("displacement_mm"),
         "displacement_std_mm": known.get("displacement_std_mm"),
         "time": None if time_ns is None else reading.iso(time_ns),
         "age_s": None if time_ns is None else reading.age_s(time_ns, now_s),
-        "since": None if since_ns is None else reading.iso(since_ns),
-        "calibration": state.get("calibration"),
-        "stage": "" if reason else state.get("stage", ""),
-        "stage_left_s": None if reason else state.get("stage_left_s"),
-        "latency_s": None if reason else state.get("latency_s"),
     }

@@ -66,9 +66,14 @@ async def _first_state(serving: Serving) -> None:
 
 
 async def _sending(serving: Serving) -> None:
+    reason = ""
     while True:
         await asyncio.sleep(SEND_S)
         serving.live.send()
+        # That no process measures any more comes in no message of its.
+        if serving.link.reason != reason:
+            reason = serving.link.reason
+            serving.tell_changes()
 
 
 def more_descriptors() -> None:

@@ -75,6 +75,15 @@ class Worker:
 
 
 RETRY = {"Retry-After": "5"}
+# What is reported to viewers of a source that is wrong.
+WRONG = ("point", "source", "reason", "text")
+# What changes from one state to the next; viewers count it down alone.
+PASSING = ("stage_left_s", "latency_s")
+
+
+def _lasting(stands: Tree) -> Tree:
+    """How a point stands, without what changes from one state to the next."""
+    return {key: value for key, value in stands.items() if key not in PASSING}
 
 
 def thread() -> Executor:
@@ -127,6 +136,8 @@ class Serving:
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
     _points: tuple[float, list[str]] = (-POINTS_S, [])
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
+    # What was reported to viewers last: how each point stands, and what is wrong.
+    _reported: tuple[dict[str, Tree], Tree] = field(default_factory=lambda: ({}, {}))
     # Of each point: status and reason, and when they became so (ns UTC), as far as this process saw it.
     _since: dict[str, tuple[tuple[str, str], int]] = field(default_factory=dict)
 
@@ -145,6 +156,7 @@ class Serving:
                 now = (str(one["status"]), str(one["reason"] or one.get("notice", "")))
                 if self._since.get(str(one["point"]), (None, 0))[0] != now:
                     self._since[str(one["point"])] = (now, time.time_ns())
+            self.tell_changes()
         elif head["kind"] in ("event", "alarm"):
             self.live.tell({"type": head["kind"], **{key: value for key, value in head.items() if key != "kind"}})
 
@@ -185,6 +197,39 @@ class Serving:
     def since_ns(self, name: str) -> int | None:
         """When a point's status and reason became what they are, ns UTC; None where nothing measures it."""
         return None if self.link.reason else self._since.get(name, (None, None))[1]
+
+    def stands(self, name: str) -> Tree:
+        """How a point stands, without its newest row; status: None where nothing measures it."""
+        reason = self.link.reason
+        state: Tree = next((one for one in self.link.state.get("points", []) if one["point"] == name), {})
+        since_ns = self.since_ns(name)
+        return {
+            "name": name,
+            "status": None if reason or not state else state["status"],
+            "reason": reason or state.get("reason") or state.get("notice", ""),
+            "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
+            "since": None if since_ns is None else reading.iso(since_ns),
+            "calibration": state.get("calibration"),
+            "stage": "" if reason else state.get("stage", ""),
+            "stage_left_s": None if reason else state.get("stage_left_s"),
+            "latency_s": None if reason else state.get("latency_s"),
+        }
+
+    def tell_changes(self) -> None:
+        """Report to viewers which points stand otherwise than before, and what is wrong: they need not ask."""
+        names = [str(one["point"]) for one in self.link.state.get("points", [])]
+        now, standing = {name: self.stands(name) for name in names}, self.standing()
+        wrong = {
+            "ready": standing["ready"],
+            "sources": [{key: one[key] for key in WRONG} for one in standing["sources"] if one["reason"]],
+            "settings": standing["settings"],
+        }
+        before, wrong_before = self._reported
+        changed = [one for name, one in now.items() if _lasting(one) != _lasting(before.get(name, {}))]
+        if not changed and wrong == wrong_before and now.keys() == before.keys():
+            return
+        self._reported = now, wrong
+        self.live.tell({"type": "state", "points": changed, "again": now.keys() != before.keys(), **wrong})
 
     def standing(self) -> Tree:
         """As /readyz shows it: of the newest state, or why there is none."""

@@ -75,6 +75,14 @@ PICTURE_HEADERS = {
 stand for where they are no grey levels: degC, or counts.
 """
 
+
+def pictured(about: Tree, jpeg: bytes) -> Response:
+    """A picture as an answer, with those headers that something is known for."""
+    found = {key: about.get(value) for key, value in PICTURE_HEADERS.items()}
+    headers = {key: str(value) for key, value in found.items() if value not in (None, "")}
+    return Response(jpeg, media_type="image/jpeg", headers=headers)
+
+
 routes = APIRouter(prefix="/sources", tags=["sources"])
 COMMANDED = declared(401, 403, 404, 409, 413, 415, 422)
 SHOWN = declared(401, 403, 404, 409, 422)
@@ -108,9 +116,7 @@ async def sources(serving: Shared) -> list[Tree]:
 async def picture(name: str, serving: Shared) -> Response:
     """A camera's newest frame, whole; there are two a second at most."""
     answer, body = await newest(serving, name, "picture")
-    found = {key: answer.get(value) for key, value in PICTURE_HEADERS.items()}
-    headers = {key: str(value) for key, value in found.items() if value not in (None, "")}
-    return Response(body, media_type="image/jpeg", headers=headers)
+    return pictured(answer, body)
 
 
 @routes.get(

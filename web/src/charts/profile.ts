@@ -55,6 +55,7 @@ export class ProfileChart {
     ctx.strokeStyle = ctx.fillStyle = colour("second");
     ctx.setLineDash([4 * px, 4 * px]);
     ctx.lineWidth = px;
+    ctx.textAlign = "left";
     ctx.font = `${12 * px}px system-ui, sans-serif`;
     for (const { x, text } of this.#marks) {
       const at = plot.valToPos(x, "x", true);

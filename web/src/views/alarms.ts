@@ -1,6 +1,6 @@
 // Alarms: those that are open, silenced and past; acknowledge, silence, test; where they go and what became of them.
 
-import { type AlarmBody, type AuditBody, get, post, type TargetBody } from "../api.ts";
+import { type AlarmBody, type AuditBody, get, post, remove, type SilenceBody, type TargetBody } from "../api.ts";
 import { measured, QUANTITY, stateWords, urgency } from "../alarms.ts";
 import { button, el, line, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
@@ -14,6 +14,7 @@ const ASK_MS = 3000;
 const LISTS_EVERY = 10;
 const LISTED = 200;
 const OPEN_COLUMNS = ["Point", "Alarm", "State", "Of", "Value", "Limit", "Since", "Silence", ""];
+const SILENCE_COLUMNS = ["Point", "Alarm", "Silent until", "By", "Reason", ""];
 const PAST_COLUMNS = ["Point", "Alarm", "Level", "Largest", "Limit", "Since", "Ended"];
 const TARGET_COLUMNS = ["Target", "State", "Waiting", "Delivered", "Newest"];
 const AUDIT_COLUMNS = ["Time", "What", "By", "Text"];
@@ -74,11 +75,13 @@ class AlarmsView {
   #summary = el("p", { class: "summary", role: "status" });
   #open = el("tbody");
   #silenced = el("tbody");
+  #silences = el("tbody");
   #past = el("tbody");
   #targets = el("tbody");
   #audit = el("tbody");
   #undelivered = el("p", { class: "wrong" });
   #silencedPart: HTMLElement;
+  #silencesPart: HTMLElement;
   #ends: (() => void)[] = [];
   #soon = 0;
   #count = 0;
@@ -86,12 +89,19 @@ class AlarmsView {
   constructor(root: HTMLElement, site: SiteState) {
     this.#site = site;
     this.#silencedPart = el("section", {}, el("h2", {}, "Silenced"), table(OPEN_COLUMNS, this.#silenced));
+    this.#silencesPart = el(
+      "section",
+      { hidden: true },
+      el("h2", {}, "Silences without an open alarm"),
+      table(SILENCE_COLUMNS, this.#silences),
+    );
     root.replaceChildren(
       el("h1", {}, "Alarms"),
       this.#summary,
       this.#said,
       el("section", {}, el("h2", {}, "Open"), table(OPEN_COLUMNS, this.#open)),
       this.#silencedPart,
+      this.#silencesPart,
       el("section", {}, el("h2", {}, "Past 30 days"), table(PAST_COLUMNS, this.#past)),
       el(
         "section",
@@ -136,6 +146,8 @@ class AlarmsView {
   }
 
   async #askLists(): Promise<void> {
+    // Where nothing answers that, none is shown.
+    this.#showSilences(await get<SilenceBody[]>("/alarms/silences").catch((): SilenceBody[] => []));
     try {
       const asked = [get<AlarmBody[]>("/alarms?state=ended"), get<AuditBody[]>("/alarms/audit")] as const;
       const [past, audit] = await Promise.all(asked);
@@ -169,6 +181,31 @@ class AlarmsView {
     this.#silencedPart.hidden = !this.#silenced.children.length;
   }
 
+  /** Silences of rules whose alarm is not open: those of open ones stand with these. */
+  #showSilences(all: SilenceBody[]): void {
+    const isShown = (one: SilenceBody) =>
+      this.#site.alarms.some(({ point, name, silence }) => point === one.point && name === one.name && silence);
+    const rest = all.filter((one) => !isShown(one));
+    this.#silencesPart.hidden = !rest.length;
+    const lines = rest.map(({ point, name, until, owner, reason }) => [point, name, when(until), owner, reason, ""]);
+    if (!fill(this.#silences, SILENCE_COLUMNS, lines) || !this.#may) return;
+    rest.forEach((one, at) => {
+      const end = button("End the silence", () => void this.#endSilence(one), {
+        "aria-label": `End the silence of ${one.point}: ${one.name}`,
+      });
+      this.#silences.children[at]?.lastElementChild?.append(end);
+    });
+  }
+
+  async #endSilence(of: SilenceBody): Promise<void> {
+    try {
+      say(this.#said, await remove(`/alarms/silences/${encodeURIComponent(of.id)}`));
+    } catch (error) {
+      say(this.#said, sentenceOf(error));
+    }
+    await this.#askLists();
+  }
+
   #act(alarm: AlarmBody, what: string): void {
     const path = `/alarms/${encodeURIComponent(alarm.id)}/${what}`;
     if (what !== "silence") return void this.#command(path);
@@ -182,6 +219,7 @@ class AlarmsView {
       say(this.#said, sentenceOf(error));
     }
     await this.#ask();
+    await this.#askLists();
   }
 
   #showTargets(targets: TargetBody[]): void {
@@ -211,11 +249,12 @@ function auditTexts(one: AuditBody): string[] {
   return [when(one.time), one.what, one.who || "midspan", one.text];
 }
 
-/** Fill a table where its texts have changed. */
-function fill(into: HTMLElement, columns: string[], lines: string[][], none = "None."): void {
+/** Fill a table where its texts have changed; whether they have. */
+function fill(into: HTMLElement, columns: string[], lines: string[][], none = "None."): boolean {
   const now = JSON.stringify(lines);
-  if (into.dataset["shown"] === now) return;
+  if (into.dataset["shown"] === now) return false;
   into.dataset["shown"] = now;
   const shown = lines.length ? lines : [[none, ...columns.slice(1).map(() => "")]];
   into.replaceChildren(...shown.map((texts) => line(columns, texts)));
+  return true;
 }

@@ -24,10 +24,9 @@ const STAGES: Record<string, string> = {
 
 /** A change in words: relative where the value is no offset, and in deviations. */
 function changeWords({ by, sigmas }: Change, from: Quantity): string {
-  const sign = by < 0 ? "" : "+";
   const isOffset = from.unit === "ms";
   const text = isOffset ? `${signed(by, 2)} ${from.unit}` : `${signed((100 * by) / Math.abs(from.value), 2)} %`;
-  return `${sign}${text}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
+  return `${text.startsWith("−") ? "" : "+"}${text}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
 }
 
 const isSure = ({ sigmas }: Change) => (sigmas ?? 0) > CHANGED_SIGMAS;
@@ -57,7 +56,8 @@ function compared(shown: CalibrationBody[]): HTMLElement {
     return el("tr", {}, el("th", { scope: "row" }, name), ...cells);
   });
   const head = el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads));
-  return el("div", { class: "wide" }, el("table", {}, head, el("tbody", {}, ...lines)));
+  const frame = { class: "wide", tabindex: 0, role: "region", "aria-label": "Calibrations side by side" };
+  return el("div", frame, el("table", {}, head, el("tbody", {}, ...lines)));
 }
 
 /** Quantities with a deviation over time, and whether they drifted. Returns how the charts end. */

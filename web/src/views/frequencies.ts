@@ -29,7 +29,7 @@ export class FrequencyPanel {
   root = el("section");
   #days = "7";
   #said = el("p", { role: "status" });
-  #list = el("ul", { class: "changes" });
+  #list = el("ul", { class: "keys" });
   #frame = el("div");
   #end: () => void = () => undefined;
   #asking: AbortController | null = null;

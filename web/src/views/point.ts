@@ -85,7 +85,7 @@ class PointView {
     );
     this.#ends.push(
       site.live.listen((message) => {
-        if (!("sequence" in message)) this.#askedMs = 0;
+        if ("type" in message && ["event", "gap"].includes(message.type)) this.#askedMs = 0;
       }),
       repeat(() => this.#tick(), DRAW_MS),
     );

@@ -20,7 +20,7 @@ from midspan.serve.recordings import reading
 from midspan.serve.recordings.desk import Desk, desk_of
 from midspan.serve.recordings.tickets import Ticket
 from midspan.serve.settings_file import TEXT, on_trial, require_unchanged, tag_of, text_of
-from midspan.serve.sources import PICTURE_HEADERS
+from midspan.serve.sources import pictured
 from midspan.settings.stored.calibration import CALIBRATION_FILE
 from midspan.vision.tracker import TRACKERS
 from midspan.writing import write_whole
@@ -131,8 +131,7 @@ async def contents(number: int, desk: Opened) -> Tree:
 async def picture(number: int, camera: str, desk: Opened) -> Response:
     """A camera's first frame."""
     body, tree = await desk.long.run(reading.first_frame, str(desk.require(number)), camera, longest_s=LOOK_S)
-    headers = {key: str(tree[value]) for key, value in PICTURE_HEADERS.items()}
-    return Response(body, media_type="image/jpeg", headers=headers)
+    return pictured(tree, body)
 
 
 @routes.get(
