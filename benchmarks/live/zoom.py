@@ -1,9 +1,9 @@
 """From a zoom to its picture, and from an address to the first trace.
 
 `python -m benchmarks.live.zoom [STORE]`: a day of 100 Hz and a year (a row each 160 s: years are drawn of least and
-largest values of blocks) in a SQLite store, made where there is none, behind `midspan serve`. Through the interface: 2000
-buckets that end at other instants each time. In the browser, where one is installed: from the choice of a time until its
-answer is drawn, and from an address to the first trace, with empty caches.
+largest values of blocks) in a SQLite store, made where there is none, behind `midspan serve`. Through the interface:
+2000 buckets that end at other instants each time. In the browser, where there is one: from the choice of a time until
+its answer is drawn, and from an address to the first trace, with empty caches.
 """
 
 import sys
@@ -76,7 +76,7 @@ def drawn_ms(context: Any, served: ServedStore) -> None:
     page = context.new_page()
     for point in ("day", "year"):
         page.goto(f"{served.address}/#/point/{point}")
-        page.locator("dl.figures").filter(has_text="mm").wait_for()
+        page.get_by_label("Shown").wait_for()
         for name, (own, _, limit_ms) in ZOOMS.items():
             if own == point:
                 took_ms = []

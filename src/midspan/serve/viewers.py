@@ -183,8 +183,9 @@ def message(number: int, point: str, rows: NDArray[Any]) -> str:
 
 def plain(values: NDArray[Any]) -> list[float | None]:
     """Numbers as JSON has them: what is not finite is null."""
-    found: list[float | None] = values.tolist()
-    return found if np.isfinite(values).all() else [_finite(one) for one in values.tolist()]
+    good = np.isfinite(values)
+    found: list[float | None] = (values if good.all() else np.where(good, values, None)).tolist()
+    return found
 
 
 def _finite(value: float) -> float | None:
