@@ -183,8 +183,9 @@ def message(number: int, point: str, rows: NDArray[Any]) -> str:
 
 def plain(values: NDArray[Any]) -> list[float | None]:
     """Numbers as JSON has them: what is not finite is null."""
-    good = np.isfinite(values)
-    found: list[float | None] = (values if good.all() else np.where(good, values, None)).tolist()
+    shown = values.astype(object)
+    shown[~np.isfinite(values)] = None
+    found: list[float | None] = shown.tolist()
     return found
 
 
