@@ -55,8 +55,8 @@ async def watching(port: int, token: str, late_s: list[float], until_s: float) -
     """A viewer of all points' live rows, which notes how old the newest row of each message is."""
     from websockets.asyncio.client import connect
 
-    headers = {"Authorization": f"Bearer {token}"}
-    async with connect(f"ws://127.0.0.1:{port}/api/v1/live", additional_headers=headers) as socket:
+    headers, address = {"Authorization": f"Bearer {token}"}, f"ws://127.0.0.1:{port}/api/v1/live"
+    async with connect(address, additional_headers=headers, open_timeout=60.0, ping_timeout=None) as socket:
         while time.monotonic() < until_s:
             with contextlib.suppress(TimeoutError):
                 tree = json.loads(await asyncio.wait_for(socket.recv(), 1.0))
