@@ -62,7 +62,8 @@ def readings_mb(started: Any, folder: Path, hours: float, readings: int = READIN
         for point in POINTS:
             feed.give(rows(point, at_ns, PAGE_KEEPS_S))
         at_ns += round(PAGE_KEEPS_S * NANOSECONDS)
-        page.clock.run_for(round(1e3 * PAGE_KEEPS_S))
+        page.wait_for_timeout(4 * SETTLED_MS)
+        page.clock.run_for(round(1e3 * STEP_S))
         steps = round(hours * 3600.0 / STEP_S)
         for step in range(steps):
             for point in POINTS:
