@@ -144,7 +144,9 @@ async def series(
             raise Problem(422, "format: must be json with buckets; arrow is for rows. Leave one of them out.")
         if span[1] - span[0] < buckets:
             raise Problem(422, "buckets: must be at least 1 ns long. Ask for fewer.")
-        worker = serving.quick if span[1] - span[0] <= QUICK_S * NANOSECONDS else serving.long
+        length_s = (span[1] - span[0]) / NANOSECONDS
+        # Of months there are least and largest values of blocks, which are few.
+        worker = serving.long if QUICK_S < length_s <= reading.SECONDS_S else serving.quick
         return JSONResponse(await worker.run(reading.buckets, serving.where, name, *span, buckets))
     work = reading.series_json if format == "json" else reading.series_arrow
     body = await serving.long.run(work, serving.where, name, *span)

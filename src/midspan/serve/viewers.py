@@ -206,8 +206,10 @@ def _columns(rows: NDArray[Any]) -> dict[str, Any]:
 
 def plain(values: NDArray[Any]) -> list[float | None]:
     """Numbers as JSON has them: what is not finite is null."""
-    found: list[float | None] = values.tolist()
-    return found if np.isfinite(values).all() else [_finite(one) for one in values.tolist()]
+    shown = values.astype(object)
+    shown[~np.isfinite(values)] = None
+    found: list[float | None] = shown.tolist()
+    return found
 
 
 def _finite(value: float) -> float | None:
