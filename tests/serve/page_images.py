@@ -136,10 +136,12 @@ def main(folder=ROOT / "docs" / "images"):
         bridge = Bridge(Path(name))
         program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
         browser = play.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        taken(browser, bridge, Path(folder), DESK_VIEWS, DESK, "page", color_scheme="light")
-        taken(browser, bridge, Path(folder), PHONE_VIEWS, PHONE, "page-phone", color_scheme="dark", has_touch=True)
-        browser.close()
-        bridge.stop()
+        try:
+            taken(browser, bridge, Path(folder), DESK_VIEWS, DESK, "page", color_scheme="light")
+            taken(browser, bridge, Path(folder), PHONE_VIEWS, PHONE, "page-phone", color_scheme="dark", has_touch=True)
+        finally:
+            browser.close()
+            bridge.stop()
 
 
 if __name__ == "__main__":
