@@ -84,7 +84,8 @@ def test_of_two_who_acknowledge_at_once_one_is_told(store_folder, engine, served
     for k in range(10):
         watch.rows("p", swinging(time.time_ns() + k * NANOSECONDS // 5, "p", 50.0), time.time_ns())
     (one,) = [tree for tree in watch.trees() if tree["state"] == "firing"]
-    engine.answers = {
+    before = engine.answers
+    engine.answers = before | {
         "alarms": lambda _: {"alarms": watch.trees(), "limits": [], "targets": []},
         "acknowledge": lambda head: {"text": watch.acknowledge(head["alarm"], head["who"], time.time_ns())},
     }
@@ -103,7 +104,7 @@ def test_of_two_who_acknowledge_at_once_one_is_told(store_folder, engine, served
         for thread in threads:
             thread.join(30.0)
     finally:
-        engine.answers = {}
+        engine.answers = before
     done, refused = sorted(answers, key=lambda one: one.status_code)
     assert (done.status_code, refused.status_code) == (200, 409)
     assert "is acknowledged" in refused.json()["detail"]

@@ -27,6 +27,7 @@ SCOPES = {
     ("POST", "/api/v1/alarms/{number}/acknowledge"): "operate",
     ("POST", "/api/v1/alarms/{number}/silence"): "operate",
     ("POST", "/api/v1/alarms/{number}/unsilence"): "operate",
+    ("DELETE", "/api/v1/alarms/silences/{number}"): "operate",
     ("GET", "/api/v1/settings"): "admin",
     ("PUT", "/api/v1/settings"): "admin",
     ("POST", "/api/v1/logout"): "read",

@@ -46,7 +46,8 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     if AXE.is_file():
         assert violations(page) == []
-    stated(camera={"faults": 0})
+    unknown = dict.fromkeys(("nominal_rate_hz", "delay_s", "clock_offset_s", "clock_offset_std_s", "clock_drift_ppm"))
+    stated(camera={"faults": 0, "late": 0, "restarts": 0, **unknown})
     play.expect(row.locator("[data-name='Left out']")).to_have_text("none")
     for name in ("Delay", "Clock ± σ"):
         play.expect(row.locator(f"[data-name='{name}']")).to_be_empty()

@@ -95,7 +95,8 @@ def on_trial(file: Path, content: bytes) -> Iterator[Path]:
 async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
     """What settings would change. Raises Problem 422 with the key for those that a site could not run with."""
     with on_trial(file, content) as trial:
-        sizes_px = {name: (tree["width"], tree["height"]) for name, (_, tree, _) in serving.pictures.items()}
+        shown = {name: tree for name, (_, tree, _) in serving.pictures.items() if "width" in tree}
+        sizes_px = {name: (tree["width"], tree["height"]) for name, tree in shown.items()}
         changes = await serving.quick.run(changes_of, file, trial, sizes_px)
         try:
             answer, _ = await serving.link.ask("reload", trial=str(trial))
