@@ -29,8 +29,8 @@ from midspan.records import NANOSECONDS
 POINTS, RATE_HZ, SHAPE = 4, 15, (240, 320)
 VIEWERS, SLOW, STALLED, TRY_LATER = 50, 20, 5, 503
 LENGTH_S, READY_S, SETTLED_S = 60.0, 300.0, 10.0
-# As the page asks: points and health, pictures, the trace of a view; s.
-ASKED_S, PICTURE_S, TRACE_S, TRACE_NS = 3.0, 0.5, 3.0, 60 * NANOSECONDS
+# As the page asks, s: points and health, pictures, and the trace of a minute, which live rows go on with.
+ASKED_S, PICTURE_S, TRACE_S, TRACE_NS = 30.0, 0.5, 100.0, 60 * NANOSECONDS
 # Published rows may be this much later beside viewers, ms: a tenth of what they take; less is chance.
 UNCHANGED_MS = 25.0
 GOAL_A_VIEWER, GOAL_ALL, GOAL_LATE_S, GOAL_STALLED_MB = 0.002, 0.1, 1.0, 10.0

@@ -60,6 +60,14 @@ export function ofBuckets(buckets: Buckets, toMs: number): Envelope {
   return made;
 }
 
+/** Whether what is kept reaches the first row that came, ns: nothing is missing in between. */
+export function reaches(kept: Envelope, firstNs: number | undefined): boolean {
+  let last = kept.low.length - 1;
+  while (last >= 0 && kept.low[last] === null) last -= 1;
+  const step = (kept.x[1] ?? 0) - (kept.x[0] ?? 0);
+  return firstNs !== undefined && last >= 0 && firstNs / 1e9 <= (kept.x[last] ?? 0) + step;
+}
+
 /** The usual step of rows, s; null for fewer than three. */
 export function usualStep(time: number[]): number | null {
   if (time.length < 3) return null;

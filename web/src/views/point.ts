@@ -7,7 +7,7 @@ import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.t
 import { listStatistics } from "../charts/figures.ts";
 import { SPANS, TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
-import { type Envelope, emptyEnvelope, layers, ofRows, statistics, within } from "../rows.ts";
+import { type Envelope, emptyEnvelope, layers, ofRows, reaches, statistics, within } from "../rows.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration, signed, withBand, ZONE } from "../words.ts";
 import { FrequencyPanel } from "./frequencies.ts";
@@ -17,8 +17,9 @@ import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 // A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
 const DRAW_MS = 250;
-// What is kept is asked for again while it is followed, between, s: a part of what is shown, and before live rows end.
-const [AGAIN_MIN_S, AGAIN_MAX_S, AGAIN_PART] = [3, 100, 300];
+// What is kept is asked for again while it is followed: soon where rows are missing between it and the live ones, else
+// before live rows end, s.
+const [SOON_S, AGAIN_S] = [3, 100];
 const FORMATS = ["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"];
 const LISTED = 200;
 const EVENT_COLUMNS = ["Time", "Event", "What"];
@@ -205,11 +206,13 @@ class PointView {
   }
 
   #tick(): void {
-    const { following, seconds } = this.#window;
+    const { following } = this.#window;
     say(this.#follow, following ? "Freeze" : "Follow");
     this.#showState();
-    const again = 1000 * Math.min(Math.max(seconds / AGAIN_PART, AGAIN_MIN_S), AGAIN_MAX_S);
-    const late = performance.now() - this.#askedMs > again;
+    const { live } = this.#site;
+    const isWhole = live.connected && reaches(this.#loaded.envelope, this.#site.rowsOf(this.#name).rows.time[0]);
+    const again = isWhole ? AGAIN_S : SOON_S;
+    const late = performance.now() - this.#askedMs > 1000 * again;
     if (document.hidden) return;
     if (this.#askedMs === 0 || ((following || this.#failed) && late)) void this.#ask();
     if (following) this.#draw();
