@@ -1,7 +1,7 @@
 """What fifty viewers cost the server, and what they, slow clients and stalled ones do to rows: nothing.
 
 `python -m benchmarks.live.viewers [SECONDS]`: four points of 100 Hz, one with an RTSP camera. Half of the viewers look
-at the camera (two pictures a second), half at the trace of a minute, and ask for it, points, health and events as often
+at the camera (a picture a second), half at the trace of a minute, and ask for it, points, health and events as often
 as the page does; twenty clients hold half requests and answers that they do not take, five take no live rows at all.
 """
 
@@ -30,7 +30,7 @@ POINTS, RATE_HZ, SHAPE = 4, 15, (240, 320)
 VIEWERS, SLOW, STALLED, TRY_LATER = 50, 20, 5, 503
 LENGTH_S, READY_S, SETTLED_S = 60.0, 300.0, 10.0
 # As the page asks, s: points and health, pictures, and the trace of a minute, which live rows go on with.
-ASKED_S, PICTURE_S, TRACE_S, TRACE_NS = 30.0, 0.5, 100.0, 60 * NANOSECONDS
+ASKED_S, PICTURE_S, TRACE_S, TRACE_NS = 30.0, 1.0, 100.0, 60 * NANOSECONDS
 # Published rows may be this much later beside viewers, ms: a tenth of what they take; less is chance.
 UNCHANGED_MS = 25.0
 GOAL_A_VIEWER, GOAL_ALL, GOAL_LATE_S, GOAL_STALLED_MB = 0.002, 0.1, 1.0, 10.0

@@ -9,7 +9,7 @@ import re
 import secrets
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,8 @@ ACCESS_FILE = "access.sqlite"
 NAME = re.compile(r"[A-Za-z0-9_.@-]{1,64}")
 # A session ends when it was not used for so long, s: a working day, so that a page that is open stays so.
 SESSION_S = 12 * 3600.0
+# Who asked is not looked up again for so long, s: file systems may give two changes within some ms one time.
+RECENT_S = 1.0
 # Its use is written down so often, s: not at each request.
 USED_S = 600.0
 MAX_SESSIONS = 50
@@ -56,6 +58,15 @@ def digest(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
+def state_of(file: Path) -> tuple[int, ...]:
+    """What changes whenever a file does; empty without one."""
+    try:
+        found = file.stat()
+    except OSError:
+        return ()
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
 def csrf_of(session: str) -> str:
     """What a page sends back with each change: it follows from the session, and the session does not from it."""
     return hashlib.sha256(f"csrf {session}".encode()).hexdigest()
@@ -80,7 +91,9 @@ def password_matches(kept: str, password: str) -> bool:
 
 
 class Access:
-    """The logins of a folder's store. Every call reads the file, so that what another process changes holds at once."""
+    """The logins of a folder's store. What another process changes holds at once: every call reads the file, but for
+    who asked within a second, while the file is as it was.
+    """
 
     how = "Log in (POST /api/v1/login), or send Authorization: Bearer TOKEN."
     code = ""
@@ -88,6 +101,10 @@ class Access:
 
     def __init__(self, folder: Path) -> None:
         self.file = folder / ACCESS_FILE
+        # Of tokens and sessions: whose they are, and until when that is not looked up, s of time.monotonic(), as long
+        # as the file is this one.
+        self._recent: dict[str, tuple[float, Login]] = {}
+        self._state: tuple[int, ...] = ()
 
     @property
     def is_new(self) -> bool:
@@ -139,6 +156,26 @@ class Access:
 
     def of_token(self, token: str) -> Login | None:
         """Whose token it is."""
+        return self._looked_up(f"token {token}", lambda: self._of_token(token))
+
+    def of_session(self, session: str) -> Login | None:
+        """Whose session it is; None where it is over."""
+        return self._looked_up(f"session {session}", lambda: self._of_session(session))
+
+    def _looked_up(self, key: str, find: Callable[[], Login | None]) -> Login | None:
+        now_s, state = time.monotonic(), state_of(self.file)
+        if state != self._state:
+            self._recent, self._state = {}, state
+        until_s, login = self._recent.get(key, (0.0, None))
+        if now_s < until_s:
+            return login
+        found = find()
+        self._recent = {one: kept for one, kept in self._recent.items() if kept[0] > now_s}
+        if found is not None:
+            self._recent[key] = (now_s + RECENT_S, found)
+        return found
+
+    def _of_token(self, token: str) -> Login | None:
         with self._opened() as database:
             row = database.execute(
                 "SELECT name, kind, scope FROM login WHERE secret = ? AND kind = 'token'", (digest(token),)
@@ -158,8 +195,7 @@ class Access:
             )
         return session
 
-    def of_session(self, session: str) -> Login | None:
-        """Whose session it is; None where it is over."""
+    def _of_session(self, session: str) -> Login | None:
         now_s, key = time.time(), digest(session)
         with self._opened() as database:
             row = database.execute(
@@ -173,6 +209,7 @@ class Access:
 
     def end_session(self, session: str) -> None:
         """Log out."""
+        self._recent.pop(f"session {session}", None)
         with self._opened() as database:
             database.execute("DELETE FROM session WHERE digest = ?", (digest(session),))
 

@@ -19,8 +19,8 @@ import { showRadar } from "./radar.ts";
 import { sentenceOf, type View } from "./view.ts";
 
 const SHOWN = ["camera", "infrared", "radar"];
-// The server has a new picture so often, ms.
-const PICTURE_MS = 500;
+// Enough to see what the camera sees and where its region is, ms; each picture costs the server a millisecond.
+const PICTURE_MS = 1000;
 
 export const showCamera: View = (root, site, name) => {
   let end: () => void = () => undefined;
