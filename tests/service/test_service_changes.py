@@ -4,17 +4,21 @@ import asyncio
 import json
 import time
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.errors import DataError, UsageError
-from midspan.records import NANOSECONDS
-from midspan.service.calibrations import number_in_force, settings_json
+from midspan.records import NANOSECONDS, Region, ScaleFactor, TimeOffset
+from midspan.service import beginning
+from midspan.service.calibrations import accepted, added, number_in_force, settings_json
 from midspan.service.changes import Changes
 from midspan.service.run import Service
-from midspan.service.running import running
+from midspan.service.running import checked, running
 from midspan.settings.site import load_site
+from midspan.settings.stored.calibration import Calibration
 from midspan.sources.live.blocks import ACCELERATION, Block, pack
 from midspan.store.store import open_store
 
@@ -138,6 +142,102 @@ def test_a_calibration_of_other_sensors_is_not_in_force(tmp_path):
     store = open_store(str(tmp_path / "store"))
     store.add_calibration("a", 1, "{}", settings_json(live.settings, {}), accept=True)
     assert (number_in_force(live, store, tmp_path), number_in_force(other, store, tmp_path)) == (1, 0)
+    store.close()
+
+
+def calibration(direction="y", bias_m_s2=0.0, left_out=""):
+    scale, region = ScaleFactor(1e-3, 1e-12), Region(0, 0, 64, 64)
+    camera = CameraCalibration(scale, TimeOffset(0.0, 1e-6), region, direction, "template", 0.01, 1.0)
+    return Calibration(1e-3, bias_m_s2, camera=camera, left_out=left_out)
+
+
+def filmed(name, direction="y", more=""):
+    """A point with a camera."""
+    return f"""[[point]]
+name = "{name}"
+{more}
+[point.accelerometer]
+source = "serial:/dev/none/acc"
+[point.camera]
+source = "usb:97"
+direction = "{direction}"
+"""
+
+
+def live_of(folder, text):
+    return running(site_of(folder, text).points[0], folder / "captures", folder).live
+
+
+def test_what_a_site_names_is_read_before_anything_ends(tmp_path):
+    """The calibrations of all points, along their axes, and the broker's certificates."""
+    named = serial("a", 'calibration = "own.json"')
+    (tmp_path / "own.json").write_text("{")
+    with pytest.raises(DataError, match=r"own\.json"):
+        checked(site_of(tmp_path, named + serial("b")), ["b"])
+    calibration(left_out="x").save(tmp_path / "one.json")
+    point_across = site_of(tmp_path, filmed("a", "x", 'calibration = "one.json"'))
+    with pytest.raises(DataError, match=r"one\.json"):
+        checked(point_across, ["a"])
+    assert len(checked(site_of(tmp_path, filmed("a", "y", 'calibration = "one.json"')), ["a"])) == 1
+    with pytest.raises(UsageError, match="mqtt: ca, cert and key"):
+        checked(site_of(tmp_path, '[mqtt]\nca = "missing.pem"\n' + serial("a")), [])
+
+
+def test_a_calibration_that_is_damaged_on_the_way_leaves_the_one_in_force(tmp_path, monkeypatch):
+    calibration().save(tmp_path / "own.json")
+    text = filmed("a", more='calibration = "own.json"').replace("usb:97", "rtsp://127.0.0.1:9/none")
+    events = []
+
+    async def work():
+        async with started(site_of(tmp_path, text)) as (service, task):
+            monkeypatch.setattr(service, "_event", lambda one, kind, text: events.append((one.name, kind, text)))
+            first = service._points[0]
+            assert first.live.number == 1
+            # Another calibration that was accepted since stays in force, as long as the file is as it was.
+            first.live.number = 7
+            await service.take(site_of(tmp_path, text + ALARM))
+            await until(lambda: not service.is_changing)
+            assert (first.live.number, events) == (7, [])
+            site = site_of(tmp_path, text)
+            monkeypatch.setattr(
+                "midspan.service.run.checked", lambda *_: (tmp_path / "own.json").write_text("{") and []
+            )
+            await service.take(site)
+            await until(lambda: not service.is_changing)
+            assert not task.done()
+            assert [(name, kind) for name, kind, _ in events] == [("a", "calibration_refused")]
+            assert "Calibration 7 stays in force" in events[0][2]
+
+    asyncio.run(work())
+
+
+def test_an_offer_of_another_axis_is_not_accepted(tmp_path):
+    along, across = live_of(tmp_path, filmed("a", "y")), live_of(tmp_path, filmed("a", "x"))
+    store = open_store(str(tmp_path / "store"))
+    added(along, store, json.dumps(calibration().to_dict()), accept=False)
+    assert accepted(across, store, "") is None
+    assert accepted(across, store, "1") is None
+    assert accepted(along, store, "1") == 1
+    store.close()
+
+
+@pytest.mark.parametrize(("direction", "resumes"), [("y", ["resumed"]), ("x", [])])
+def test_a_point_along_another_axis_opens_anew(tmp_path, monkeypatch, direction, resumes):
+    store, calls = open_store(str(tmp_path / "store")), []
+    added(live_of(tmp_path, filmed("a", "y")), store, json.dumps(calibration().to_dict()), accept=True)
+    calibration(direction, bias_m_s2=0.1).save(tmp_path / "own.json")
+    site = site_of(tmp_path, filmed("a", direction, 'calibration = "own.json"'))
+    one = running(site.points[0], tmp_path / "captures", tmp_path)
+    (tmp_path / "captures" / "opening-1").mkdir(parents=True)
+    (tmp_path / "captures" / "opening-1" / "recording.toml").write_text("")
+    found = SimpleNamespace(point=SimpleNamespace(sensors={"camera": None}))
+    monkeypatch.setattr(beginning, "head_of", lambda _kept: {"folder": "opening-1", "calibration": 1})
+    monkeypatch.setattr(beginning, "opened", lambda *_, **__: found)
+    monkeypatch.setattr(beginning, "resumed", lambda *_: None)
+    monkeypatch.setattr(type(one.live), "resumed", lambda *_: calls.append("resumed"))
+    monkeypatch.setattr(store, "checkpoint", lambda _name: (1, b""))
+    beginning.begin(one, store, tmp_path, lambda _line: None)
+    assert (calls, one.live.number) == (resumes, 2)
     store.close()
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from midspan.errors import DataError, MidspanError
-from midspan.service.calibrations import loaded, number_in_force
+from midspan.service.calibrations import is_of, loaded, number_in_force
 from midspan.service.journal import ROWS
 from midspan.service.opening import head_of, opened, resumed
 from midspan.service.running import Running
@@ -17,7 +17,7 @@ def begin(one: Running, store: Store, folder: Path, say: Callable[[str], None]) 
     """Let a point go on from its checkpoint where that can be used. folder: of the site's file; say: takes one line for
     a person.
     """
-    one.live.number = number_in_force(one.live, store, folder)
+    one.live.number = one.live.file_number = number_in_force(one.live, store, folder)
     one.live.follows = store.newest_ns(one.name, ROWS) is not None
     try:
         kept = store.checkpoint(one.name)
@@ -35,11 +35,14 @@ def begin(one: Running, store: Store, folder: Path, say: Callable[[str], None]) 
 
 
 def _resume(one: Running, store: Store, kept: bytes) -> bool:
-    """Whether a point goes on from a checkpoint: one of the same sensors, whose captured recording is there."""
+    """Whether a point goes on from a checkpoint: one of the same sensors along the same axes, whose captured
+    recording is there.
+    """
     head = head_of(kept)
     folder = one.live.folder / Path(head["folder"]).name
     number = head["calibration"]
-    if not (folder / "recording.toml").is_file():
+    made = store.calibration(one.name, number)
+    if made is None or not is_of(made.settings, one.live.settings) or not (folder / "recording.toml").is_file():
         return False
     # Where another calibration or other settings came into force since, the rows go on until the point is opened with
     # them.

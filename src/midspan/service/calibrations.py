@@ -31,13 +31,14 @@ def number_in_force(live: LivePoint, store: Store, folder: Path) -> int:
     given = live.plan.settings.calibration
     if given is None:
         in_force = store.calibration(live.name)
-        return in_force.number if in_force is not None and _is_of(in_force.settings, live.settings) else 0
+        return in_force.number if in_force is not None and is_of(in_force.settings, live.settings) else 0
     body = json.dumps(load_calibration(folder / given, axis=live.plan.axis).to_dict())
-    known = next((one for one in store.calibrations(live.name) if one.body == body), None)
+    kept = [one for one in store.calibrations(live.name) if is_of(one.settings, live.settings)]
+    known = next((one for one in kept if one.body == body), None)
     return known.number if known else added(live, store, body, accept=True)
 
 
-def _is_of(kept: str, settings: RecordingSettings) -> bool:
+def is_of(kept: str, settings: RecordingSettings) -> bool:
     """Whether a calibration's settings as the store has them are of the same sensors, along the same axes."""
     now, then = settings.model_dump(mode="json", exclude_none=True), json.loads(kept)
 
@@ -71,8 +72,11 @@ def loaded(live: LivePoint, store: Store, number: int | None = None) -> Calibrat
 
 
 def accepted(live: LivePoint, store: Store, wanted: str) -> int | None:
-    """Put an offered calibration in force: the one of a number, or the newest; None where there is no such one."""
-    offered = [one for one in store.calibrations(live.name) if one.state == "offered"]
+    """Put an offered calibration in force: the one of a number, or the newest; None where there is no such one of the
+    point's sensors.
+    """
+    kept = [one for one in store.calibrations(live.name) if is_of(one.settings, live.settings)]
+    offered = [one for one in kept if one.state == "offered"]
     chosen = next((one for one in reversed(offered) if not wanted or str(one.number) == wanted), None)
     if chosen is None or not store.accept(live.name, chosen.number):
         return None

@@ -6,8 +6,8 @@ import secrets
 import ssl
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -35,16 +35,24 @@ MAX_UNACKNOWLEDGED = 65_535
 NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
 
 
-@contextmanager
-def tls_faults(settings: MqttSettings) -> Iterator[None]:
-    """What is wrong with certificates, as UsageError."""
+def tls_context(settings: MqttSettings, folder: Path) -> ssl.SSLContext | None:
+    """How the broker is trusted, None without TLS; folder: that the certificates' names are relative to.
+
+    Raises UsageError for a certificate or a key that is none.
+    """
+    if settings.ca is None:
+        return None
     try:
-        yield
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.load_verify_locations(folder / settings.ca)
+        if settings.cert is not None:
+            context.load_cert_chain(folder / settings.cert, None if settings.key is None else folder / settings.key)
     except (OSError, ValueError) as error:
         raise UsageError(
             f"mqtt: ca, cert and key must be certificates and a key as PEM that fit each other; received "
             f"{settings.ca!r}, {settings.cert!r}, {settings.key!r} ({error}). Write others."
         ) from None
+    return context
 
 
 class Broker:
@@ -79,10 +87,8 @@ class Broker:
         if settings.user is not None:
             secret = settings.password.get_secret_value() if settings.password else None
             client.username_pw_set(settings.user, secret)
-        if settings.ca is not None:
-            cert, key = (None if name is None else str(folder / name) for name in (settings.cert, settings.key))
-            with tls_faults(settings):
-                client.tls_set(str(folder / settings.ca), certfile=cert, keyfile=key)
+        if (context := tls_context(settings, folder)) is not None:
+            client.tls_set_context(context)
         client.will_set(f"{self.root}/available", "offline", qos=1, retain=True)
         client.max_queued_messages_set(MAX_QUEUED)
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)

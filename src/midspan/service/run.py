@@ -312,13 +312,24 @@ class Service:
             await self._begin_points(fresh)
             for one in self._points:
                 if one.live.plan.settings.calibration is not None and one not in fresh:
-                    # Its file may be another one than it was.
-                    number = await self._in_thread(number_in_force, one.live, site.file.parent)
-                    one.live.calibrated(number) if number != one.live.number else None
+                    await self._look_at_calibration(one)
             if changes.removed:
                 await asyncio.to_thread(self._keeper.lock, [plan.name for plan in site.points])
         finally:
             self._changing.release()
+
+    async def _look_at_calibration(self, one: Running) -> None:
+        """The calibration's file of a point that goes on may be another one than it was, or damaged by now."""
+        live = one.live
+        try:
+            number = await self._in_thread(number_in_force, live, self.site.file.parent)
+        except MidspanError as error:
+            text = f"{one.name}: {error} Calibration {live.number} stays in force."
+            self._event(one, "calibration_refused", text)
+        else:
+            if number != live.file_number:
+                live.file_number = number
+                live.calibrated(number)
 
     async def _begin_points(self, fresh: Sequence[Running]) -> None:
         """Begin points while others run."""

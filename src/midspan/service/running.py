@@ -16,7 +16,7 @@ from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
 from midspan.service.camera_process import CameraFeed
 from midspan.service.capture import capture_settings
-from midspan.service.mqtt import MAX_QUEUED
+from midspan.service.mqtt import MAX_QUEUED, tls_context
 from midspan.service.pace import ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
@@ -358,8 +358,13 @@ def drafted(site: Site, names: Collection[str]) -> list[Running]:
 
 
 def checked(site: Site, names: Collection[str]) -> list[Running]:
-    """The same, where the calibrations that they name can be read. Raises DataError for one that cannot."""
+    """The same, where all that the site names can be read: the broker's certificates, and the calibration of every
+    point, since those of points that go on are read again too. Raises UsageError and DataError for one that cannot.
+    """
+    folder = site.file.parent
+    if site.settings.mqtt is not None:
+        tls_context(site.settings.mqtt, folder)
     for plan in site.points:
-        if plan.name in names and plan.settings.calibration is not None:
-            load_calibration(site.file.parent / plan.settings.calibration)
+        if plan.settings.calibration is not None:
+            load_calibration(folder / plan.settings.calibration, axis=plan.axis)
     return drafted(site, names)
