@@ -284,7 +284,8 @@ class Running:
         own: dict[str, float | None] = {**unknown, "late": memory.late + memory.disordered}
         if name != ACCELEROMETER:
             offset_s, std_s = point.clock_offset(name)
-            stream.drift.look(round(now_s * NANOSECONDS), offset_s)
+            origin = (self.live.opened.journal, point.clock_set_s(name))
+            stream.drift.look(round(now_s * NANOSECONDS), offset_s, std_s, origin)
             own |= {"clock_offset_s": rounded(offset_s, 6), "clock_offset_std_s": rounded(std_s, 6)}
             own["clock_drift_ppm"] = rounded(stream.drift.ppm, 2)
         return {**found, **own}
