@@ -122,9 +122,10 @@ class Alarming:
     async def change(self, site: Site) -> None:
         """Go on with other settings; called in the loop that gives the rows."""
         self._site = site
+        # First, so that the new targets get what follows from the new rules.
+        await asyncio.to_thread(self.delivery.change, self._targets_of(site))
         watched = (alarms_of(site), site.settings.maintenance, people_of(site))
         self._watch.change(*watched, time.time_ns(), mqtt=site.settings.mqtt is not None)
-        await asyncio.to_thread(self.delivery.change, self._targets_of(site))
 
     def connect(self, broker: Broker) -> None:
         """The broker that changes go to."""
