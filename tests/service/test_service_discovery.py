@@ -75,7 +75,7 @@ class Client:
         assert (qos, retain) == (1, True)
         self.retained[topic] = payload
 
-    def subscribe(self, _):
+    def subscribe(self, *_):
         pass
 
     reconnect_delay_set = subscribe

@@ -351,8 +351,7 @@ class Service:
             self._broker = None
             self._begin_broker()
         elif self._broker is not None:
-            removed = {plan.name for plan in before.points} - {plan.name for plan in now.points}
-            self._broker.change(self._topics, self._announced, removed)
+            self._broker.change(self._topics, self._announced, Changes.between(before, now).removed)
 
     def _pause(self, points: Sequence[Running]) -> None:
         """Leave out what was paused."""
