@@ -448,7 +448,7 @@ class Service:
             one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
             self._publish_head(one)
-        self._alarms.look(now_ns, self._begun)
+        self._alarms.look(now_ns, self._points)
 
     @property
     def _begun(self) -> list[Running]:
