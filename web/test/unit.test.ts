@@ -206,7 +206,8 @@ test("the line of a wrong key is found in its own point, and of a missing one it
   const at = (key: string | null, fault = "") => BRIDGE.split("\n")[lineOf(BRIDGE, key, fault) ?? -1];
   assert.equal(at("point 'a': accelerometer.unit"), 'unit = "g"');
   assert.equal(at("point 'b': camera.source"), 'source = "y"');
-  assert.equal(at("point[1]: camera.direction"), "[point.camera]");
+  assert.equal(at("point[2]: camera.direction"), "[point.camera]");
+  assert.equal(at("point[1]: accelerometer.unit"), 'unit = "g"');
   assert.equal(at("mqtt.host"), 'host = "h"');
   assert.equal(at("name"), 'name = "site" # of all');
   assert.equal(at(null, "is not valid TOML (at line 3, column 8)."), 'path = "store"');

@@ -3,6 +3,7 @@
 import asyncio
 import ctypes
 import functools
+import math
 import multiprocessing
 import signal
 import sys
@@ -33,6 +34,8 @@ Found = TypeVar("Found")
 
 # Points of a store that nothing measures, and their newest rows, are looked for so often, s.
 POINTS_S, NEWEST_S = 30.0, 5.0
+# Which calibration made which rows is looked for so often, s: it takes a tenth of a second for 200 days.
+SPANS_S = 30.0
 # Requests that wait for a worker at most, and how long: more are turned away.
 MAX_WAITING, LONGEST_S = 16, 60.0
 
@@ -136,6 +139,7 @@ class Serving:
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
     _points: tuple[float, list[str]] = (-POINTS_S, [])
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
+    _spans: dict[str, tuple[float, dict[int, list[Tree]]]] = field(default_factory=dict)
     # What was reported to viewers last: how each point stands, and what is wrong.
     _reported: tuple[dict[str, Tree], Tree] = field(default_factory=lambda: ({}, {}))
     # Of each point: status and reason, and when they became so (ns UTC), as far as this process saw it.
@@ -193,6 +197,14 @@ class Serving:
                 kept = await self.quick.run(reading.newest, self.where, name)
             self._newest[name] = (time.monotonic(), kept)
         return kept
+
+    async def calibrated_rows(self, name: str) -> dict[int, list[Tree]]:
+        """The spans of a point's rows that were made with each calibration, as they were half a minute ago at most."""
+        then_s, spans = self._spans.get(name, (-math.inf, {}))
+        if time.monotonic() - then_s > SPANS_S:
+            spans = await self.quick.run(reading.calibrated_rows, self.where, name)
+            self._spans[name] = (time.monotonic(), spans)
+        return spans
 
     def since_ns(self, name: str) -> int | None:
         """When a point's status and reason became what they are, ns UTC; None where nothing measures it."""

@@ -179,9 +179,7 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const texts = [...all]
-      .reverse()
-      .map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, rowsWords(one)]);
+    const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, ""]);
     history.replaceChildren(...texts.map((one) => line(COLUMNS, one)));
     endCourse();
     course.replaceChildren();
@@ -191,9 +189,14 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   async function ask(): Promise<void> {
     try {
       const all = await get<CalibrationBody[]>(ofPoint(name, "calibrations"));
-      const now = JSON.stringify(all.map((one) => [one.id, one.state, one.rows]));
+      // The rows grow all the time: what is built anew loses the focus.
+      const now = JSON.stringify(all.map((one) => [one.id, one.state]));
       if (now !== before) show(all);
       before = now;
+      [...all].reverse().forEach((one, at) => {
+        const cell = history.rows[at]?.cells[COLUMNS.length - 1];
+        if (cell) say(cell, rowsWords(one));
+      });
     } catch (error) {
       say(said, sentenceOf(error));
     }
