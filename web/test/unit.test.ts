@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { joined } from "../src/charts/series.ts";
 import { TimeWindow } from "../src/charts/window.ts";
-import { changeOf } from "../src/quantities.ts";
+import { changeOf, comparable } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
 import { layers, Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
 import { lineOf, pointNames, withoutPoint, withPoint, withSource } from "../src/site_text.ts";
@@ -177,6 +177,17 @@ test("a change is that of the likeliest line, and of two values their difference
   assert.ok(line && Math.abs(line.by - 4) < 1e-9 && Math.abs((line.sigmas ?? 0) - Math.sqrt(10)) < 1e-9);
   assert.deepEqual(changeOf([at(0, 1, null), at(1, 3, 1)]), { by: 2, sigmas: null });
   assert.equal(changeOf([at(0, 1, 1)]), null);
+});
+
+test("calibrations of another axis or of other sensors are not compared", () => {
+  const camera = (direction: string, scale_mm_per_px: number, name?: string) => ({ direction, scale_mm_per_px, name });
+  const of = (camera: object, more: object = {}) => ({ calibration: { version: 1, camera, ...more } });
+  const [x, first] = [of(camera("x", 1)), of(camera("y", 1), { notices: [{ name: "a" }] })];
+  const [second, wider] = [of(camera("y", 2)), of(camera("y", 1), { radar: { conversion_factor: 1 } })];
+  assert.deepEqual(comparable([x, first, second]), [first, second]);
+  assert.deepEqual(comparable([first, wider, second]), [first, second]);
+  assert.deepEqual(comparable([first, of([camera("x", 1, "a")]), x]), [x]);
+  assert.deepEqual(comparable([]), []);
 });
 
 const BRIDGE = `name = "site" # of all

@@ -3,7 +3,7 @@
 import { type CalibrationBody, get, ofPoint, type PointState, post } from "../api.ts";
 import { type History, historyChart } from "../charts/history.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
-import { type Change, changeOf, type Quantity, quantities } from "../quantities.ts";
+import { type Change, changeOf, comparable, type Quantity, quantities } from "../quantities.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, day, duration, signed, withSigma } from "../words.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
@@ -60,9 +60,9 @@ function compared(shown: CalibrationBody[]): HTMLElement {
   return el("div", frame, el("table", {}, head, el("tbody", {}, ...lines)));
 }
 
-/** Quantities with a deviation over time, and whether they drifted. Returns how the charts end. */
+/** Quantities with a deviation over time, those of the newest calibration's sensors, and whether they drifted. Returns how the charts end. */
 function showCourse(root: HTMLElement, all: CalibrationBody[]): () => void {
-  const used = all.filter((one) => one.state !== "refused");
+  const used = comparable(all.filter((one) => one.state !== "refused"));
   const names = [
     ...new Set(
       used.flatMap((one) => [...quantities(one.calibration)].filter(([, of]) => of.std).map(([name]) => name)),
