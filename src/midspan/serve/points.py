@@ -53,7 +53,7 @@ class PointState(BaseModel):
     calibration: int | None = None
     stage: str = Field("", description="capturing, calibrating or opening; empty where nothing is prepared")
     stage_left_s: float | None = Field(None, description="how long that still takes, s; null where it is not known")
-    latency_s: float | None = Field(None, description="how much later than its stamp a row comes, median, s")
+    latency_s: float | None = Field(None, description="how much later than its stamp a row comes, mean, s")
 
 
 class Series(BaseModel):

@@ -67,6 +67,12 @@ def known_points(where: str) -> list[str]:
         return store.points
 
 
+def newest_ns(where: str, point: str) -> int | None:
+    """The stamp of a point's newest row that is kept; None without any."""
+    with opened(where) as store:
+        return store.newest_ns(point, rows_stream())
+
+
 def newest(where: str, point: str) -> Tree:
     """A point's newest row that is kept; empty without any."""
     with opened(where) as store:

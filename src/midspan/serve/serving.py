@@ -160,7 +160,7 @@ class Serving:
                 now = (str(one["status"]), str(one["reason"] or one.get("notice", "")))
                 if self._since.get(str(one["point"]), (None, 0))[0] != now:
                     self._since[str(one["point"])] = (now, time.time_ns())
-            self.tell_changes()
+            self.report_changes()
         elif head["kind"] in ("event", "alarm"):
             self.live.tell({"type": head["kind"], **{key: value for key, value in head.items() if key != "kind"}})
 
@@ -227,7 +227,7 @@ class Serving:
             "latency_s": None if reason else state.get("latency_s"),
         }
 
-    def tell_changes(self) -> None:
+    def report_changes(self) -> None:
         """Report to viewers which points stand otherwise than before, and what is wrong: they need not ask."""
         names = [str(one["point"]) for one in self.link.state.get("points", [])]
         now, standing = {name: self.stands(name) for name in names}, self.standing()

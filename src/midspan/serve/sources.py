@@ -33,7 +33,7 @@ class SourceState(BaseModel):
     address: str
     rate_hz: float | None = Field(None, description="frames, or values, a second, by the newest stamps")
     nominal_rate_hz: float | None = Field(None, description="the same as the recording has it that the point runs with")
-    delay_s: float | None = Field(None, description="how much later than its stamp a record comes, median, s")
+    delay_s: float | None = Field(None, description="how much later than its stamp a record comes, mean, s")
     late: int | None = Field(None, description="values and frames left out: too late, out of order or doubled")
     restarts: int | None = Field(None, description="how often the source was opened again")
     clock_offset_s: float | None = Field(
