@@ -190,7 +190,7 @@ async def spectrum(name: str, serving: Shared, begin: From = None, to: To = None
 
 @routes.get("/{name}/calibrations", response_model=list[CalibrationBody], dependencies=READ, responses=OF_A_POINT)
 async def calibrations(name: str, serving: Shared) -> list[Tree]:
-    """All calibrations of a point that the store has; the newest rows may be missing in their spans for half a minute."""
+    """All calibrations of a point that the store has; the spans of rows are up to half a minute old."""
     await serving.require_point(name)
     kept, rows = await serving.quick.run(reading.calibrations, serving.where, name), await serving.calibrated_rows(name)
     return [{**one, "rows": rows.get(one["id"], [])} for one in kept]

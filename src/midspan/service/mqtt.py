@@ -122,9 +122,7 @@ class Broker:
         )
         self._client.loop_start()
 
-    def change(
-        self, topics: Mapping[str, int], announced: Mapping[str, str], removed: Collection[str] = ()
-    ) -> None:
+    def change(self, topics: Mapping[str, int], announced: Mapping[str, str], removed: Collection[str] = ()) -> None:
         """Listen to these topics in place of those before, and retain these announcements. removed: names of points of
         which nothing is to be retained any more.
         """

@@ -10,8 +10,8 @@ from midspan.records import NANOSECONDS
 
 # Rate and delay are those of about the last ten seconds: ten marks, a second apart by the stamps.
 MARKS, MARK_NS = 10, NANOSECONDS
-# Stamps further apart than those ten seconds are a gap, unless the two before were a third as far apart or further: then
-# records come so seldom.
+# Stamps further apart than those ten seconds are a gap, unless the two before were a third as far apart or further:
+# then records come so seldom.
 GAP_INTERVALS = 3
 
 
