@@ -189,6 +189,41 @@ def test_other_targets_get_what_waits_for_their_name_and_the_same_ones_go_on(tmp
     assert Book(tmp_path).waiting() == []
 
 
+def test_a_message_under_way_while_its_target_changes_goes_out_once(tmp_path):
+    begun, end, came = threading.Event(), threading.Event(), []
+
+    def slow(message):
+        begun.set()
+        end.wait(10.0)
+        came.append(("old", message.tree["id"]))
+
+    running = Delivery(tmp_path, {"people": slow}, lambda _: None)
+    running.open()
+    running.start()
+    running.put(entry(1, "people"))
+    begun.wait(10.0)
+    sender = running.senders["people"]
+    running.change({"people": lambda message: came.append(("new", message.tree["id"]))})
+    # One that a thread still hands to the sender of before is delivered, too.
+    sender.put(Message("people", time.time_ns(), "p/alarm", tree_of(alarm(2))))
+    end.set()
+    until(lambda: len(came) == 2)
+    running.stop()
+    assert came == [("old", "1"), ("new", "2")]
+    assert Book(tmp_path).waiting() == []
+
+
+def test_a_target_that_failed_is_tried_at_once_where_it_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr("midspan.alarms.senders.AGAIN_S", 60.0)
+    away, came = settings(webhook="http://127.0.0.1:9/nobody"), []
+    running = delivery(tmp_path, away)
+    running.put(entry(1, target_of(away)))
+    until(lambda: running.senders[target_of(away)].fault)
+    running.change({target_of(away): came.append})
+    until(lambda: came)
+    running.stop()
+
+
 def test_mail_says_what_it_is_about(tmp_path):
     box = Mailbox()
     target = settings(smtp=f"127.0.0.1:{box.server_address[1]}", to=["night@example.org", "day@example.org"])

@@ -214,6 +214,13 @@ def test_a_silent_source_is_counted_from_its_newest_block(tmp_path):
     ]
 
 
+def test_the_disk_is_watched_without_any_point(tmp_path):
+    disk = AlarmSettings.model_validate({"name": "disk", "on": "disk", "limit_percent": 90.0})
+    watch = Watch({"p": [disk]}, [], [TARGET], lambda _entry, _trees: None)
+    watch.tick(s(1), {}, 95.0)
+    assert [tree["state"] for tree in watch.trees()] == ["firing"]
+
+
 def test_the_message_of_a_silent_source_names_it_and_since_when():
     rule = AlarmSettings.model_validate({"name": "quiet", "on": "silent", "delay_s": 5.0, "keep_firing_s": 0.0})
     trees = []

@@ -99,3 +99,35 @@ def test_a_segment_of_the_past_is_computed_once(store, monkeypatch):
     assert computed == [begin_ns + day * DAY_NS for day in range(4)]
     # A call gives what there is so far.
     assert [len(one["time"]) for one in answers] == [1, 2, 3, 4]
+
+
+def test_a_segment_without_rows_is_looked_at_again_until_rows_after_it_are_stored(tmp_path):
+    """The store was away for hours: what waits comes late."""
+    step_ns = 1800 * NANOSECONDS
+    step = time.time_ns() // step_ns - 20
+    store = open_store(tmp_path / "store", points=["p"])
+
+    def write(first_ns):
+        rng, count = np.random.default_rng(8), scene.LENGTH_S * scene.RATE_HZ
+        time_ns = first_ns + np.arange(count, dtype=np.int64) * (NANOSECONDS // scene.RATE_HZ)
+        store.write(Batch([scene.rows_of("p", time_ns, scene.forced(rng, count, ((2.0, 0.3),)))]))
+
+    async def looked_at():
+        serving = Serving(str(tmp_path / "store"))
+        try:
+            found = [await frequencies.segment(serving, "p", step_ns, step)]
+            write(step * step_ns)
+            found.append(await frequencies.segment(serving, "p", step_ns, step))
+            assert serving.segments == {}
+            write((step + 1) * step_ns)
+            found.append(await frequencies.segment(serving, "p", step_ns, step))
+            assert list(serving.segments) == [("p", step_ns, step)]
+        finally:
+            serving.close()
+        return found
+
+    empty, first, kept = asyncio.run(looked_at())
+    assert empty is None
+    assert first == kept
+    assert abs(first[1][0]["frequency_hz"] - 2.0) < 0.02
+    store.close()

@@ -96,6 +96,18 @@ def test_calibrations_show_what_an_offer_changes_how_they_drifted_and_which_rows
     play.expect(page.get_by_role("progressbar")).to_be_hidden()
 
 
+def test_rows_that_grow_take_the_focus_from_nothing(opened):
+    page = opened("")
+    span = [{"from": "2026-05-01T10:00:00Z", "to": "2026-05-01T11:00:00Z"}]
+    answered(page, "/points/p/calibrations", [kept(1, 1.0, "in force", rows=span), kept(2, 1.01, "offered")])
+    page.evaluate("location.hash = '#/calibration/p'")
+    page.get_by_role("button", name="Accept").focus()
+    grown = [{**span[0], "to": "2026-05-02T12:34:00Z"}]
+    answered(page, "/points/p/calibrations", [kept(1, 1.0, "in force", rows=grown), kept(2, 1.01, "offered")])
+    play.expect(page.locator("tbody tr", has_text="in force").last).to_contain_text(re.compile(r"34"))
+    play.expect(page.get_by_role("button", name="Accept")).to_be_focused()
+
+
 def test_a_check_says_what_would_change_and_only_saving_writes(opened, site):
     site.file.write_text(SITE)
     page, tried = opened("settings"), []

@@ -1,5 +1,6 @@
 """What the interface says of points: the newest row, series at every zoom, files, events, calibrations."""
 
+import asyncio
 import io
 import json
 
@@ -8,6 +9,7 @@ import pytest
 
 from midspan.records import NANOSECONDS
 from midspan.serve.reading import iso
+from midspan.serve.serving import Serving
 from served import GAP_S, LOST_S, PEAK_MM, PEAK_S, RATE, SECONDS, rows, until
 
 
@@ -130,6 +132,19 @@ def test_a_file_has_every_row(reader, begin_ns, store_folder):
         assert reader.get("/api/v1/points/p/export", params={"format": wrong}).status_code == 422
     empty = {"from": at(begin_ns, GAP_S[0] + 1), "to": at(begin_ns, GAP_S[0] + 2)}
     assert "no rows" in reader.get("/api/v1/points/p/export", params=empty).json()["detail"]
+
+
+def test_spans_of_calibrations_are_read_once_for_all_who_ask(monkeypatch, tmp_path):
+    reads = []
+    monkeypatch.setattr("midspan.serve.reading.calibrated_rows", lambda _where, point: reads.append(point) or {1: []})
+    serving = Serving(str(tmp_path))
+
+    async def ask():
+        return [await serving.calibrated_rows(name) for name in ("p", "q", "p", "q")]
+
+    assert asyncio.run(ask()) == [{1: []}] * 4
+    assert reads == ["p", "q"]
+    serving.close()
 
 
 def test_events_spectrum_and_calibrations_are_as_stored(reader, begin_ns):

@@ -116,6 +116,10 @@ def test_a_region_beyond_the_picture_is_not_written(admin, file, engine, text, k
             assert answer.json()["key"] == f"point 'p': camera.{key}"
             assert "320 x 240 px" in answer.json()["detail"]
         assert file.read_text() == SITE
+        # Another camera has a picture of its own size.
+        other = text.format("[300, 100, 64, 48]").replace("rtsp://camera/x", "rtsp://camera/larger")
+        answer = admin.put("/api/v1/settings?dry_run=true", content=other, headers={"If-Match": "*"})
+        assert answer.status_code == 200, answer.text
         inside = admin.put("/api/v1/settings", content=text.format("[256, 192, 64, 48]"), headers={"If-Match": "*"})
         assert inside.status_code == 200, inside.text
     finally:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 import time
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
@@ -131,6 +132,23 @@ def test_what_fails_on_the_way_ends_the_run(tmp_path, monkeypatch):
             await until(task.done)
             with pytest.raises(DataError, match="cannot begin"):
                 task.result()
+
+    asyncio.run(work())
+
+
+def test_a_point_that_cannot_begin_is_missed(tmp_path, monkeypatch):
+    """While the store is away, for example: that it gives no rows, and that its sensors are silent, is an alarm."""
+    one = site_of(tmp_path, serial("a") + ALARM.replace("30.0", "0.2"))
+    end = threading.Event()
+
+    async def work():
+        async with started(one) as (service, _):
+            monkeypatch.setattr(service, "_begin_from", lambda _one, _store: end.wait(30.0))
+            await service.take(site_of(tmp_path, serial("a", 'method = "lag"') + ALARM.replace("30.0", "0.2")))
+            await until(lambda: service._points[0].beginning)
+            await until(service._alarms._watch.trees, 5.0)
+            assert service._points[0].beginning
+            end.set()
 
     asyncio.run(work())
 

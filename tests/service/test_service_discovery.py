@@ -63,3 +63,42 @@ def test_it_is_retained_for_whoever_connects_later(broker):
         later.disconnect()
         later.loop_stop()
         site.stop()
+
+
+class Client:
+    """Of paho's client what a change uses."""
+
+    def __init__(self):
+        self.retained = {}
+
+    def publish(self, topic, payload, *, qos, retain):
+        assert (qos, retain) == (1, True)
+        self.retained[topic] = payload
+
+    def subscribe(self, *_):
+        pass
+
+    reconnect_delay_set = subscribe
+
+
+class Accepted:
+    is_failure = False
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+def test_of_a_removed_point_nothing_is_retained_any_more(is_away):
+    both, first = (announcements(SETTINGS, "s", names) for names in (["a", "b"], ["a"]))
+    site = Broker(SETTINGS, "s", {}, lambda *_: None, announced=both)
+    site._client = client = Client()
+    site.connected = not is_away
+    site.change({}, first, ["b"])
+    if is_away:
+        assert client.retained == {}
+        site._met(client, None, None, Accepted(), None)
+    cleared = {topic for topic, payload in client.retained.items() if payload == ""}
+    assert cleared == {*(both.keys() - first.keys()), "bridges/v1/s/b/state"}
+    # One that comes again is announced again.
+    site.change({}, both)
+    assert {topic: client.retained[topic] for topic in both.keys() - first.keys()} == {
+        topic: payload for topic, payload in both.items() if topic not in first
+    }

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections import deque
 
 import numpy as np
 import pytest
@@ -220,6 +221,18 @@ def test_a_source_says_its_rate_its_delay_and_how_often_it_was_opened_again(site
     intake._came(first, "displacement", gone)
     intake._came(first, "displacement", block(0, DISPLACEMENT))
     assert [one["restarts"] for one in first.standing(time.time())["sources"]] == [3, 0]
+
+
+def test_what_is_too_much_to_wait_for_a_point_that_begins_is_counted(site):
+    (first, _), intake, _ = site
+    first.beginning, first.early = True, deque(maxlen=3)
+    for number in range(5):
+        intake.payload("a/acc", pack(block(number)))
+    stream = first.streams["accelerometer"]
+    assert (stream.lost, stream.records, len(first.early)) == (2, 0, 3)
+    # It is not silent meanwhile, and nothing else came.
+    assert time.time() - 60.0 < stream.came_s <= time.time()
+    assert first.streams["displacement"].came_s is None
 
 
 def test_what_comes_in_float32_has_no_more_digits_in_si_units():

@@ -7,6 +7,8 @@ from midspan.records import NANOSECONDS
 from midspan.service.pace import ClockDrift, Pace
 
 T0 = 1_790_000_000 * NANOSECONDS
+# What an offset is relative to: an opening, and what was set, s.
+OPENING = ("opening", 0.2)
 
 
 def s(seconds):
@@ -57,6 +59,38 @@ def test_drift_is_the_slope_of_the_offset():
     for minute in range(30):
         # Twice in a minute counts once.
         for at_s in (60.0 * minute, 60.0 * minute + 20.0):
-            drift.look(s(at_s), 0.2 + 25e-6 * at_s)
+            drift.look(s(at_s), 0.2 + 25e-6 * at_s, 1e-3, OPENING)
         assert (drift.ppm is None) == (minute < 10)
     assert drift.ppm == pytest.approx(25.0, abs=0.1)
+
+
+@pytest.mark.parametrize("after", [("opening", 0.7), ("another", 0.2)])
+def test_a_clock_that_was_set_and_a_new_opening_are_no_drift(after):
+    drift = ClockDrift()
+    for minute in range(60):
+        origin, offset_s = (OPENING, 0.2) if minute < 30 else (after, 0.7)
+        drift.look(s(60.0 * minute), offset_s, 1e-3, origin)
+        assert drift.ppm is None or drift.ppm == pytest.approx(0.0, abs=1e-3)
+        # It begins anew.
+        assert (drift.ppm is None) == (minute % 30 < 10)
+
+
+def test_an_offset_that_is_not_estimated_has_no_drift():
+    drift = ClockDrift()
+    for minute in range(30):
+        drift.look(s(60.0 * minute), 0.2, float("nan"), OPENING)
+    assert drift.ppm is None
+    for minute in range(30, 45):
+        drift.look(s(60.0 * minute), 0.2, 1e-3, OPENING)
+    drift.look(s(2700.0), 0.2, float("nan"), OPENING)
+    assert drift.ppm is None
+
+
+@pytest.mark.parametrize("interval_s", [8.0, 12.0, 60.0])
+@pytest.mark.parametrize("values", [1, 1200])
+def test_what_comes_seldom_has_a_rate(interval_s, values):
+    pace = Pace()
+    for number in range(10):
+        pace.came(s(interval_s * number), values, s(interval_s * number + 0.1))
+        # The first two records tell the interval.
+        assert number < 2 or pace.rate_hz == pytest.approx(values / interval_s, rel=1e-6)

@@ -43,3 +43,9 @@ def test_a_range_profile_is_the_power_of_its_received_channels():
     assert profile_of(frame, np.full(8, np.nan), [])["range_m"] is None
     nothing = RangeFrame(9, phasors, np.array([False, False]))
     assert profile_of(nothing, np.arange(8.0), [])["magnitude_db"] == []
+
+
+def test_a_profile_without_power_is_far_below_any_that_has_some():
+    for value, expected_db in ((0.0, -200.0), (1e-30, 0.0)):
+        frame = RangeFrame(9, np.full((1, 8), value, dtype=np.complex64), np.array([True]))
+        assert profile_of(frame, np.arange(8.0), [])["magnitude_db"] == [expected_db] * 8

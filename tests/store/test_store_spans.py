@@ -1,6 +1,7 @@
 """Which calibration made which rows, as the index of the store tells it."""
 
 import numpy as np
+import pytest
 
 from midspan.records import NANOSECONDS
 from midspan.store.chunk import Chunk
@@ -52,3 +53,22 @@ def test_of_a_year_few_blocks_are_looked_at():
     assert runs == [(0, 12_344, 1), (12_345, 49_999, 2), (50_000, 77_776, 2), (77_777, len(begin_ns) - 1, 3)]
     # Once a day, at the gap, and where it changes.
     assert len(looked) == len(set(looked)) < 400
+
+
+@pytest.mark.parametrize("removed", [{0}, {0, 1, 2}])
+def test_blocks_that_are_removed_meanwhile_have_no_span(store_at, removed):
+    store = open_store(store_at)
+    for number in range(3):
+        store.write(Batch([rows(2000 * number, 2000 * number + 100, number + 1)]))
+        store.flush()
+    days = list(store._days.all())
+    begins = {day: day.begins("p", "rows") for day in days}
+    gone = sorted(t0_ns for of_day in begins.values() for t0_ns in of_day)
+    for day in days:
+        day.begins = lambda _point, _stream, own=begins[day]: own
+        for number in removed:
+            place = ("p", "rows", gone[number])
+            day.database.execute("DELETE FROM block WHERE point = ? AND stream = ? AND t0_ns = ?", place)
+    expected = [(number + 1, 2000 * number, 2000 * number + 99) for number in range(3) if number not in removed]
+    assert spans(store) == expected
+    store.close()

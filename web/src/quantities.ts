@@ -44,6 +44,24 @@ export function quantities(calibration: Record<string, unknown>): Map<string, Qu
   return found;
 }
 
+/** The sensors of a calibration, each with its image axis: where they are others, its quantities mean something else. */
+function sensorsOf(calibration: Record<string, unknown>): string {
+  const sensors = Object.entries(calibration).flatMap(([kind, content]) =>
+    (Array.isArray(content) ? content : [content])
+      .filter((one): one is Section => typeof one === "object" && one !== null)
+      // Others are no sensor's.
+      .filter((one) => QUANTITIES.some(([key]) => number(one, key) !== null))
+      .map(({ name, direction }) => [kind, name ?? "", typeof direction === "string" ? direction : ""].join(" ")),
+  );
+  return sensors.sort().join(";");
+}
+
+/** Those of calibrations, the newest last, that have the sensors and the axes of the newest one. */
+export function comparable<T extends { calibration: Record<string, unknown> }>(all: T[]): T[] {
+  const newest = all[all.length - 1];
+  return newest ? all.filter((one) => sensorsOf(one.calibration) === sensorsOf(newest.calibration)) : [];
+}
+
 export interface Change {
   /** From the first to the last one, in their unit. */
   by: number;

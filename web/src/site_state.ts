@@ -33,7 +33,7 @@ export class SiteState {
   #timer = 0;
   #alarmsMs = -Infinity;
   #askedMs = -Infinity;
-  // When stages were told last.
+  // When stages were reported last.
   #stagesMs = 0;
   #changes = 0;
   #states = 0;

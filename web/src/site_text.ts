@@ -6,7 +6,7 @@ interface Part {
   to: number;
   /** As the header has it: "point.camera". */
   section: string;
-  /** The place of its point, from 0; -1 before the first one. */
+  /** The place of its point, from 0, where the server counts from 1; -1 before the first one. */
   point: number;
   name: string;
 }
@@ -52,7 +52,7 @@ export function lineOf(text: string, key: string | null, fault: string): number 
   const parts = partsOf(lines);
   const [named, placed] = [BY_NAME.exec(key), BY_PLACE.exec(key)];
   const points = parts.filter((one) => one.section === "point");
-  const point = named ? points.find((one) => one.name === named[1])?.point : placed ? Number(placed[1]) : undefined;
+  const point = named ? points.find((one) => one.name === named[1])?.point : placed ? Number(placed[1]) - 1 : undefined;
   const path = (named ?? placed)?.[2] ?? key;
   const words = path.replace(/\[\d+\]/g, "").split(".");
   const last = words.pop() ?? "";

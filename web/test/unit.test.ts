@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { joined } from "../src/charts/series.ts";
 import { TimeWindow } from "../src/charts/window.ts";
-import { changeOf } from "../src/quantities.ts";
+import { changeOf, comparable } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
 import { layers, Newest, ofBuckets, ofRows, statistics } from "../src/rows.ts";
 import { lineOf, pointNames, withoutPoint, withPoint, withSource } from "../src/site_text.ts";
@@ -179,6 +179,17 @@ test("a change is that of the likeliest line, and of two values their difference
   assert.equal(changeOf([at(0, 1, 1)]), null);
 });
 
+test("calibrations of another axis or of other sensors are not compared", () => {
+  const camera = (direction: string, scale_mm_per_px: number, name?: string) => ({ direction, scale_mm_per_px, name });
+  const of = (camera: object, more: object = {}) => ({ calibration: { version: 1, camera, ...more } });
+  const [x, first] = [of(camera("x", 1)), of(camera("y", 1), { notices: [{ name: "a" }] })];
+  const [second, wider] = [of(camera("y", 2)), of(camera("y", 1), { radar: { conversion_factor: 1 } })];
+  assert.deepEqual(comparable([x, first, second]), [first, second]);
+  assert.deepEqual(comparable([first, wider, second]), [first, second]);
+  assert.deepEqual(comparable([first, of([camera("x", 1, "a")]), x]), [x]);
+  assert.deepEqual(comparable([]), []);
+});
+
 const BRIDGE = `name = "site" # of all
 [store]
 path = "store"
@@ -206,7 +217,8 @@ test("the line of a wrong key is found in its own point, and of a missing one it
   const at = (key: string | null, fault = "") => BRIDGE.split("\n")[lineOf(BRIDGE, key, fault) ?? -1];
   assert.equal(at("point 'a': accelerometer.unit"), 'unit = "g"');
   assert.equal(at("point 'b': camera.source"), 'source = "y"');
-  assert.equal(at("point[1]: camera.direction"), "[point.camera]");
+  assert.equal(at("point[2]: camera.direction"), "[point.camera]");
+  assert.equal(at("point[1]: accelerometer.unit"), 'unit = "g"');
   assert.equal(at("mqtt.host"), 'host = "h"');
   assert.equal(at("name"), 'name = "site" # of all');
   assert.equal(at(null, "is not valid TOML (at line 3, column 8)."), 'path = "store"');

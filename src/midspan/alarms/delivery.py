@@ -54,22 +54,17 @@ class Delivery(threading.Thread):
         return self.book
 
     def change(self, targets: Mapping[str, Deliver]) -> None:
-        """Deliver to other targets; those that are as they were go on, and what waits for others of the same name is
-        theirs.
-        """
-        before, self.senders = self.senders, {
-            name: old if (old := self.senders.get(name)) is not None and old.deliver == deliver
-            else Sender(name, deliver, self._done)
-            for name, deliver in targets.items()
-        }  # fmt: skip
-        gone = [old for name, old in before.items() if self.senders.get(name) is not old]
-        _stop(gone)
-        for old in gone:
-            if (new := self.senders.get(old.target)) is not None:
-                new.take_over(old)
-        for name, sender in self.senders.items():
-            if before.get(name) is not sender:
-                sender.start()
+        """Deliver to other targets; what waits for one of the same name stays with its sender."""
+        before = self.senders
+        new = {name: Sender(name, deliver, self._done) for name, deliver in targets.items() if name not in before}
+        kept = {name: sender for name, sender in before.items() if name in targets}
+        for name, sender in kept.items():
+            sender.change(targets[name])
+        # At once for the thread that hands messages to them.
+        self.senders = {**kept, **new}
+        for sender in new.values():
+            sender.start()
+        _stop([sender for name, sender in before.items() if name not in targets])
 
     def put(self, entry: Entry) -> None:
         """Queue what happened; where too much waits it is lost, and said."""

@@ -40,7 +40,8 @@ class Sender(threading.Thread):
         self.target, self.fault, self.sent, self.sent_s = target, "", 0, 0.0
         self.deliver, self._done = deliver, done
         self._waiting: deque[Message] = deque()
-        self._some, self._ending = threading.Event(), threading.Event()
+        # Something waits; the next attempt is due at once; no further one.
+        self._some, self._due, self._is_ending = threading.Event(), threading.Event(), False
 
     @property
     def waiting(self) -> int:
@@ -54,20 +55,22 @@ class Sender(threading.Thread):
             self._done(self._waiting.popleft(), f"more than {MAX_WAITING} messages waited")
         self._some.set()
 
-    def take_over(self, other: "Sender") -> None:
-        """What another one, which has ended, has not delivered goes first."""
-        self._waiting.extendleft(reversed(other._waiting))
-        self._some.set()
+    def change(self, deliver: Deliver) -> None:
+        """Deliver otherwise from the next attempt on, which is due at once; the one under way may still succeed."""
+        if deliver != self.deliver:
+            self.deliver = deliver
+            self._due.set()
 
     def stop(self) -> None:
         """End after the attempt that is under way; what waits stays in the book."""
-        self._ending.set()
+        self._is_ending = True
         self._some.set()
+        self._due.set()
 
     def run(self) -> None:
         """Deliver one after another."""
         again_s = AGAIN_S
-        while not self._ending.is_set():
+        while not self._is_ending:
             if not self._waiting:
                 self._some.wait()
                 self._some.clear()
@@ -80,8 +83,8 @@ class Sender(threading.Thread):
                 if time.time() - message.time_ns / 1e9 > MAX_AGE_S:
                     self._gone(message, f"not delivered within a day ({self.fault})")
                     continue
-                self._ending.wait(again_s)
-                again_s = min(2 * again_s, MAX_AGAIN_S)
+                again_s = AGAIN_S if self._due.wait(again_s) else min(2 * again_s, MAX_AGAIN_S)
+                self._due.clear()
             else:
                 self.fault, again_s, self.sent, self.sent_s = "", AGAIN_S, self.sent + 1, time.time()
                 self._gone(message, "")

@@ -177,6 +177,12 @@ class Point:
         known_s = self.merge.memory(sensor).offset_ns / NANOSECONDS
         return known_s + float(offsets[own]), float(np.sqrt(variances[own]))
 
+    def clock_set_s(self, sensor: str) -> float:
+        """The part of `clock_offset` that is not its slow course: as calibrated, as set since and as found to have
+        stepped, s.
+        """
+        return self.merge.memory(sensor).offset_ns / NANOSECONDS + self.estimator.clock_steps[self._channel(sensor)]
+
     def interval_s(self, stream: str) -> float:
         """The usual interval between the values of a stream, s; 0 where it is not known."""
         if stream == ACCELEROMETER:

@@ -108,6 +108,11 @@ class Stream:
         return np.array(values), np.array(variances)
 
     @property
+    def clock_steps(self) -> tuple[float, ...]:
+        """By how much the clock of each channel (c,) was found to have stepped, s: a part of `clock_offsets`."""
+        return tuple(self.core.clock_offsets())
+
+    @property
     def clock_offsets(self) -> tuple[Floats, Floats]:
         """What is to be added to the stamps of each channel (c,), s, as estimated, and the variance of that (c,); NaN
         where its clock is not estimated.

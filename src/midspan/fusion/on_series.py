@@ -179,6 +179,11 @@ class OnSeries:
         return self._inner.parameters
 
     @property
+    def clock_steps(self) -> tuple[float, ...]:
+        """Those of the estimator, see there."""
+        return self._inner.clock_steps
+
+    @property
     def clock_offsets(self) -> tuple[Floats, Floats]:
         """Those of the estimator, see there."""
         return self._inner.clock_offsets

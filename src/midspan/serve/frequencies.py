@@ -28,8 +28,6 @@ STEPS_S = (1800, 3600, 10_800, 21_600, 43_200, 86_400, 172_800, 604_800, 2_592_0
 MAX_STEPS = 60
 # What one call computes at most, s; the rest is for the next one, so that spectra and rows of others come in between.
 BUDGET_S = 5.0
-# Rows that are older than this come no more, s: an outage is bridged for ten minutes.
-SETTLED_S = 3600.0
 # Segments that are kept in memory: of 150 courses; each is some hundred bytes.
 MAX_KEPT = 150 * MAX_STEPS
 # A frequency that fewer of the segments have is no mode to follow: half. The lowest ones are followed.
@@ -98,12 +96,15 @@ async def segments_of(serving: Serving, name: str, step_ns: int, steps: range) -
 
 
 async def segment(serving: Serving, name: str, step_ns: int, step: int) -> Segment:
-    """The segment of a step, which is kept where no row of it can come any more."""
+    """The segment of a step, which is kept where no row of it can come any more: rows after it are stored, and those of
+    a point are stored in their order, however long the store was away.
+    """
     span = (step * step_ns, (step + 1) * step_ns)
+    newest_ns = await serving.quick.run(reading.newest_ns, serving.where, name)
     found = await serving.long.run(
         reading.segment_modes, serving.where, name, *span, SEGMENT_S * NANOSECONDS
     )  # fmt: skip
-    if span[1] < time.time_ns() - SETTLED_S * NANOSECONDS:
+    if newest_ns is not None and newest_ns >= span[1]:
         serving.segments[name, step_ns, step] = found
         while len(serving.segments) > MAX_KEPT:
             del serving.segments[next(iter(serving.segments))]

@@ -53,7 +53,7 @@ class PointState(BaseModel):
     calibration: int | None = None
     stage: str = Field("", description="capturing, calibrating or opening; empty where nothing is prepared")
     stage_left_s: float | None = Field(None, description="how long that still takes, s; null where it is not known")
-    latency_s: float | None = Field(None, description="how much later than its stamp a row comes, median, s")
+    latency_s: float | None = Field(None, description="how much later than its stamp a row comes, mean, s")
 
 
 class Series(BaseModel):
@@ -190,9 +190,10 @@ async def spectrum(name: str, serving: Shared, begin: From = None, to: To = None
 
 @routes.get("/{name}/calibrations", response_model=list[CalibrationBody], dependencies=READ, responses=OF_A_POINT)
 async def calibrations(name: str, serving: Shared) -> list[Tree]:
-    """All calibrations of a point that the store has."""
+    """All calibrations of a point that the store has; the spans of rows are up to half a minute old."""
     await serving.require_point(name)
-    return await serving.quick.run(reading.calibrations, serving.where, name)
+    kept, rows = await serving.quick.run(reading.calibrations, serving.where, name), await serving.calibrated_rows(name)
+    return [{**one, "rows": rows.get(one["id"], [])} for one in kept]
 
 
 @routes.post(

@@ -73,7 +73,7 @@ async def _sending(serving: Serving) -> None:
         # That no process measures any more comes in no message of its.
         if serving.link.reason != reason:
             reason = serving.link.reason
-            serving.tell_changes()
+            serving.report_changes()
 
 
 def more_descriptors() -> None:

@@ -67,6 +67,12 @@ def known_points(where: str) -> list[str]:
         return store.points
 
 
+def newest_ns(where: str, point: str) -> int | None:
+    """The stamp of a point's newest row that is kept; None without any."""
+    with opened(where) as store:
+        return store.newest_ns(point, rows_stream())
+
+
 def newest(where: str, point: str) -> Tree:
     """A point's newest row that is kept; empty without any."""
     with opened(where) as store:
@@ -175,17 +181,23 @@ def events(where: str, point: str, first_ns: int, end_ns: int) -> list[Tree]:
 
 
 def calibrations(where: str, point: str) -> list[Tree]:
-    """A point's calibrations with their numbers, times, states, contents and the rows that were made with each."""
+    """A point's calibrations with their numbers, times, states and contents."""
     with opened(where) as store:
-        kept, spans = store.calibrations(point), store.spans(point, rows_stream())
+        kept = store.calibrations(point)
+    return [
+        {"id": one.number, "time": iso(one.made_ns), "state": one.state, "calibration": json.loads(one.body)}
+        for one in kept
+    ]
+
+
+def calibrated_rows(where: str, point: str) -> dict[int, list[Tree]]:
+    """The newest spans of a point's rows that were made with each calibration, by its number."""
+    with opened(where) as store:
+        spans = store.spans(point, rows_stream())
     rows: dict[int, list[Tree]] = {}
     for one in spans:
         rows.setdefault(one.calibration, []).append({"from": iso(one.first_ns), "to": iso(one.last_ns)})
-    return [
-        {"id": one.number, "time": iso(one.made_ns), "state": one.state, "calibration": json.loads(one.body),
-         "rows": rows.get(one.number, [])[-MAX_SPANS:]}
-        for one in kept
-    ]  # fmt: skip
+    return {number: of_one[-MAX_SPANS:] for number, of_one in rows.items()}
 
 
 def spectrum_of(where: str, point: str, first_ns: int, end_ns: int) -> Tree:

@@ -3,6 +3,7 @@
 import asyncio
 import ctypes
 import functools
+import math
 import multiprocessing
 import signal
 import sys
@@ -33,6 +34,8 @@ Found = TypeVar("Found")
 
 # Points of a store that nothing measures, and their newest rows, are looked for so often, s.
 POINTS_S, NEWEST_S = 30.0, 5.0
+# Which calibration made which rows is looked for so often, s: it takes a tenth of a second for 200 days.
+SPANS_S = 30.0
 # Requests that wait for a worker at most, and how long: more are turned away.
 MAX_WAITING, LONGEST_S = 16, 60.0
 
@@ -136,6 +139,7 @@ class Serving:
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
     _points: tuple[float, list[str]] = (-POINTS_S, [])
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
+    _spans: dict[str, tuple[float, dict[int, list[Tree]]]] = field(default_factory=dict)
     # What was reported to viewers last: how each point stands, and what is wrong.
     _reported: tuple[dict[str, Tree], Tree] = field(default_factory=lambda: ({}, {}))
     # Of each point: status and reason, and when they became so (ns UTC), as far as this process saw it.
@@ -156,7 +160,7 @@ class Serving:
                 now = (str(one["status"]), str(one["reason"] or one.get("notice", "")))
                 if self._since.get(str(one["point"]), (None, 0))[0] != now:
                     self._since[str(one["point"])] = (now, time.time_ns())
-            self.tell_changes()
+            self.report_changes()
         elif head["kind"] in ("event", "alarm"):
             self.live.tell({"type": head["kind"], **{key: value for key, value in head.items() if key != "kind"}})
 
@@ -194,6 +198,14 @@ class Serving:
             self._newest[name] = (time.monotonic(), kept)
         return kept
 
+    async def calibrated_rows(self, name: str) -> dict[int, list[Tree]]:
+        """The spans of a point's rows that were made with each calibration, as they were half a minute ago at most."""
+        then_s, spans = self._spans.get(name, (-math.inf, {}))
+        if time.monotonic() - then_s > SPANS_S:
+            spans = await self.quick.run(reading.calibrated_rows, self.where, name)
+            self._spans[name] = (time.monotonic(), spans)
+        return spans
+
     def since_ns(self, name: str) -> int | None:
         """When a point's status and reason became what they are, ns UTC; None where nothing measures it."""
         return None if self.link.reason else self._since.get(name, (None, None))[1]
@@ -215,7 +227,7 @@ class Serving:
             "latency_s": None if reason else state.get("latency_s"),
         }
 
-    def tell_changes(self) -> None:
+    def report_changes(self) -> None:
         """Report to viewers which points stand otherwise than before, and what is wrong: they need not ask."""
         names = [str(one["point"]) for one in self.link.state.get("points", [])]
         now, standing = {name: self.stands(name) for name in names}, self.standing()

@@ -24,6 +24,7 @@ from midspan.service.changes import Changes
 from midspan.service.live_socket import Tree
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.camera import CameraSettings
+from midspan.settings.live_sources import without_secrets
 from midspan.settings.site import load_site, require_folders
 from midspan.writing import cannot_be_written, write_whole
 
@@ -95,8 +96,8 @@ def on_trial(file: Path, content: bytes) -> Iterator[Path]:
 async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
     """What settings would change. Raises Problem 422 with the key for those that a site could not run with."""
     with on_trial(file, content) as trial:
-        shown = {name: tree for name, (_, tree, _) in serving.pictures.items() if "width" in tree}
-        sizes_px = {name: (tree["width"], tree["height"]) for name, tree in shown.items()}
+        shown = [(name, tree) for name, (_, tree, _) in serving.pictures.items() if "width" in tree]
+        sizes_px = {(name, tree["address"]): (tree["width"], tree["height"]) for name, tree in shown}
         changes = await serving.quick.run(changes_of, file, trial, sizes_px)
         try:
             answer, _ = await serving.link.ask("reload", trial=str(trial))
@@ -106,17 +107,17 @@ async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
     return done(answer)
 
 
-def changes_of(file: Path, trial: Path, sizes_px: Mapping[str, tuple[int, int]]) -> Changes:
+def changes_of(file: Path, trial: Path, sizes_px: Mapping[tuple[str, str], tuple[int, int]]) -> Changes:
     """What the settings of a file would change of those of another one, where nothing runs with them.
 
-    sizes_px: width and height of the newest picture of each camera (POINT.KIND) that somebody looked at. Raises what is
-    wrong with them.
+    sizes_px: width and height of the newest picture of each camera (POINT.KIND and address) that somebody looked at.
+    Raises what is wrong with them.
     """
     site = load_site(trial)
     require_folders(site)
     for point in site.points:
         for name, _, section in point.recording.streams:
-            size_px = sizes_px.get(f"{point.name}.{name}")
+            size_px = sizes_px.get((f"{point.name}.{name}", without_secrets(point.sources[name])))
             if size_px is not None and isinstance(section, CameraSettings):
                 require_inside(section, size_px, f"{trial}: point {point.name!r}: {name}")
     with suppress(MidspanError):

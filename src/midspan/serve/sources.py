@@ -33,7 +33,7 @@ class SourceState(BaseModel):
     address: str
     rate_hz: float | None = Field(None, description="frames, or values, a second, by the newest stamps")
     nominal_rate_hz: float | None = Field(None, description="the same as the recording has it that the point runs with")
-    delay_s: float | None = Field(None, description="how much later than its stamp a record comes, median, s")
+    delay_s: float | None = Field(None, description="how much later than its stamp a record comes, mean, s")
     late: int | None = Field(None, description="values and frames left out: too late, out of order or doubled")
     restarts: int | None = Field(None, description="how often the source was opened again")
     clock_offset_s: float | None = Field(
@@ -94,10 +94,12 @@ def known(serving: Serving) -> list[Tree]:
     return [{**source, "name": f"{one['point']}.{source['source']}"} for one in points for source in one["sources"]]
 
 
-def require_source(serving: Serving, name: str) -> None:
-    """Raises Problem for a name that is no source's."""
-    if name not in [one["name"] for one in known(serving)]:
+def require_source(serving: Serving, name: str) -> Tree:
+    """The newest state of a stream. Raises Problem for a name that is no source's."""
+    found = next((one for one in known(serving) if one["name"] == name), None)
+    if found is None:
         raise Problem(404, f"{name}: is no source of this site. GET /api/v1/sources names them, as POINT.KIND.")
+    return found
 
 
 @routes.get("", response_model=list[SourceState], dependencies=READ, responses=declared(401, 403))
@@ -129,13 +131,13 @@ async def profile(name: str, serving: Shared) -> Tree:
 
 async def newest(serving: Serving, name: str, command: str) -> tuple[Tree, bytes]:
     """What the engine shows of a source, shared by all who ask at the time. Raises Problem."""
-    require_source(serving, name)
+    address = require_source(serving, name)["address"]
     async with serving.looking.setdefault(name, asyncio.Lock()):
         taken_s, answer, body = serving.pictures.get(name, (-PICTURE_S, {}, b""))
         # Of a source there is a picture or a profile; what the other one's command says is not kept.
         if time.monotonic() - taken_s > PICTURE_S or answer.get("command") != command:
             found, body = await serving.link.ask(command, source=name)
-            answer = {**found, "command": command}
+            answer = {**found, "command": command, "address": address}
             serving.pictures[name] = (time.monotonic(), answer, body)
     return answer, body
 

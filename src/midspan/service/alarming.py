@@ -58,13 +58,13 @@ def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -
     begun_s = max(begun_s, point.made_s)
     streams = point.streams.values()
     row_s = now_s if any(stream.paused for stream in streams) else row_s
-    heard = [(begun_s if one.heard_s is None else one.heard_s, one) for one in streams if not one.paused]
+    heard = [(begun_s if one.came_s is None else one.came_s, one) for one in streams if not one.paused]
     oldest_s, oldest = min(heard, key=lambda one: one[0], default=(now_s, None))
     return Ages(
         rows_s=max(now_s - (begun_s if row_s is None else row_s), 0.0),
         block_s=max(now_s - oldest_s, 0.0),
         rows_came=row_s is not None,
-        block_came=all(one.heard_s is not None for _, one in heard),
+        block_came=all(one.came_s is not None for _, one in heard),
         source="" if oldest is None else f"{oldest.point}.{oldest.sensor}",
     )
 
@@ -122,9 +122,10 @@ class Alarming:
     async def change(self, site: Site) -> None:
         """Go on with other settings; called in the loop that gives the rows."""
         self._site = site
+        # First, so that the new targets get what follows from the new rules.
+        await asyncio.to_thread(self.delivery.change, self._targets_of(site))
         watched = (alarms_of(site), site.settings.maintenance, people_of(site))
         self._watch.change(*watched, time.time_ns(), mqtt=site.settings.mqtt is not None)
-        await asyncio.to_thread(self.delivery.change, self._targets_of(site))
 
     def connect(self, broker: Broker) -> None:
         """The broker that changes go to."""

@@ -223,7 +223,7 @@ class CameraProcess:
             self._ending.wait(self._pauses.next_s())
 
     def _failed(self, fault: SourceFault) -> None:
-        """Every point learns why there are no frames."""
+        """Report to every point why there are no frames."""
         for taken in self._takers.values():
             taken(fault)
 

@@ -115,7 +115,7 @@ class Intake:
             if one.live.opened is not None:
                 self.cut(one, one.live.opened)
             one.beginning = False
-            for take in one.early:
+            for _, take in one.early:
                 take()
             one.early.clear()
         return tasks
@@ -153,12 +153,16 @@ class Intake:
             except SourceFault as fault:
                 self._refused(one, name, fault)
             else:
-                self._give(one, partial(self._block, one, name, block))
+                self._give(one, name, partial(self._block, one, name, block))
 
-    def _give(self, one: Running, take: Callable[[], None]) -> None:
+    def _give(self, one: Running, name: str, take: Callable[[], None]) -> None:
         """Let a point take what came; one that is being begun, while others run, does so then."""
         if one.beginning:
-            one.early.append(take)
+            if len(one.early) == one.early.maxlen:
+                lost, _ = one.early.popleft()
+                one.streams[lost].lost += 1
+            one.early.append((name, take))
+            one.streams[name].early_s = time.time()
         elif not one.ended:
             take()
 
@@ -268,7 +272,7 @@ class Intake:
 
         def each(item: Any) -> None:
             for one, name in users:
-                self._give(one, partial(taken, one, name, item))
+                self._give(one, name, partial(taken, one, name, item))
 
         def hand(item: Any) -> None:
             with suppress(RuntimeError):
@@ -286,7 +290,7 @@ class Intake:
                 if left_s > 0:
                     await asyncio.sleep(left_s)
                 for one, name in users:
-                    self._give(one, partial(self._heard, one, name, Arrival(name, 0, record)))
+                    self._give(one, name, partial(self._heard, one, name, Arrival(name, 0, record)))
             reason, text = "ended", "the recording that is replayed has ended"
         except MidspanError as error:
             reason, text = "damaged", str(error)

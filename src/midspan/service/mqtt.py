@@ -6,8 +6,8 @@ import secrets
 import ssl
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -80,6 +80,8 @@ class Broker:
         self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
         self._announced = dict(announced or {})
+        # Topics of which nothing is to be retained any more, until the broker is told.
+        self._cleared: set[str] = set()
         self.root = f"{settings.prefix}/v1/{site}"
         client = mqtt.Client(
             CallbackAPIVersion.VERSION2, client_id=f"midspan-{site}", protocol=mqtt.MQTTv5, manual_ack=True
@@ -126,10 +128,13 @@ class Broker:
         )
         self._client.loop_start()
 
-    def change(self, topics: Mapping[str, int], announced: Mapping[str, str]) -> None:
-        """Listen to these topics in place of those before, and retain these announcements."""
+    def change(self, topics: Mapping[str, int], announced: Mapping[str, str], removed: Collection[str] = ()) -> None:
+        """Listen to these topics in place of those before, and retain these announcements. removed: names of points of
+        which nothing is to be retained any more.
+        """
         old, fresh = self._topics.keys() - topics.keys(), topics.items() - self._topics.items()
-        new = announced.items() - self._announced.items()
+        new = dict(announced.items() - self._announced.items())
+        self._cleared |= (self._announced.keys() - announced.keys()) | {f"{self.root}/{one}/state" for one in removed}
         self._topics, self._announced = dict(topics), dict(announced)
         if not self.connected:
             # The next connection does the rest.
@@ -138,7 +143,14 @@ class Broker:
             self._client.unsubscribe(list(old))
         if fresh:
             self._client.subscribe(list(fresh))
-        for topic, payload in new:
+        self._retain(new)
+
+    def _retain(self, announced: Mapping[str, str]) -> None:
+        """Retain announcements, and clear what is to be retained no more: with an empty message, as MQTT has it."""
+        for topic in self._cleared - self._announced.keys():
+            self._client.publish(topic, "", qos=1, retain=True)
+        self._cleared.clear()
+        for topic, payload in announced.items():
             self._client.publish(topic, payload, qos=1, retain=True)
 
     def stop(self) -> None:
@@ -150,6 +162,8 @@ class Broker:
 
     def publish(self, topic: str, payload: bytes | str, *, qos: int = 0, retain: bool = False) -> None:
         """Send below the site's topic; without a broker only what has to arrive waits."""
+        if retain:
+            self._cleared.discard(f"{self.root}/{topic}")
         if self.connected or qos:
             self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
 
@@ -176,8 +190,7 @@ class Broker:
         self._connections += 1
         client.subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
-        for topic, payload in self._announced.items():
-            client.publish(topic, payload, qos=1, retain=True)
+        self._retain(self._announced)
         self.publish("available", "online", qos=1, retain=True)
 
     def _not_met(self, _client: Any, _data: Any) -> None:

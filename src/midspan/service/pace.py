@@ -1,5 +1,6 @@
 """How fast and how late the newest records of a stream come, and how fast its clock drifts. No clock is in here."""
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -9,6 +10,9 @@ from midspan.records import NANOSECONDS
 
 # Rate and delay are those of about the last ten seconds: ten marks, a second apart by the stamps.
 MARKS, MARK_NS = 10, NANOSECONDS
+# Stamps further apart than those ten seconds are a gap, unless the two before were a third as far apart or further:
+# then records come so seldom.
+GAP_INTERVALS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +31,16 @@ class Pace:
 
     _marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=MARKS + 1))
     _newest: Mark | None = None
+    # Between the two newest stamps.
+    _interval_ns: int = 0
 
     def came(self, newest_ns: int, values: int, now_ns: int) -> None:
         """A record came; newest_ns: stamp of its newest value."""
         before, delay_s = self._newest or Mark(newest_ns, 0, 0, 0.0), (now_ns - newest_ns) / NANOSECONDS
-        if abs(newest_ns - before.newest_ns) > MARKS * MARK_NS:
+        interval_ns, gap_ns = newest_ns - before.newest_ns, MARKS * MARK_NS
+        is_gap = not -gap_ns <= interval_ns <= max(gap_ns, GAP_INTERVALS * self._interval_ns)
+        self._interval_ns = interval_ns
+        if is_gap:
             # After a gap, or where a clock was set: what was before tells nothing of now.
             self._marks.clear()
         delays_s = before.delays_s + delay_s
@@ -70,10 +79,16 @@ class ClockDrift:
     """How fast a clock's offset changes, by what the engine estimates of it."""
 
     _looks: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LOOKS))
+    _origin: tuple[object, float] | None = None
 
-    def look(self, now_ns: int, offset_s: float) -> None:
-        """The offset as estimated now."""
-        if not self._looks or not 0 <= now_ns - self._looks[-1][0] < LOOK_NS:
+    def look(self, now_ns: int, offset_s: float, std_s: float, origin: tuple[object, float]) -> None:
+        """The offset as estimated now; std_s: NaN where it is not estimated. origin: the opening that estimates it, and
+        the part that was set, s: with another one (a new opening, a clock that was set) the drift begins anew.
+        """
+        if not math.isfinite(std_s) or origin != self._origin:
+            self._looks.clear()
+        self._origin = origin
+        if math.isfinite(std_s) and (not self._looks or not 0 <= now_ns - self._looks[-1][0] < LOOK_NS):
             self._looks.append((now_ns, offset_s))
 
     @property

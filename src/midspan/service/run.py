@@ -362,7 +362,7 @@ class Service:
             self._broker = None
             self._begin_broker()
         elif self._broker is not None:
-            self._broker.change(self._topics, self._announced)
+            self._broker.change(self._topics, self._announced, Changes.between(before, now).removed)
 
     def _pause(self, points: Sequence[Running]) -> None:
         """Leave out what was paused."""
@@ -459,7 +459,7 @@ class Service:
             one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
             self._publish_head(one)
-        self._alarms.look(now_ns, self._begun)
+        self._alarms.look(now_ns, self._points)
 
     @property
     def _begun(self) -> list[Running]:

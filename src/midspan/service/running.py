@@ -77,6 +77,13 @@ class Stream:
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=RECENT))
     # Blocks that were lost since that was last an event.
     lost: int = 0
+    # When a record came last that waits for the point to begin.
+    early_s: float | None = None
+
+    @property
+    def came_s(self) -> float | None:
+        """When a record came last, whether it was taken or waits; None before the first."""
+        return max((at_s for at_s in (self.heard_s, self.early_s) if at_s is not None), default=None)
 
     def standing(self, now_s: float, unseen: str) -> dict[str, Any]:
         """As /readyz and the state show it; unseen: why the engine measures nothing with what comes."""
@@ -160,8 +167,8 @@ class Running:
     factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
     scales: kelvin per count, and at count 0, of each infrared camera; published_ns: stamp of the newest row that the
     broker was given, or that the store had when the point went on. beginning: whether it is being begun while other
-    points run; early: takes what came meanwhile; ended: whether no record is taken any more; work: the job that is
-    done; made_s: since when anything is expected of it.
+    points run; early: takes what came meanwhile, by its stream; ended: whether no record is taken any more; work: the
+    job that is done; made_s: since when anything is expected of it.
     """
 
     live: LivePoint
@@ -181,7 +188,7 @@ class Running:
     beginning: bool = False
     ended: bool = False
     # As many as the broker's client lets wait, should the store be away that long.
-    early: deque[Callable[[], None]] = field(default_factory=lambda: deque(maxlen=MAX_QUEUED))
+    early: deque[tuple[str, Callable[[], None]]] = field(default_factory=lambda: deque(maxlen=MAX_QUEUED))
     made_s: float = field(default_factory=time.time)
     # When the job that is done began, and how long the last one of each kind took, s.
     _job_s: float | None = None
@@ -284,7 +291,8 @@ class Running:
         own: dict[str, float | None] = {**unknown, "late": memory.late + memory.disordered}
         if name != ACCELEROMETER:
             offset_s, std_s = point.clock_offset(name)
-            stream.drift.look(round(now_s * NANOSECONDS), offset_s)
+            origin = (self.live.opened.journal, point.clock_set_s(name))
+            stream.drift.look(round(now_s * NANOSECONDS), offset_s, std_s, origin)
             own |= {"clock_offset_s": rounded(offset_s, 6), "clock_offset_std_s": rounded(std_s, 6)}
             own["clock_drift_ppm"] = rounded(stream.drift.ppm, 2)
         return {**found, **own}

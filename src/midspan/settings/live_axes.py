@@ -12,6 +12,8 @@ from midspan.settings.load import load_settings
 
 # The point keeps its name along the first one, as the main columns of a recording are those of y.
 AXES = ("y", "x")
+# Characters of a point's name.
+MAX_NAME = 64
 SOURCES = {axis: f"source_{axis}" for axis in AXES}
 
 
@@ -36,6 +38,7 @@ def by_axis(point: dict[str, Any], where: str, folder: Path) -> list[dict[str, A
             f'{where}: {both[0]}.direction = "xy": must be the only sensor besides the accelerometer. Write the others '
             "in a point of their own, which may name the same sources."
         )
+    _require_short(point.get("name"), where)
     if "scale_mm_per_px" in camera:
         raise UsageError(
             f'{where}: {kind}.scale_mm_per_px: must have direction = "x" or "y" with it, as the sign may differ. Write '
@@ -52,6 +55,16 @@ def by_axis(point: dict[str, Any], where: str, folder: Path) -> list[dict[str, A
         }
         for axis in AXES
     ]
+
+
+def _require_short(name: Any, where: str) -> None:
+    """UsageError for a name that has no place for that of the second axis; what is no name is refused later."""
+    longest = MAX_NAME - len(f"-{AXES[1]}")
+    if isinstance(name, str) and longest < len(name) <= MAX_NAME:
+        raise UsageError(
+            f'{where}: name: must have at most {longest} characters with direction = "xy", as its x axis is called '
+            f"NAME-{AXES[1]}; received {len(name)}. Write a shorter one."
+        )
 
 
 def _listed(section: Any) -> list[dict[str, Any]]:

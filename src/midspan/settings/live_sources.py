@@ -1,5 +1,6 @@
 """Addresses of live sources: what they may say, and which of them are one and the same source."""
 
+import re
 from typing import Any
 
 from midspan.errors import UsageError
@@ -33,9 +34,18 @@ def address_of(kind: str, section: dict[str, Any], where: str) -> str:
 
 
 def without_secrets(address: str) -> str:
-    """An address without user and password."""
+    """An address without user and password, and without the values that follow its path, as some cameras take both:
+    `?user=..&password=..`.
+    """
     scheme, at, rest = address.partition("://")
-    return f"{scheme}://{rest.rpartition('@')[2]}" if at else address
+    if not at:
+        return address
+    # The separator only says that something follows.
+    place, values = re.match(r"([^?=]*)([?=].*)?", rest, re.DOTALL).groups()  # type: ignore[union-attr]
+    if values and "@" in values:
+        # Of a password, or of what comes before the host: nothing says which.
+        return f"{scheme}://…"
+    return f"{scheme}://{place.rpartition('@')[2]}" + (f"{values[0]}…" if values else "")
 
 
 def connection(address: str) -> str:

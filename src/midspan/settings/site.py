@@ -16,7 +16,7 @@ from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER, LIVE
-from midspan.settings.live_axes import by_axis
+from midspan.settings.live_axes import MAX_NAME, by_axis
 from midspan.settings.live_sources import address_of, one_use
 from midspan.settings.load import RECORDING_FILE, validate
 from midspan.settings.messages import unknown
@@ -31,8 +31,8 @@ VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 def is_a_point(value: str) -> str:
     """A point's name; ValueError for another text."""
-    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value):
-        raise ValueError("must be 1 to 64 letters, digits, - and _, as it becomes part of topics and files")
+    if not re.fullmatch(rf"[A-Za-z0-9_-]{{1,{MAX_NAME}}}", value):
+        raise ValueError(f"must be 1 to {MAX_NAME} letters, digits, - and _, as it becomes part of topics and files")
     return value
 
 

@@ -136,18 +136,20 @@ class Day:
             int(row[0]) for one in self._with_rows for row in self.database.execute(sql.format(one), (point, stream))
         ]
 
-    def end_ns(self, point: str, stream: str, t0_ns: int) -> int:
-        """The last stamp of the chunk that begins at an instant."""
+    def end_ns(self, point: str, stream: str, t0_ns: int) -> int | None:
+        """The last stamp of the chunk that begins at an instant; None where it was removed meanwhile."""
         sql = "SELECT MAX(t1_ns) FROM {} WHERE point = ? AND stream = ? AND t0_ns = ?"
         found = (self.database.execute(sql.format(one), (point, stream, t0_ns))[0][0] for one in self._with_rows)
-        return max(int(one) for one in found if one is not None)
+        return max((int(one) for one in found if one is not None), default=None)
 
-    def head(self, point: str, stream: str, t0_ns: int, count: int) -> tuple[int, bytes]:
-        """The number of the calibration as the table has it, and the first bytes of the chunk that begins there."""
+    def head(self, point: str, stream: str, t0_ns: int, count: int) -> tuple[int, bytes] | None:
+        """The number of the calibration as the table has it, and the first bytes of the chunk that begins there; None
+        where it was removed meanwhile.
+        """
         sql = "SELECT {}, substr(body, 1, ?) FROM {} WHERE point = ? AND stream = ? AND t0_ns = ?"
         place = (count, point, stream, t0_ns)
         rows = [row for one in self._with_rows for row in self.database.execute(sql.format(TABLES[one], one), place)]
-        return int(rows[-1][0]), bytes(rows[-1][1])
+        return (int(rows[-1][0]), bytes(rows[-1][1])) if rows else None
 
     def streams(self) -> set[tuple[str, str, int]]:
         """Point, stream and day of all that is kept."""

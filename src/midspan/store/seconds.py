@@ -1,7 +1,7 @@
 """Seconds of rows as a table of PostgreSQL that others read with SQL: Grafana, psql, a spreadsheet.
 
 The blocks are made for midspan itself, compressed. A second may come in two chunks: the later one is merged into what
-the table has, exactly, because no row is ever given twice.
+the table has, but for the rounding of its means (REAL): no row is ever given twice.
 """
 
 from typing import Any

@@ -27,19 +27,22 @@ class CalibratedSpan:
 
 
 def spans_of(days: Iterable[Day], pieces: Sequence[Piece], point: str, stream: str) -> list[CalibratedSpan]:
-    """The spans of a stream of a point, in the order of time; pieces: its rows that are no blocks yet."""
+    """The spans of a stream of a point, in the order of time; pieces: its rows that are no blocks yet. Blocks that are
+    removed meanwhile, as they are too old, have none.
+    """
     place = (point, stream)
     blocks = sorted(((t0_ns, day) for day in days for t0_ns in day.begins(*place)), key=lambda one: one[0])
     begin_ns = np.array([t0_ns for t0_ns, _ in blocks], dtype=np.int64)
     found = [
-        CalibratedSpan(number, int(begin_ns[first]), blocks[last][1].end_ns(*place, int(begin_ns[last])))
+        CalibratedSpan(number, int(begin_ns[first]), last_ns)
         for first, last, number in _runs(begin_ns, lambda k: _calibration(blocks[k][1], place, int(begin_ns[k])))
+        if number is not None and (last_ns := blocks[last][1].end_ns(*place, int(begin_ns[last]))) is not None
     ]
     late = [CalibratedSpan(_calibration_in(one.body, one), one.t0_ns, one.t1_ns) for one in pieces]
     return _merged([*found, *late])
 
 
-def _runs(begin_ns: np.ndarray, calibration: Callable[[int], int]) -> list[tuple[int, int, int]]:
+def _runs(begin_ns: np.ndarray, calibration: Callable[[int], int | None]) -> list[tuple[int, int, int | None]]:
     """First and last block (their numbers) and calibration of each run without a gap.
 
     calibration: of a block. Only the first of each day and those at gaps are looked at, and between two with different
@@ -59,7 +62,7 @@ def _runs(begin_ns: np.ndarray, calibration: Callable[[int], int]) -> list[tuple
     return [(first, end - 1, known(first)) for first, end in zip(firsts, [*firsts[1:], count], strict=True)]
 
 
-def _change(calibration: Callable[[int], int], low: int, high: int) -> int:
+def _change(calibration: Callable[[int], int | None], low: int, high: int) -> int:
     """The first block after `low` that has another calibration, where that of `high` is another one."""
     before = calibration(low)
     while high - low > 1:
@@ -79,8 +82,10 @@ def _merged(spans: Sequence[CalibratedSpan]) -> list[CalibratedSpan]:
     return found
 
 
-def _calibration(day: Day, place: tuple[str, str], t0_ns: int) -> int:
-    number, head = day.head(*place, t0_ns, HEAD_BYTES)
+def _calibration(day: Day, place: tuple[str, str], t0_ns: int) -> int | None:
+    if (kept := day.head(*place, t0_ns, HEAD_BYTES)) is None:
+        return None
+    number, head = kept
     return number if not head.startswith(MAGIC) else _in_body(head)
 
 

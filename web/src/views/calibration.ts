@@ -3,7 +3,7 @@
 import { type CalibrationBody, get, ofPoint, type PointState, post } from "../api.ts";
 import { type History, historyChart } from "../charts/history.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
-import { type Change, changeOf, type Quantity, quantities } from "../quantities.ts";
+import { type Change, changeOf, comparable, type Quantity, quantities } from "../quantities.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, day, duration, signed, withSigma } from "../words.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
@@ -60,9 +60,9 @@ function compared(shown: CalibrationBody[]): HTMLElement {
   return el("div", frame, el("table", {}, head, el("tbody", {}, ...lines)));
 }
 
-/** Quantities with a deviation over time, and whether they drifted. Returns how the charts end. */
+/** Quantities with a deviation over time, those of the newest calibration's sensors, and whether they drifted. Returns how the charts end. */
 function showCourse(root: HTMLElement, all: CalibrationBody[]): () => void {
-  const used = all.filter((one) => one.state !== "refused");
+  const used = comparable(all.filter((one) => one.state !== "refused"));
   const names = [
     ...new Set(
       used.flatMap((one) => [...quantities(one.calibration)].filter(([, of]) => of.std).map(([name]) => name)),
@@ -179,9 +179,7 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const texts = [...all]
-      .reverse()
-      .map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, rowsWords(one)]);
+    const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, ""]);
     history.replaceChildren(...texts.map((one) => line(COLUMNS, one)));
     endCourse();
     course.replaceChildren();
@@ -191,9 +189,14 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   async function ask(): Promise<void> {
     try {
       const all = await get<CalibrationBody[]>(ofPoint(name, "calibrations"));
-      const now = JSON.stringify(all.map((one) => [one.id, one.state, one.rows]));
+      // The rows grow all the time: what is built anew loses the focus.
+      const now = JSON.stringify(all.map((one) => [one.id, one.state]));
       if (now !== before) show(all);
       before = now;
+      [...all].reverse().forEach((one, at) => {
+        const cell = history.rows[at]?.cells[COLUMNS.length - 1];
+        if (cell) say(cell, rowsWords(one));
+      });
     } catch (error) {
       say(said, sentenceOf(error));
     }
