@@ -234,3 +234,20 @@ def test_what_comes_in_float32_has_no_more_digits_in_si_units():
     # Others, as a height of 123.4567891 m in text, keep all theirs.
     text = np.array([123.4567891, np.nan, 0.1, 1e300])
     np.testing.assert_array_equal(in_si(text, 1e-3), 1e-3 * text)
+
+
+def test_what_came_while_a_point_was_begun_is_its_own_and_what_is_dropped_is_counted(site, monkeypatch):
+    (first, _), intake, events = site
+    monkeypatch.setattr("midspan.service.running.MAX_QUEUED", 10)
+    first.beginning = True
+    for number in range(14):
+        intake.payload("a/acc", pack(block(number)))
+    stream = first.streams["accelerometer"]
+    # It is heard, though the point takes it later.
+    assert (stream.records, len(first.early)) == (0, 10)
+    assert stream.heard_s == pytest.approx(time.time(), abs=5.0)
+    intake.begin([first])
+    assert (stream.records, len(first.early), stream.restarts) == (10, 0, 0)
+    lost = [text for name, kind, text in events if (name, kind) == ("a", "lost_records")]
+    assert len(lost) == 1
+    assert "4 were dropped" in lost[0]

@@ -144,10 +144,7 @@ class Watch:
     def tick(self, now_ns: int, ages: Mapping[str, Ages], disk_percent: float | None) -> None:
         """Look at what does not come, and at how much of the disk is used, %; ages: by the points' names."""
         for one in self._watched.values():
-            age = ages.get(one.rule.point)
-            if age is None:
-                # Its point is being begun.
-                continue
+            age = ages[one.rule.point]
             values = {"no_data": age.rows_s, "silent": age.block_s, "disk": disk_percent}
             came = {"no_data": age.rows_came, "silent": age.block_came}.get(one.rule.on, True)
             value = values.get(one.rule.on)

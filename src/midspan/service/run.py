@@ -298,15 +298,19 @@ class Service:
 
     async def _change(self, site: Site, changes: Changes, fresh: Sequence[Running]) -> None:
         try:
-            await self._end_points([one for one in self._points if one.name in changes.ending])
             named = {one.name: one for one in (*self._points, *fresh)}
             for one in fresh:
                 one.beginning = True
             self._pause(fresh)
+            ending = [one for one in self._points if one.name in changes.ending]
+            unused = self._intake.leave(ending)
+            # At once: what comes while points end waits for those that follow them.
+            self._intake.join(fresh)
+            await self._intake.stop(unused)
+            await self._end_points(ending)
             # In place: who commands points and gives them records has the same list.
             self._points[:] = [named[plan.name] for plan in site.points]
             before, self.site = self.site, site
-            self._intake.join(fresh)
             await self._alarms.change(site)
             await self._change_broker(before)
             await self._begin_points(fresh)
@@ -343,8 +347,7 @@ class Service:
         self._begin_point(one)
 
     async def _end_points(self, ending: Sequence[Running]) -> None:
-        """End points as the end of the service does: all that came is kept, and how each stands."""
-        await self._intake.end(ending)
+        """End points that get nothing more: as at the end of the service all that came is kept, and how each stands."""
         jobs = [one.work for one in ending if one.work is not None]
         for job in jobs:
             job.cancel()
@@ -459,7 +462,7 @@ class Service:
             one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
             self._publish_head(one)
-        self._alarms.look(now_ns, self._begun)
+        self._alarms.look(now_ns, self._points)
 
     @property
     def _begun(self) -> list[Running]:

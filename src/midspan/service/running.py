@@ -52,6 +52,8 @@ class Stream:
     sensor: str
     address: str
     heard_s: float | None = None
+    # Since when records are expected of it.
+    expected_s: float = field(default_factory=time.time)
     reason: str = "starting"
     text: str = ""
     records: int = 0
@@ -105,10 +107,14 @@ class Stream:
         """A record came, of this many values, the newest of which has this stamp."""
         self.pace.came(newest_ns, values, round(now_s * NANOSECONDS))
         if self.failed:
-            self.failed, self.restarts = False, self.restarts + (self.heard_s is not None)
-        if self.heard_s is not None:
+            self.failed, self.restarts = False, self.restarts + (self.records > 0)
+        if self.heard_s is not None and self.records:
             self.interval_s += (max(now_s - self.heard_s, 0.0) - self.interval_s) / min(self.records, AVERAGED)
         self.heard_s, self.records = now_s, self.records + 1
+
+    def resumed(self, now_s: float) -> None:
+        """It is used again: what it was before it was paused says nothing now."""
+        self.paused, self.reason, self.text, self.heard_s, self.expected_s = "", "starting", "", None, now_s
 
     def is_new(self, block: Block) -> bool:
         """Whether a block has not come before; those that were lost between it and the newest are counted."""
@@ -160,8 +166,8 @@ class Running:
     factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
     scales: kelvin per count, and at count 0, of each infrared camera; published_ns: stamp of the newest row that the
     broker was given, or that the store had when the point went on. beginning: whether it is being begun while other
-    points run; early: takes what came meanwhile; ended: whether no record is taken any more; work: the job that is
-    done; made_s: since when anything is expected of it.
+    points run; early: takes what came meanwhile, with its sensor; ended: whether no record is taken any more; work:
+    the job that is done.
     """
 
     live: LivePoint
@@ -181,8 +187,7 @@ class Running:
     beginning: bool = False
     ended: bool = False
     # As many as the broker's client lets wait, should the store be away that long.
-    early: deque[Callable[[], None]] = field(default_factory=lambda: deque(maxlen=MAX_QUEUED))
-    made_s: float = field(default_factory=time.time)
+    early: deque[tuple[str, Callable[[], None]]] = field(default_factory=deque)
     # When the job that is done began, and how long the last one of each kind took, s.
     _job_s: float | None = None
     _took_s: dict[str, float] = field(default_factory=dict)
@@ -196,6 +201,13 @@ class Running:
     def name(self) -> str:
         """The point's name."""
         return self.live.name
+
+    def wait(self, sensor: str, take: Callable[[], None]) -> None:
+        """Let what came of a sensor wait until the point is begun; the oldest that is dropped for it counts as lost."""
+        if len(self.early) == MAX_QUEUED:
+            dropped, _ = self.early.popleft()
+            self.streams[dropped].lost += 1
+        self.early.append((sensor, take))
 
     @property
     def busy(self) -> bool:
