@@ -70,9 +70,18 @@ class ClockDrift:
     """How fast a clock's offset changes, by what the engine estimates of it."""
 
     _looks: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LOOKS))
+    _point: object = None
+    _set_ns: int = 0
 
-    def look(self, now_ns: int, offset_s: float) -> None:
-        """The offset as estimated now."""
+    def look(self, now_ns: int, offset_s: float | None, point: object = None, set_ns: int = 0) -> None:
+        """The offset as estimated now, None where it is not; point: what estimates it; set_ns: by how much the clock
+        was found to have been set. Another opening, or a clock that was set since, begins anew: neither is drift.
+        """
+        if point is not self._point or set_ns != self._set_ns or offset_s is None:
+            self._looks.clear()
+            self._point, self._set_ns = point, set_ns
+        if offset_s is None:
+            return
         if not self._looks or not 0 <= now_ns - self._looks[-1][0] < LOOK_NS:
             self._looks.append((now_ns, offset_s))
 

@@ -296,7 +296,8 @@ class Running:
         own: dict[str, float | None] = {**unknown, "late": memory.late + memory.disordered}
         if name != ACCELEROMETER:
             offset_s, std_s = point.clock_offset(name)
-            stream.drift.look(round(now_s * NANOSECONDS), offset_s)
+            estimated_s = offset_s if math.isfinite(std_s) else None
+            stream.drift.look(round(now_s * NANOSECONDS), estimated_s, point, memory.offset_ns)
             own |= {"clock_offset_s": rounded(offset_s, 6), "clock_offset_std_s": rounded(std_s, 6)}
             own["clock_drift_ppm"] = rounded(stream.drift.ppm, 2)
         return {**found, **own}
