@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from midspan.records import NANOSECONDS
-from midspan.service.alarming import Alarming
+from midspan.service.alarming import Alarming, ages_of
 from midspan.service.mqtt import Broker
 from midspan.service.running import Stream
 from midspan.settings.site import load_site
@@ -155,7 +155,7 @@ def test_no_data_is_looked_for_with_the_clock(tmp_path):
     (tmp_path / "store").mkdir()
 
     class Point:
-        name, made_s = "p", 0.0
+        name = "p"
         streams: ClassVar = {"accelerometer": Stream("p", "accelerometer", "mqtt:b/acceleration")}
 
     frames, point = [], Point()
@@ -174,3 +174,26 @@ def test_no_data_is_looked_for_with_the_clock(tmp_path):
     alarming.look(now_ns + 63 * NANOSECONDS, [point])
     assert [(one["reason"], one["state"]) for one in frames] == [("no_data", "firing")]
     alarming.close()
+
+
+def test_a_source_that_is_resumed_is_expected_from_then_on():
+    """Of a source that was paused for a day neither its silence nor the rows' is an alarm at once."""
+    now_s, day_s = time.time(), 86_400.0
+
+    class Point:
+        streams: ClassVar = {
+            name: Stream("p", name, f"serial:{name}", heard_s=now_s - before_s, expected_s=now_s - 2.0 * day_s)
+            for name, before_s in (("accelerometer", 0.5), ("displacement", day_s))
+        }
+
+    stream = Point.streams["displacement"]
+    stream.paused = "taken down"
+    stream.resumed(now_s)
+    soon = ages_of(Point(), now_s - day_s, now_s + 1.0, now_s - 2.0 * day_s)
+    assert (soon.rows_s, soon.block_s) == pytest.approx((1.0, 1.5), abs=0.01)
+    assert (soon.rows_came, soon.block_came) == (False, False)
+    # Where it stays silent, that counts from the resumption.
+    later = ages_of(Point(), now_s - day_s, now_s + 40.0, now_s - 2.0 * day_s)
+    assert (later.rows_s, later.source) == (pytest.approx(40.0, abs=0.01), "p.accelerometer")
+    stream.heard(now_s + 41.0, round((now_s + 41.0) * NANOSECONDS), 1)
+    assert ages_of(Point(), now_s + 41.5, now_s + 42.0, 0.0).rows_s == pytest.approx(0.5, abs=0.01)

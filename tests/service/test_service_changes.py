@@ -4,7 +4,7 @@ import asyncio
 import json
 import threading
 import time
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from types import SimpleNamespace
 
 import numpy as np
@@ -257,6 +257,53 @@ def test_a_point_along_another_axis_opens_anew(tmp_path, monkeypatch, direction,
     beginning.begin(one, store, tmp_path, lambda _line: None)
     assert (calls, one.live.number) == (resumes, 2)
     store.close()
+
+
+def test_what_comes_while_a_point_ends_is_that_of_the_next_one(tmp_path):
+    """A camera needs seconds to end; blocks that come meanwhile are acknowledged."""
+    text, numbers = "[mqtt]\nport = 9\n" + point("a"), iter(range(100))
+
+    def sent(service):
+        number = next(numbers)
+        t0_ns = time.time_ns() + (number - 100) * 10**8
+        block = Block(ACCELERATION, number, t0_ns, 10**7, np.zeros(10))
+        service._taken("a/acc", pack(block), lambda: None)
+
+    async def work():
+        async with started(site_of(tmp_path, text)) as (service, _):
+            first, stop, slow = service._points[0], service._intake.stop, asyncio.Event()
+
+            async def stopped(unused):
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(slow.wait(), 5.0)
+                await stop(unused)
+
+            service._intake.stop = stopped
+            sent(service)
+            await service.take(site_of(tmp_path, "[mqtt]\nport = 9\n" + point("a", 'method = "lag"')))
+            await until(lambda: first.ended)
+            for _ in range(3):
+                sent(service)
+            slow.set()
+            await until(lambda: not service.is_changing)
+            assert service._points[0] is not first
+            records = [one.streams["accelerometer"].records for one in (first, service._points[0])]
+            assert records == [1, 3]
+
+    asyncio.run(work())
+
+
+def test_alarms_watch_a_point_that_is_being_begun(tmp_path):
+    async def work():
+        async with started(site_of(tmp_path, serial("a") + ALARM)) as (service, _):
+            looked = []
+            service._alarms.look = lambda _now_ns, points: looked.append([one.name for one in points])
+            service._points[0].beginning = True
+            await until(lambda: looked)
+            assert looked[0] == ["a"]
+            service._points[0].beginning = False
+
+    asyncio.run(work())
 
 
 def test_topics_and_broker_follow_the_settings(tmp_path, broker):

@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections import deque
 
 import numpy as np
 import pytest
@@ -223,18 +222,6 @@ def test_a_source_says_its_rate_its_delay_and_how_often_it_was_opened_again(site
     assert [one["restarts"] for one in first.standing(time.time())["sources"]] == [3, 0]
 
 
-def test_what_is_too_much_to_wait_for_a_point_that_begins_is_counted(site):
-    (first, _), intake, _ = site
-    first.beginning, first.early = True, deque(maxlen=3)
-    for number in range(5):
-        intake.payload("a/acc", pack(block(number)))
-    stream = first.streams["accelerometer"]
-    assert (stream.lost, stream.records, len(first.early)) == (2, 0, 3)
-    # It is not silent meanwhile, and nothing else came.
-    assert time.time() - 60.0 < stream.came_s <= time.time()
-    assert first.streams["displacement"].came_s is None
-
-
 def test_what_comes_in_float32_has_no_more_digits_in_si_units():
     rng = np.random.default_rng(0)
     sent = rng.normal(0.0, 1.0, 1000).astype(np.float32).astype(np.float64)
@@ -247,3 +234,20 @@ def test_what_comes_in_float32_has_no_more_digits_in_si_units():
     # Others, as a height of 123.4567891 m in text, keep all theirs.
     text = np.array([123.4567891, np.nan, 0.1, 1e300])
     np.testing.assert_array_equal(in_si(text, 1e-3), 1e-3 * text)
+
+
+def test_what_came_while_a_point_was_begun_is_its_own_and_what_is_dropped_is_counted(site, monkeypatch):
+    (first, _), intake, events = site
+    monkeypatch.setattr("midspan.service.running.MAX_QUEUED", 10)
+    first.beginning = True
+    for number in range(14):
+        intake.payload("a/acc", pack(block(number)))
+    stream = first.streams["accelerometer"]
+    # It is heard, though the point takes it later.
+    assert (stream.records, len(first.early)) == (0, 10)
+    assert stream.heard_s == pytest.approx(time.time(), abs=5.0)
+    intake.begin([first])
+    assert (stream.records, len(first.early), stream.restarts) == (10, 0, 0)
+    lost = [text for name, kind, text in events if (name, kind) == ("a", "lost_records")]
+    assert len(lost) == 1
+    assert "4 were dropped" in lost[0]

@@ -64,25 +64,18 @@ def test_drift_is_the_slope_of_the_offset():
     assert drift.ppm == pytest.approx(25.0, abs=0.1)
 
 
-@pytest.mark.parametrize("after", [("opening", 0.7), ("another", 0.2)])
-def test_a_clock_that_was_set_and_a_new_opening_are_no_drift(after):
-    drift = ClockDrift()
-    for minute in range(60):
-        origin, offset_s = (OPENING, 0.2) if minute < 30 else (after, 0.7)
-        drift.look(s(60.0 * minute), offset_s, 1e-3, origin)
-        assert drift.ppm is None or drift.ppm == pytest.approx(0.0, abs=1e-3)
-        # It begins anew.
-        assert (drift.ppm is None) == (minute % 30 < 10)
-
-
-def test_an_offset_that_is_not_estimated_has_no_drift():
-    drift = ClockDrift()
+def test_a_clock_that_is_set_or_not_estimated_does_not_drift():
+    drift, first, second = ClockDrift(), object(), object()
     for minute in range(30):
-        drift.look(s(60.0 * minute), 0.2, float("nan"), OPENING)
-    assert drift.ppm is None
-    for minute in range(30, 45):
-        drift.look(s(60.0 * minute), 0.2, 1e-3, OPENING)
-    drift.look(s(2700.0), 0.2, float("nan"), OPENING)
+        drift.look(s(60.0 * minute), 0.01, first, 0)
+    assert drift.ppm == pytest.approx(0.0, abs=1e-6)
+    # Its clock is set by half a second, then the point is opened anew with another offset.
+    for begin_min, offset_s, point, set_ns in ((30, 0.51, first, 500_000_000), (60, 0.02, second, 0)):
+        for minute in range(begin_min, begin_min + 30):
+            drift.look(s(60.0 * minute), offset_s, point, set_ns)
+            assert (drift.ppm is None) == (minute - begin_min < 10)
+            assert drift.ppm is None or abs(drift.ppm) < 1e-6
+    drift.look(s(60.0 * 90), None, second, 0)
     assert drift.ppm is None
 
 

@@ -202,7 +202,7 @@ def test_two_points_on_a_serial_line_get_every_block(tmp_path):
 def test_two_points_on_a_radar_share_its_port(tmp_path, monkeypatch):
     opened = []
 
-    def profiles(address, _layout):
+    def profiles(address, _layout, _ended):
         opened.append(address)
         while True:
             time.sleep(0.01)

@@ -53,18 +53,22 @@ class MqttTarget:
 
 def ages_of(point: Running, row_s: float | None, now_s: float, begun_s: float) -> Ages:
     """How long ago a point's newest row came (row_s: when), and the newest record of the source that is silent longest.
-    Of what is paused nothing is expected. begun_s: since when anything is expected.
+    Of what is paused nothing is expected. begun_s: since when anything is expected of the site.
     """
-    begun_s = max(begun_s, point.made_s)
     streams = point.streams.values()
     row_s = now_s if any(stream.paused for stream in streams) else row_s
-    heard = [(begun_s if one.came_s is None else one.came_s, one) for one in streams if not one.paused]
+    # Rows need every source: those from before the last one was resumed say nothing.
+    rows_expected_s = max((begun_s, *(one.expected_s for one in streams)))
+    rows_came = row_s is not None and row_s >= rows_expected_s
+    heard = [
+        (max(begun_s, one.expected_s) if one.heard_s is None else one.heard_s, one) for one in streams if not one.paused
+    ]
     oldest_s, oldest = min(heard, key=lambda one: one[0], default=(now_s, None))
     return Ages(
-        rows_s=max(now_s - (begun_s if row_s is None else row_s), 0.0),
+        rows_s=max(now_s - (row_s if rows_came and row_s is not None else rows_expected_s), 0.0),
         block_s=max(now_s - oldest_s, 0.0),
-        rows_came=row_s is not None,
-        block_came=all(one.came_s is not None for _, one in heard),
+        rows_came=rows_came,
+        block_came=all(one.heard_s is not None for _, one in heard),
         source="" if oldest is None else f"{oldest.point}.{oldest.sensor}",
     )
 

@@ -24,13 +24,15 @@ from midspan.errors import MidspanError
 from midspan.records import Frame, Region
 from midspan.service.cutting import part_of
 from midspan.sources.live.camera import Stamped, StampKind, frames
-from midspan.sources.live.instants import SourceFault
+from midspan.sources.live.instants import Ended, SourceFault
 
 # The shortest and the longest pause, s.
 SHORTEST_S, LONGEST_S = 1.0, 30.0
 # A pause is this part of the time that the source has been away: one that is back is opened soon after a short
 # absence, and seldom asked for in a long one.
 PART = 0.25
+# A thread that ends is waited for so long, s: it looks each quarter of a second whether it is to end.
+STOP_S = 5.0
 
 
 class Pauses:
@@ -52,12 +54,13 @@ class Pauses:
 
 
 class ReadingThread:
-    """read: opens the source and gives what it brings, until it raises SourceFault.
+    """read: opens the source and gives what it brings, until it raises SourceFault or the function that it is given is
+    true, at which it looks several times a second.
 
     taken: called from the thread for each thing that it brings, and for each fault.
     """
 
-    def __init__(self, name: str, read: Callable[[], Iterable[Any]], taken: Callable[[Any], None]) -> None:
+    def __init__(self, name: str, read: Callable[[Ended], Iterable[Any]], taken: Callable[[Any], None]) -> None:
         self._read, self._taken = read, taken
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._reading, daemon=True, name=name)
@@ -67,15 +70,15 @@ class ReadingThread:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; a source that is being waited for ends with the process."""
+        """End, and leave the source to whoever opens it next; called once it was started."""
         self._ending.set()
-        self._thread.join(timeout=0.5)
+        self._thread.join(timeout=STOP_S)
 
     def _reading(self) -> None:
         pauses = Pauses()
         while not self._ending.is_set():
             try:
-                for item in self._read():
+                for item in self._read(self._ending.is_set):
                     if self._ending.is_set():
                         return
                     pauses.worked()

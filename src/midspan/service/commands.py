@@ -100,8 +100,7 @@ class Commands:
         if not stream.paused:
             raise MidspanError(f"{head['source']}: is not paused.")
         await asyncio.to_thread(self._paused.put, str(head["source"]), None)
-        # What it was before it was paused says nothing now.
-        stream.paused, stream.reason, stream.text, stream.heard_s = "", "starting", "", None
+        stream.resumed(time.time())
         text = f"{stream.sensor}: is used again."
         self._tell(one, "resumed", text)
         return {"text": text}, b""

@@ -27,7 +27,7 @@ from midspan.service.running import Running
 from midspan.settings.kinds import ACCELEROMETER, CAMERAS, LIVE
 from midspan.settings.live_sources import connection
 from midspan.sources.live.blocks import Block, parse
-from midspan.sources.live.instants import SourceFault
+from midspan.sources.live.instants import Ended, SourceFault
 from midspan.sources.live.radar import profiles
 from midspan.sources.live.serial_line import blocks
 from midspan.sources.thermal.temperatures import ThermalRequest, celsius_of, count_scale
@@ -44,13 +44,16 @@ Tell = Callable[[Running, str, str], None]
 Users = list[tuple[Running, str]]
 """Points that a source brings records to, each with the name of its sensor."""
 
+Reader = CameraProcess | ReadingThread | asyncio.Task[None]
+"""What brings the records of a source."""
+
 
 @dataclass(slots=True)
 class Source:
     """One source, opened once, and who uses it now."""
 
     users: Users = field(default_factory=list)
-    reader: CameraProcess | ReadingThread | asyncio.Task[None] | None = None
+    reader: Reader | None = None
 
 
 class Intake:
@@ -115,6 +118,10 @@ class Intake:
             if one.live.opened is not None:
                 self.cut(one, one.live.opened)
             one.beginning = False
+            for name, stream in one.streams.items():
+                if lost := stream.lost_to_say(time.time()):
+                    text = f"{name}: more came than can wait while the point was being begun; {lost} were dropped."
+                    self._tell(one, "lost_records", text)
             for _, take in one.early:
                 take()
             one.early.clear()
@@ -122,19 +129,27 @@ class Intake:
 
     async def end(self, points: Sequence[Running]) -> None:
         """Give points nothing more; what nobody uses any more is stopped."""
+        await self.stop(self.leave(points))
+
+    def leave(self, points: Sequence[Running]) -> list[Reader]:
+        """Give points nothing more; returns what nobody uses any more, to be stopped."""
         for one in points:
             one.ended = True
             for feed in one.cameras.values():
                 feed.leave()
         for source in self._sources.values():
             source.users[:] = [(one, name) for one, name in source.users if one not in points]
-        unused = [source.reader for source in self._sources.values() if not source.users]
+        unused = [one.reader for one in self._sources.values() if not one.users and one.reader is not None]
         self._sources = {at: source for at, source in self._sources.items() if source.users}
         self._find_topics()
+        return unused
+
+    async def stop(self, unused: Sequence[Reader]) -> None:
+        """End what `leave` returned, which takes seconds."""
         for reader in unused:
             if isinstance(reader, asyncio.Task):
                 reader.cancel()
-        readers = [one for one in unused if isinstance(one, CameraProcess | ReadingThread)]
+        readers = [one for one in unused if not isinstance(one, asyncio.Task)]
         # At the same time: each waits for its own end.
         await asyncio.gather(*(asyncio.to_thread(one.stop) for one in readers))
 
@@ -153,18 +168,16 @@ class Intake:
             except SourceFault as fault:
                 self._refused(one, name, fault)
             else:
-                self._give(one, name, partial(self._block, one, name, block))
+                self._give(self._block, one, name, block)
 
-    def _give(self, one: Running, name: str, take: Callable[[], None]) -> None:
-        """Let a point take what came; one that is being begun, while others run, does so then."""
+    def _give(self, take: Callable[[Running, str, Any], None], one: Running, name: str, item: Any) -> None:
+        """Let a point take what came of a sensor; one that is being begun, while others run, does so then."""
         if one.beginning:
-            if len(one.early) == one.early.maxlen:
-                lost, _ = one.early.popleft()
-                one.streams[lost].lost += 1
-            one.early.append((name, take))
-            one.streams[name].early_s = time.time()
+            if not isinstance(item, SourceFault):
+                one.streams[name].heard_s = time.time()
+            one.wait(name, partial(take, one, name, item))
         elif not one.ended:
-            take()
+            take(one, name, item)
 
     def _block(self, one: Running, name: str, block: Block) -> None:
         """A block of values, unless it was there before; lost ones are an event."""
@@ -247,7 +260,7 @@ class Intake:
         one, name = users[0]
         if address.startswith(SERIAL):
             kind = LIVE[one.kind(name)].block
-            read: Callable[[], Iterable[Any]] = partial(blocks, address.removeprefix(SERIAL), kind)
+            read: Callable[[Ended], Iterable[Any]] = partial(blocks, address.removeprefix(SERIAL), kind)
         else:
             read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
         return ReadingThread(address, read, self._handed(self._came, users))
@@ -272,7 +285,7 @@ class Intake:
 
         def each(item: Any) -> None:
             for one, name in users:
-                self._give(one, name, partial(taken, one, name, item))
+                self._give(taken, one, name, item)
 
         def hand(item: Any) -> None:
             with suppress(RuntimeError):
@@ -290,7 +303,7 @@ class Intake:
                 if left_s > 0:
                     await asyncio.sleep(left_s)
                 for one, name in users:
-                    self._give(one, name, partial(self._heard, one, name, Arrival(name, 0, record)))
+                    self._give(self._heard, one, name, Arrival(name, 0, record))
             reason, text = "ended", "the recording that is replayed has ended"
         except MidspanError as error:
             reason, text = "damaged", str(error)

@@ -1,6 +1,5 @@
 """How fast and how late the newest records of a stream come, and how fast its clock drifts. No clock is in here."""
 
-import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -79,16 +78,19 @@ class ClockDrift:
     """How fast a clock's offset changes, by what the engine estimates of it."""
 
     _looks: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LOOKS))
-    _origin: tuple[object, float] | None = None
+    _point: object = None
+    _set_ns: int = 0
 
-    def look(self, now_ns: int, offset_s: float, std_s: float, origin: tuple[object, float]) -> None:
-        """The offset as estimated now; std_s: NaN where it is not estimated. origin: the opening that estimates it, and
-        the part that was set, s: with another one (a new opening, a clock that was set) the drift begins anew.
+    def look(self, now_ns: int, offset_s: float | None, point: object = None, set_ns: int = 0) -> None:
+        """The offset as estimated now, None where it is not; point: what estimates it; set_ns: by how much the clock
+        was found to have been set. Another opening, or a clock that was set since, begins anew: neither is drift.
         """
-        if not math.isfinite(std_s) or origin != self._origin:
+        if point is not self._point or set_ns != self._set_ns or offset_s is None:
             self._looks.clear()
-        self._origin = origin
-        if math.isfinite(std_s) and (not self._looks or not 0 <= now_ns - self._looks[-1][0] < LOOK_NS):
+            self._point, self._set_ns = point, set_ns
+        if offset_s is None:
+            return
+        if not self._looks or not 0 <= now_ns - self._looks[-1][0] < LOOK_NS:
             self._looks.append((now_ns, offset_s))
 
     @property

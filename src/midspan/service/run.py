@@ -16,8 +16,9 @@ from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
 from midspan.service.beginning import begin
-from midspan.service.calibrations import accepted, added, calibrated_folder, loaded, number_in_force
+from midspan.service.calibrations import accepted, added, calibrated_folder, loaded
 from midspan.service.changes import Changes
+from midspan.service.changing import end_points, look_at_calibration
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.discovery import announcements
@@ -298,38 +299,29 @@ class Service:
 
     async def _change(self, site: Site, changes: Changes, fresh: Sequence[Running]) -> None:
         try:
-            await self._end_points([one for one in self._points if one.name in changes.ending])
             named = {one.name: one for one in (*self._points, *fresh)}
             for one in fresh:
                 one.beginning = True
             self._pause(fresh)
+            ending = [one for one in self._points if one.name in changes.ending]
+            unused = self._intake.leave(ending)
+            # At once: what comes while points end waits for those that follow them.
+            self._intake.join(fresh)
+            await self._intake.stop(unused)
+            await end_points(ending, partial(self._keep, last=True))
             # In place: who commands points and gives them records has the same list.
             self._points[:] = [named[plan.name] for plan in site.points]
             before, self.site = self.site, site
-            self._intake.join(fresh)
             await self._alarms.change(site)
             await self._change_broker(before)
             await self._begin_points(fresh)
             for one in self._points:
                 if one.live.plan.settings.calibration is not None and one not in fresh:
-                    await self._look_at_calibration(one)
+                    await look_at_calibration(one, site.file.parent, self._in_thread, self._event)
             if changes.removed:
                 await asyncio.to_thread(self._keeper.lock, [plan.name for plan in site.points])
         finally:
             self._changing.release()
-
-    async def _look_at_calibration(self, one: Running) -> None:
-        """The calibration's file of a point that goes on may be another one than it was, or damaged by now."""
-        live = one.live
-        try:
-            number = await self._in_thread(number_in_force, live, self.site.file.parent)
-        except MidspanError as error:
-            text = f"{one.name}: {error} Calibration {live.number} stays in force."
-            self._event(one, "calibration_refused", text)
-        else:
-            if number != live.file_number:
-                live.file_number = number
-                live.calibrated(number)
 
     async def _begin_points(self, fresh: Sequence[Running]) -> None:
         """Begin points while others run."""
@@ -341,17 +333,6 @@ class Service:
         """A point goes on from what the one before it has left, which is kept first; called in a thread."""
         self._keeper.require()
         self._begin_point(one)
-
-    async def _end_points(self, ending: Sequence[Running]) -> None:
-        """End points as the end of the service does: all that came is kept, and how each stands."""
-        await self._intake.end(ending)
-        jobs = [one.work for one in ending if one.work is not None]
-        for job in jobs:
-            job.cancel()
-        await asyncio.gather(*jobs, return_exceptions=True)
-        for one in ending:
-            self._keep(one, last=True)
-            one.live.end()
 
     async def _change_broker(self, before: Site) -> None:
         """Connect to the broker of other settings, or listen to other topics of the same."""

@@ -52,6 +52,8 @@ class Stream:
     sensor: str
     address: str
     heard_s: float | None = None
+    # Since when records are expected of it.
+    expected_s: float = field(default_factory=time.time)
     reason: str = "starting"
     text: str = ""
     records: int = 0
@@ -77,13 +79,6 @@ class Stream:
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=RECENT))
     # Blocks that were lost since that was last an event.
     lost: int = 0
-    # When a record came last that waits for the point to begin.
-    early_s: float | None = None
-
-    @property
-    def came_s(self) -> float | None:
-        """When a record came last, whether it was taken or waits; None before the first."""
-        return max((at_s for at_s in (self.heard_s, self.early_s) if at_s is not None), default=None)
 
     def standing(self, now_s: float, unseen: str) -> dict[str, Any]:
         """As /readyz and the state show it; unseen: why the engine measures nothing with what comes."""
@@ -112,10 +107,14 @@ class Stream:
         """A record came, of this many values, the newest of which has this stamp."""
         self.pace.came(newest_ns, values, round(now_s * NANOSECONDS))
         if self.failed:
-            self.failed, self.restarts = False, self.restarts + (self.heard_s is not None)
-        if self.heard_s is not None:
+            self.failed, self.restarts = False, self.restarts + (self.records > 0)
+        if self.heard_s is not None and self.records:
             self.interval_s += (max(now_s - self.heard_s, 0.0) - self.interval_s) / min(self.records, AVERAGED)
         self.heard_s, self.records = now_s, self.records + 1
+
+    def resumed(self, now_s: float) -> None:
+        """It is used again: what it was before it was paused says nothing now."""
+        self.paused, self.reason, self.text, self.heard_s, self.expected_s = "", "starting", "", None, now_s
 
     def is_new(self, block: Block) -> bool:
         """Whether a block has not come before; those that were lost between it and the newest are counted."""
@@ -167,8 +166,8 @@ class Running:
     factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
     scales: kelvin per count, and at count 0, of each infrared camera; published_ns: stamp of the newest row that the
     broker was given, or that the store had when the point went on. beginning: whether it is being begun while other
-    points run; early: takes what came meanwhile, by its stream; ended: whether no record is taken any more; work: the
-    job that is done; made_s: since when anything is expected of it.
+    points run; early: takes what came meanwhile, with its sensor; ended: whether no record is taken any more; work:
+    the job that is done.
     """
 
     live: LivePoint
@@ -188,8 +187,7 @@ class Running:
     beginning: bool = False
     ended: bool = False
     # As many as the broker's client lets wait, should the store be away that long.
-    early: deque[tuple[str, Callable[[], None]]] = field(default_factory=lambda: deque(maxlen=MAX_QUEUED))
-    made_s: float = field(default_factory=time.time)
+    early: deque[tuple[str, Callable[[], None]]] = field(default_factory=deque)
     # When the job that is done began, and how long the last one of each kind took, s.
     _job_s: float | None = None
     _took_s: dict[str, float] = field(default_factory=dict)
@@ -203,6 +201,13 @@ class Running:
     def name(self) -> str:
         """The point's name."""
         return self.live.name
+
+    def wait(self, sensor: str, take: Callable[[], None]) -> None:
+        """Let what came of a sensor wait until the point is begun; the oldest that is dropped for it counts as lost."""
+        if len(self.early) == MAX_QUEUED:
+            dropped, _ = self.early.popleft()
+            self.streams[dropped].lost += 1
+        self.early.append((sensor, take))
 
     @property
     def busy(self) -> bool:
@@ -291,8 +296,9 @@ class Running:
         own: dict[str, float | None] = {**unknown, "late": memory.late + memory.disordered}
         if name != ACCELEROMETER:
             offset_s, std_s = point.clock_offset(name)
-            origin = (self.live.opened.journal, point.clock_set_s(name))
-            stream.drift.look(round(now_s * NANOSECONDS), offset_s, std_s, origin)
+            estimated_s = offset_s if math.isfinite(std_s) else None
+            set_ns = round(point.clock_set_s(name) * NANOSECONDS)
+            stream.drift.look(round(now_s * NANOSECONDS), estimated_s, point, set_ns)
             own |= {"clock_offset_s": rounded(offset_s, 6), "clock_offset_std_s": rounded(std_s, 6)}
             own["clock_drift_ppm"] = rounded(stream.drift.ppm, 2)
         return {**found, **own}

@@ -5,13 +5,15 @@ import os
 import threading
 import time
 import tty
+from functools import partial
 
 import numpy as np
 import pytest
 
 from midspan.records import NANOSECONDS
+from midspan.service.camera_process import ReadingThread
 from midspan.sources.live.blocks import ACCELERATION
-from midspan.sources.live.instants import SourceFault
+from midspan.sources.live.instants import LOOK_S, SourceFault
 from midspan.sources.live.serial_line import Dating, block_of, blocks, device_and_baud
 
 T0_NS = 1_790_000_000 * NANOSECONDS
@@ -110,3 +112,44 @@ def test_blocks_come_over_a_terminal_and_rubbish_between_them_is_a_fault():
     assert "payload" in codes[:-1]
     assert codes[-1] == "stopped"
     assert 0 <= time.time_ns() - found[-2].t0_ns < 60 * NANOSECONDS
+
+
+def test_who_opens_a_line_next_gets_every_line():
+    """A reader that is stopped has left the line by then, though it waits ten seconds for the next one."""
+    pytest.importorskip("serial")
+    host, device = os.openpty()
+    tty.setraw(device)
+    found = {"old": [], "new": []}
+
+    def reader(name):
+        read = partial(blocks, os.ttyname(device), ACCELERATION)
+        return ReadingThread(name, read, found[name].append)
+
+    def sent(name, sequence):
+        until_s = time.monotonic() + 10.0
+        while not found[name] and time.monotonic() < until_s:
+            # What the terminal holds from before it was opened is thrown away: write until it is read.
+            os.write(host, line(sequence, t0=T0_NS))
+            time.sleep(0.05)
+
+    old, new = reader("old"), reader("new")
+    old.start()
+    sent("old", 0)
+    old.stop()
+    assert not old._thread.is_alive()
+    before = len(found["old"])
+    new.start()
+    sent("new", 1)
+    # A line in two parts, with a look whether the reader is to end between them, is one.
+    text = line(2, t0=T0_NS)
+    os.write(host, text[:20])
+    time.sleep(1.5 * LOOK_S)
+    os.write(host, text[20:])
+    until_s = time.monotonic() + 10.0
+    while found["new"][-1].sequence != 2 and time.monotonic() < until_s:
+        time.sleep(0.02)
+    new.stop()
+    os.close(host)
+    os.close(device)
+    assert len(found["old"]) == before
+    assert {one.sequence for one in found["new"]} == {1, 2}

@@ -6,6 +6,8 @@ instant by the newest report. One report alone may be tens of milliseconds off, 
 second one agrees with it.
 """
 
+from collections.abc import Callable
+
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS
 
@@ -15,6 +17,16 @@ ENVELOPE = 600
 ROUNDING_NS = 2_000
 # Two reports that are five to eight seconds apart differ by the drift of the sender's clocks, 0.8 ms at 100 ppm, ns.
 MAX_DIFFERENCE_NS = 2_000_000
+# Whoever waits for a source looks so often whether it is to end, s: people who change settings wait for it.
+LOOK_S = 0.25
+
+Ended = Callable[[], bool]
+"""Whether a source is to be left."""
+
+
+def never() -> bool:
+    """A source that is read until it fails."""
+    return False
 
 
 class SourceFault(DataError):

@@ -19,7 +19,7 @@ from midspan.radar.interference import probed_bins
 from midspan.radar.layout import PACKET_BYTES, Layout, unpack
 from midspan.radar.range_profile import averaged, range_profile, whole_channels
 from midspan.records import NANOSECONDS, ChirpFrame, Event, RangeFrame, RangeFrames
-from midspan.sources.live.instants import SourceFault
+from midspan.sources.live.instants import LOOK_S, Ended, SourceFault, never
 from midspan.sources.radar.radar_source import without_interference
 
 DATA_PORT = 4098
@@ -207,17 +207,20 @@ class LiveCapture:
         if self._socket is not None:
             self._socket.close()
 
-    def frames(self, stop: int | None = None) -> Iterator[ChirpFrame]:
-        """Frames in their order, with holes marked, up to `stop` of them.
+    def frames(self, stop: int | None = None, ended: Ended = never) -> Iterator[ChirpFrame]:
+        """Frames in their order, with holes marked, up to `stop` of them, or until `ended` is true.
 
         Raises DataError after `timeout_s` of silence. Stamps are evenly spaced from the arrival of the first packet and
         of the first one of each new position.
         """
-        given = 0
-        while stop is None or given < stop:
+        given, until_s = 0, time.monotonic() + self._settings.timeout_s
+        while (stop is None or given < stop) and not ended():
+            left_s = max(until_s - time.monotonic(), 0.0)
             try:
-                item = self._queue.get(timeout=self._settings.timeout_s)
+                item = self._queue.get(timeout=min(LOOK_S, left_s))
             except queue.Empty:
+                if left_s > LOOK_S and self._failure is None:
+                    continue
                 if self._failure is not None:
                     raise self._failure from None
                 senders = " and ".join(self._settings.senders or ("anybody",))
@@ -228,7 +231,7 @@ class LiveCapture:
                     f"that the host has the address {HOST_ADDRESS}."
                 ) from None
             yield self._frame(*item)
-            given += 1
+            given, until_s = given + 1, time.monotonic() + self._settings.timeout_s
 
     def _frame(self, number: int, begin_ns: int, data: bytes, missing: bytes) -> ChirpFrame:
         layout, profile = self._layout, self._layout.profile
@@ -324,13 +327,16 @@ def live_info(layout: Layout) -> RadarInfo:
     )
 
 
-def profiles(address: str, layout: Layout) -> Iterator[RangeFrame]:
-    """Range profiles as they come, until the card is silent. Raises SourceFault: not_found, no_answer, stopped."""
+def profiles(address: str, layout: Layout, ended: Ended = never) -> Iterator[RangeFrame]:
+    """Range profiles as they come, until the card is silent or `ended` is true.
+
+    Raises SourceFault: not_found, no_answer, stopped.
+    """
     host, port = host_and_port(address)
     heard, probed = False, probed_bins(layout.profile.bins).astype(np.int64)
     try:
         with LiveCapture(layout, UdpSettings(address=host, port=port, timeout_s=SILENT_S)) as capture:
-            for block in without_interference(_blocks(capture, layout), probed, keep=True):
+            for block in without_interference(_blocks(capture, layout, ended), probed, keep=True):
                 heard = True
                 yield RangeFrame(int(block.time_ns[0]), block.phasors[0], block.valid[0])
     except UsageError as error:
@@ -339,7 +345,7 @@ def profiles(address: str, layout: Layout) -> Iterator[RangeFrame]:
         raise SourceFault("stopped" if heard else "no_answer", str(error)) from None
 
 
-def _blocks(capture: LiveCapture, layout: Layout) -> Iterator[RangeFrames]:
-    for frame in capture.frames():
+def _blocks(capture: LiveCapture, layout: Layout, ended: Ended) -> Iterator[RangeFrames]:
+    for frame in capture.frames(ended=ended):
         cube = averaged(range_profile(frame.samples[None], layout.profile), layout.profile)
         yield RangeFrames(np.array([frame.time_ns]), cube, whole_channels(frame.valid[None], layout.profile))

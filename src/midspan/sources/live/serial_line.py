@@ -13,7 +13,7 @@ from operator import xor
 
 from midspan.records import NANOSECONDS
 from midspan.sources.live.blocks import MAX_BYTES, SEQUENCES, Block, parse
-from midspan.sources.live.instants import ArrivalEnvelope, SourceFault
+from midspan.sources.live.instants import LOOK_S, ArrivalEnvelope, Ended, SourceFault, never
 
 DEFAULT_BAUD = 115_200
 # More values than that are not lost on a line, which needs minutes for them: the sender was started again.
@@ -61,8 +61,8 @@ def block_of(line: bytes, kind: int, dating: Dating, arrived_ns: int) -> Block:
     return parse(text, kind, lambda sequence, dt_s, count: dating.t0_ns(sequence, dt_s, count, arrived_ns))
 
 
-def blocks(address: str, kind: int) -> Iterator[Block | SourceFault]:
-    """The blocks of a line, and a fault for each line that is none, until it fails.
+def blocks(address: str, kind: int, ended: Ended = never) -> Iterator[Block | SourceFault]:
+    """The blocks of a line, and a fault for each line that is none, until it fails or `ended` is true.
 
     Raises SourceFault with one of the codes not_found, unauthorized, no_answer, stopped.
     """
@@ -70,32 +70,35 @@ def blocks(address: str, kind: int) -> Iterator[Block | SourceFault]:
 
     device, baud = device_and_baud(address)
     try:
-        line = serial.Serial(device, baud, timeout=SILENT_S)
+        line = serial.Serial(device, baud, timeout=LOOK_S)
     except serial.SerialException as error:
         if error.errno in (errno.EACCES, errno.EPERM):
             raise SourceFault("unauthorized", f"{device} may not be opened by this user") from None
         raise SourceFault("not_found", f"{device} cannot be opened ({error.strerror or error})") from None
-    dating, heard = Dating(), False
+    dating, heard, received, ended_s = Dating(), False, b"", time.monotonic()
     with line:
-        while True:
+        while not ended():
             try:
-                received = line.read_until(b"\n", MAX_BYTES)
+                received += line.read_until(b"\n", MAX_BYTES - len(received))
             except (serial.SerialException, OSError) as error:
                 raise SourceFault("stopped", f"{device} cannot be read ({error})") from None
             arrived_ns = time.time_ns()
-            if not received.endswith(b"\n"):
-                if len(received) < MAX_BYTES:
+            if not received.endswith(b"\n") and len(received) < MAX_BYTES:
+                if time.monotonic() - ended_s > SILENT_S:
                     code = "stopped" if heard else "no_answer"
                     raise SourceFault(code, f"{device}: no line came for {SILENT_S:g} s")
+                continue
+            text, received, ended_s = received, b"", time.monotonic()
+            if not text.endswith(b"\n"):
                 yield SourceFault("payload", f"a line of more than {MAX_BYTES} bytes")
                 continue
             if not heard:
                 # The first line may have begun before the port was opened.
                 heard = True
-                if not received.lstrip().startswith(b"{"):
+                if not text.lstrip().startswith(b"{"):
                     continue
-            if received.strip():
+            if text.strip():
                 try:
-                    yield block_of(received, kind, dating, arrived_ns)
+                    yield block_of(text, kind, dating, arrived_ns)
                 except SourceFault as fault:
                     yield fault
