@@ -80,7 +80,7 @@ class Broker:
         self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
         self._announced = dict(announced or {})
-        # Topics of which nothing is to be retained any more, until the broker knows it.
+        # Topics of which nothing is to be retained any more, which the broker does not know yet.
         self._cleared: set[str] = set()
         self.root = f"{settings.prefix}/v1/{site}"
         client = mqtt.Client(
