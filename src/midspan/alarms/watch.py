@@ -144,14 +144,10 @@ class Watch:
     def tick(self, now_ns: int, ages: Mapping[str, Ages], disk_percent: float | None) -> None:
         """Look at what does not come, and at how much of the disk is used, %; ages: by the points' names."""
         for one in self._watched.values():
-            age = ages[one.rule.point]
-            values = {"no_data": age.rows_s, "silent": age.block_s, "disk": disk_percent}
-            came = {"no_data": age.rows_came, "silent": age.block_came}.get(one.rule.on, True)
-            value = values.get(one.rule.on)
-            # Soon after a restart it is not known whether what was away before still is.
-            if value is not None and (came or value > one.rule.limit):
-                source = age.source if one.rule.on == "silent" and value > one.rule.limit else ""
-                self._take(one, sample(now_ns, value), now_ns, source)
+            if one.rule.on == "disk" and disk_percent is not None:
+                self._take(one, sample(now_ns, disk_percent), now_ns)
+            elif (age := ages.get(one.rule.point)) is not None and one.rule.on in ("no_data", "silent"):
+                self._look_at_age(one, age, now_ns)
         for key, silence in list(self._silences.items()):
             if silence["until_ns"] <= now_ns:
                 self._unsilenced(key, now_ns, "")
@@ -160,6 +156,13 @@ class Watch:
         self._ended = [alarm for alarm in self._ended if not is_reported(alarm)]
         for alarm in [one.state.alarm for one in self._watched.values() if one.state.alarm is not None]:
             self._report_again(alarm, now_ns)
+
+    def _look_at_age(self, one: Watched, age: Ages, now_ns: int) -> None:
+        """Look at what does not come. Soon after a restart it is not known whether what was away before still is."""
+        value, came = (age.block_s, age.block_came) if one.rule.on == "silent" else (age.rows_s, age.rows_came)
+        if came or value > one.rule.limit:
+            source = age.source if one.rule.on == "silent" and value > one.rule.limit else ""
+            self._take(one, sample(now_ns, value), now_ns, source)
 
     # What people do
 
