@@ -98,6 +98,8 @@ def test_calibrations_show_what_an_offer_changes_how_they_drifted_and_which_rows
 
 def test_rows_that_grow_take_the_focus_from_nothing(opened):
     page = opened("")
+    # The view is shown anew once the page has its first answer.
+    play.expect(page.get_by_role("link", name="p", exact=True)).to_be_visible()
     span = [{"from": "2026-05-01T10:00:00Z", "to": "2026-05-01T11:00:00Z"}]
     answered(page, "/points/p/calibrations", [kept(1, 1.0, "in force", rows=span), kept(2, 1.01, "offered")])
     page.evaluate("location.hash = '#/calibration/p'")
