@@ -121,9 +121,7 @@ async def picture(name: str, serving: Shared) -> Response:
     return pictured(answer, body)
 
 
-@routes.get(
-    "/{name}/profile", response_model=ProfileBody, dependencies=READ, responses=declared(401, 403, 404, 409, 422)
-)
+@routes.get("/{name}/profile", response_model=ProfileBody, dependencies=READ, responses=SHOWN)
 async def profile(name: str, serving: Shared) -> Tree:
     """A radar's newest range profile with its targets; there are two a second at most."""
     return (await newest(serving, name, "profile"))[0]
