@@ -148,7 +148,7 @@ def state(**changes):
     }  # fmt: skip
     point = {
         "point": "p", "status": "tracking", "reason": "", "text": "", "rows_age_s": 0.1, "sigma_mm": 0.01,
-        "usual_sigma_mm": 0.01, "calibration": 1, "notice": "", "notice_text": "", "phase": "running",
+        "usual_sigma_mm": 0.01, "calibration": 1, "notice": "", "notice_text": "",
         "stage": "", "stage_left_s": None, "latency_s": 0.3,
         "sources": [source],
     }  # fmt: skip

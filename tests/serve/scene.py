@@ -132,7 +132,7 @@ def state():
         own = [one for one in sources if one["point"] == name]
         return {
             "point": name, "status": "tracking", "reason": "", "text": "", "rows_age_s": 0.2, "sigma_mm": 0.04,
-            "usual_sigma_mm": 0.04, "calibration": 7, "notice": "", "notice_text": "", "phase": "running",
+            "usual_sigma_mm": 0.04, "calibration": 7, "notice": "", "notice_text": "",
             "stage": "", "stage_left_s": None, "sources": own, **changes,
         }  # fmt: skip
 

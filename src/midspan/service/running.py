@@ -322,7 +322,6 @@ class Running:
             **self.ready(now_s),
             "notice": notice,
             "notice_text": sentence(notice) if notice else "",
-            "phase": self.live.phase.value,
             **self._stage(),
         }
 
