@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import threading
 import time
 from contextlib import asynccontextmanager, suppress
@@ -163,6 +164,30 @@ def test_a_calibration_of_other_sensors_is_not_in_force(tmp_path):
     store.close()
 
 
+def test_the_newer_of_the_file_and_of_what_was_accepted_is_in_force(tmp_path):
+    """Also over a restart: nobody's choice is undone silently."""
+    plan = site_of(tmp_path, serial("a", 'calibration = "own.json"')).points[0]
+    live = running(plan, tmp_path, tmp_path).live
+    store, file = open_store(str(tmp_path / "store")), tmp_path / "own.json"
+
+    def written(bias_m_s2, at_s):
+        Calibration(1e-3, bias_m_s2).save(file)
+        os.utime(file, (at_s, at_s))
+        return number_in_force(live, store, tmp_path)
+
+    now_s = time.time()
+    assert written(0.0, now_s - 60.0) == 1
+    body = json.dumps(Calibration(1e-3, 0.1).to_dict())
+    offered = added(live, store, body, accept=False)
+    assert number_in_force(live, store, tmp_path) == 1
+    assert accepted(live, store, str(offered)) == offered == number_in_force(live, store, tmp_path)
+    # Touched by nobody since; then people put the first one back into the file.
+    assert written(0.0, now_s - 30.0) == offered
+    assert written(0.0, now_s + 60.0) == 3
+    assert store.calibration("a").number == 3
+    store.close()
+
+
 def calibration(direction="y", bias_m_s2=0.0, left_out=""):
     scale, region = ScaleFactor(1e-3, 1e-12), Region(0, 0, 64, 64)
     camera = CameraCalibration(scale, TimeOffset(0.0, 1e-6), region, direction, "template", 0.01, 1.0)
@@ -212,10 +237,11 @@ def test_a_calibration_that_is_damaged_on_the_way_leaves_the_one_in_force(tmp_pa
             first = service._points[0]
             assert first.live.number == 1
             # Another calibration that was accepted since stays in force, as long as the file is as it was.
-            first.live.number = 7
+            later = json.dumps(calibration(bias_m_s2=0.1).to_dict())
+            first.live.number = await service._in_thread(lambda *of: added(*of, accept=True), first.live, later)
             await service.take(site_of(tmp_path, text + ALARM))
             await until(lambda: not service.is_changing)
-            assert (first.live.number, events) == (7, [])
+            assert (first.live.number, events) == (2, [])
             site = site_of(tmp_path, text)
             monkeypatch.setattr(
                 "midspan.service.run.checked", lambda *_: (tmp_path / "own.json").write_text("{") and []
@@ -224,7 +250,7 @@ def test_a_calibration_that_is_damaged_on_the_way_leaves_the_one_in_force(tmp_pa
             await until(lambda: not service.is_changing)
             assert not task.done()
             assert [(name, kind) for name, kind, _ in events] == [("a", "calibration_refused")]
-            assert "Calibration 7 stays in force" in events[0][2]
+            assert "Calibration 2 stays in force" in events[0][2]
 
     asyncio.run(work())
 

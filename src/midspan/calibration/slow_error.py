@@ -226,11 +226,12 @@ def _is_none(pair: Pair, slow: Pair, whole: Pair, none: Fit, found: Fit) -> bool
 
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
     """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: deviations at which a drift does."""
-    middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)
+    lapses = np.diff(rows)
     longest = int(np.argmax(lapses))
-    drift = change_shown(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S).std
-    # Away from a gap.
-    steps = [change_shown(pair, fit, rows[0] + share * (rows[-1] - rows[0])).std for share in (0.25, 0.5, 0.75)]
+    # Among the measurements, not in time: one of these instants at most lies at the longest gap.
+    instants = [float(rows[int(share * (len(rows) - 1))]) for share in (0.25, 0.5, 0.75)]
+    drift = float(np.median([change_shown(pair, fit, at_s - 0.5 * DRIFT_S, DRIFT_S).std for at_s in instants]))
+    steps = [change_shown(pair, fit, at_s).std for at_s in instants]
     missing = lapses[longest] > MISSING * float(np.median(lapses))
     gap = change_shown(pair, fit, rows[longest] + 0.5 * lapses[longest]).std if missing else 0.0
     shows = float(np.sqrt(STEP_SHOWS))

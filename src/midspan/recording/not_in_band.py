@@ -22,6 +22,8 @@ SENSITIVITY = "the accelerometer's own tolerance"
 DELAY = "the delay of the accelerometer's logger"
 TILT = "tilt not observed"
 SLOW_ERROR = "a slow error"
+# Farther from where it was, m, a structure is not, as the estimator takes it: a step as large has no limit that counts.
+NEAR_M = 1.0
 
 
 def not_in_band(settings: RecordingSettings, calibration: Calibration, rows: Estimate) -> tuple[str, ...]:
@@ -80,7 +82,8 @@ def _slow_errors(calibration: Calibration) -> list[str]:
         size = f"of up to {_mm(one.unseen_drift_m)}" if math.isfinite(one.unseen_drift_m) else "of any size"
         step = f"below {_mm(one.unseen_step_m)}" if math.isfinite(one.unseen_step_m) else "of any size"
         if one.unseen_gap_m > 0.0:
-            step += f" ({_mm(one.unseen_gap_m)} in its longest gap)"
+            in_gap = f"below {_mm(one.unseen_gap_m)}" if one.unseen_gap_m < NEAR_M else "of any size"
+            step += f" ({in_gap} in its longest gap)"
         found.append(
             f"{name}: {SLOW_ERROR} (GNSS multipath, a total station's air) {size} in {DRIFT_S:g} s, or a step of its "
             f"zero {step}, would not show (displacement.noise_time_s puts the error in; 0: it has none)"

@@ -17,7 +17,7 @@ def begin(one: Running, store: Store, folder: Path, say: Callable[[str], None]) 
     """Let a point go on from its checkpoint where that can be used. folder: of the site's file; say: takes one line for
     a person.
     """
-    one.live.number = one.live.file_number = number_in_force(one.live, store, folder)
+    one.live.number = number_in_force(one.live, store, folder)
     one.live.follows = store.newest_ns(one.name, ROWS) is not None
     try:
         kept = store.checkpoint(one.name)

@@ -23,19 +23,21 @@ CHIRPS = "chirps"
 
 
 def number_in_force(live: LivePoint, store: Store, folder: Path) -> int:
-    """The number of the calibration in force: that of the site's file, else the store's own; 0 without one, or where it
-    was made for other sensors.
+    """The number of the calibration in force: the store's own, or that of the site's file where it was written later
+    than the store's was made; 0 without one, or where it was made for other sensors.
 
     folder: of the site's file, which `calibration` is relative to.
     """
-    given = live.plan.settings.calibration
-    if given is None:
-        in_force = store.calibration(live.name)
-        return in_force.number if in_force is not None and is_of(in_force.settings, live.settings) else 0
-    body = json.dumps(load_calibration(folder / given, axis=live.plan.axis).to_dict())
-    kept = [one for one in store.calibrations(live.name) if is_of(one.settings, live.settings)]
-    known = next((one for one in kept if one.body == body), None)
-    return known.number if known else added(live, store, body, accept=True)
+    in_force = store.calibration(live.name)
+    if in_force is not None and not is_of(in_force.settings, live.settings):
+        in_force = None
+    if live.plan.settings.calibration is None:
+        return in_force.number if in_force else 0
+    file = folder / live.plan.settings.calibration
+    body = json.dumps(load_calibration(file, axis=live.plan.axis).to_dict())
+    if in_force is not None and (in_force.body == body or in_force.made_ns > file.stat().st_mtime_ns):
+        return in_force.number
+    return added(live, store, body, accept=True)
 
 
 def is_of(kept: str, settings: RecordingSettings) -> bool:

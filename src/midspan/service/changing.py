@@ -34,6 +34,5 @@ async def look_at_calibration(
     except MidspanError as error:
         tell(one, "calibration_refused", f"{one.name}: {error} Calibration {live.number} stays in force.")
     else:
-        if number != live.file_number:
-            live.file_number = number
+        if number != live.number:
             live.calibrated(number)

@@ -85,8 +85,6 @@ class LivePoint:
     folder: Path
     radars: Mapping[str, RadarInfo] = field(default_factory=dict)
     number: int = 0
-    # At the last look into the calibration's file, of its calibration: people may have accepted another one since.
-    file_number: int = 0
     phase: Phase = Phase.STARTING
     reason: str = ""
     job: Job | None = None
