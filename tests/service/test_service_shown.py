@@ -49,3 +49,10 @@ def test_a_profile_without_power_is_far_below_any_that_has_some():
     for value, expected_db in ((0.0, -200.0), (1e-30, 0.0)):
         frame = RangeFrame(9, np.full((1, 8), value, dtype=np.complex64), np.array([True]))
         assert profile_of(frame, np.arange(8.0), [])["magnitude_db"] == [expected_db] * 8
+
+
+def test_a_bin_without_a_number_leaves_the_others():
+    phasors = np.full((1, 8), 10.0, dtype=np.complex64)
+    phasors[0, 3] = np.nan
+    found = profile_of(RangeFrame(9, phasors, np.array([True])), np.arange(8.0), [])
+    assert found["magnitude_db"] == [0.0, 0.0, 0.0, -200.0, 0.0, 0.0, 0.0, 0.0]

@@ -162,6 +162,7 @@ def profile_of(frame: RangeFrame, range_m: Floats, targets: Sequence[Target]) ->
     # In single precision a weak profile's power, and the least value below, would be 0.
     phasors = frame.phasors[frame.valid].astype(np.complex128)
     power = np.mean(np.abs(phasors) ** 2, axis=0) if frame.valid.any() else np.array([])
+    power = np.where(np.isfinite(power), power, 0.0)
     is_known = len(range_m) == len(power) and bool(np.isfinite(range_m).all())
     # Nothing at all is 200 dB below, which no receiver resolves.
     magnitude_db = 10.0 * np.log10(np.maximum(power / max(float(power.max(initial=0.0)), 1e-300), 1e-20))
