@@ -68,6 +68,10 @@ def test_rows_come_and_a_cut_leaves_no_hole(served, engine, tokens, begin_ns):
     assert set(found[0]) == {"sequence", "point", "time", "displacement_mm", "displacement_std_mm", "status"}
     assert {len(found[0][key]) for key in ("time", "displacement_mm", "displacement_std_mm", "status")} == {50}
     assert set(found[0]["status"]) == {"tracking"}
+    own = part(begin_ns, 0).columns
+    # What is kept, in mm, and rounded for viewers.
+    for key, column in (("displacement_mm", "displacement_m"), ("displacement_std_mm", "std_m")):
+        assert found[0][key] == pytest.approx((1e3 * own[column]).tolist(), rel=1e-3, abs=1e-4)
 
 
 def test_a_viewer_gets_the_points_that_it_asked_for(served, engine, tokens, begin_ns):

@@ -67,6 +67,7 @@ def test_a_head_is_sent_once_and_never_stored(tmp_path):
     assert head == {"kind": "head", "point": "p"}
     (row,) = np.frombuffer(body, dtype=ROW)
     assert (row["time_ns"], row["displacement_mm"]) == (7 * NANOSECONDS, 2.0)
+    assert row["displacement_std_mm"] == np.float32(1e-2)
     assert not service._keeper.waiting
     # One that is older than a row that viewers have is none.
     one.head_ns, one.published_ns = 0, 8 * NANOSECONDS
