@@ -15,7 +15,7 @@ WEB    := $(wildcard web/*.json web/*.html web/*.ts) $(shell find web/src web/pu
 # What the environment is made of.
 PARTS  := pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
 
-.PHONY: demo test check servers core-check static page docs bench live faults fuzz slow wheel lock audit clean setup
+.PHONY: demo test check servers core-check static page docs bench live faults fuzz slow wheel container lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -83,6 +83,10 @@ $(PAGE): tools/page.sh $(WEB) | $(DEV)
 # The wheel for every Python from 3.11 on and the source distribution, in dist/; the wheel is tried without a compiler.
 wheel: $(DEV) $(PAGE)
 	BIN="$(BIN)" sh tools/wheel.sh
+
+# An image with midspan alone, where podman or docker can build one; else the Containerfile is checked.
+container:
+	PYTHON="$(PYTHON)" sh tools/container.sh
 
 # Renew the pinned versions, what users get apart from the developers' tools: names and versions only, no addresses.
 lock: $(DEV)

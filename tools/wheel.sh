@@ -1,5 +1,5 @@
 #!/bin/sh
-# Builds the wheel and the source distribution into dist/, and runs the demo with the wheel in an empty environment whose
+# Builds the wheel and the source distribution into dist/, and runs the demo with the wheel in empty environments whose
 # PATH has no compiler.
 set -eu
 . tools/needs.sh
@@ -9,7 +9,13 @@ rm -rf dist
 "$BIN/maturin" sdist --out dist
 empty=$(mktemp -d)
 trap 'rm -rf "$empty"' EXIT
-"${PYTHON:-python3}" -m venv "$empty/venv"
-PATH="$empty/venv/bin" PIP_CONSTRAINT="$(pwd)/constraints.txt" "$empty/venv/bin/python" -m pip install --quiet \
-    --disable-pip-version-check --only-binary :all: dist/*.whl
-(cd "$empty" && PATH="$empty/venv/bin" midspan demo -o demo)
+# One wheel serves every Python from 3.11 on; $PYTHONS: with which it is tried.
+for python in ${PYTHONS:-${PYTHON:-python3}}; do
+    rm -rf "$empty/venv" "$empty/demo"
+    "$python" -m venv "$empty/venv"
+    PATH="$empty/venv/bin" PIP_CONSTRAINT="$(pwd)/constraints.txt" "$empty/venv/bin/python" -m pip install --quiet \
+        --disable-pip-version-check --only-binary :all: "$(ls dist/*.whl)[live]"
+    (cd "$empty" && PATH="$empty/venv/bin" && midspan --version && midspan demo -o demo &&
+        python -c 'import midspan.serve as s, pathlib; assert (pathlib.Path(s.__file__).parent / "page/index.html").is_file()')
+    echo "wheel: works with $("$empty/venv/bin/python" --version)."
+done
