@@ -244,11 +244,12 @@ class PointView {
     const { fromMs, toMs } = this.#window;
     try {
       const step = await rowStep(this.#name, this.#newestMs(), this.#site.rowsOf(this.#name).rows);
-      const loading = load(ofAPoint(this.#name), fromMs, toMs, this.#chart.width, step, asking.signal);
-      const events = get<EventBody[]>(this.#path("events"), asking.signal);
-      [this.#loaded, this.#events] = await Promise.all([loading, events]);
+      this.#loaded = await load(ofAPoint(this.#name), fromMs, toMs, this.#chart.width, step, asking.signal);
       this.#failed = false;
       say(this.#wrong, "");
+      // The trace is what is waited for.
+      this.#draw();
+      this.#events = await get<EventBody[]>(ofPoint(this.#name, "events", span(fromMs, toMs)), asking.signal);
       this.#draw();
       this.#listEvents();
     } catch (error) {
