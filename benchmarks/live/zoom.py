@@ -31,8 +31,9 @@ ZOOMS = {
 # The page's own choices of these lengths.
 CHOICES = {"1 h": "3600", "3 h": "10800", "a day": "86400", "a year": "31622400"}
 GOAL_FIRST_S = 2.0
-# Chooses a time, and returns how long it took until the frame with its answer was painted, ms: once the answer was read,
-# the next time that the canvas is cleared its trace is drawn, and the frame that this is in ends with the message.
+# Chooses a time, and returns how long it took until the frame with its answer was painted, ms. Once the answer is
+# read, the next time that the canvas is cleared its trace is drawn; the frame that this is in ends with the
+# message.
 CHOSEN = """
 async value => {
     const select = [...document.querySelectorAll("select")].find(one => [...one.options].some(o => o.value === value));

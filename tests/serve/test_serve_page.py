@@ -274,6 +274,11 @@ def test_a_source_is_paused_with_a_reason_and_a_calibration_accepted(opened, sit
     page.get_by_role("button", name="Accept").click()
     play.expect(page.get_by_text("accept done")).to_be_visible()
     assert site.engine.commands[-1]["number"] == 2
+    page.once("dialog", lambda dialog: dialog.accept(" taken at night "))
+    page.get_by_role("button", name="Refuse").click()
+    play.expect(page.get_by_text("refuse done")).to_be_visible()
+    wanted = {"command": "refuse", "point": "p", "number": 2, "who": "anna", "reason": "taken at night"}
+    assert site.engine.commands[-1] == wanted
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

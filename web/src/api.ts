@@ -82,6 +82,8 @@ export interface CalibrationBody {
   calibration: Record<string, unknown>;
   /** When it made rows. */
   rows?: { from: string; to: string }[];
+  /** Of a refused one: by whom and why. */
+  refusal?: { time: string; owner: string; reason: string } | null;
 }
 export interface SpectrumBody {
   frequency_hz: Numbers;

@@ -96,6 +96,8 @@ def require(scope: Scope) -> Any:
 
 READ, OPERATE, ADMIN = [require("read")], [require("operate")], [require("admin")]
 """What routes depend on, by the scope that they need."""
+Operator = Annotated[Login, OPERATE[0]]
+"""A parameter of routes that need to know who commands."""
 
 routes = APIRouter(tags=["access"])
 # What goes with users and passwords alone.

@@ -2,21 +2,25 @@
 
 import tempfile
 import time
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from starlette.background import BackgroundTask
 
+from midspan.alarms.book import Book, calibration_id, has_book
 from midspan.records import NANOSECONDS
 from midspan.serve import reading
 from midspan.serve.instants import From, To, span_ns
-from midspan.serve.login import OPERATE, READ
+from midspan.serve.login import OPERATE, READ, Operator
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
+from midspan.service.places import place_of
 
 # What a file of rows may take, s, and how many are made at a time.
 EXPORT_S = 900.0
@@ -80,6 +84,21 @@ class Span(BaseModel):
     to: str
 
 
+class Refused(BaseModel):
+    """Why a calibration was refused, as everybody sees it."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: Annotated[str, StringConstraints(max_length=200)] = ""
+
+
+class Refusal(BaseModel):
+    """When a calibration was refused, by whom and why."""
+
+    time: str
+    owner: str
+    reason: str
+
+
 class CalibrationBody(BaseModel):
     """A calibration of the store; state: in force, offered, refused or retired; rows: when it made rows."""
 
@@ -88,6 +107,7 @@ class CalibrationBody(BaseModel):
     state: str
     calibration: dict[str, Any]
     rows: list[Span] = Field([], description="the newest 50 spans of rows that were made with it")
+    refusal: Refusal | None = Field(None, description="of one that somebody refused within 400 days")
 
 
 class SpectrumBody(BaseModel):
@@ -193,7 +213,22 @@ async def calibrations(name: str, serving: Shared) -> list[Tree]:
     """All calibrations of a point that the store has; the spans of rows are up to half a minute old."""
     await serving.require_point(name)
     kept, rows = await serving.quick.run(reading.calibrations, serving.where, name), await serving.calibrated_rows(name)
-    return [{**one, "rows": rows.get(one["id"], [])} for one in kept]
+    refused = [one["id"] for one in kept if one["state"] == "refused"]
+    why = await serving.quick.run(refusals, place_of(serving.where), name, refused) if refused else {}
+    return [{**one, "rows": rows.get(one["id"], []), "refusal": why.get(one["id"])} for one in kept]
+
+
+def refusals(folder: Path, point: str, numbers: Sequence[int]) -> dict[int, Tree]:
+    """Refusals of a point's calibrations of these numbers, as the audit list of a service's folder has them."""
+    if not has_book(folder):
+        return {}
+    with closing(Book(folder, read_only=True)) as book:
+        lines = {number: book.audit(1, calibration_id(point, number)) for number in numbers}
+    return {
+        number: {"time": reading.iso(one.time_ns), "owner": one.who, "reason": one.text}
+        for number, found in lines.items()
+        for one in found
+    }
 
 
 @routes.post(
@@ -212,18 +247,22 @@ async def accept(name: str, number: int, serving: Shared) -> Done:
     return await _decided(serving, "accept", name, number)
 
 
-@routes.post("/{name}/calibrations/{number}/refuse", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
-async def refuse(name: str, number: int, serving: Shared) -> Done:
-    """Refuse an offered calibration; the one in force stays."""
-    return await _decided(serving, "refuse", name, number)
+@routes.post(
+    "/{name}/calibrations/{number}/refuse", response_model=Done,
+    responses={**COMMANDED, **declared(413, 415)},
+)  # fmt: skip
+async def refuse(name: str, number: int, login: Operator, serving: Shared, why: Refused | None = None) -> Done:
+    """Refuse an offered calibration, with or without a reason; the one in force stays."""
+    reason = "" if why is None else why.reason.strip()
+    return await _decided(serving, "refuse", name, number, who=login.name, reason=reason)
 
 
-async def _decided(serving: Serving, command: str, name: str, number: int) -> Done:
+async def _decided(serving: Serving, command: str, name: str, number: int, **values: str) -> Done:
     await serving.require_point(name)
     kept = await serving.quick.run(reading.calibrations, serving.where, name)
     if number not in [one["id"] for one in kept]:
         raise Problem(404, f"{name} has no calibration {number}. GET its calibrations for those that it has.")
-    answer, _ = await serving.link.ask(command, point=name, number=number)
+    answer, _ = await serving.link.ask(command, point=name, number=number, **values)
     return Done(text=str(answer["text"]))
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.alarms.book import calibration_id
 from midspan.engine.sensors import RadarSensor
 from midspan.errors import MidspanError
 from midspan.radar.target import Target
@@ -81,8 +82,12 @@ class Commands:
         one, number = self._point(head), int(head["number"])
         if not await self._with_store(refused, one.live, number):
             raise MidspanError(f"{one.name}: calibration {number} is not offered; only such a one can be refused.")
-        text = f"{one.name}: calibration {number} is refused."
+        who, reason = str(head.get("who", "")), str(head.get("reason", ""))[:200]
+        by, why = f" by {who}" if who else "", f": {reason}" if reason else "."
+        text = f"{one.name}: calibration {number} is refused{by}{why}"
         one.live.offer_refused()
+        if (note := self._alarms.get("note")) is not None:
+            note({"about": calibration_id(one.name, number), "what": "calibration refused", "who": who, "text": reason})
         self._tell(one, "command", text)
         return {"text": text}, b""
 

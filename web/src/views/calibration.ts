@@ -96,6 +96,12 @@ function showCourse(root: HTMLElement, all: CalibrationBody[]): () => void {
   return () => ends.forEach((end) => end());
 }
 
+/** The state of a calibration; of a refused one by whom and why. */
+function stateWords({ state, refusal }: CalibrationBody): string {
+  if (!refusal) return state;
+  return `${state} by ${refusal.owner || "a script"}${refusal.reason ? `: ${refusal.reason}` : ""}`;
+}
+
 /** When a calibration made rows, the newest spans first. */
 function rowsWords({ rows }: CalibrationBody): string {
   if (!rows) return "";
@@ -154,13 +160,18 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   const may = site.session.scope !== "read";
   let [before, endCourse] = ["", () => undefined as void];
 
-  async function command(what: string): Promise<void> {
+  async function command(what: string, body?: unknown): Promise<void> {
     try {
-      say(said, (await post<{ text: string }>(ofPoint(name, what))).text);
+      say(said, (await post<{ text: string }>(ofPoint(name, what), body)).text);
       await ask();
     } catch (error) {
       say(said, sentenceOf(error));
     }
+  }
+
+  function refuse(id: number): void {
+    const reason = window.prompt(`Why is calibration ${id} of ${name} refused? Everybody sees the reason.`, "");
+    if (reason !== null) void command(`calibrations/${id}/refuse`, { reason: reason.trim().slice(0, 200) });
   }
 
   function show(all: CalibrationBody[]): void {
@@ -174,12 +185,12 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
         { class: "bar" },
         `Calibration ${one.id}:`,
         button("Accept", () => void command(`calibrations/${one.id}/accept`)),
-        button("Refuse", () => void command(`calibrations/${one.id}/refuse`)),
+        button("Refuse …", () => refuse(one.id)),
       );
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, ""]);
+    const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), stateWords(one), ""]);
     history.replaceChildren(...texts.map((one) => line(COLUMNS, one)));
     endCourse();
     course.replaceChildren();
