@@ -13,6 +13,8 @@ export interface PointStands {
   status: string | null;
   reason: string;
   text: string;
+  /** What is prepared, or waits, also while there are no rows: a reason code. */
+  notice?: string;
   since: string | null;
   calibration: number | null;
   /** capturing, calibrating or opening; empty where nothing is prepared. */

@@ -95,7 +95,7 @@ export class RegionCanvas {
       const [{ x, y }, { from }] = [this.#at(event), this.#drag];
       if (from) this.#set({ ...from, x: from.x + x - this.#drag.x, y: from.y + y - this.#drag.y });
       else if (Math.hypot(x - this.#drag.x, y - this.#drag.y) >= MIN_PX / 2)
-        this.#set(between(this.#drag.x, this.#drag.y, x, y));
+        this.#set(between(this.#drag.x, this.#drag.y, x, y, this.canvas));
     });
     for (const name of ["pointerup", "pointercancel"]) this.canvas.addEventListener(name, () => (this.#drag = null));
     this.canvas.addEventListener("keydown", (event) => this.#key(event));
@@ -117,7 +117,7 @@ export class RegionCanvas {
     const [dx, dy] = [way[0] * step, way[1] * step];
     this.#set(
       event.altKey
-        ? { ...now, width: now.width + dx, height: now.height + dy }
+        ? between(now.x, now.y, now.x + now.width + dx, now.y + now.height + dy, this.canvas)
         : { ...now, x: now.x + dx, y: now.y + dy },
     );
   }

@@ -89,6 +89,12 @@ export class SiteState {
     return point.time === null ? null : Math.max(this.now() - Date.parse(point.time), 0) / 1000;
   }
 
+  /** When the connection was lost, or how a point stands became so, ms since 1970; null where that is not known. */
+  sinceMs(point: PointState): number | null {
+    if (!this.fresh) return this.now() - (performance.now() - Math.max(this.answered, this.live.heard));
+    return point.since ? Date.parse(point.since) : null;
+  }
+
   /** How long what a point prepares still takes, s; null where that is not known. */
   leftS(point: PointState): number | null {
     if (point.stage_left_s == null) return null;

@@ -53,6 +53,7 @@ class PointState(BaseModel):
     displacement_std_mm: float | None
     time: str | None = Field(description="of the newest row, ISO 8601 UTC")
     age_s: float | None
+    notice: str = Field("", description="a reason code of what is prepared, or waits, also while there are no rows")
     since: str | None = Field(None, description="when status and reason became so, as far as this server saw it")
     calibration: int | None = None
     stage: str = Field("", description="capturing, calibrating or opening; empty where nothing is prepared")

@@ -220,6 +220,7 @@ class Serving:
             "status": None if reason or not state else state["status"],
             "reason": reason or state.get("reason") or state.get("notice", ""),
             "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
+            "notice": "" if reason else state.get("notice", ""),
             "since": None if since_ns is None else reading.iso(since_ns),
             "calibration": state.get("calibration"),
             "stage": "" if reason else state.get("stage", ""),

@@ -42,6 +42,11 @@ class OpenRow {
     if (may) last?.append(el("span", { class: "bar" }, this.#acknowledge, this.#silence));
   }
 
+  /** What of it may have the focus. */
+  get buttons(): HTMLElement[] {
+    return [this.#acknowledge, this.#silence];
+  }
+
   show(alarm: AlarmBody): void {
     this.#alarm = alarm;
     const { silence } = alarm;
@@ -72,7 +77,7 @@ class AlarmsView {
   #site: SiteState;
   #rows = new Map<string, OpenRow>();
   #said = el("p", { role: "status" });
-  #summary = el("p", { class: "summary", role: "status" });
+  #summary = el("p", { class: "summary", role: "status", tabindex: -1 });
   #open = el("tbody");
   #silenced = el("tbody");
   #silences = el("tbody");
@@ -166,6 +171,7 @@ class AlarmsView {
     mark(this.#summary, fires ? "wrong" : alarms.length ? "notice" : "good");
     const firing = fires === 1 ? "1 fires" : fires ? `${fires} fire` : "none fires";
     say(this.#summary, alarms.length ? `${words}, ${firing}.` : "No alarm is open.");
+    const keepFocus = this.#focus();
     for (const [id, row] of this.#rows) {
       if (alarms.some((one) => one.id === id)) continue;
       row.root.remove();
@@ -179,6 +185,23 @@ class AlarmsView {
       if (row.root.parentElement !== into) into.append(row.root);
     }
     this.#silencedPart.hidden = !this.#silenced.children.length;
+    keepFocus();
+  }
+
+  /** A function that gives the focus back after rows were moved and removed: to the button that had it, else to another
+   * one of its row, of the row that is in its place now, or to the summary. */
+  #focus(): () => void {
+    const focused = document.activeElement as HTMLElement | null;
+    const row = [...this.#rows.values()].find((one) => one.root.contains(focused));
+    const table = row?.root.parentElement;
+    if (!row || !focused || !table) return () => undefined;
+    const place = [...table.children].indexOf(row.root);
+    return () => {
+      const next = [...this.#rows.values()].find((one) => one.root === table.children[place]);
+      const all = [focused, ...row.buttons, ...(next?.buttons ?? []), this.#summary];
+      const target = all.find((one) => one.isConnected && one.offsetParent !== null);
+      if (target !== document.activeElement) target?.focus();
+    };
   }
 
   /** Silences of rules whose alarm is not open: those of open ones stand with these. */
@@ -204,6 +227,7 @@ class AlarmsView {
       say(this.#said, sentenceOf(error));
     }
     await this.#askLists();
+    (this.#silences.querySelector("button") ?? this.#summary).focus();
   }
 
   #act(alarm: AlarmBody, what: string): void {

@@ -12,7 +12,7 @@ import type { SiteState } from "../site_state.ts";
 import { clock, duration, signed, withBand, ZONE } from "../words.ts";
 import { FrequencyPanel } from "./frequencies.ts";
 import { SpectrumPanel } from "./spectrum.ts";
-import { OLD_S, standing, trouble } from "./site.ts";
+import { OLD_S, showOffer, standing, trouble } from "./site.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 // A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
@@ -55,6 +55,7 @@ class PointView {
   #now = el("p", { class: "value" });
   #words = el("p", { class: "words" });
   #why = el("p", { class: "why" });
+  #offer = el("p", { class: "offer", hidden: true });
   #alarms = el("ul", { class: "alarms" });
   #wrong = el("p", { class: "wrong", role: "status" });
   #spanText = el("p", { class: "quiet" });
@@ -133,6 +134,7 @@ class PointView {
       this.#now,
       this.#words,
       this.#why,
+      this.#offer,
       this.#alarms,
       bar,
       this.#wrong,
@@ -222,11 +224,13 @@ class PointView {
     const point = this.#site.point(this.#name);
     if (!point) return;
     const { state, words } = standing(point, this.#site);
-    const since = point.since ? ` since ${clock(Date.parse(point.since))}` : "";
+    const sinceMs = this.#site.sinceMs(point);
+    const since = sinceMs === null ? "" : ` since ${clock(sinceMs)}`;
     say(this.#now, withBand(point.displacement_mm, point.displacement_std_mm));
     say(this.#words, `${words[0]?.toUpperCase() ?? ""}${words.slice(1)}${since}`);
     mark(this.#words, state);
     say(this.#why, trouble(point, this.#site));
+    showOffer(this.#offer, point);
     showAlarms(this.#alarms, this.#site.alarmsOf(this.#name));
   }
 
