@@ -1,12 +1,14 @@
 """Details of the page in a browser that somebody relies on who looks once a day, or at night."""
 
 import re
+import time
 
 import pytest
-from page import SITE, traced
+from page import SITE, WIDE, traced
 
+from midspan.records import NANOSECONDS
 from midspan.serve.application import PAGE
-from served import state, until
+from served import Served, logged_in, made_store, state, until
 
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
@@ -65,3 +67,61 @@ def test_settings_that_are_not_saved_outlast_their_view_and_are_asked_about(open
     assert asked.value.type == "beforeunload"
     asked.value.accept()
     assert site.file.read_text() == SITE
+
+
+def test_the_address_of_a_point_has_the_time_that_is_shown(opened):
+    page = opened("point/p")
+    shown = page.get_by_label("Shown")
+    shown.select_option("600")
+    play.expect(page).to_have_url(re.compile("#/point/p/600$"))
+    box = page.locator(".u-over").bounding_box()
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 60, steps=4)
+    page.mouse.up()
+    play.expect(page).to_have_url(re.compile(r"#/point/p/\d{4}-.*Z/\d{4}-.*Z$"))
+    # A fifth of ten minutes is no choice of the list.
+    length = re.compile(r"^(2 min|1 min 59 s|2 min 1 s)$")
+    play.expect(shown.locator("option:checked")).to_have_text(length)
+    address, seen = page.url, page.locator("p.quiet", has_text="), ").inner_text()
+    # The view's link comes back to it, and so does the address in another browser.
+    page.get_by_role("link", name="Site").click()
+    page.get_by_role("link", name="Point", exact=True).click()
+    play.expect(page.locator("p.quiet", has_text="), ")).to_have_text(seen)
+    other = opened(address.partition("#/")[2])
+    play.expect(other.locator("p.quiet", has_text="), ")).to_have_text(seen)
+    play.expect(other.get_by_label("Shown").locator("option:checked")).to_have_text(length)
+    other.get_by_label("Point").select_option("q")
+    play.expect(other.locator("p.quiet", has_text="), ")).to_have_text(seen)
+
+
+VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
+
+
+def test_over_a_store_alone_nothing_is_offered_that_cannot_work(browser, tmp_path):
+    made_store(tmp_path / "store", (time.time_ns() // NANOSECONDS - 600) * NANOSECONDS)
+    password = logged_in(tmp_path / "store", "anna", "admin", kind="user")
+    served, said = Served(tmp_path / "store"), []
+    context = browser.new_context(viewport=WIDE)
+    try:
+        page = context.new_page()
+        page.on("console", lambda one: said.append(one.text) if one.type in ("error", "warning") else None)
+        page.goto(f"http://127.0.0.1:{served.port}/")
+        page.get_by_label("User").fill("anna")
+        page.get_by_label("Password").fill(password)
+        page.keyboard.press("Enter")
+        for view in VIEWS:
+            page.evaluate("view => location.hash = '#/' + view", view)
+            page.wait_for_selector("main h1")
+            page.wait_for_timeout(150)
+            if view.startswith("calibration"):
+                for name in ("Calibrate again", "Accept", "Refuse …"):
+                    play.expect(page.get_by_role("button", name=name)).to_be_disabled()
+            if view == "alarms":
+                play.expect(page.get_by_role("button", name="Send a test message")).to_be_disabled()
+                play.expect(page.get_by_text("Not known. No process measures here")).to_be_visible()
+        play.expect(page.get_by_text("No SITE.toml belongs to this store here")).to_be_visible()
+        assert said == []
+    finally:
+        context.close()
+        served.stop()

@@ -55,6 +55,8 @@ export interface Health {
   points: { point: string; reason: string; text: string }[];
   sources: { point: string; source: string; reason: string; text: string }[];
   settings: { text: string; file: string | null; key: string | null } | null;
+  /** Whether a SITE.toml belongs to the store. */
+  has_settings: boolean;
 }
 type Numbers = (number | null)[];
 export interface Buckets {
@@ -227,7 +229,12 @@ export async function remove(path: string): Promise<string> {
 /** A session that goes on; null where there is none, after `whenOver` was called. */
 export async function session(): Promise<Session | null> {
   try {
-    const found = await get<Session>("/session");
+    // That nobody is logged in is no fault, which a browser would report.
+    const found = await get<Session | { user: null; text: string; code: string }>("/session?optional=true");
+    if (found.user === null) {
+      over(new Refused(401, found.text, null, found.code));
+      return null;
+    }
     csrf = found.csrf;
     return found;
   } catch (error) {

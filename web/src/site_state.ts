@@ -63,6 +63,18 @@ export class SiteState {
     this.live.close();
   }
 
+  /** Why nothing can be commanded, as where no process measures; empty where one does. */
+  get away(): string {
+    if (!this.health) return "Waiting for the server.";
+    return this.health?.sources.find((one) => one.reason === "not_measuring")?.text ?? "";
+  }
+
+  /** What is wrong with a source, that it brings nothing to look at; empty where nothing is, or it is paused. */
+  troubleOf({ point, source }: { point: string; source: string }): string {
+    const found = this.health?.sources.find((one) => one.point === point && one.source === source);
+    return found?.reason && found.reason !== "paused" ? found.text : "";
+  }
+
   point(name: string): PointState | undefined {
     return this.points.find((one) => one.name === name);
   }
@@ -160,9 +172,9 @@ export class SiteState {
     }
   }
 
-  #stands({ points, ready, sources, settings, again }: StateMessage): void {
+  #stands({ points, again, ...standing }: StateMessage): void {
     this.#states += 1;
-    this.health = { points: [], ready, sources, settings };
+    this.health = { points: [], ...standing };
     for (const stands of points) {
       const point = this.point(stands.name);
       // Of a point that nothing measures the newest row says how it stood.

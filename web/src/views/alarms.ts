@@ -2,7 +2,7 @@
 
 import { type AlarmBody, type AuditBody, get, post, remove, type SilenceBody, type TargetBody } from "../api.ts";
 import { measured, QUANTITY, stateWords, urgency } from "../alarms.ts";
-import { button, el, line, mark, say, table } from "../dom.ts";
+import { button, disable, el, line, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock } from "../words.ts";
 import { askSilence } from "./silence.ts";
@@ -85,6 +85,7 @@ class AlarmsView {
   #targets = el("tbody");
   #audit = el("tbody");
   #undelivered = el("p", { class: "wrong" });
+  #test = button("Send a test message", () => void this.#command("/alarms/test"));
   #silencedPart: HTMLElement;
   #silencesPart: HTMLElement;
   #ends: (() => void)[] = [];
@@ -114,7 +115,7 @@ class AlarmsView {
         el("h2", {}, "Where alarms go"),
         this.#undelivered,
         table(TARGET_COLUMNS, this.#targets),
-        this.#may && button("Send a test message", () => void this.#command("/alarms/test")),
+        this.#may && this.#test,
       ),
       el("section", {}, el("h2", {}, "What became of them"), table(AUDIT_COLUMNS, this.#audit)),
     );
@@ -135,6 +136,12 @@ class AlarmsView {
     for (const end of this.#ends) end();
   }
 
+  /** What commands may not be given, as nothing measures, is disabled. */
+  #disable(): void {
+    const shown = [this.#open, this.#silenced, this.#silences].flatMap((one) => [...one.querySelectorAll("button")]);
+    disable([this.#test, ...shown], this.#site.away);
+  }
+
   get #may(): boolean {
     return this.#site.session.scope !== "read";
   }
@@ -143,7 +150,8 @@ class AlarmsView {
     if (this.#count++ % LISTS_EVERY === 0) void this.#askLists();
     try {
       await this.#site.askAlarms();
-      this.#showTargets(await get<TargetBody[]>("/alarms/targets"));
+      if (this.#site.away) fill(this.#targets, TARGET_COLUMNS, [], `Not known. ${this.#site.away}`);
+      else this.#showTargets(await get<TargetBody[]>("/alarms/targets"));
     } catch (error) {
       say(this.#undelivered, sentenceOf(error));
     }
@@ -185,6 +193,7 @@ class AlarmsView {
       if (row.root.parentElement !== into) into.append(row.root);
     }
     this.#silencedPart.hidden = !this.#silenced.children.length;
+    this.#disable();
     keepFocus();
   }
 
@@ -275,7 +284,7 @@ function auditTexts(one: AuditBody): string[] {
 
 /** Fill a table where its texts have changed; whether they have. */
 function fill(into: HTMLElement, columns: string[], lines: string[][], none = "None."): boolean {
-  const now = JSON.stringify(lines);
+  const now = JSON.stringify(lines.length ? lines : none);
   if (into.dataset["shown"] === now) return false;
   into.dataset["shown"] = now;
   const shown = lines.length ? lines : [[none, ...columns.slice(1).map(() => "")]];

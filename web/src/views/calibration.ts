@@ -2,7 +2,7 @@
 
 import { type CalibrationBody, get, ofPoint, type PointState, post } from "../api.ts";
 import { type History, historyChart } from "../charts/history.ts";
-import { button, choice, el, line, mark, say, table } from "../dom.ts";
+import { button, choice, disable, el, line, mark, say, table } from "../dom.ts";
 import { type Change, changeOf, comparable, type Quantity, quantities } from "../quantities.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, day, duration, signed, withSigma } from "../words.ts";
@@ -25,8 +25,10 @@ const STAGES: Record<string, string> = {
 /** A change in words: relative where the value is no offset, and in deviations. */
 function changeWords({ by, sigmas }: Change, from: Quantity): string {
   const isOffset = from.unit === "ms";
-  const text = isOffset ? `${signed(by, 2)} ${from.unit}` : `${signed((100 * by) / Math.abs(from.value), 2)} %`;
-  return `${text.startsWith("−") ? "" : "+"}${text}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
+  const [value, unit] = isOffset ? [by, from.unit] : [(100 * by) / Math.abs(from.value), "%"];
+  // What is none in these digits has no sign.
+  const sign = value > 0 && Number(value.toFixed(2)) !== 0 ? "+" : "";
+  return `${sign}${signed(value, 2)} ${unit}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
 }
 
 const isSure = ({ sigmas }: Change) => (sigmas ?? 0) > CHANGED_SIGMAS;
@@ -111,7 +113,7 @@ function rowsWords({ rows }: CalibrationBody): string {
     .reverse()
     .map((one) => `${when(one.from)} to ${when(one.to)}`);
   if (rows.length > LISTED_SPANS) texts.push(`${rows.length - LISTED_SPANS} earlier spans`);
-  return texts.join("; ") || "none";
+  return texts.join("; ");
 }
 
 /** What is prepared, with a bar; nothing where nothing is. */
@@ -156,8 +158,10 @@ export const showCalibration: View = (root, site, given) => {
 function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   const said = el("p", { role: "status", class: "words" });
   const [offered, history, course] = [el("div"), el("tbody"), el("div", { class: "small-charts" })];
+  const courseHead = el("h2", { hidden: true }, "Over time, with 95 % bars");
   const progress = new Progress();
   const may = site.session.scope !== "read";
+  const again = button("Calibrate again", () => void command("calibrate"));
   let [before, endCourse] = ["", () => undefined as void];
 
   async function command(what: string, body?: unknown): Promise<void> {
@@ -195,6 +199,7 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
     endCourse();
     course.replaceChildren();
     endCourse = showCourse(course, all);
+    courseHead.hidden = !course.childElementCount;
   }
 
   async function ask(): Promise<void> {
@@ -225,18 +230,21 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
         name,
         (other) => (location.hash = `#/calibration/${encodeURIComponent(other)}`),
       ),
-      may && button("Calibrate again", () => void command("calibrate")),
+      may && again,
     ),
     said,
     progress.root,
     offered,
-    el("h2", {}, "Over time, with 95 % bars"),
+    courseHead,
     course,
     el("h2", {}, "History"),
     table(COLUMNS, history),
   );
   const ends = [
-    repeat(() => progress.show(site.point(name), site), DRAW_MS),
+    repeat(() => {
+      progress.show(site.point(name), site);
+      disable([again, ...offered.querySelectorAll("button")], site.away);
+    }, DRAW_MS),
     repeat(() => void ask(), ASK_MS),
     () => endCourse(),
   ];

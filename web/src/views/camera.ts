@@ -116,6 +116,8 @@ class CameraView {
   }
 
   async #ask(): Promise<void> {
+    const trouble = this.#site.troubleOf(this.#source);
+    if (trouble) return say(this.#said, trouble);
     try {
       const found = await picture(`/sources/${encodeURIComponent(this.#source.name)}`);
       const image = await createImageBitmap(found.blob);

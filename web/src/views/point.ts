@@ -33,10 +33,18 @@ const LAYERS: (Style & { text: string })[] = [
 // Of each of them: lower, upper, low, high.
 const SERIES = 4;
 
-export const showPoint: View = (root, site, given) => {
-  const name = given || site.points[0]?.name;
+// The point and the time that were shown last, as the address had them: the view's own link comes back to them.
+let last: string[] = [];
+// Browsers let a page change its address some times a second; a key that is held down would do so more often, ms.
+const ADDRESS_MS = 300;
+const OWN_CHOICE = "own";
+
+export const showPoint: View = (root, site, given, rest) => {
+  const [before, ...time] = last;
+  const isThere = before !== undefined && site.point(before) !== undefined;
+  const name = given || (isThere ? before : site.points[0]?.name);
   if (!name) return nothing(root, "Point");
-  const shown = new PointView(root, site, name);
+  const shown = new PointView(root, site, name, given || !isThere ? rest : time);
   return () => shown.end();
 };
 
@@ -66,10 +74,20 @@ class PointView {
   #frequencies: FrequencyPanel;
   #keys = LAYERS.map(({ colour, text }) => el("span", { class: `key ${colour}` }, text));
   #follow = button("Freeze", () => this.#toggle());
+  #shown: HTMLElement;
+  #writing = 0;
 
-  constructor(root: HTMLElement, site: SiteState, name: string) {
+  constructor(root: HTMLElement, site: SiteState, name: string, time: string[]) {
     [this.#site, this.#name] = [site, name];
     this.#window = new TimeWindow(60, () => this.#newestMs());
+    this.#window.open(time);
+    this.#remember();
+    this.#shown = choice(
+      "Shown",
+      [...SPANS.map(([seconds, text]): [string, string] => [String(seconds), text]), [OWN_CHOICE, ""]],
+      "60",
+      (seconds) => this.#change(() => (this.#window.seconds = Number(seconds))),
+    );
     this.#frequencies = new FrequencyPanel(name, () => this.#window.toMs);
     const frame = el("div", {
       class: "chart",
@@ -95,6 +113,7 @@ class PointView {
   }
 
   end(): void {
+    window.clearTimeout(this.#writing);
     this.#asking?.abort();
     for (const end of this.#ends) end();
     this.#spectrum.end();
@@ -104,7 +123,6 @@ class PointView {
 
   #parts(frame: HTMLElement): HTMLElement[] {
     const names = this.#site.points.map((one): [string, string] => [one.name, one.name]);
-    const spans = SPANS.map(([seconds, text]): [string, string] => [String(seconds), text]);
     const zoom = (factor: number) => this.#change(() => this.#window.zoom(factor));
     const move = (part: number) => this.#change(() => this.#window.move(part));
     const bar = el(
@@ -114,9 +132,9 @@ class PointView {
         "Point",
         names.length ? names : [[this.#name, this.#name]],
         this.#name,
-        (name) => (location.hash = `#/point/${encodeURIComponent(name)}`),
+        (name) => (location.hash = `#/point/${encodeURIComponent(name)}/${this.#window.path}`),
       ),
-      choice("Shown", spans, "60", (seconds) => this.#change(() => (this.#window.seconds = Number(seconds)))),
+      this.#shown,
       this.#follow,
       button("Earlier", () => move(-0.5)),
       button("Later", () => move(0.5)),
@@ -187,6 +205,28 @@ class PointView {
     how();
     this.#askedMs = 0;
     this.#tick();
+    this.#remember();
+  }
+
+  /** Write what is shown into the address, which can be handed on. */
+  #remember(): void {
+    const { path } = this.#window;
+    last = [this.#name, ...path.split("/")];
+    window.clearTimeout(this.#writing);
+    const address = `#/point/${encodeURIComponent(this.#name)}/${path}`;
+    this.#writing = window.setTimeout(() => history.replaceState(null, "", address), ADDRESS_MS);
+  }
+
+  /** The length that is shown among those to choose from, or as a choice of its own. */
+  #showSpan(): void {
+    const select = this.#shown.querySelector("select");
+    const own = select?.options[SPANS.length];
+    if (!select || !own) return;
+    const { seconds } = this.#window;
+    const isListed = SPANS.some(([length]) => length === seconds);
+    own.hidden = isListed;
+    if (!isListed) own.text = duration(seconds);
+    select.value = isListed ? String(seconds) : OWN_CHOICE;
   }
 
   #toggle(): void {
@@ -210,6 +250,7 @@ class PointView {
   #tick(): void {
     const { following } = this.#window;
     say(this.#follow, following ? "Freeze" : "Follow");
+    this.#showSpan();
     this.#showState();
     const { live } = this.#site;
     const isWhole = live.connected && reaches(this.#loaded.envelope, this.#site.rowsOf(this.#name).rows.time[0]);
@@ -236,6 +277,7 @@ class PointView {
 
   /** The limits of its displacement; where nothing measures there are none to draw. */
   async #askLimits(): Promise<void> {
+    if (this.#site.away) return;
     const all = await get<LimitBody[]>("/alarms/limits").catch((): LimitBody[] => []);
     const own = all.filter((one) => one.point === this.#name && one.on === "displacement");
     this.#levels = own.flatMap(({ name, limit }) => [limit, -limit].map((y) => ({ y, name })));

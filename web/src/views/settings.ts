@@ -18,8 +18,13 @@ export interface SettingsPlace {
   written?: () => Promise<void>;
 }
 
-export const showSettings: View = (root, site) =>
-  editSettings(root, {
+export const showSettings: View = (root, site) => {
+  if (site.health?.has_settings === false) {
+    const none = "No SITE.toml belongs to this store here: no midspan run has begun on it.";
+    root.replaceChildren(el("h1", {}, "Settings"), el("p", {}, none));
+    return () => undefined;
+  }
+  return editSettings(root, {
     file: "SITE.toml",
     below: "",
     note: "SITE.toml. Wrong settings change nothing. Check says what new ones would change.",
@@ -27,6 +32,7 @@ export const showSettings: View = (root, site) =>
     isSite: true,
     fault: () => site.health?.settings ?? null,
   });
+};
 
 /** Text that is not saved, with the text and the tag that it was made from, by its place: it outlasts its view. */
 const drafts = new Map<string, { text: string; tag: string; kept: string }>();
