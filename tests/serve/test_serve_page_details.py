@@ -95,6 +95,32 @@ def test_the_address_of_a_point_has_the_time_that_is_shown(opened):
     play.expect(other.locator("p.quiet", has_text="), ")).to_have_text(seen)
 
 
+def test_a_picture_shows_where_its_region_is_now(opened, site):
+    target = {"name": "", "roi": [10, 20, 64, 48], "x_px": 4.25, "y_px": -2.0, "quality": 0.9, "matches": 37}
+    before, site.engine.shown = site.engine.shown, {**site.engine.shown, "targets": [target]}
+    try:
+        page = opened("camera")
+        text = "Target now, dashed: moved by 4.25 px to the right, −2.00 px down; 37 matches."
+        play.expect(page.get_by_text(text)).to_be_visible()
+        site.engine.shown = {**before, "targets": [{**target, "x_px": None, "y_px": None, "matches": None}]}
+        # Of the picture that is shared.
+        page.wait_for_timeout(600)
+        page.get_by_role("button", name="New picture").click()
+        play.expect(page.get_by_text("Target: lost in the newest frame.")).to_be_visible()
+        # A camera that ended is asked for no picture.
+        asked = []
+        page.on("request", lambda request: asked.append(request.url))
+        first, second = state()["points"]
+        source = {**first["sources"][0], "reason": "ended", "text": "The stream ended."}
+        site.engine.state = state(ready=False, points=[{**first, "sources": [source]}, second], sources=[source])
+        page.wait_for_timeout(500)
+        page.get_by_role("button", name="New picture").click()
+        play.expect(page.get_by_text("The stream ended.")).to_be_visible()
+        assert asked == []
+    finally:
+        site.engine.shown, site.engine.state = before, state()
+
+
 VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
 
 

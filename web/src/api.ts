@@ -296,6 +296,19 @@ export interface Picture {
   height: number;
   /** What black and white stand for: of grey levels nothing. */
   shown: { low: number; high: number; unit: string } | null;
+  /** Where targets are in the newest frame that was tracked. */
+  targets: TrackedTarget[];
+}
+/** A region in the reference frame, and how far it has moved from there, px; null where the target is lost. */
+export interface TrackedTarget {
+  name: string;
+  roi: [x: number, y: number, width: number, height: number];
+  x_px: number | null;
+  y_px: number | null;
+  /** From 0 to 1. */
+  quality: number | null;
+  /** Of a tracker that counts them. */
+  matches: number | null;
 }
 
 /** The newest range profile of a radar: dB of its strongest bin over range, m; null: the range of bins is not known. */
@@ -322,6 +335,7 @@ export async function picture(of: string): Promise<Picture> {
     width: number("X-Midspan-Width"),
     height: number("X-Midspan-Height"),
     shown: unit ? shown : null,
+    targets: JSON.parse(answer.headers.get("X-Midspan-Targets") ?? "[]") as TrackedTarget[],
   };
 }
 

@@ -15,6 +15,8 @@ export class RegionCanvas {
   region: Region | null = null;
   /** Further regions, which are shown and cannot be moved. */
   others: Region[] = [];
+  /** Where targets are now: dashed. */
+  tracked: Region[] = [];
   /** Whether it was drawn or moved since it was set. */
   changed = false;
   #image: ImageBitmap | null = null;
@@ -52,15 +54,19 @@ export class RegionCanvas {
     if (!context || !this.#image) return;
     context.drawImage(this.#image, 0, 0, this.canvas.width, this.canvas.height);
     this.#moved();
+    const scale = Math.max(this.canvas.width / 800, 1);
     // A dark line below a bright one is seen on any picture.
     for (const [style, size] of [
       ["#000", 4],
       [this.changed ? colour("notice-ground") : "#fff", 2],
     ] as const) {
       context.strokeStyle = style;
-      context.lineWidth = size * Math.max(this.canvas.width / 800, 1);
+      context.lineWidth = size * scale;
       for (const { x, y, width, height } of this.region ? [this.region, ...this.others] : this.others)
         context.strokeRect(x, y, width, height);
+      context.setLineDash([8 * scale, 6 * scale]);
+      for (const { x, y, width, height } of this.tracked) context.strokeRect(x, y, width, height);
+      context.setLineDash([]);
     }
   }
 
