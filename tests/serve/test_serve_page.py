@@ -17,6 +17,11 @@ from served import PEAK_MM, PEAK_S, logged_in, state, until
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
 
+# What is lower than a finger needs (44 px), or cut at the side.
+SMALL = """() => [...document.querySelectorAll("button, select, input, summary, nav a, .card h2 a, .alarms a")]
+    .filter(one => one.offsetParent && one.type !== "checkbox")
+    .filter(one => { const box = one.getBoundingClientRect(); return box.height < 44 || box.right > innerWidth; })
+    .map(one => one.outerHTML)"""
 VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
 
 
@@ -297,12 +302,13 @@ def test_a_source_is_paused_with_a_reason_and_a_calibration_accepted(opened, sit
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_every_view_fits_a_phone_and_is_accessible(opened, scheme):
-    page = opened(viewport=PHONE, color_scheme=scheme)
+    page = opened(viewport=PHONE, color_scheme=scheme, has_touch=True, is_mobile=True)
     for view in VIEWS:
         page.evaluate("view => location.hash = '#/' + view", view)
         page.wait_for_selector("main h1")
         page.wait_for_load_state("networkidle") if view == "settings" else page.wait_for_timeout(300)
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], view
+        assert page.evaluate(SMALL) == [], view
         if AXE.is_file():
             assert violations(page) == [], view
 

@@ -151,7 +151,10 @@ export class Chart {
       ctx.moveTo(bbox.left, at);
       ctx.lineTo(bbox.left + bbox.width, at);
       ctx.stroke();
-      ctx.fillText(`limit ${name}`, bbox.left + 4 * devicePixelRatio, at + (y > 0 ? -4 : 14) * devicePixelRatio);
+      // Outside the limits, where there is room within the plot.
+      const [above, below] = [at - 4 * devicePixelRatio, at + 14 * devicePixelRatio];
+      const isAbove = y > 0 ? above - 12 * devicePixelRatio > bbox.top : below > bbox.top + bbox.height;
+      ctx.fillText(`limit ${name}`, bbox.left + 4 * devicePixelRatio, isAbove ? above : below);
     }
     ctx.restore();
   }

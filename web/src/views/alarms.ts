@@ -105,7 +105,7 @@ class AlarmsView {
       el("h1", {}, "Alarms"),
       this.#summary,
       this.#said,
-      el("section", {}, el("h2", {}, "Open"), table(OPEN_COLUMNS, this.#open)),
+      el("section", { class: "not-silenced" }, el("h2", {}, "Open"), table(OPEN_COLUMNS, this.#open)),
       this.#silencedPart,
       this.#silencesPart,
       el("section", {}, el("h2", {}, "Past 30 days"), table(PAST_COLUMNS, this.#past)),

@@ -37,11 +37,13 @@ const isSure = ({ sigmas }: Change) => (sigmas ?? 0) > CHANGED_SIGMAS;
 function compared(shown: CalibrationBody[]): HTMLElement {
   const columns = shown.map((one) => quantities(one.calibration));
   const names = [...new Set(columns.flatMap((one) => [...one.keys()]))];
-  const heads = shown.map((one) => el("th", { scope: "col" }, `${one.id}, ${one.state}`));
-  if (shown.length === 2) heads.push(el("th", { scope: "col" }, "Change"));
+  const titles = shown.map((one) => `${one.id}, ${one.state}`);
+  const heads = [...titles, ...(shown.length === 2 ? ["Change"] : [])].map((text) => el("th", { scope: "col" }, text));
   const lines = names.map((name) => {
     const values = columns.map((of) => of.get(name));
-    const cells = values.map((of) => el("td", {}, of ? withSigma(of.value, of.std ?? 0, of.unit) : "–"));
+    const cells = values.map((of, at) =>
+      el("td", { "data-name": titles[at] }, of ? withSigma(of.value, of.std ?? 0, of.unit) : "–"),
+    );
     const [first, second] = values;
     if (shown.length === 2) {
       const by =
@@ -51,7 +53,7 @@ function compared(shown: CalibrationBody[]): HTMLElement {
               { x: 1, of: second },
             ])
           : null;
-      const cell = el("td", { class: "words" }, by && first ? changeWords(by, first) : "–");
+      const cell = el("td", { class: "words", "data-name": "Change" }, by && first ? changeWords(by, first) : "–");
       if (by && isSure(by)) mark(cell, "notice");
       cells.push(cell);
     }
@@ -59,7 +61,7 @@ function compared(shown: CalibrationBody[]): HTMLElement {
   });
   const head = el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads));
   const frame = { class: "wide", tabindex: 0, role: "region", "aria-label": "Calibrations side by side" };
-  return el("div", frame, el("table", {}, head, el("tbody", {}, ...lines)));
+  return el("div", frame, el("table", { class: "stacked" }, head, el("tbody", {}, ...lines)));
 }
 
 /** Quantities with a deviation over time, those of the newest calibration's sensors, and whether they drifted. Returns how the charts end. */

@@ -5,12 +5,13 @@ import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
 import { Chart, type Level, type Mark, type Style } from "../charts/chart.ts";
 import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.ts";
 import { listStatistics } from "../charts/figures.ts";
-import { SPANS, TimeWindow } from "../charts/window.ts";
+import { TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
 import { type Envelope, emptyEnvelope, layers, ofRows, reaches, statistics, within } from "../rows.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration, signed, withBand, ZONE } from "../words.ts";
 import { FrequencyPanel } from "./frequencies.ts";
+import { SpanChoice } from "./span_choice.ts";
 import { SpectrumPanel } from "./spectrum.ts";
 import { OLD_S, showOffer, standing, trouble } from "./site.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
@@ -37,7 +38,6 @@ const SERIES = 4;
 let last: string[] = [];
 // Browsers let a page change its address some times a second; a key that is held down would do so more often, ms.
 const ADDRESS_MS = 300;
-const OWN_CHOICE = "own";
 
 export const showPoint: View = (root, site, given, rest) => {
   const [before, ...time] = last;
@@ -74,7 +74,7 @@ class PointView {
   #frequencies: FrequencyPanel;
   #keys = LAYERS.map(({ colour, text }) => el("span", { class: `key ${colour}` }, text));
   #follow = button("Freeze", () => this.#toggle());
-  #shown: HTMLElement;
+  #shown: SpanChoice;
   #writing = 0;
 
   constructor(root: HTMLElement, site: SiteState, name: string, time: string[]) {
@@ -82,11 +82,8 @@ class PointView {
     this.#window = new TimeWindow(60, () => this.#newestMs());
     this.#window.open(time);
     this.#remember();
-    this.#shown = choice(
-      "Shown",
-      [...SPANS.map(([seconds, text]): [string, string] => [String(seconds), text]), [OWN_CHOICE, ""]],
-      "60",
-      (seconds) => this.#change(() => (this.#window.seconds = Number(seconds))),
+    this.#shown = new SpanChoice(this.#window.seconds, (seconds) =>
+      this.#change(() => (this.#window.seconds = seconds)),
     );
     this.#frequencies = new FrequencyPanel(name, () => this.#window.toMs);
     const frame = el("div", {
@@ -134,7 +131,7 @@ class PointView {
         this.#name,
         (name) => (location.hash = `#/point/${encodeURIComponent(name)}/${this.#window.path}`),
       ),
-      this.#shown,
+      this.#shown.root,
       this.#follow,
       button("Earlier", () => move(-0.5)),
       button("Later", () => move(0.5)),
@@ -217,18 +214,6 @@ class PointView {
     this.#writing = window.setTimeout(() => history.replaceState(null, "", address), ADDRESS_MS);
   }
 
-  /** The length that is shown among those to choose from, or as a choice of its own. */
-  #showSpan(): void {
-    const select = this.#shown.querySelector("select");
-    const own = select?.options[SPANS.length];
-    if (!select || !own) return;
-    const { seconds } = this.#window;
-    const isListed = SPANS.some(([length]) => length === seconds);
-    own.hidden = isListed;
-    if (!isListed) own.text = duration(seconds);
-    select.value = isListed ? String(seconds) : OWN_CHOICE;
-  }
-
   #toggle(): void {
     this.#change(() => (this.#window.following ? this.#window.freeze() : this.#window.follow()));
   }
@@ -250,7 +235,7 @@ class PointView {
   #tick(): void {
     const { following } = this.#window;
     say(this.#follow, following ? "Freeze" : "Follow");
-    this.#showSpan();
+    this.#shown.show(this.#window.seconds);
     this.#showState();
     const { live } = this.#site;
     const isWhole = live.connected && reaches(this.#loaded.envelope, this.#site.rowsOf(this.#name).rows.time[0]);
