@@ -3,6 +3,7 @@
 from typing import Annotated, Any, Literal, Protocol
 
 from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import HTTPConnection
@@ -36,14 +37,6 @@ class Session(BaseModel):
     scope: Scope
     csrf: str
     serves: Literal["site", "recordings"] = Field("site", description="what the page is over")
-
-
-class Nobody(BaseModel):
-    """Nobody is logged in; text: what to do, with a code for the page."""
-
-    user: None = None
-    text: str
-    code: str
 
 
 class Gate(Protocol):
@@ -137,19 +130,20 @@ async def begin(credentials: Credentials, request: Request, response: Response, 
     return Session.model_validate({"user": user, "scope": found.scope, "csrf": csrf_of(session)})
 
 
-@routes.get(
-    "/session", response_model=Session | Nobody, responses=declared(401, 422), dependencies=[Depends(TokenScheme)]
-)
+@routes.get("/session", response_model=Session, responses=declared(401), dependencies=[Depends(TokenScheme)])
 async def session(
-    request: Request, optional: Annotated[bool, Query(description="200 with a null user instead of 401")] = False
-) -> Session | Nobody:
-    """Who is logged in, with the CSRF token: a page that was loaded again asks for it."""
+    request: Request, optional: Annotated[bool, Query(include_in_schema=False)] = False
+) -> Session | JSONResponse:
+    """Who is logged in, with the CSRF token: a page that was loaded again asks for it.
+
+    optional: the page's own way to ask: 200 and a null user instead of 401, which browsers report as a fault.
+    """
     gate = gate_of(request)
     try:
         found, kept = login_of(request)
     except Problem:
         if optional:
-            return Nobody(text=gate.how, code=gate.code)
+            return JSONResponse({"user": None, "text": gate.how, "code": gate.code})
         raise
     csrf, serves = csrf_of(kept) if kept else "", gate.serves
     return Session.model_validate({"user": found.name, "scope": found.scope, "csrf": csrf, "serves": serves})
