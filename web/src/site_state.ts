@@ -146,13 +146,19 @@ export class SiteState {
       // A change that came meanwhile is newer than the answer.
       if (this.#states === before) [this.points, this.health, this.#stagesMs] = [points, health, performance.now()];
       else this.#askedMs = -Infinity;
-      if (performance.now() - this.#alarmsMs > ALARMS_MS) await this.askAlarms();
+      // Views do not wait for them.
+      if (performance.now() - this.#alarmsMs > ALARMS_MS)
+        this.askAlarms().catch((error: unknown) => this.#failed(error));
     } catch (error) {
-      if (error instanceof Refused && error.status === 401) return;
-      // Changes of alarms may have come meanwhile.
-      this.#alarmsMs = -Infinity;
-      this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
+      this.#failed(error);
     }
+  }
+
+  #failed(error: unknown): void {
+    if (error instanceof Refused && error.status === 401) return;
+    // Changes of alarms may have come meanwhile.
+    this.#alarmsMs = -Infinity;
+    this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
   }
 
   #came(message: Message): void {
