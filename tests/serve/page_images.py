@@ -32,6 +32,8 @@ DESK_VIEWS = {
 }  # fmt: skip
 PHONE_VIEWS = {"point": "point/quarter-span"}
 COLOURS = 64
+# Of these whole views, of the others what a screen shows.
+FULL = ("page",)
 
 
 class Bridge:
@@ -47,7 +49,13 @@ class Bridge:
         self.engine.site_file = str(folder / "SITE.toml")
         self.engine.state = scene.state()
         self.engine.picture = scene.picture(infrared=True), 960, 540
-        self.engine.shown = {"low": 3.4, "high": 17.9, "unit": "degC", "time_ns": time.time_ns()}
+        self.engine.shown = {
+            "low": 3.4,
+            "high": 17.9,
+            "unit": "degC",
+            "time_ns": time.time_ns(),
+            "targets": scene.TARGETS,
+        }
         self.engine.answers |= {
             "profile": lambda _: scene.profile(),
             "alarms": lambda _: scene.alarms(time.time_ns()),
@@ -112,7 +120,7 @@ def taken(browser, bridge, folder, views, viewport, prefix, **options):
         if name == "frequencies":
             page.locator("section", has=page.get_by_role("button", name="Course")).screenshot(path=file)
         else:
-            page.screenshot(path=file, full_page=name != "settings" and prefix == "page")
+            page.screenshot(path=file, full_page=name != "settings" and prefix in FULL)
         page.close()
         smaller(file)
     context.close()

@@ -18,6 +18,10 @@ DAYS, STEP_S, LENGTH_S, RATE_HZ = 14, 21_600, 1200, 20
 LIVE_RATE_HZ = 100
 
 
+# Where the infrared camera's target is in the newest frame.
+TARGETS = [{"name": "", "roi": [412, 236, 128, 96], "x_px": 1.42, "y_px": -7.85, "quality": 0.98, "matches": None}]
+
+
 def displacement_mm(time_s, frequencies=((2.13, 0.35), (3.48, 0.12)), seed=0):
     """Vibration at natural frequencies, Hz, with their amplitudes, mm, under vehicles that come about once a minute."""
     value = np.zeros_like(time_s)

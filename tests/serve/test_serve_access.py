@@ -58,6 +58,13 @@ def test_a_token_may_do_what_its_scope_says(reader, operator, admin, engine):
         assert client.put("/api/v1/settings", content=b"").status_code == 403
 
 
+def test_a_page_asks_whether_anybody_is_logged_in_without_a_fault(served):
+    with served.client() as client:
+        nobody = client.get("/api/v1/session", params={"optional": "true"})
+        assert (nobody.status_code, nobody.json()["user"]) == (200, None)
+        assert client.get("/api/v1/session").status_code == 401
+
+
 def test_a_session_has_a_cookie_that_scripts_do_not_see_and_changes_need_its_token(served, password):
     with served.client() as client:
         answer = client.post("/api/v1/login", json={"user": "anna", "password": password})

@@ -17,6 +17,11 @@ from served import PEAK_MM, PEAK_S, logged_in, state, until
 play = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: make page")
 
+# What is lower than a finger needs (44 px), or cut at the side.
+SMALL = """() => [...document.querySelectorAll("button, select, input, summary, nav a, .card h2 a, .alarms a")]
+    .filter(one => one.offsetParent && one.type !== "checkbox")
+    .filter(one => { const box = one.getBoundingClientRect(); return box.height < 44 || box.right > innerWidth; })
+    .map(one => one.outerHTML)"""
 VIEWS = ("site", "point/p", "alarms", "sources", "calibration/p", "camera", "compare", "settings")
 
 
@@ -137,9 +142,15 @@ def test_a_cut_is_said_and_leaves_no_hole(opened, site):
         page = opened("point/p", port=wire.port)
         page.get_by_label("Shown").select_option("10")
         until(lambda: all(traced(page, (0.05, 0.95))), 5.0)
+        page.wait_for_timeout(2500)
         wire.cut()
+        cut_at = page.evaluate("new Date().toLocaleTimeString([], { hour12: false })").split(":")
         play.expect(page.locator("#connection")).to_have_text(re.compile(r"No connection .* old"))
-        play.expect(page.locator(".words").first).to_have_text(re.compile("no connection"))
+        # That is when it was lost, not since when the point was measured before.
+        play.expect(page.locator(".words").first).to_have_text(re.compile("no connection since"))
+        since = re.search(r"(\d+):(\d+):(\d+)", page.locator(".words").first.inner_text()).groups()
+        lost = [3600 * int(hours) + 60 * int(minutes) + int(seconds) for hours, minutes, seconds in (since, cut_at)]
+        assert abs(lost[0] - lost[1]) <= 2
         page.wait_for_timeout(1500)
         wire.mend()
         play.expect(page.locator("#connection")).to_have_text("")
@@ -205,7 +216,10 @@ def test_an_alarm_goes_through_all_its_states(opened, site):
     page.get_by_role("button", name=re.compile("^Acknowledge")).press("Enter")
     play.expect(row.locator(".words")).to_have_text("critical, acknowledged by anna")
     play.expect(page.get_by_text("is acknowledged.")).to_be_visible()
-    page.get_by_role("button", name=re.compile("^Silence p")).press("Enter")
+    # The focus goes on to what can be done next, and with a row where that goes.
+    silence = page.get_by_role("button", name=re.compile("^Silence p"))
+    play.expect(silence).to_be_focused()
+    page.keyboard.press("Enter")
     dialog = page.get_by_role("dialog")
     if AXE.is_file():
         assert violations(page) == []
@@ -216,10 +230,12 @@ def test_an_alarm_goes_through_all_its_states(opened, site):
     silenced = page.locator("main section", has=page.get_by_role("heading", name="Silenced")).locator("tbody tr")
     play.expect(silenced).to_contain_text("(anna): gauge is loose")
     play.expect(row).to_have_count(0)
-    page.get_by_role("button", name=re.compile("^Silence p")).click()
+    play.expect(silence).to_be_focused()
+    silence.click()
     play.expect(row).to_have_count(1)
     site.amplitude_mm = 1.0
     play.expect(row).to_have_count(0)
+    play.expect(page.locator(".summary")).to_be_focused()
     play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
     past = page.locator("main section", has=page.get_by_role("heading", name="Past")).locator("tbody tr")
     play.expect(past.first).to_contain_text(re.compile(r"(6\.000|5\.9\d\d) mm"))
@@ -238,7 +254,10 @@ def test_an_alarm_shows_on_site_and_point_with_its_limit(opened, site):
         page = opened()
         card = page.locator(".card").first
         play.expect(card.locator(".alarms")).to_contain_text(f"critical, firing: {HOSTILE}")
-        play.expect(card).to_have_attribute("data-state", "notice")
+        # A critical one is red, though everything is measured.
+        play.expect(card).to_have_attribute("data-state", "wrong")
+        play.expect(page.locator(".summary")).to_have_attribute("data-state", "wrong")
+        play.expect(card.locator(".words").first).to_have_attribute("data-state", "notice")
         page.goto(page.url.replace("site", "point/p"))
         play.expect(page.locator(".alarms")).to_contain_text("critical, firing")
         play.expect(page.locator("dl.figures")).to_contain_text("±4 mm")
@@ -274,16 +293,22 @@ def test_a_source_is_paused_with_a_reason_and_a_calibration_accepted(opened, sit
     page.get_by_role("button", name="Accept").click()
     play.expect(page.get_by_text("accept done")).to_be_visible()
     assert site.engine.commands[-1]["number"] == 2
+    page.once("dialog", lambda dialog: dialog.accept(" taken at night "))
+    page.get_by_role("button", name="Refuse").click()
+    play.expect(page.get_by_text("refuse done")).to_be_visible()
+    wanted = {"command": "refuse", "point": "p", "number": 2, "who": "anna", "reason": "taken at night"}
+    assert site.engine.commands[-1] == wanted
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_every_view_fits_a_phone_and_is_accessible(opened, scheme):
-    page = opened(viewport=PHONE, color_scheme=scheme)
+    page = opened(viewport=PHONE, color_scheme=scheme, has_touch=True, is_mobile=True)
     for view in VIEWS:
         page.evaluate("view => location.hash = '#/' + view", view)
         page.wait_for_selector("main h1")
         page.wait_for_load_state("networkidle") if view == "settings" else page.wait_for_timeout(300)
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], view
+        assert page.evaluate(SMALL) == [], view
         if AXE.is_file():
             assert violations(page) == [], view
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from midspan.records import NANOSECONDS
+from midspan.serve import points
 from midspan.serve.reading import iso
 from midspan.serve.serving import Serving
 from served import GAP_S, LOST_S, PEAK_MM, PEAK_S, RATE, SECONDS, rows, until
@@ -28,6 +29,15 @@ def test_points_have_their_newest_row(reader, engine, begin_ns):
     assert one["displacement_mm"] == pytest.approx(1e3 * newest.columns["displacement_m"][-1])
     assert one["displacement_std_mm"] == pytest.approx(0.01)
     assert reader.get("/api/v1/points/nobody").status_code == 404
+
+
+def test_a_few_seconds_of_rows_start_no_process(store_folder, begin_ns):
+    """One takes a second to start, and the page's first trace would wait for it."""
+    serving = Serving(str(store_folder))
+    answer = asyncio.run(points.series("p", serving, str(begin_ns), str(at(begin_ns, 3.0))))
+    assert len(json.loads(answer.body)["time"]) == 3 * RATE
+    assert serving.long._executor is None
+    serving.close()
 
 
 @pytest.mark.parametrize("count", [60, 600, 4999])

@@ -19,6 +19,7 @@ unit = "m/s^2"
 source = "serial:/dev/d"
 unit = "mm"
 """
+ALARM = '[[point.alarm]]\nname = "high"\non = "displacement"\nlimit_mm = 3.0\n'
 
 
 @pytest.fixture
@@ -53,6 +54,9 @@ def test_settings_are_changed_by_who_knows_what_they_were(admin, file, engine):
     ("text", "key", "words"),
     [
         (SITE.replace('unit = "mm"', 'unt = "mm"'), "point 'p': displacement.unt", "unit"),
+        (SITE + ALARM + 'levl = "critical"\n', "point 'p': alarm 'high': levl", "level"),
+        (SITE + ALARM.replace('name = "high"\n', ""), "point 'p': alarm[1]: name", ""),
+        (SITE + ALARM.replace("limit_mm = 3.0\n", ""), "point 'p': alarm 'high'", "limit_mm"),
         (SITE.replace('"store"', "7"), "store.path", ""),
         (SITE.replace("[store]", "[store"), None, ""),
         ('[service]\nlisten = "0.0.0.0:80"\n' + SITE[SITE.index("[store]") :], None, ""),

@@ -7,6 +7,8 @@ import threading
 import pytest
 
 from midspan.errors import MidspanError
+from midspan.serve.alarms import kept_audit
+from midspan.serve.points import refusals
 from midspan.service.point import Phase
 from midspan.service.run import Service
 from midspan.settings.site import load_site
@@ -56,6 +58,19 @@ def test_an_offered_calibration_is_refused_and_another_one_is_tried(service, tmp
     for command in ("refuse", "accept"):
         with pytest.raises(MidspanError, match="calibration 1 is not offered"):
             asked(service, command, point="p", number=1)
+
+
+def test_a_refusal_keeps_who_and_why_with_the_event_and_in_the_audit_list(service, tmp_path):
+    live = service._points[0].live
+    live.offered(1)
+    said = asked(service, "refuse", point="p", number=1, who="anna", reason="taken at night")
+    assert said == "p: calibration 1 is refused by anna: taken at night"
+    service._alarms.open()
+    service._alarms.close()
+    why = refusals(tmp_path / "store", "p", [1, 2])
+    assert {number: (one["owner"], one["reason"]) for number, one in why.items()} == {1: ("anna", "taken at night")}
+    (line,) = kept_audit(tmp_path / "store", 10, None)
+    assert (line["alarm"], line["what"]) == ("calibration p 1", "calibration refused")
 
 
 def test_an_offered_calibration_comes_into_force(service, tmp_path):

@@ -1,12 +1,18 @@
 """What people are shown of a source: temperatures of a picture, a radar's range profile."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from midspan.engine.camera import Target as Named
+from midspan.engine.sensors import CameraSensor, Seen
 from midspan.radar.target import Target
-from midspan.records import Frame, RangeFrame
+from midspan.records import Frame, PixelTranslation, RangeFrame, Region, Status
 from midspan.service.camera_process import pictured
-from midspan.service.commands import profile_of, shown_range
+from midspan.service.commands import profile_of, shown_range, tracked
+from midspan.service.journal import Journal
 
 
 def test_a_picture_of_counts_says_its_temperatures_and_one_of_grey_levels_nothing():
@@ -27,6 +33,27 @@ def test_a_picture_of_counts_says_its_temperatures_and_one_of_grey_levels_nothin
     )
     grey = pictured(Frame(1, celsius.astype(np.uint8), 0))
     assert shown_range(grey, (0.04, 0.0)) == {"low": None, "high": None, "unit": ""}
+
+
+@pytest.mark.parametrize(("tracker", "matches"), [("features", [41, 0]), ("registration", [None, None])])
+def test_a_picture_says_where_its_targets_are_now(tracker, matches):
+    targets = [Named(Region(10, 20, 64, 48), "near"), Named(Region(200, 90, 32, 32), "far")]
+    sensor = CameraSensor("camera", SimpleNamespace(targets=targets), [[0], [1]], "y")
+    found = (
+        PixelTranslation(1, 0.5, -3.25, 1e-4, 1e-4, 0.97, Status.TRACKING, strength=41.0),
+        PixelTranslation(1, math.nan, math.nan, math.inf, math.inf, 0.0, Status.LOST),
+    )
+    journal = Journal("p", {})
+    opened = SimpleNamespace(journal=journal, point=SimpleNamespace(sensors={"camera": sensor}))
+    streams = [("camera", "camera", SimpleNamespace(tracker=tracker))]
+    live = SimpleNamespace(opened=opened, settings=SimpleNamespace(streams=streams))
+    assert tracked(live, "camera") == []
+    journal.given([Seen("camera", None, found)])
+    near, far = tracked(live, "camera")
+    assert (near["roi"], near["x_px"], near["y_px"], near["quality"]) == ([10, 20, 64, 48], 0.5, -3.25, 0.97)
+    assert (far["name"], far["x_px"], far["y_px"]) == ("far", None, None)
+    assert [near["matches"], far["matches"]] == matches
+    assert tracked(SimpleNamespace(opened=None), "camera") == []
 
 
 def test_a_range_profile_is_the_power_of_its_received_channels():

@@ -27,7 +27,7 @@ export function stateWords(alarm: AlarmBody): string {
     pending: alarm.reason === "band" ? "pending: only the band touches the limit" : "pending",
     acknowledged: `acknowledged by ${alarm.acknowledged_by}`,
   };
-  return `${alarm.level}, ${states[alarm.state] ?? alarm.state}`;
+  return `${alarm.level}, ${states[alarm.state] ?? alarm.state}${alarm.silence ? ", silenced" : ""}`;
 }
 
 /** A value in the alarm's unit, with its 95 % band. */

@@ -13,6 +13,8 @@ export interface PointStands {
   status: string | null;
   reason: string;
   text: string;
+  /** What is prepared, or waits, also while there are no rows: a reason code. */
+  notice?: string;
   since: string | null;
   calibration: number | null;
   /** capturing, calibrating or opening; empty where nothing is prepared. */
@@ -53,6 +55,8 @@ export interface Health {
   points: { point: string; reason: string; text: string }[];
   sources: { point: string; source: string; reason: string; text: string }[];
   settings: { text: string; file: string | null; key: string | null } | null;
+  /** Whether a SITE.toml belongs to the store. */
+  has_settings: boolean;
 }
 type Numbers = (number | null)[];
 export interface Buckets {
@@ -82,6 +86,8 @@ export interface CalibrationBody {
   calibration: Record<string, unknown>;
   /** When it made rows. */
   rows?: { from: string; to: string }[];
+  /** Of a refused one: by whom and why. */
+  refusal?: { time: string; owner: string; reason: string } | null;
 }
 export interface SpectrumBody {
   frequency_hz: Numbers;
@@ -223,7 +229,12 @@ export async function remove(path: string): Promise<string> {
 /** A session that goes on; null where there is none, after `whenOver` was called. */
 export async function session(): Promise<Session | null> {
   try {
-    const found = await get<Session>("/session");
+    // That nobody is logged in is no fault, which a browser would report.
+    const found = await get<Session | { user: null; text: string; code: string }>("/session?optional=true");
+    if (found.user === null) {
+      over(new Refused(401, found.text, null, found.code));
+      return null;
+    }
     csrf = found.csrf;
     return found;
   } catch (error) {
@@ -285,6 +296,19 @@ export interface Picture {
   height: number;
   /** What black and white stand for: of grey levels nothing. */
   shown: { low: number; high: number; unit: string } | null;
+  /** Where targets are in the newest frame that was tracked. */
+  targets: TrackedTarget[];
+}
+/** A region in the reference frame, and how far it has moved from there, px; null where the target is lost. */
+export interface TrackedTarget {
+  name: string;
+  roi: [x: number, y: number, width: number, height: number];
+  x_px: number | null;
+  y_px: number | null;
+  /** From 0 to 1. */
+  quality: number | null;
+  /** Of a tracker that counts them. */
+  matches: number | null;
 }
 
 /** The newest range profile of a radar: dB of its strongest bin over range, m; null: the range of bins is not known. */
@@ -311,6 +335,7 @@ export async function picture(of: string): Promise<Picture> {
     width: number("X-Midspan-Width"),
     height: number("X-Midspan-Height"),
     shown: unit ? shown : null,
+    targets: JSON.parse(answer.headers.get("X-Midspan-Targets") ?? "[]") as TrackedTarget[],
   };
 }
 

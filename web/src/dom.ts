@@ -45,6 +45,14 @@ export function button(text: string, pressed: () => void, attributes: Attributes
   return el("button", { type: "button", click: pressed, ...attributes }, text);
 }
 
+/** Disable buttons for a reason, which they show; enable them without one. */
+export function disable(buttons: HTMLButtonElement[], reason: string): void {
+  for (const one of buttons) {
+    one.disabled = reason !== "";
+    one.title = reason;
+  }
+}
+
 /** A table that becomes a list on a phone; `rows` is filled by its view, see `line`. */
 export function table(columns: string[], rows: HTMLTableSectionElement): HTMLElement {
   const head = el("thead", {}, el("tr", {}, ...columns.map((text) => el("th", { scope: "col" }, text))));

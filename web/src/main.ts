@@ -36,7 +36,7 @@ const connection = document.getElementById("connection") as HTMLElement;
 
 /** What is shown: its views, and what is done now and then, and at its end. */
 interface Shown {
-  views: { path: string; text: string; show: (name: string) => () => void }[];
+  views: { path: string; text: string; show: (name: string, rest: string[]) => () => void }[];
   /** The name that a link to a view keeps, as that of a recording. */
   keepsName: boolean;
   refresh: () => void;
@@ -46,14 +46,14 @@ interface Shown {
 let shown: Shown | null = null;
 let end: () => void = () => undefined;
 
-function place(): { path: string; name: string } {
-  const [, path = "", name = ""] = location.hash.split("/");
-  return { path: path || (shown?.views[0]?.path ?? ""), name: decodeURIComponent(name) };
+function place(): { path: string; name: string; rest: string[] } {
+  const [, path = "", name = "", ...rest] = location.hash.split("/");
+  return { path: path || (shown?.views[0]?.path ?? ""), name: decodeURIComponent(name), rest };
 }
 
 function show(): void {
   if (!shown) return;
-  const { path, name } = place();
+  const { path, name, rest } = place();
   if (path === "link") return void start();
   end();
   const entry = shown.views.find((one) => one.path === path) ?? shown.views[0];
@@ -64,7 +64,7 @@ function show(): void {
     else link.removeAttribute("aria-current");
     if (shown.keepsName && name) link.href = `#/${link.dataset["path"] ?? ""}/${encodeURIComponent(name)}`;
   }
-  end = entry.show(name);
+  end = entry.show(name, rest);
 }
 
 function showHead(views: Shown["views"], ...right: (Node | string)[]): void {
@@ -82,7 +82,7 @@ function showHead(views: Shown["views"], ...right: (Node | string)[]): void {
 function viewsOf<State>(entries: Entry<State>[], state: State, scope: string): Shown["views"] {
   return entries
     .filter((one) => !one.scope || one.scope === scope)
-    .map(({ path, text, show }) => ({ path, text, show: (name) => show(main, state, name) }));
+    .map(({ path, text, show }) => ({ path, text, show: (name, rest) => show(main, state, name, rest) }));
 }
 
 async function beginSite(of: Session): Promise<void> {

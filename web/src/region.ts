@@ -24,9 +24,11 @@ export function inside(of: Region, frame: Size): Region {
   return { x, y: clamp(Math.round(of.y), 0, frame.height - height), width, height };
 }
 
-/** Between two corners. */
-export function between(ax: number, ay: number, bx: number, by: number): Region {
-  return { x: Math.min(ax, bx), y: Math.min(ay, by), width: Math.abs(bx - ax), height: Math.abs(by - ay) };
+/** Between two corners, which may be outside the frame: what reaches beyond its edge is cut off. */
+export function between(ax: number, ay: number, bx: number, by: number, frame: Size): Region {
+  const [left, right] = [Math.min(ax, bx), Math.max(ax, bx)].map((x) => clamp(x, 0, frame.width));
+  const [top, bottom] = [Math.min(ay, by), Math.max(ay, by)].map((y) => clamp(y, 0, frame.height));
+  return { x: left ?? 0, y: top ?? 0, width: (right ?? 0) - (left ?? 0), height: (bottom ?? 0) - (top ?? 0) };
 }
 
 /** Whether a pixel is in a region. */

@@ -15,6 +15,8 @@ export class RegionCanvas {
   region: Region | null = null;
   /** Further regions, which are shown and cannot be moved. */
   others: Region[] = [];
+  /** Where targets are now: dashed. */
+  tracked: Region[] = [];
   /** Whether it was drawn or moved since it was set. */
   changed = false;
   #image: ImageBitmap | null = null;
@@ -52,15 +54,19 @@ export class RegionCanvas {
     if (!context || !this.#image) return;
     context.drawImage(this.#image, 0, 0, this.canvas.width, this.canvas.height);
     this.#moved();
+    const scale = Math.max(this.canvas.width / 800, 1);
     // A dark line below a bright one is seen on any picture.
     for (const [style, size] of [
       ["#000", 4],
       [this.changed ? colour("notice-ground") : "#fff", 2],
     ] as const) {
       context.strokeStyle = style;
-      context.lineWidth = size * Math.max(this.canvas.width / 800, 1);
+      context.lineWidth = size * scale;
       for (const { x, y, width, height } of this.region ? [this.region, ...this.others] : this.others)
         context.strokeRect(x, y, width, height);
+      context.setLineDash([8 * scale, 6 * scale]);
+      for (const { x, y, width, height } of this.tracked) context.strokeRect(x, y, width, height);
+      context.setLineDash([]);
     }
   }
 
@@ -95,7 +101,7 @@ export class RegionCanvas {
       const [{ x, y }, { from }] = [this.#at(event), this.#drag];
       if (from) this.#set({ ...from, x: from.x + x - this.#drag.x, y: from.y + y - this.#drag.y });
       else if (Math.hypot(x - this.#drag.x, y - this.#drag.y) >= MIN_PX / 2)
-        this.#set(between(this.#drag.x, this.#drag.y, x, y));
+        this.#set(between(this.#drag.x, this.#drag.y, x, y, this.canvas));
     });
     for (const name of ["pointerup", "pointercancel"]) this.canvas.addEventListener(name, () => (this.#drag = null));
     this.canvas.addEventListener("keydown", (event) => this.#key(event));
@@ -117,7 +123,7 @@ export class RegionCanvas {
     const [dx, dy] = [way[0] * step, way[1] * step];
     this.#set(
       event.altKey
-        ? { ...now, width: now.width + dx, height: now.height + dy }
+        ? between(now.x, now.y, now.x + now.width + dx, now.y + now.height + dy, this.canvas)
         : { ...now, x: now.x + dx, y: now.y + dy },
     );
   }

@@ -63,6 +63,18 @@ export class SiteState {
     this.live.close();
   }
 
+  /** Why nothing can be commanded, as where no process measures; empty where one does. */
+  get away(): string {
+    if (!this.health) return "Waiting for the server.";
+    return this.health?.sources.find((one) => one.reason === "not_measuring")?.text ?? "";
+  }
+
+  /** What is wrong with a source, that it brings nothing to look at; empty where nothing is, or it is paused. */
+  troubleOf({ point, source }: { point: string; source: string }): string {
+    const found = this.health?.sources.find((one) => one.point === point && one.source === source);
+    return found?.reason && found.reason !== "paused" ? found.text : "";
+  }
+
   point(name: string): PointState | undefined {
     return this.points.find((one) => one.name === name);
   }
@@ -87,6 +99,12 @@ export class SiteState {
   /** How old a point's newest row is, s. */
   ageS(point: PointState): number | null {
     return point.time === null ? null : Math.max(this.now() - Date.parse(point.time), 0) / 1000;
+  }
+
+  /** When the connection was lost, or how a point stands became so, ms since 1970; null where that is not known. */
+  sinceMs(point: PointState): number | null {
+    if (!this.fresh) return this.now() - (performance.now() - Math.max(this.answered, this.live.heard));
+    return point.since ? Date.parse(point.since) : null;
   }
 
   /** How long what a point prepares still takes, s; null where that is not known. */
@@ -128,13 +146,19 @@ export class SiteState {
       // A change that came meanwhile is newer than the answer.
       if (this.#states === before) [this.points, this.health, this.#stagesMs] = [points, health, performance.now()];
       else this.#askedMs = -Infinity;
-      if (performance.now() - this.#alarmsMs > ALARMS_MS) await this.askAlarms();
+      // Views do not wait for them.
+      if (performance.now() - this.#alarmsMs > ALARMS_MS)
+        this.askAlarms().catch((error: unknown) => this.#failed(error));
     } catch (error) {
-      if (error instanceof Refused && error.status === 401) return;
-      // Changes of alarms may have come meanwhile.
-      this.#alarmsMs = -Infinity;
-      this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
+      this.#failed(error);
     }
+  }
+
+  #failed(error: unknown): void {
+    if (error instanceof Refused && error.status === 401) return;
+    // Changes of alarms may have come meanwhile.
+    this.#alarmsMs = -Infinity;
+    this.trouble = error instanceof Away || error instanceof Refused ? error.message : String(error);
   }
 
   #came(message: Message): void {
@@ -154,9 +178,9 @@ export class SiteState {
     }
   }
 
-  #stands({ points, ready, sources, settings, again }: StateMessage): void {
+  #stands({ points, again, ...standing }: StateMessage): void {
     this.#states += 1;
-    this.health = { points: [], ready, sources, settings };
+    this.health = { points: [], ...standing };
     for (const stands of points) {
       const point = this.point(stands.name);
       // Of a point that nothing measures the newest row says how it stood.

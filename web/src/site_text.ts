@@ -39,8 +39,9 @@ export function pointNames(text: string): string[] {
     .map((one) => one.name);
 }
 
-const BY_NAME = /^point '([^']*)': (.*)$/;
-const BY_PLACE = /^point\[(\d+)\]: (.*)$/;
+// The point, or the alarm, that a key belongs to: by its name, or by its place from 1.
+const OWNER = /^(point|alarm)(?: '([^']*)'|\[(\d+)\])(?:: |$)/;
+const PLACE = /\[(\d+)\]$/;
 const AT_LINE = /\(at line (\d+), column \d+\)/;
 
 /** The line, from 0, that a fault is about; null where it is not found. key: as the server names it. */
@@ -49,20 +50,30 @@ export function lineOf(text: string, key: string | null, fault: string): number 
   if (syntax) return Number(syntax[1]) - 1;
   if (!key) return null;
   const lines = text.split("\n");
-  const parts = partsOf(lines);
-  const [named, placed] = [BY_NAME.exec(key), BY_PLACE.exec(key)];
-  const points = parts.filter((one) => one.section === "point");
-  const point = named ? points.find((one) => one.name === named[1])?.point : placed ? Number(placed[1]) - 1 : undefined;
-  const path = (named ?? placed)?.[2] ?? key;
-  const words = path.replace(/\[\d+\]/g, "").split(".");
-  const last = words.pop() ?? "";
-  const section = [...(point === undefined ? [] : ["point"]), ...words].join(".");
-  const meant = parts.find((one) => one.section === section && (point === undefined || one.point === point));
-  if (!meant) return null;
+  let [path, among, section] = [key, partsOf(lines), ""];
+  for (let owner = OWNER.exec(path); owner; owner = OWNER.exec(path)) {
+    const [whole, word, name, place] = owner;
+    section = section ? `${section}.${word}` : (word ?? "");
+    const same = among.filter((one) => one.section === section);
+    const meant = name === undefined ? same[Number(place) - 1] : same.find((one) => one.name === name);
+    if (!meant) return null;
+    among = word === "point" ? among.filter((one) => one.point === meant.point) : [meant];
+    path = path.slice(whole.length);
+    if (!path) return meant.from;
+  }
+  const words = path.split(".");
+  const last = (words.pop() ?? "").replace(PLACE, "");
+  const place = Number(PLACE.exec(words[words.length - 1] ?? "")?.[1] ?? 1);
+  section = [section, ...words.map((word) => word.replace(PLACE, ""))].filter(Boolean).join(".");
+  const meant = among.filter((one) => one.section === section)[place - 1];
+  // A key that is a section itself.
+  const header = among.find((one) => one.section === [section, last].filter(Boolean).join("."));
+  if (!meant) return header?.from ?? null;
   const own = new RegExp(`^\\s*${last.replace(/[^\w-]/g, "")}\\s*=`);
   const at = lines.slice(meant.from + 1, meant.to).findIndex((line) => own.test(line));
+  if (at >= 0) return meant.from + 1 + at;
   // A key that is missing is one of its section.
-  return at >= 0 ? meant.from + 1 + at : Math.max(meant.from, 0);
+  return header?.from ?? Math.max(meant.from, 0);
 }
 
 export interface Source {

@@ -99,7 +99,11 @@ test("a region stays in the frame and keeps its size", () => {
   const frame = { width: 320, height: 240 };
   assert.deepEqual(inside({ x: -50, y: 300, width: 64, height: 32 }, frame), { x: 0, y: 208, width: 64, height: 32 });
   assert.deepEqual(inside({ x: 10, y: 10, width: 900, height: 2 }, frame), { x: 0, y: 10, width: 320, height: 16 });
-  assert.deepEqual(between(40, 30, 10, 50), { x: 10, y: 30, width: 30, height: 20 });
+  assert.deepEqual(between(40, 30, 10, 50, frame), { x: 10, y: 30, width: 30, height: 20 });
+  // Drawn beyond an edge it is cut there, and not moved.
+  const beyond = between(250, 200, 400, 260, frame);
+  assert.deepEqual(inside(beyond, frame), { x: 250, y: 200, width: 70, height: 40 });
+  assert.deepEqual(between(-30, 10, 20, 500, frame), { x: 0, y: 10, width: 20, height: 230 });
 });
 
 const SITE = `[[point]]
@@ -208,9 +212,17 @@ name = "b"
 source = "y"
 [[point.alarm]]
 name = "high"
+[[point.alarm]]
+name = "low"
+levl = "critical"
 
 [mqtt]
 host = "h"
+
+[[notify]]
+smtp = "s"
+[[notify]]
+webhok = "w"
 `;
 
 test("the line of a wrong key is found in its own point, and of a missing one its section", () => {
@@ -223,6 +235,12 @@ test("the line of a wrong key is found in its own point, and of a missing one it
   assert.equal(at("name"), 'name = "site" # of all');
   assert.equal(at(null, "is not valid TOML (at line 3, column 8)."), 'path = "store"');
   assert.equal(at("point 'c': camera.source"), undefined);
+  assert.equal(at("point 'b': alarm 'low': levl"), 'levl = "critical"');
+  assert.equal(lineOf(BRIDGE, "point 'b': alarm[2]: limit_mm", ""), BRIDGE.split("\n").indexOf('name = "low"') - 1);
+  assert.equal(lineOf(BRIDGE, "point 'b': alarm 'low'", ""), BRIDGE.split("\n").indexOf('name = "low"') - 1);
+  assert.equal(lineOf(BRIDGE, "point 'b': alarm[1]: on", ""), BRIDGE.split("\n").indexOf('name = "high"') - 1);
+  assert.equal(at("notify[2].webhok"), 'webhok = "w"');
+  assert.equal(at("notify"), "[[notify]]");
   assert.equal(lineOf(BRIDGE, null, "no line"), null);
 });
 

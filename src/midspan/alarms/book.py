@@ -43,7 +43,10 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """A line of the audit list: what became of an alarm, by whom ("" for midspan itself)."""
+    """A line of the audit list: what became of an alarm, or of a calibration, by whom ("" for midspan itself).
+
+    alarm: its id, or `calibration_id`.
+    """
 
     time_ns: int
     alarm: str
@@ -145,6 +148,11 @@ class Book:
         """Let the file go."""
         with self._lock:
             self._database.close()
+
+
+def calibration_id(point: str, number: int) -> str:
+    """What stands for a point's calibration in the audit list."""
+    return f"calibration {point} {number}"
 
 
 def has_book(folder: Path) -> bool:

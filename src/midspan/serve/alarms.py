@@ -13,9 +13,8 @@ from midspan.alarms.machine import OPEN
 from midspan.alarms.messages import iso, silence_tree, tree_of
 from midspan.alarms.watch import SILENCE
 from midspan.errors import MidspanError
-from midspan.serve.access import Login
 from midspan.serve.instants import PATTERN, instant_ns
-from midspan.serve.login import OPERATE, READ
+from midspan.serve.login import READ, Operator
 from midspan.serve.points import Done
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
@@ -23,7 +22,6 @@ from midspan.service.live_socket import Tree
 from midspan.service.places import place_of
 
 MAX_AUDIT = 1000
-Operator = Annotated[Login, OPERATE[0]]
 
 
 class SilenceBody(BaseModel):

@@ -31,6 +31,7 @@ class Standing(BaseModel):
     ready: bool
     points: list[dict[str, Any]]
     sources: list[dict[str, Any]]
+    has_settings: bool = Field(description="whether a SITE.toml belongs to the store here")
     settings: dict[str, Any] | None = Field(None, description="text, file and key of what is wrong with SITE.toml")
 
 

@@ -2,7 +2,8 @@
 
 from typing import Annotated, Any, Literal, Protocol
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import HTTPConnection
@@ -96,6 +97,8 @@ def require(scope: Scope) -> Any:
 
 READ, OPERATE, ADMIN = [require("read")], [require("operate")], [require("admin")]
 """What routes depend on, by the scope that they need."""
+Operator = Annotated[Login, OPERATE[0]]
+"""A parameter of routes that need to know who commands."""
 
 routes = APIRouter(tags=["access"])
 # What goes with users and passwords alone.
@@ -127,11 +130,22 @@ async def begin(credentials: Credentials, request: Request, response: Response, 
     return Session.model_validate({"user": user, "scope": found.scope, "csrf": csrf_of(session)})
 
 
-@routes.get("/session", response_model=Session, responses=declared(401), dependencies=READ)
-async def session(request: Request) -> Session:
-    """Who is logged in, with the CSRF token: a page that was loaded again asks for it."""
-    found, kept = login_of(request)
-    csrf, serves = csrf_of(kept) if kept else "", gate_of(request).serves
+@routes.get("/session", response_model=Session, responses=declared(401), dependencies=[Depends(TokenScheme)])
+async def session(
+    request: Request, optional: Annotated[bool, Query(include_in_schema=False)] = False
+) -> Session | JSONResponse:
+    """Who is logged in, with the CSRF token: a page that was loaded again asks for it.
+
+    optional: the page's own way to ask: 200 and a null user instead of 401, which browsers report as a fault.
+    """
+    gate = gate_of(request)
+    try:
+        found, kept = login_of(request)
+    except Problem:
+        if optional:
+            return JSONResponse({"user": None, "text": gate.how, "code": gate.code})
+        raise
+    csrf, serves = csrf_of(kept) if kept else "", gate.serves
     return Session.model_validate({"user": found.name, "scope": found.scope, "csrf": csrf, "serves": serves})
 
 

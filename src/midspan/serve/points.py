@@ -2,26 +2,32 @@
 
 import tempfile
 import time
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from starlette.background import BackgroundTask
 
+from midspan.alarms.book import Book, calibration_id, has_book
 from midspan.records import NANOSECONDS
 from midspan.serve import reading
 from midspan.serve.instants import From, To, span_ns
-from midspan.serve.login import OPERATE, READ
+from midspan.serve.login import OPERATE, READ, Operator
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
+from midspan.service.places import place_of
 
 # What a file of rows may take, s, and how many are made at a time.
 EXPORT_S = 900.0
 # Buckets of up to this time take a thread a tenth of a second.
 QUICK_S = 2 * 86_400.0
+# Rows of up to this time take a thread 25 ms at 100 Hz on a busy machine; a process takes seconds to start there.
+QUICK_ROWS_S = 10.0
 Numbers = list[float | None]
 ARROW = "application/vnd.apache.arrow.stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -49,6 +55,7 @@ class PointState(BaseModel):
     displacement_std_mm: float | None
     time: str | None = Field(description="of the newest row, ISO 8601 UTC")
     age_s: float | None
+    notice: str = Field("", description="a reason code of what is prepared, or waits, also while there are no rows")
     since: str | None = Field(None, description="when status and reason became so, as far as this server saw it")
     calibration: int | None = None
     stage: str = Field("", description="capturing, calibrating or opening; empty where nothing is prepared")
@@ -80,6 +87,21 @@ class Span(BaseModel):
     to: str
 
 
+class Refused(BaseModel):
+    """Why a calibration was refused, as everybody sees it."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: Annotated[str, StringConstraints(max_length=200)] = ""
+
+
+class Refusal(BaseModel):
+    """When a calibration was refused, by whom and why."""
+
+    time: str
+    owner: str
+    reason: str
+
+
 class CalibrationBody(BaseModel):
     """A calibration of the store; state: in force, offered, refused or retired; rows: when it made rows."""
 
@@ -88,6 +110,7 @@ class CalibrationBody(BaseModel):
     state: str
     calibration: dict[str, Any]
     rows: list[Span] = Field([], description="the newest 50 spans of rows that were made with it")
+    refusal: Refusal | None = Field(None, description="of one that somebody refused within 400 days")
 
 
 class SpectrumBody(BaseModel):
@@ -149,7 +172,8 @@ async def series(
         worker = serving.long if QUICK_S < length_s <= reading.SECONDS_S else serving.quick
         return JSONResponse(await worker.run(reading.buckets, serving.where, name, *span, buckets))
     work = reading.series_json if format == "json" else reading.series_arrow
-    body = await serving.long.run(work, serving.where, name, *span)
+    worker = serving.quick if span[1] - span[0] <= QUICK_ROWS_S * NANOSECONDS else serving.long
+    body = await worker.run(work, serving.where, name, *span)
     return Response(body, media_type="application/json" if format == "json" else ARROW)
 
 
@@ -193,7 +217,22 @@ async def calibrations(name: str, serving: Shared) -> list[Tree]:
     """All calibrations of a point that the store has; the spans of rows are up to half a minute old."""
     await serving.require_point(name)
     kept, rows = await serving.quick.run(reading.calibrations, serving.where, name), await serving.calibrated_rows(name)
-    return [{**one, "rows": rows.get(one["id"], [])} for one in kept]
+    refused = [one["id"] for one in kept if one["state"] == "refused"]
+    why = await serving.quick.run(refusals, place_of(serving.where), name, refused) if refused else {}
+    return [{**one, "rows": rows.get(one["id"], []), "refusal": why.get(one["id"])} for one in kept]
+
+
+def refusals(folder: Path, point: str, numbers: Sequence[int]) -> dict[int, Tree]:
+    """Refusals of a point's calibrations of these numbers, as the audit list of a service's folder has them."""
+    if not has_book(folder):
+        return {}
+    with closing(Book(folder, read_only=True)) as book:
+        lines = {number: book.audit(1, calibration_id(point, number)) for number in numbers}
+    return {
+        number: {"time": reading.iso(one.time_ns), "owner": one.who, "reason": one.text}
+        for number, found in lines.items()
+        for one in found
+    }
 
 
 @routes.post(
@@ -212,18 +251,22 @@ async def accept(name: str, number: int, serving: Shared) -> Done:
     return await _decided(serving, "accept", name, number)
 
 
-@routes.post("/{name}/calibrations/{number}/refuse", response_model=Done, dependencies=OPERATE, responses=COMMANDED)
-async def refuse(name: str, number: int, serving: Shared) -> Done:
-    """Refuse an offered calibration; the one in force stays."""
-    return await _decided(serving, "refuse", name, number)
+@routes.post(
+    "/{name}/calibrations/{number}/refuse", response_model=Done,
+    responses={**COMMANDED, **declared(413, 415)},
+)  # fmt: skip
+async def refuse(name: str, number: int, login: Operator, serving: Shared, why: Refused | None = None) -> Done:
+    """Refuse an offered calibration, with or without a reason; the one in force stays."""
+    reason = "" if why is None else why.reason.strip()
+    return await _decided(serving, "refuse", name, number, who=login.name, reason=reason)
 
 
-async def _decided(serving: Serving, command: str, name: str, number: int) -> Done:
+async def _decided(serving: Serving, command: str, name: str, number: int, **values: str) -> Done:
     await serving.require_point(name)
     kept = await serving.quick.run(reading.calibrations, serving.where, name)
     if number not in [one["id"] for one in kept]:
         raise Problem(404, f"{name} has no calibration {number}. GET its calibrations for those that it has.")
-    answer, _ = await serving.link.ask(command, point=name, number=number)
+    answer, _ = await serving.link.ask(command, point=name, number=number, **values)
     return Done(text=str(answer["text"]))
 
 

@@ -220,6 +220,7 @@ class Serving:
             "status": None if reason or not state else state["status"],
             "reason": reason or state.get("reason") or state.get("notice", ""),
             "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
+            "notice": "" if reason else state.get("notice", ""),
             "since": None if since_ns is None else reading.iso(since_ns),
             "calibration": state.get("calibration"),
             "stage": "" if reason else state.get("stage", ""),
@@ -235,6 +236,7 @@ class Serving:
             "ready": standing["ready"],
             "sources": [{key: one[key] for key in WRONG} for one in standing["sources"] if one["reason"]],
             "settings": standing["settings"],
+            "has_settings": standing["has_settings"],
         }
         before, wrong_before = self._reported
         changed = [one for name, one in now.items() if _lasting(one) != _lasting(before.get(name, {}))]
@@ -245,16 +247,16 @@ class Serving:
 
     def standing(self) -> Tree:
         """As /readyz shows it: of the newest state, or why there is none."""
-        reason = self.link.reason
+        reason, site = self.link.reason, {"has_settings": self.settings_file is not None}
         if not reason and self.link.state:
             points = [of_ready(one) for one in self.link.state["points"]]
-            return {**{key: self.link.state[key] for key in ("ready", "sources", "settings")}, "points": points}
+            return {**{key: self.link.state[key] for key in ("ready", "sources", "settings")}, "points": points, **site}
         reason = reason or "starting"
         source = {"point": "", "source": "engine", "reason": reason, "text": sentence(reason)}
         old = self.link.state or {"points": [], "sources": [], "settings": None}
         kept = [one for one in old["sources"] if one["source"] != "engine"] if reason == "engine_silent" else []
         points = [of_ready(one) for one in old["points"]] if reason == "engine_silent" else []
-        return {"ready": False, "points": points, "sources": [source, *kept], "settings": old["settings"]}
+        return {"ready": False, "points": points, "sources": [source, *kept], "settings": old["settings"], **site}
 
     def close(self) -> None:
         """End the workers."""

@@ -1,6 +1,7 @@
 """Sources: how each stream stands, its picture, pauses."""
 
 import asyncio
+import json
 import time
 from typing import Annotated
 
@@ -70,16 +71,19 @@ class ProfileBody(BaseModel):
 PICTURE_HEADERS = {
     "X-Midspan-Time": "time_ns", "X-Midspan-Width": "width", "X-Midspan-Height": "height",
     "X-Midspan-Low": "low", "X-Midspan-High": "high", "X-Midspan-Unit": "unit",
+    "X-Midspan-Targets": "targets",
 }  # fmt: skip
 """Of a picture: when it was taken (ns UTC), the size of the frame, which regions count in, px, and what black and white
-stand for where they are no grey levels: degC, or counts.
+stand for where they are no grey levels: degC, or counts. Targets as JSON: `roi` in the reference frame, `x_px`, `y_px`
+by which it has moved, null where it is lost, `quality` from 0 to 1, `matches` of a tracker that counts them.
 """
 
 
 def pictured(about: Tree, jpeg: bytes) -> Response:
     """A picture as an answer, with those headers that something is known for."""
     found = {key: about.get(value) for key, value in PICTURE_HEADERS.items()}
-    headers = {key: str(value) for key, value in found.items() if value not in (None, "")}
+    texts = {key: json.dumps(value) if isinstance(value, list) else value for key, value in found.items()}
+    headers = {key: str(value) for key, value in texts.items() if value not in (None, "")}
     return Response(jpeg, media_type="image/jpeg", headers=headers)
 
 

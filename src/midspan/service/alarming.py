@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from midspan.alarms.book import Entry, Message
+from midspan.alarms.book import Audit, Entry, Message
 from midspan.alarms.delivery import Delivery
 from midspan.alarms.messages import body_of
 from midspan.alarms.senders import Deliver, deliver_to, target_of
@@ -106,6 +106,7 @@ class Alarming:
             "unsilence": self._unsilence,
             "end_silence": self._end_silence,
             "test_alarms": self._test,
+            "note": self._note,
         }  # fmt: skip
 
     def open(self) -> None:
@@ -197,6 +198,12 @@ class Alarming:
 
     def _end_silence(self, head: Tree) -> Tree:
         return {"text": self._watch.end_silence(str(head["silence"]), str(head["who"]), time.time_ns())}
+
+    def _note(self, head: Tree) -> Tree:
+        """A line of the audit list of something else that a person did."""
+        words = [str(head[key]) for key in ("about", "what", "who", "text")]
+        self.delivery.put(Entry(audit=[Audit(time.time_ns(), *words)]))
+        return {"text": ""}
 
     def _test(self, head: Tree) -> Tree:
         return {"text": self._watch.test(str(head["who"]), self._site.name, time.time_ns())}

@@ -1,13 +1,16 @@
 """The commands of the page's server, carried out on the points of a running site."""
 
 import asyncio
+import math
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
-from midspan.engine.sensors import RadarSensor
+from midspan.alarms.book import calibration_id
+from midspan.engine.sensors import CameraSensor, RadarSensor
 from midspan.errors import MidspanError
 from midspan.radar.target import Target
 from midspan.records import Floats, RangeFrame
@@ -15,12 +18,15 @@ from midspan.service.calibrations import accepted, refused
 from midspan.service.camera_process import Picture
 from midspan.service.live_socket import Tree
 from midspan.service.paused import Paused
+from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, Stream
 from midspan.sources.thermal.temperatures import celsius_of
 
 # A picture is the next frame: a camera of one frame in five seconds is a slow one.
 PICTURE_S = 6.0
+# The tracker whose strength is a number of matches; of others it is their quality.
+MATCHING = "features"
 
 Answer = tuple[Tree, bytes]
 
@@ -81,8 +87,12 @@ class Commands:
         one, number = self._point(head), int(head["number"])
         if not await self._with_store(refused, one.live, number):
             raise MidspanError(f"{one.name}: calibration {number} is not offered; only such a one can be refused.")
-        text = f"{one.name}: calibration {number} is refused."
+        who, reason = str(head.get("who", "")), str(head.get("reason", ""))[:200]
+        by, why = f" by {who}" if who else "", f": {reason}" if reason else "."
+        text = f"{one.name}: calibration {number} is refused{by}{why}"
         one.live.offer_refused()
+        if (note := self._alarms.get("note")) is not None:
+            note({"about": calibration_id(one.name, number), "what": "calibration refused", "who": who, "text": reason})
         self._tell(one, "command", text)
         return {"text": text}, b""
 
@@ -125,7 +135,8 @@ class Commands:
             raise MidspanError(f"{head['source']}: no frame came within {PICTURE_S:g} s.") from None
         rows, columns = picture.shape
         found = {"time_ns": picture.time_ns, "width": columns, "height": rows, "now_s": time.time()}
-        return {**found, **shown_range(picture, one.scales.get(stream.sensor))}, picture.jpeg
+        shown = {**shown_range(picture, one.scales.get(stream.sensor)), "targets": tracked(one.live, stream.sensor)}
+        return {**found, **shown}, picture.jpeg
 
     async def _profile(self, head: Tree) -> Answer:
         one, stream = self._stream(head)
@@ -145,6 +156,35 @@ class Commands:
         point, _, sensor = str(head.get("source")).partition(".")
         one = next((one for one in self._points if one.name == point and sensor in one.streams), None)
         return (one, one.streams[sensor]) if one is not None else _no("source", head)
+
+
+def tracked(live: LivePoint, sensor: str) -> list[Tree]:
+    """Where each target of a camera is in the newest frame that was tracked; none before the point is opened.
+
+    roi: its region in the reference frame, px; x_px, y_px: how far it has moved from there, None where it is lost;
+    quality: 0 to 1; matches: how many, None of a tracker that counts none.
+    """
+    opened = live.opened
+    found = () if opened is None else opened.journal.newest.get(sensor, ())
+    camera = None if opened is None else opened.point.sensors.get(sensor)
+    if not isinstance(camera, CameraSensor) or not found:
+        return []
+    counts = any(name == sensor and own.tracker == MATCHING for name, _, own in live.settings.streams)
+    return [
+        {
+            "name": target.name,
+            "roi": list(astuple(target.region)),
+            "x_px": _known(one.x_px, 3),
+            "y_px": _known(one.y_px, 3),
+            "quality": _known(one.quality, 3),
+            "matches": round(one.strength) if counts else None,
+        }
+        for target, one in zip(camera.chain.targets, found, strict=True)
+    ]
+
+
+def _known(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None
 
 
 def shown_range(picture: Picture, scale: tuple[float, float] | None) -> Tree:

@@ -197,6 +197,8 @@ class Journal:
         self._max_std_m = LOST_MOTIONS * motion_m if motion_m > 0.0 else math.inf
         self._raw: list[Arrival] = []
         self._found: dict[str, list[tuple[PixelTranslation, ...]]] = {}
+        # What was found of each camera's targets in its newest frame.
+        self.newest: dict[str, tuple[PixelTranslation, ...]] = {}
         self._rows: list[KeptRows] = []
         # How many of them `fresh` has given.
         self._given = 0
@@ -273,6 +275,7 @@ class Journal:
                 self._tell(output.events)
                 found = tuple(one for one in output.found if isinstance(one, PixelTranslation))
                 if found:
+                    self.newest[output.sensor] = found
                     self._found.setdefault(output.sensor, []).append(found)
 
     def _tell(self, events: Sequence[Event]) -> None:

@@ -40,7 +40,10 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "calibrating": ("the point records what it is calibrated on", "wait; the structure has to move meanwhile"),
     "calibration_refused": ("the calibration could not be trusted", "see the event; it is tried again automatically"),
-    "calibration_offered": ("a calibration waits to be accepted", "accept it (MQTT cmd/accept), or set accept = auto"),
+    "calibration_offered": (
+        "a calibration waits to be accepted",
+        'accept or refuse it in the page\'s Calibration (scripts: MQTT cmd/accept), or set accept = "auto"',
+    ),
     "opening": ("the point is being opened", "wait some seconds"),
     "clock": (
         "a clock was set, or stepped, and by how much is looked for",

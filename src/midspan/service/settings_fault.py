@@ -3,10 +3,12 @@
 import re
 from dataclasses import dataclass
 
-# As every message about settings begins: FILE: KEY: …, where a key may be behind the point that it belongs to.
-_FORM = re.compile(
-    r"(?P<file>.*?\.toml): (?P<key>(?:point(?: '[^']*'|\[\d+\]): )?[A-Za-z_][\w.\[\]-]*)(?: = [^:]*)?: ", re.S
-)
+# As every message about settings begins: FILE: KEY: …, where a key may be behind the point and the alarm that it
+# belongs to, and what an alarm lacks has no key.
+_WORD, _NAMED = r"[A-Za-z_][\w.\[\]-]*", r"(?: '[^']*'|\[\d+\])"
+_VALUE = r"(?: = [^:]*)?: "
+_ALARM = rf"alarm{_NAMED}(?:: {_WORD}(?={_VALUE}))?"
+_FORM = re.compile(rf"(?P<file>.*?\.toml): (?P<key>(?:point{_NAMED}: )?(?:{_ALARM}|{_WORD})){_VALUE}", re.S)
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,19 +62,10 @@ export class Chart {
     isClock = true,
   ) {
     this.#drawn = [];
-    const series: uPlot.Series[] = [{}];
-    const bands: uPlot.Band[] = [];
-    for (const style of styles) {
-      const name = style.colour;
-      const first = series.length;
-      series.push(...[0, 0, 1, 1].map((width) => lineOf(style, width)));
-      bands.push({ series: [first + 1, first], fill: () => faded(name, 22) });
-      bands.push({ series: [first + 3, first + 2], fill: () => faded(name, 70) });
-    }
+    const series = [{}, ...styles.flatMap((style) => [0, 0, 1, 1].map((width) => lineOf(style, width)))];
     const options: uPlot.Options = {
       ...sizeOf(root),
       series,
-      bands,
       legend: { show: false },
       scales: { x: { time: isClock, range: () => this.#range } },
       axes: [
@@ -89,6 +80,7 @@ export class Chart {
         setCursor: [
           (plot) => read(plot.cursor.idx == null ? null : (plot.data[0][plot.cursor.idx] ?? null), valuesAt(plot)),
         ],
+        drawAxes: [(plot) => styles.forEach((style, at) => fillBands(plot, style, 4 * at + 1))],
         draw: [(plot) => this.#drawMarks(plot)],
       },
     };
@@ -159,7 +151,10 @@ export class Chart {
       ctx.moveTo(bbox.left, at);
       ctx.lineTo(bbox.left + bbox.width, at);
       ctx.stroke();
-      ctx.fillText(`limit ${name}`, bbox.left + 4 * devicePixelRatio, at + (y > 0 ? -4 : 14) * devicePixelRatio);
+      // Outside the limits, where there is room within the plot.
+      const [above, below] = [at - 4 * devicePixelRatio, at + 14 * devicePixelRatio];
+      const isAbove = y > 0 ? above - 12 * devicePixelRatio > bbox.top : below > bbox.top + bbox.height;
+      ctx.fillText(`limit ${name}`, bbox.left + 4 * devicePixelRatio, isAbove ? above : below);
     }
     ctx.restore();
   }
@@ -169,6 +164,44 @@ function lineOf({ colour: name, dash }: Style, width: number): uPlot.Series {
   // Of lines without width the bands are made.
   const points = { show: false };
   return width ? { stroke: () => colour(name), width, points, ...(dash ? { dash } : {}) } : { width: 0, points };
+}
+
+/** Fills the band (lower, upper) and the envelope (low, high) of a style, whose first series it is; gaps are open. */
+function fillBands(plot: uPlot, { colour: name }: Style, first: number): void {
+  const { ctx, bbox } = plot;
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  for (const [low, percent] of [
+    [first, 22],
+    [first + 2, 70],
+  ] as const) {
+    ctx.fillStyle = faded(name, percent);
+    fillBetween(plot, low, low + 1);
+  }
+  ctx.restore();
+}
+
+/** Fills what lies between two series, a rectangle for each column of pixels. One polygon, or uPlot's own bands, which
+ * clip to one, take three to ten times as long where buckets go up and down: its edges cross everywhere. */
+function fillBetween(plot: uPlot, low: number, high: number): void {
+  const [{ bbox }, [x], below, above] = [plot, plot.data, plot.data[low] ?? [], plot.data[high] ?? []];
+  let last: { at: number; top: number; bottom: number } | null = null;
+  x.forEach((instant, k) => {
+    const [bottom, top] = [below[k], above[k]];
+    if (bottom == null || top == null) return void (last = null);
+    const at = Math.round(plot.valToPos(instant, "x", true));
+    const now = { at, top: plot.valToPos(top, "y", true), bottom: plot.valToPos(bottom, "y", true) };
+    const end = Math.min(at, bbox.left + bbox.width);
+    for (let column = Math.max(last?.at ?? end, bbox.left); last && column < end; column += 1) {
+      const part = (column + 0.5 - last.at) / (at - last.at);
+      const from = last.top + part * (now.top - last.top);
+      plot.ctx.fillRect(column, from, 1, last.bottom + part * (now.bottom - last.bottom) - from);
+    }
+    if (last?.at === at) [now.top, now.bottom] = [Math.min(now.top, last.top), Math.max(now.bottom, last.bottom)];
+    last = now;
+  });
 }
 
 export function axis(): uPlot.Axis {

@@ -28,6 +28,19 @@ export class TimeWindow {
     this.#now = now;
   }
 
+  /** As an address has it: how long it is, s, or where it begins and ends. */
+  get path(): string {
+    const iso = (ms: number) => new Date(ms).toISOString();
+    return this.following ? String(this.seconds) : `${iso(this.fromMs)}/${iso(this.toMs)}`;
+  }
+
+  /** Show what the parts of such an address say; anything else is left out. */
+  open([first = "", last = ""]: string[]): void {
+    const [from, to] = [Date.parse(first), Date.parse(last)];
+    if (last && to > from) this.show(from, to);
+    else if (!last && Number(first) > 0) this.zoom(Number(first) / this.seconds);
+  }
+
   get toMs(): number {
     return this.following ? this.#now() : this.#toMs;
   }

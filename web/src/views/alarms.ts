@@ -2,7 +2,7 @@
 
 import { type AlarmBody, type AuditBody, get, post, remove, type SilenceBody, type TargetBody } from "../api.ts";
 import { measured, QUANTITY, stateWords, urgency } from "../alarms.ts";
-import { button, el, line, mark, say, table } from "../dom.ts";
+import { button, disable, el, line, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock } from "../words.ts";
 import { askSilence } from "./silence.ts";
@@ -42,6 +42,11 @@ class OpenRow {
     if (may) last?.append(el("span", { class: "bar" }, this.#acknowledge, this.#silence));
   }
 
+  /** What of it may have the focus. */
+  get buttons(): HTMLElement[] {
+    return [this.#acknowledge, this.#silence];
+  }
+
   show(alarm: AlarmBody): void {
     this.#alarm = alarm;
     const { silence } = alarm;
@@ -72,7 +77,7 @@ class AlarmsView {
   #site: SiteState;
   #rows = new Map<string, OpenRow>();
   #said = el("p", { role: "status" });
-  #summary = el("p", { class: "summary", role: "status" });
+  #summary = el("p", { class: "summary", role: "status", tabindex: -1 });
   #open = el("tbody");
   #silenced = el("tbody");
   #silences = el("tbody");
@@ -80,6 +85,7 @@ class AlarmsView {
   #targets = el("tbody");
   #audit = el("tbody");
   #undelivered = el("p", { class: "wrong" });
+  #test = button("Send a test message", () => void this.#command("/alarms/test"));
   #silencedPart: HTMLElement;
   #silencesPart: HTMLElement;
   #ends: (() => void)[] = [];
@@ -99,7 +105,7 @@ class AlarmsView {
       el("h1", {}, "Alarms"),
       this.#summary,
       this.#said,
-      el("section", {}, el("h2", {}, "Open"), table(OPEN_COLUMNS, this.#open)),
+      el("section", { class: "not-silenced" }, el("h2", {}, "Open"), table(OPEN_COLUMNS, this.#open)),
       this.#silencedPart,
       this.#silencesPart,
       el("section", {}, el("h2", {}, "Past 30 days"), table(PAST_COLUMNS, this.#past)),
@@ -109,7 +115,7 @@ class AlarmsView {
         el("h2", {}, "Where alarms go"),
         this.#undelivered,
         table(TARGET_COLUMNS, this.#targets),
-        this.#may && button("Send a test message", () => void this.#command("/alarms/test")),
+        this.#may && this.#test,
       ),
       el("section", {}, el("h2", {}, "What became of them"), table(AUDIT_COLUMNS, this.#audit)),
     );
@@ -130,6 +136,12 @@ class AlarmsView {
     for (const end of this.#ends) end();
   }
 
+  /** What commands may not be given, as nothing measures, is disabled. */
+  #disable(): void {
+    const shown = [this.#open, this.#silenced, this.#silences].flatMap((one) => [...one.querySelectorAll("button")]);
+    disable([this.#test, ...shown], this.#site.away);
+  }
+
   get #may(): boolean {
     return this.#site.session.scope !== "read";
   }
@@ -138,7 +150,8 @@ class AlarmsView {
     if (this.#count++ % LISTS_EVERY === 0) void this.#askLists();
     try {
       await this.#site.askAlarms();
-      this.#showTargets(await get<TargetBody[]>("/alarms/targets"));
+      if (this.#site.away) fill(this.#targets, TARGET_COLUMNS, [], `Not known. ${this.#site.away}`);
+      else this.#showTargets(await get<TargetBody[]>("/alarms/targets"));
     } catch (error) {
       say(this.#undelivered, sentenceOf(error));
     }
@@ -166,6 +179,7 @@ class AlarmsView {
     mark(this.#summary, fires ? "wrong" : alarms.length ? "notice" : "good");
     const firing = fires === 1 ? "1 fires" : fires ? `${fires} fire` : "none fires";
     say(this.#summary, alarms.length ? `${words}, ${firing}.` : "No alarm is open.");
+    const keepFocus = this.#focus();
     for (const [id, row] of this.#rows) {
       if (alarms.some((one) => one.id === id)) continue;
       row.root.remove();
@@ -179,6 +193,24 @@ class AlarmsView {
       if (row.root.parentElement !== into) into.append(row.root);
     }
     this.#silencedPart.hidden = !this.#silenced.children.length;
+    this.#disable();
+    keepFocus();
+  }
+
+  /** A function that gives the focus back after rows were moved and removed: to the button that had it, else to another
+   * one of its row, of the row that is in its place now, or to the summary. */
+  #focus(): () => void {
+    const focused = document.activeElement as HTMLElement | null;
+    const row = [...this.#rows.values()].find((one) => one.root.contains(focused));
+    const table = row?.root.parentElement;
+    if (!row || !focused || !table) return () => undefined;
+    const place = [...table.children].indexOf(row.root);
+    return () => {
+      const next = [...this.#rows.values()].find((one) => one.root === table.children[place]);
+      const all = [focused, ...row.buttons, ...(next?.buttons ?? []), this.#summary];
+      const target = all.find((one) => one.isConnected && one.offsetParent !== null);
+      if (target !== document.activeElement) target?.focus();
+    };
   }
 
   /** Silences of rules whose alarm is not open: those of open ones stand with these. */
@@ -204,6 +236,7 @@ class AlarmsView {
       say(this.#said, sentenceOf(error));
     }
     await this.#askLists();
+    (this.#silences.querySelector("button") ?? this.#summary).focus();
   }
 
   #act(alarm: AlarmBody, what: string): void {
@@ -251,7 +284,7 @@ function auditTexts(one: AuditBody): string[] {
 
 /** Fill a table where its texts have changed; whether they have. */
 function fill(into: HTMLElement, columns: string[], lines: string[][], none = "None."): boolean {
-  const now = JSON.stringify(lines);
+  const now = JSON.stringify(lines.length ? lines : none);
   if (into.dataset["shown"] === now) return false;
   into.dataset["shown"] = now;
   const shown = lines.length ? lines : [[none, ...columns.slice(1).map(() => "")]];

@@ -2,7 +2,7 @@
 
 import { type CalibrationBody, get, ofPoint, type PointState, post } from "../api.ts";
 import { type History, historyChart } from "../charts/history.ts";
-import { button, choice, el, line, mark, say, table } from "../dom.ts";
+import { button, choice, disable, el, line, mark, say, table } from "../dom.ts";
 import { type Change, changeOf, comparable, type Quantity, quantities } from "../quantities.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, day, duration, signed, withSigma } from "../words.ts";
@@ -25,8 +25,10 @@ const STAGES: Record<string, string> = {
 /** A change in words: relative where the value is no offset, and in deviations. */
 function changeWords({ by, sigmas }: Change, from: Quantity): string {
   const isOffset = from.unit === "ms";
-  const text = isOffset ? `${signed(by, 2)} ${from.unit}` : `${signed((100 * by) / Math.abs(from.value), 2)} %`;
-  return `${text.startsWith("−") ? "" : "+"}${text}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
+  const [value, unit] = isOffset ? [by, from.unit] : [(100 * by) / Math.abs(from.value), "%"];
+  // What is none in these digits has no sign.
+  const sign = value > 0 && Number(value.toFixed(2)) !== 0 ? "+" : "";
+  return `${sign}${signed(value, 2)} ${unit}${sigmas === null ? "" : ` (${sigmas.toFixed(1)} σ)`}`;
 }
 
 const isSure = ({ sigmas }: Change) => (sigmas ?? 0) > CHANGED_SIGMAS;
@@ -35,11 +37,13 @@ const isSure = ({ sigmas }: Change) => (sigmas ?? 0) > CHANGED_SIGMAS;
 function compared(shown: CalibrationBody[]): HTMLElement {
   const columns = shown.map((one) => quantities(one.calibration));
   const names = [...new Set(columns.flatMap((one) => [...one.keys()]))];
-  const heads = shown.map((one) => el("th", { scope: "col" }, `${one.id}, ${one.state}`));
-  if (shown.length === 2) heads.push(el("th", { scope: "col" }, "Change"));
+  const titles = shown.map((one) => `${one.id}, ${one.state}`);
+  const heads = [...titles, ...(shown.length === 2 ? ["Change"] : [])].map((text) => el("th", { scope: "col" }, text));
   const lines = names.map((name) => {
     const values = columns.map((of) => of.get(name));
-    const cells = values.map((of) => el("td", {}, of ? withSigma(of.value, of.std ?? 0, of.unit) : "–"));
+    const cells = values.map((of, at) =>
+      el("td", { "data-name": titles[at] }, of ? withSigma(of.value, of.std ?? 0, of.unit) : "–"),
+    );
     const [first, second] = values;
     if (shown.length === 2) {
       const by =
@@ -49,7 +53,7 @@ function compared(shown: CalibrationBody[]): HTMLElement {
               { x: 1, of: second },
             ])
           : null;
-      const cell = el("td", { class: "words" }, by && first ? changeWords(by, first) : "–");
+      const cell = el("td", { class: "words", "data-name": "Change" }, by && first ? changeWords(by, first) : "–");
       if (by && isSure(by)) mark(cell, "notice");
       cells.push(cell);
     }
@@ -57,7 +61,7 @@ function compared(shown: CalibrationBody[]): HTMLElement {
   });
   const head = el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "± one σ"), ...heads));
   const frame = { class: "wide", tabindex: 0, role: "region", "aria-label": "Calibrations side by side" };
-  return el("div", frame, el("table", {}, head, el("tbody", {}, ...lines)));
+  return el("div", frame, el("table", { class: "stacked" }, head, el("tbody", {}, ...lines)));
 }
 
 /** Quantities with a deviation over time, those of the newest calibration's sensors, and whether they drifted. Returns how the charts end. */
@@ -96,6 +100,12 @@ function showCourse(root: HTMLElement, all: CalibrationBody[]): () => void {
   return () => ends.forEach((end) => end());
 }
 
+/** The state of a calibration; of a refused one by whom and why. */
+function stateWords({ state, refusal }: CalibrationBody): string {
+  if (!refusal) return state;
+  return `${state} by ${refusal.owner || "a script"}${refusal.reason ? `: ${refusal.reason}` : ""}`;
+}
+
 /** When a calibration made rows, the newest spans first. */
 function rowsWords({ rows }: CalibrationBody): string {
   if (!rows) return "";
@@ -105,7 +115,7 @@ function rowsWords({ rows }: CalibrationBody): string {
     .reverse()
     .map((one) => `${when(one.from)} to ${when(one.to)}`);
   if (rows.length > LISTED_SPANS) texts.push(`${rows.length - LISTED_SPANS} earlier spans`);
-  return texts.join("; ") || "none";
+  return texts.join("; ");
 }
 
 /** What is prepared, with a bar; nothing where nothing is. */
@@ -150,17 +160,24 @@ export const showCalibration: View = (root, site, given) => {
 function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   const said = el("p", { role: "status", class: "words" });
   const [offered, history, course] = [el("div"), el("tbody"), el("div", { class: "small-charts" })];
+  const courseHead = el("h2", { hidden: true }, "Over time, with 95 % bars");
   const progress = new Progress();
   const may = site.session.scope !== "read";
+  const again = button("Calibrate again", () => void command("calibrate"));
   let [before, endCourse] = ["", () => undefined as void];
 
-  async function command(what: string): Promise<void> {
+  async function command(what: string, body?: unknown): Promise<void> {
     try {
-      say(said, (await post<{ text: string }>(ofPoint(name, what))).text);
+      say(said, (await post<{ text: string }>(ofPoint(name, what), body)).text);
       await ask();
     } catch (error) {
       say(said, sentenceOf(error));
     }
+  }
+
+  function refuse(id: number): void {
+    const reason = window.prompt(`Why is calibration ${id} of ${name} refused? Everybody sees the reason.`, "");
+    if (reason !== null) void command(`calibrations/${id}/refuse`, { reason: reason.trim().slice(0, 200) });
   }
 
   function show(all: CalibrationBody[]): void {
@@ -174,16 +191,17 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
         { class: "bar" },
         `Calibration ${one.id}:`,
         button("Accept", () => void command(`calibrations/${one.id}/accept`)),
-        button("Refuse", () => void command(`calibrations/${one.id}/refuse`)),
+        button("Refuse …", () => refuse(one.id)),
       );
       if (may) offered.append(bar);
       for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
-    const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), one.state, ""]);
+    const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), stateWords(one), ""]);
     history.replaceChildren(...texts.map((one) => line(COLUMNS, one)));
     endCourse();
     course.replaceChildren();
     endCourse = showCourse(course, all);
+    courseHead.hidden = !course.childElementCount;
   }
 
   async function ask(): Promise<void> {
@@ -214,18 +232,21 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
         name,
         (other) => (location.hash = `#/calibration/${encodeURIComponent(other)}`),
       ),
-      may && button("Calibrate again", () => void command("calibrate")),
+      may && again,
     ),
     said,
     progress.root,
     offered,
-    el("h2", {}, "Over time, with 95 % bars"),
+    courseHead,
     course,
     el("h2", {}, "History"),
     table(COLUMNS, history),
   );
   const ends = [
-    repeat(() => progress.show(site.point(name), site), DRAW_MS),
+    repeat(() => {
+      progress.show(site.point(name), site);
+      disable([again, ...offered.querySelectorAll("button")], site.away);
+    }, DRAW_MS),
     repeat(() => void ask(), ASK_MS),
     () => endCourse(),
   ];

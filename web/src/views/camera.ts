@@ -9,6 +9,7 @@ import {
   putSettings,
   settings,
   type SourceState,
+  type TrackedTarget,
 } from "../api.ts";
 import { button, choice, el, say } from "../dom.ts";
 import { calibrated, regionOf, withRegion } from "../region.ts";
@@ -54,6 +55,14 @@ export const showCamera: View = (root, site, name) => {
   };
 };
 
+/** Where a target is in the newest frame, and how surely it was found there. */
+function trackedWords({ name, x_px, y_px, quality, matches }: TrackedTarget, isOneOfSeveral: boolean): string {
+  const of = isOneOfSeveral ? ` (${name})` : "";
+  if (x_px === null || y_px === null) return `Target${of}: lost in the newest frame.`;
+  const found = matches === null ? `quality ${(100 * (quality ?? 0)).toFixed(0)} %` : `${matches} matches`;
+  return `Target${of} now, dashed: moved by ${signed(x_px, 2)} px to the right, ${signed(y_px, 2)} px down; ${found}.`;
+}
+
 class CameraView {
   #site: SiteState;
   #source: SourceState;
@@ -64,6 +73,7 @@ class CameraView {
   #said = el("p", { role: "status" });
   #taken = el("p", { class: "quiet" }, " ");
   #where = el("p");
+  #tracked = el("ul", { class: "keys" });
   #scale = el("p", { class: "scale", hidden: true });
   #watch = button("Watch", () => this.#toggle(), { "aria-pressed": "false" });
   #save = button("Put the region in force", () => void this.#put(), { disabled: true });
@@ -91,6 +101,7 @@ class CameraView {
       this.#scale,
       this.#taken,
       this.#where,
+      this.#tracked,
       (this.#may && el("p", { class: "quiet" }, `${HOW_TO_DRAW} It is written into SITE.toml.`)) || el("p"),
     );
     void this.#begin();
@@ -116,6 +127,8 @@ class CameraView {
   }
 
   async #ask(): Promise<void> {
+    const trouble = this.#site.troubleOf(this.#source);
+    if (trouble) return say(this.#said, trouble);
     try {
       const found = await picture(`/sources/${encodeURIComponent(this.#source.name)}`);
       const image = await createImageBitmap(found.blob);
@@ -128,6 +141,12 @@ class CameraView {
   }
 
   #show(found: Picture, image: ImageBitmap): void {
+    this.#drawn.tracked = found.targets.flatMap(({ roi: [x, y, width, height], x_px, y_px }) =>
+      x_px === null || y_px === null ? [] : [{ x: x + x_px, y: y + y_px, width, height }],
+    );
+    this.#tracked.replaceChildren(
+      ...found.targets.map((one) => el("li", {}, trackedWords(one, found.targets.length > 1))),
+    );
     this.#drawn.show(image, found.width, found.height);
     const { width, height } = this.#drawn.canvas;
     this.#scale.hidden = !found.shown;

@@ -2,10 +2,10 @@
 
 import { Chart, type Drawn } from "../charts/chart.ts";
 import { load, ofAPoint, rowStep } from "../charts/series.ts";
-import { SPANS } from "../charts/window.ts";
 import { button, choice, el, say } from "../dom.ts";
 import { statistics } from "../rows.ts";
 import { clock, duration, signed } from "../words.ts";
+import { SpanChoice } from "./span_choice.ts";
 import { nothing, sentenceOf, type View } from "./view.ts";
 
 const DAYS: [string, string][] = [
@@ -32,6 +32,10 @@ export const showCompare: View = (root, site) => {
       set(name);
       void ask();
     });
+  const span = new SpanChoice(seconds, (length) => {
+    seconds = length;
+    void ask();
+  });
   root.replaceChildren(
     el("h1", {}, "Compare"),
     el(
@@ -43,15 +47,7 @@ export const showCompare: View = (root, site) => {
         days = value;
         void ask();
       }),
-      choice(
-        "Shown",
-        SPANS.map(([length, text]) => [String(length), text]),
-        String(seconds),
-        (value) => {
-          seconds = Number(value);
-          void ask();
-        },
-      ),
+      span.root,
       button("Earlier", () => {
         toMs -= 500 * seconds;
         void ask();
@@ -77,6 +73,7 @@ export const showCompare: View = (root, site) => {
     ([from, to]) => {
       seconds = to - from;
       toMs = 1000 * to;
+      span.show(seconds);
       void ask();
     },
     () => undefined,

@@ -5,14 +5,15 @@ import { type EventBody, get, type LimitBody, ofPoint, span } from "../api.ts";
 import { Chart, type Level, type Mark, type Style } from "../charts/chart.ts";
 import { joined, load, type Loaded, ofAPoint, rowStep } from "../charts/series.ts";
 import { listStatistics } from "../charts/figures.ts";
-import { SPANS, TimeWindow } from "../charts/window.ts";
+import { TimeWindow } from "../charts/window.ts";
 import { button, choice, el, line, mark, say, table } from "../dom.ts";
 import { type Envelope, emptyEnvelope, layers, ofRows, reaches, statistics, within } from "../rows.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock, duration, signed, withBand, ZONE } from "../words.ts";
 import { FrequencyPanel } from "./frequencies.ts";
+import { SpanChoice } from "./span_choice.ts";
 import { SpectrumPanel } from "./spectrum.ts";
-import { OLD_S, standing, trouble } from "./site.ts";
+import { OLD_S, showOffer, standing, trouble } from "./site.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 // A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
@@ -33,10 +34,17 @@ const LAYERS: (Style & { text: string })[] = [
 // Of each of them: lower, upper, low, high.
 const SERIES = 4;
 
-export const showPoint: View = (root, site, given) => {
-  const name = given || site.points[0]?.name;
+// The point and the time that were shown last, as the address had them: the view's own link comes back to them.
+let last: string[] = [];
+// Browsers let a page change its address some times a second; a key that is held down would do so more often, ms.
+const ADDRESS_MS = 300;
+
+export const showPoint: View = (root, site, given, rest) => {
+  const [before, ...time] = last;
+  const isThere = before !== undefined && site.point(before) !== undefined;
+  const name = given || (isThere ? before : site.points[0]?.name);
   if (!name) return nothing(root, "Point");
-  const shown = new PointView(root, site, name);
+  const shown = new PointView(root, site, name, given || !isThere ? rest : time);
   return () => shown.end();
 };
 
@@ -55,6 +63,7 @@ class PointView {
   #now = el("p", { class: "value" });
   #words = el("p", { class: "words" });
   #why = el("p", { class: "why" });
+  #offer = el("p", { class: "offer", hidden: true });
   #alarms = el("ul", { class: "alarms" });
   #wrong = el("p", { class: "wrong", role: "status" });
   #spanText = el("p", { class: "quiet" });
@@ -65,10 +74,17 @@ class PointView {
   #frequencies: FrequencyPanel;
   #keys = LAYERS.map(({ colour, text }) => el("span", { class: `key ${colour}` }, text));
   #follow = button("Freeze", () => this.#toggle());
+  #shown: SpanChoice;
+  #writing = 0;
 
-  constructor(root: HTMLElement, site: SiteState, name: string) {
+  constructor(root: HTMLElement, site: SiteState, name: string, time: string[]) {
     [this.#site, this.#name] = [site, name];
     this.#window = new TimeWindow(60, () => this.#newestMs());
+    this.#window.open(time);
+    this.#remember();
+    this.#shown = new SpanChoice(this.#window.seconds, (seconds) =>
+      this.#change(() => (this.#window.seconds = seconds)),
+    );
     this.#frequencies = new FrequencyPanel(name, () => this.#window.toMs);
     const frame = el("div", {
       class: "chart",
@@ -94,6 +110,7 @@ class PointView {
   }
 
   end(): void {
+    window.clearTimeout(this.#writing);
     this.#asking?.abort();
     for (const end of this.#ends) end();
     this.#spectrum.end();
@@ -103,7 +120,6 @@ class PointView {
 
   #parts(frame: HTMLElement): HTMLElement[] {
     const names = this.#site.points.map((one): [string, string] => [one.name, one.name]);
-    const spans = SPANS.map(([seconds, text]): [string, string] => [String(seconds), text]);
     const zoom = (factor: number) => this.#change(() => this.#window.zoom(factor));
     const move = (part: number) => this.#change(() => this.#window.move(part));
     const bar = el(
@@ -113,9 +129,9 @@ class PointView {
         "Point",
         names.length ? names : [[this.#name, this.#name]],
         this.#name,
-        (name) => (location.hash = `#/point/${encodeURIComponent(name)}`),
+        (name) => (location.hash = `#/point/${encodeURIComponent(name)}/${this.#window.path}`),
       ),
-      choice("Shown", spans, "60", (seconds) => this.#change(() => (this.#window.seconds = Number(seconds)))),
+      this.#shown.root,
       this.#follow,
       button("Earlier", () => move(-0.5)),
       button("Later", () => move(0.5)),
@@ -133,6 +149,7 @@ class PointView {
       this.#now,
       this.#words,
       this.#why,
+      this.#offer,
       this.#alarms,
       bar,
       this.#wrong,
@@ -185,6 +202,16 @@ class PointView {
     how();
     this.#askedMs = 0;
     this.#tick();
+    this.#remember();
+  }
+
+  /** Write what is shown into the address, which can be handed on. */
+  #remember(): void {
+    const { path } = this.#window;
+    last = [this.#name, ...path.split("/")];
+    window.clearTimeout(this.#writing);
+    const address = `#/point/${encodeURIComponent(this.#name)}/${path}`;
+    this.#writing = window.setTimeout(() => history.replaceState(null, "", address), ADDRESS_MS);
   }
 
   #toggle(): void {
@@ -208,6 +235,7 @@ class PointView {
   #tick(): void {
     const { following } = this.#window;
     say(this.#follow, following ? "Freeze" : "Follow");
+    this.#shown.show(this.#window.seconds);
     this.#showState();
     const { live } = this.#site;
     const isWhole = live.connected && reaches(this.#loaded.envelope, this.#site.rowsOf(this.#name).rows.time[0]);
@@ -222,16 +250,19 @@ class PointView {
     const point = this.#site.point(this.#name);
     if (!point) return;
     const { state, words } = standing(point, this.#site);
-    const since = point.since ? ` since ${clock(Date.parse(point.since))}` : "";
+    const sinceMs = this.#site.sinceMs(point);
+    const since = sinceMs === null ? "" : ` since ${clock(sinceMs)}`;
     say(this.#now, withBand(point.displacement_mm, point.displacement_std_mm));
     say(this.#words, `${words[0]?.toUpperCase() ?? ""}${words.slice(1)}${since}`);
     mark(this.#words, state);
     say(this.#why, trouble(point, this.#site));
+    showOffer(this.#offer, point);
     showAlarms(this.#alarms, this.#site.alarmsOf(this.#name));
   }
 
   /** The limits of its displacement; where nothing measures there are none to draw. */
   async #askLimits(): Promise<void> {
+    if (this.#site.away) return;
     const all = await get<LimitBody[]>("/alarms/limits").catch((): LimitBody[] => []);
     const own = all.filter((one) => one.point === this.#name && one.on === "displacement");
     this.#levels = own.flatMap(({ name, limit }) => [limit, -limit].map((y) => ({ y, name })));
@@ -244,11 +275,12 @@ class PointView {
     const { fromMs, toMs } = this.#window;
     try {
       const step = await rowStep(this.#name, this.#newestMs(), this.#site.rowsOf(this.#name).rows);
-      const loading = load(ofAPoint(this.#name), fromMs, toMs, this.#chart.width, step, asking.signal);
-      const events = get<EventBody[]>(this.#path("events"), asking.signal);
-      [this.#loaded, this.#events] = await Promise.all([loading, events]);
+      this.#loaded = await load(ofAPoint(this.#name), fromMs, toMs, this.#chart.width, step, asking.signal);
       this.#failed = false;
       say(this.#wrong, "");
+      // The trace is what is waited for.
+      this.#draw();
+      this.#events = await get<EventBody[]>(ofPoint(this.#name, "events", span(fromMs, toMs)), asking.signal);
       this.#draw();
       this.#listEvents();
     } catch (error) {

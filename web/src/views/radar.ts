@@ -27,6 +27,8 @@ export function showRadar(root: HTMLElement, site: SiteState, source: SourceStat
 
   async function ask(): Promise<void> {
     if (isFrozen || isAsking || document.hidden) return;
+    const trouble = site.troubleOf(source);
+    if (trouble) return say(said, trouble);
     isAsking = true;
     try {
       const found = await get<ProfileBody>(`/sources/${encodeURIComponent(source.name)}/profile`);

@@ -1,7 +1,7 @@
 // Settings as text: checked before they come into force; what is wrong stands next to them, with its line.
 
 import { putSettings, Refused, settings, type SettingsDone } from "../api.ts";
-import { button, el, say } from "../dom.ts";
+import { button, el, mark, say } from "../dom.ts";
 import { lineOf } from "../site_text.ts";
 import { SiteForm } from "./site_form.ts";
 import { sentenceOf, type View } from "./view.ts";
@@ -18,8 +18,13 @@ export interface SettingsPlace {
   written?: () => Promise<void>;
 }
 
-export const showSettings: View = (root, site) =>
-  editSettings(root, {
+export const showSettings: View = (root, site) => {
+  if (site.health?.has_settings === false) {
+    const none = "No SITE.toml belongs to this store here: no midspan run has begun on it.";
+    root.replaceChildren(el("h1", {}, "Settings"), el("p", {}, none));
+    return () => undefined;
+  }
+  return editSettings(root, {
     file: "SITE.toml",
     below: "",
     note: "SITE.toml. Wrong settings change nothing. Check says what new ones would change.",
@@ -27,6 +32,13 @@ export const showSettings: View = (root, site) =>
     isSite: true,
     fault: () => site.health?.settings ?? null,
   });
+};
+
+/** Text that is not saved, with the text and the tag that it was made from, by its place: it outlasts its view. */
+const drafts = new Map<string, { text: string; tag: string; kept: string }>();
+window.addEventListener("beforeunload", (event) => {
+  if (drafts.size) event.preventDefault();
+});
 
 /** What settings change, a line each. */
 export function changesOf({ added = [], changed = [], removed = [], restart }: SettingsDone): string[] {
@@ -46,14 +58,31 @@ export function editSettings(root: HTMLElement, place: SettingsPlace): () => voi
   const wrong = el("p", { class: "wrong", role: "alert", id: "settings-wrong" });
   const save = button(place.save, () => void put(false), { class: "main" });
   const check = button("Check", () => void put(true));
-  const text = { get: () => area.value, set: (value: string) => (area.value = value) };
+  const unsaved = el("p", { class: "words", role: "status" });
+  mark(unsaved, "notice");
+  const text = {
+    get: () => area.value,
+    set: (value: string) => {
+      area.value = value;
+      noteDraft();
+    },
+  };
+  const of = `${place.below}/${place.file}`;
   const form = place.isSite ? new SiteForm(text) : null;
   let [tag, kept] = ["*", ""];
+
+  /** What is not saved is kept for when somebody comes back to the view. */
+  function noteDraft(): void {
+    if (area.value === kept) drafts.delete(of);
+    else drafts.set(of, { text: area.value, tag, kept });
+    say(unsaved, drafts.has(of) ? "Not saved." : "");
+  }
 
   async function load(): Promise<void> {
     try {
       const found = await settings(place.below);
       [tag, kept, area.value] = [found.tag, found.text, found.text];
+      noteDraft();
       const fault = place.fault();
       show("", [], fault?.text ?? "", fault?.key ?? null);
       form?.show();
@@ -66,9 +95,11 @@ export function editSettings(root: HTMLElement, place: SettingsPlace): () => voi
     save.disabled = check.disabled = true;
     show("", [], "", null);
     try {
-      const found = await putSettings(area.value, tag, place.below, isTrial);
+      const sent = area.value;
+      const found = await putSettings(sent, tag, place.below, isTrial);
       if (!isTrial) {
-        [tag, kept] = [found.tag, area.value];
+        [tag, kept] = [found.tag, sent];
+        noteDraft();
         await place.written?.();
       }
       show(isTrial ? `Nothing is wrong. ${found.text}` : found.text, changesOf(found), "", null);
@@ -98,10 +129,7 @@ export function editSettings(root: HTMLElement, place: SettingsPlace): () => voi
     area.scrollTop = (at / lines.length) * area.scrollHeight - area.clientHeight / 2;
   }
 
-  const ask = (event: BeforeUnloadEvent) => {
-    if (area.value !== kept) event.preventDefault();
-  };
-  window.addEventListener("beforeunload", ask);
+  area.addEventListener("input", noteDraft);
   root.replaceChildren(
     el("h1", {}, "Settings"),
     el("p", { class: "quiet" }, place.note),
@@ -116,8 +144,14 @@ export function editSettings(root: HTMLElement, place: SettingsPlace): () => voi
     done,
     changes,
     wrong,
+    unsaved,
     area,
   );
-  void load();
-  return () => window.removeEventListener("beforeunload", ask);
+  const draft = drafts.get(of);
+  if (draft) {
+    ({ tag, kept, text: area.value } = draft);
+    noteDraft();
+    form?.show();
+  } else void load();
+  return () => undefined;
 }

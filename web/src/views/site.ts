@@ -41,11 +41,27 @@ export function standing(
   return { state: "good", words: "measured, all streams fresh" };
 }
 
+/** The same with its alarms: red where a critical one fires that nobody has silenced. */
+function urgencyOf(point: PointState, site: SiteState): "good" | "notice" | "wrong" | "unknown" {
+  const isCritical = site
+    .alarmsOf(point.name)
+    .some((one) => one.level === "critical" && one.state === "firing" && !one.silence);
+  return isCritical && site.fresh ? "wrong" : standing(point, site).state;
+}
+
+/** That a calibration waits to be accepted, whatever else there is to say of its point; hidden where none does. */
+export function showOffer(into: HTMLElement, point: PointState): void {
+  into.hidden = (point.notice ?? point.reason) !== "calibration_offered";
+  const href = `#/calibration/${encodeURIComponent(point.name)}`;
+  if (!into.childElementCount) into.append(el("a", { href }, "A calibration waits: accept or refuse it."));
+}
+
 /** What is wrong with a point, in one sentence; empty where nothing is. */
 export function trouble(point: PointState, site: SiteState): string {
   const source = site.health?.sources.find((one) => one.point === point.name && one.reason);
   if (source) return `${source.source}: ${source.reason === "paused" ? "paused: " : ""}${source.text}`;
-  return point.text;
+  // That has a line of its own.
+  return point.reason === "calibration_offered" ? "" : point.text;
 }
 
 /** One sentence on the whole site. */
@@ -54,7 +70,8 @@ function summary(site: SiteState): { state: string; text: string } {
   if (!site.health) return { state: "unknown", text: "Waiting for the server." };
   if (!site.fresh) return { state: "unknown", text: "No connection: what is shown is old." };
   if (!count) return { state: "unknown", text: "There are no points here yet." };
-  const bad = site.points.filter((one) => standing(one, site).state !== "good").length;
+  const states = site.points.map((one) => urgencyOf(one, site));
+  const bad = states.filter((one) => one !== "good").length;
   if (!bad && site.health.ready)
     return {
       state: "good",
@@ -65,7 +82,7 @@ function summary(site: SiteState): { state: string; text: string } {
     };
   if (bad) {
     const text = count === 1 ? "The point needs a look." : `${bad} of ${count} points need a look.`;
-    return { state: "notice", text };
+    return { state: states.includes("wrong") ? "wrong" : "notice", text };
   }
   const source = site.health.sources.find((one) => one.reason);
   return { state: "notice", text: source ? source.text : "Something is not ready." };
@@ -78,16 +95,18 @@ interface Card {
   age: HTMLElement;
   since: HTMLElement;
   text: HTMLElement;
+  offer: HTMLElement;
   alarms: HTMLElement;
 }
 
 function card(name: string): Card {
-  const [value, words, age, since, text, alarms] = [
+  const [value, words, age, since, text, offer, alarms] = [
     el("p", { class: "value" }),
     el("p", { class: "words" }),
     el("span"),
     el("span"),
     el("p", { class: "why" }),
+    el("p", { class: "offer", hidden: true }),
     el("ul", { class: "alarms" }),
   ];
   const link = el("a", { href: `#/point/${encodeURIComponent(name)}` }, name);
@@ -99,20 +118,24 @@ function card(name: string): Card {
     words,
     el("p", { class: "quiet" }, age, since),
     text,
+    offer,
     alarms,
   );
-  return { root, value, words, age, since, text, alarms };
+  return { root, value, words, age, since, text, offer, alarms };
 }
 
 function fill(into: Card, point: PointState, site: SiteState): void {
   const { state, words } = standing(point, site);
   const age = site.ageS(point);
-  mark(into.root, state);
+  const sinceMs = site.sinceMs(point);
+  mark(into.root, urgencyOf(point, site));
+  mark(into.words, state);
   say(into.value, withBand(point.displacement_mm, point.displacement_std_mm));
   say(into.words, words);
   say(into.age, age === null ? "no row yet" : `newest row ${age < 3 ? "of now" : `${duration(age)} ago`}`);
-  say(into.since, point.since ? `, so since ${clock(Date.parse(point.since))}` : "");
+  say(into.since, sinceMs === null ? "" : `, so since ${clock(sinceMs)}`);
   say(into.text, site.fresh ? trouble(point, site) : "");
+  showOffer(into.offer, point);
   showAlarms(into.alarms, site.alarmsOf(point.name));
 }
 

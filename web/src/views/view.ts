@@ -3,13 +3,14 @@
 import { el } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 
-export type View = (root: HTMLElement, site: SiteState, name: string) => () => void;
+/** rest: of the address, behind the name. */
+export type View = (root: HTMLElement, site: SiteState, name: string, rest: string[]) => () => void;
 
 /** A view in the navigation, of a site or of recordings. */
 export interface Entry<State> {
   path: string;
   text: string;
-  show: (root: HTMLElement, state: State, name: string) => () => void;
+  show: (root: HTMLElement, state: State, name: string, rest: string[]) => () => void;
   scope?: "admin";
 }
 
