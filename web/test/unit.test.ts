@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { joined } from "../src/charts/series.ts";
+import { valueRange } from "../src/charts/value_range.ts";
 import { TimeWindow } from "../src/charts/window.ts";
 import { changeOf, comparable } from "../src/quantities.ts";
 import { between, inside, regionOf, withRegion } from "../src/region.ts";
@@ -269,4 +270,21 @@ test("coasting rows and those that are not final are layers of their own, which 
   assert.deepEqual(open.low, [null, null, null, null, 1, 8, null]);
   assert.equal(measured.x, coasting.x);
   assert.ok(layers(ofRows(rows(0, 3)), null)[2].low.every((one) => one === null));
+});
+
+test("a few bands that are a thousand times as wide leave the values to be seen", () => {
+  const at = Array.from({ length: 100 }, (_, k) => k);
+  const of = (width: (k: number) => number) => ({
+    x: at,
+    low: at.map((k) => k / 128),
+    high: at.map((k) => k / 128),
+    lower: at.map((k) => k / 128 - width(k)),
+    upper: at.map((k) => k / 128 + width(k)),
+    mean: at,
+    coasting: at.map(() => false),
+  });
+  assert.deepEqual(valueRange([of((k) => (k < 5 ? 100 : 0.125))]), [-0.125, 99 / 128 + 0.125]);
+  // Where many are wide, they are the news.
+  assert.deepEqual(valueRange([of((k) => (k < 50 ? 10 : 0.125))]), [-10, 49 / 128 + 10]);
+  assert.equal(valueRange([]), null);
 });

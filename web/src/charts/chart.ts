@@ -3,6 +3,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Envelope } from "../rows.ts";
+import { valueRange } from "./value_range.ts";
 
 export interface Mark {
   x: number;
@@ -67,7 +68,7 @@ export class Chart {
       ...sizeOf(root),
       series,
       legend: { show: false },
-      scales: { x: { time: isClock, range: () => this.#range } },
+      scales: { x: { time: isClock, range: () => this.#range }, y: { range: () => this.#values() } },
       axes: [
         isClock
           ? { ...axis(), values: TIME_TEXTS, space: 70 }
@@ -112,6 +113,12 @@ export class Chart {
           tables.map((one) => one.map(() => 2)),
         ),
       );
+  }
+
+  #values(): Range {
+    const found = valueRange(this.#drawn.map(({ envelope }) => envelope));
+    // A tenth of it is free on each side.
+    return found ? (uPlot.rangeNum(...found, 0.1, true) as Range) : [0, 1];
   }
 
   destroy(): void {
