@@ -31,6 +31,10 @@ def test_a_login_shows_every_point_with_its_newest_value(opened, site):
     page.get_by_label("Password").fill("wrong")
     page.keyboard.press("Enter")
     play.expect(page.get_by_role("alert")).to_have_text("User or password is wrong.")
+    # Another address takes nothing away that was typed.
+    page.evaluate("location.hash = '#/site'; location.hash = '#/point/p'; location.hash = '#/site'")
+    page.wait_for_timeout(200)
+    play.expect(page.get_by_label("User")).to_have_value("anna")
     page.get_by_label("Password").fill(site.password)
     page.keyboard.press("Enter")
     card = page.locator(".card", has_text="p")

@@ -136,6 +136,7 @@ def test_over_a_store_alone_nothing_is_offered_that_cannot_work(browser, tmp_pat
         page.get_by_label("User").fill("anna")
         page.get_by_label("Password").fill(password)
         page.keyboard.press("Enter")
+        page.wait_for_selector(".card")
         for view in VIEWS:
             page.evaluate("view => location.hash = '#/' + view", view)
             page.wait_for_selector("main h1")

@@ -205,6 +205,10 @@ async function start(): Promise<void> {
 }
 
 whenOver((refused) => (refused.code === "link" ? askLink(refused.message) : askLogin()));
-window.addEventListener("hashchange", () => (shown ? show() : void start()));
+window.addEventListener("hashchange", () => {
+  if (shown) show();
+  // A login that is being typed stays.
+  else if (place().path === "link") void start();
+});
 window.setInterval(() => shown?.refresh(), 500);
 void start();
