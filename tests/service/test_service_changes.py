@@ -17,8 +17,9 @@ from midspan.records import NANOSECONDS, Region, ScaleFactor, TimeOffset
 from midspan.service import beginning
 from midspan.service.calibrations import accepted, added, number_in_force, settings_json
 from midspan.service.changes import Changes
+from midspan.service.checking import checked
 from midspan.service.run import Service
-from midspan.service.running import checked, running
+from midspan.service.running import running
 from midspan.settings.site import load_site
 from midspan.settings.stored.calibration import Calibration
 from midspan.sources.live.blocks import ACCELERATION, Block, pack
@@ -222,6 +223,12 @@ def test_what_a_site_names_is_read_before_anything_ends(tmp_path):
     with pytest.raises(DataError, match=r"one\.json"):
         checked(point_across, ["a"])
     assert len(checked(site_of(tmp_path, filmed("a", "y", 'calibration = "one.json"')), ["a"])) == 1
+    replayed = serial("a").replace("serial:/dev/none/a/acc", "replay:nowhere")
+    with pytest.raises(DataError, match="nowhere"):
+        checked(site_of(tmp_path, replayed), ["a"])
+    beyond = filmed("a", more='calibration = "one.json"').replace("direction", "roi = [130, 0, 64, 64]\ndirection")
+    with pytest.raises(UsageError, match=r"a': camera.roi: must lie inside the picture \(160 x 120 px\)"):
+        checked(site_of(tmp_path, beyond), ["a"], {"usb:97": (160, 120)})
     with pytest.raises(UsageError, match="mqtt: ca, cert and key"):
         checked(site_of(tmp_path, '[mqtt]\nca = "missing.pem"\n' + serial("a")), [])
 

@@ -12,7 +12,7 @@ from lively_recordings import Lively, write
 from midspan.cli.main import run
 from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Estimate, Status
-from midspan.service.journal import STEP, Journal, RowHealth
+from midspan.service.journal import STEP, Journal, RowHealth, std_limits, with_reason
 from midspan.service.opening import opened, resumed
 from midspan.service.running import running
 from midspan.service.stored_recording import stored_table
@@ -188,3 +188,52 @@ def test_a_point_goes_on_with_the_calibration_before_until_it_is_opened_with_the
     rows = [one for one in again.batch().chunks if one.stream == "rows"]
     assert {one.calibration for one in rows} == {1}
     assert rows[-1].time_ns[-1] > BEGIN_NS + at_s * NANOSECONDS
+
+
+def test_rows_that_tell_nothing_are_not_given():
+    """After a gap the first ones; of a sensor that is always so coarse all are."""
+    time_ns, std_m = np.arange(4) * NANOSECONDS, np.array([1e-5, 0.5, 1e-3, 1e-5])
+    rows = Estimate(
+        time_ns, np.zeros(4), std_m**2, np.zeros(4), np.zeros(4, np.uint8), np.full(4, Status.TRACKING, np.uint8)
+    )
+    for motion_m, usual_m, shown in (
+        (2e-3, 1e-5, [True, False, True, True]),
+        (1e-5, 1e-5, [True, False, False, True]),
+        (1e-5, 0.1, [True] * 4),
+        (2e-3, np.nan, [True] * 4),
+        (0.0, 1e-5, [True] * 4),
+    ):
+        found, lost_ns = with_reason(rows, None, *std_limits(motion_m, usual_m))
+        assert (found.tolist(), lost_ns) == (shown, None)
+
+
+def test_a_restart_after_a_pause_of_the_accelerometer_goes_on_with_what_came_after_it(tmp_path):
+    """Without the shell's time of then the stamps behind the pause would be those of a clock that was set ahead."""
+    point, at_s = with_broker(tmp_path)
+    for tick in range(3):
+        point.tick(BEGIN_NS + (at_s - 3 + tick) * NANOSECONDS)
+    kept, store = point.batch(last=True), open_store(tmp_path / "store")
+    store.write(kept)
+    state = b"".join(kept.checkpoints["p"][1])
+    folder, calibration = point.settled_in, midspan.calibrate(next((tmp_path / "captures").glob("calibration-*")))
+    back_s, end_s = at_s + 15, at_s + 40
+    for second in range(at_s, end_s):
+        for arrival in records(second, second + 1):
+            if arrival.stream == "displacement" or not at_s + 2 <= second < back_s:
+                point.push(arrival)
+        for tick in range(10):
+            point.tick(BEGIN_NS + (second + 1) * NANOSECONDS + tick * NANOSECONDS // 10)
+    undisturbed = point.batch()
+    # The process is ended without a further checkpoint.
+    store.write(replace(undisturbed, checkpoints={}))
+    again = live_point(tmp_path)
+    found = opened(folder, "p", calibration, 1, push=False)
+    resumed(found, state, store)
+    store.close()
+    again.resumed(found, folder)
+    made = again.batch()
+    assert "ahead" not in {event.kind for _, event in made.events}
+    rows, before = ([one for one in batch.chunks if one.stream == "rows"] for batch in (made, undisturbed))
+    time_ns, others_ns = (np.concatenate([one.time_ns for one in chunks]) for chunks in (rows, before))
+    np.testing.assert_array_equal(time_ns[time_ns > others_ns[0]], others_ns[1 : 1 + np.sum(time_ns > others_ns[0])])
+    assert time_ns[-1] > BEGIN_NS + (end_s - 3) * NANOSECONDS

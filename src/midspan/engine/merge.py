@@ -89,6 +89,11 @@ class Merge:
         self._now_ns: int | None = None
 
     @property
+    def now_ns(self) -> int | None:
+        """The shell's time of the newest tick; None before the first."""
+        return self._now_ns
+
+    @property
     def state(self) -> MergeState:
         """All that has an effect on what comes later."""
         held = tuple(tuple(waiting) for waiting in self._held)

@@ -98,11 +98,7 @@ def table_columns(rows: Chunk) -> dict[str, NDArray[Any]]:
 
 def series_json(where: str, point: str, first_ns: int, end_ns: int) -> bytes:
     """The rows from `first_ns` until before `end_ns` as one object of lists. Raises DataError for too many."""
-    table = _rows(where, point, first_ns, end_ns)
-    if table is None:
-        empty: Tree = {"time": [], "displacement_mm": [], "displacement_std_mm": [], "velocity_mm_s": []}
-        return json.dumps({**empty, "source": [], "status": []}).encode()
-    time_ns, columns = table
+    time_ns, columns = _rows(where, point, first_ns, end_ns) or (np.empty(0, np.int64), _no_columns())
     tree: Tree = {"time": time_ns.tolist()}
     for name, values in columns.items():
         words = words_of(name)

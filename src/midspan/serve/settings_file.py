@@ -6,7 +6,6 @@ import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import astuple
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +13,13 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel
 
-from midspan.errors import MidspanError, UsageError
-from midspan.recording.tracking.opening import given_targets
+from midspan.errors import MidspanError
 from midspan.serve.engine_link import AwayError
 from midspan.serve.login import ADMIN
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.changes import Changes
+from midspan.service.checking import require_inside
 from midspan.service.live_socket import Tree
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.camera import CameraSettings
@@ -129,15 +128,6 @@ def done(answer: Tree) -> SettingsDone:
     """What the engine says of settings."""
     names = {key: list(answer.get(key, [])) for key in ("added", "changed", "removed")}
     return SettingsDone(text=str(answer["text"]), restart=list(answer["restart"]), **names)
-
-
-def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str) -> None:
-    """Raises UsageError for a region that reaches beyond the camera's picture (width, height)."""
-    for number, target in enumerate(given_targets(camera), 1):
-        if not target.region.inside(*size_px):
-            key, shown = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
-            text = f"must lie inside the picture ({size_px[0]} x {size_px[1]} px); received {list(shown)}."
-            raise UsageError(f"{where}.{key}: {text} Correct it; where the camera's size changed, look at it first.")
 
 
 routes = APIRouter(prefix="/settings", tags=["settings"])

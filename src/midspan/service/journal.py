@@ -194,7 +194,7 @@ class Journal:
     ) -> None:
         self.point, self.calibration = point, calibration
         self._early_ns, self._axes = dict(early_ns), ("", *axes[1:])
-        self._max_std_m = LOST_MOTIONS * motion_m if motion_m > 0.0 else math.inf
+        self._motion_m = motion_m
         self._raw: list[Arrival] = []
         self._found: dict[str, list[tuple[PixelTranslation, ...]]] = {}
         # What was found of each camera's targets in its newest frame.
@@ -289,7 +289,8 @@ class Journal:
         kept = KeptRows(rows.estimates, self._zero_m2)
         kept = kept if self._after_ns is None else kept.since(self._after_ns)
         kept = kept if self._zero is None else kept.counted_from(self._zero)
-        shown, self._lost_ns = with_reason(kept.estimates[0], self._lost_ns, self._max_std_m)
+        limits = std_limits(self._motion_m, self.health.usual_m)
+        shown, self._lost_ns = with_reason(kept.estimates[0], self._lost_ns, *limits)
         kept = kept if shown.all() else replace(kept, estimates=tuple(part(one, shown) for one in kept.estimates))
         main = kept.estimates[0]
         if not len(main.time_ns):
@@ -363,19 +364,33 @@ class Journal:
         return Chunk(self.point, stream, time_ns[new], own, calibration)
 
 
-def with_reason(rows: Estimate, lost_ns: int | None, max_std_m: float) -> tuple[NDArray[np.bool_], int | None]:
+def std_limits(motion_m: float, usual_m: float) -> tuple[float, float]:
+    """Standard deviations (m) above which lost rows, and any rows, are not given out: ten times the motion that the
+    calibration saw, and of others than lost ones ten times the usual deviation as well.
+
+    Rows as uncertain as that come in the first tenths of a second after a gap, and tell nothing. A sensor that
+    is always as coarse keeps its rows. Where motion or usual deviation (NaN) are not known all are given.
+    """
+    lost_m = LOST_MOTIONS * motion_m if motion_m > 0.0 else math.inf
+    return lost_m, math.inf if math.isnan(usual_m) else max(lost_m, LOST_MOTIONS * usual_m)
+
+
+def with_reason(
+    rows: Estimate, lost_ns: int | None, lost_std_m: float, max_std_m: float
+) -> tuple[NDArray[np.bool_], int | None]:
     """Which rows (n,) are given out: none that is lost for longer than LOST_ROWS_S, or lost and less certain than
-    `max_std_m`; and the stamp of the first of the newest rows that are lost, None where they are not.
+    `lost_std_m`, or less certain than `max_std_m`; and the stamp of the first of the newest rows that are lost, None
+    where they are not.
 
     lost_ns: the same before these rows.
     """
-    lost = rows.status == Status.LOST
+    lost, shown = rows.status == Status.LOST, rows.variance_m2 <= max_std_m**2
     if not lost.any():
-        return np.ones(len(lost), dtype=np.bool_), lost_ns if not len(lost) else None
+        return shown, lost_ns if not len(lost) else None
     begins = lost & ~np.concatenate(([lost_ns is not None], lost[:-1]))
     since_ns = np.maximum.accumulate(np.where(begins, rows.time_ns, lost_ns if lost_ns is not None else 0))
     lasting = rows.time_ns - since_ns > round(LOST_ROWS_S * NANOSECONDS)
-    shown = ~(lost & (lasting | (rows.variance_m2 > max_std_m**2)))
+    shown &= ~(lost & (lasting | (rows.variance_m2 > lost_std_m**2)))
     return shown, int(since_ns[-1]) if lost[-1] else None
 
 

@@ -30,6 +30,7 @@ from midspan.records import (
     Readings,
     Region,
     Status,
+    Tick,
     Tracked,
 )
 from midspan.service.cutting import around
@@ -44,6 +45,8 @@ LATENESS_S, SILENT_S = 1.5, 5.0
 # Readings of a captured recording are pushed in blocks of this length: well below what the others are waited for.
 BLOCK_S = 0.1
 SEPARATOR = b"\n"
+# What came before a restart is given with ticks this far apart (ns): below the time after which a sensor is silent.
+TICK_NS = NANOSECONDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +146,13 @@ def resumed(found: Opened, kept: bytes, store: Store) -> None:
     found.counts.update(head["counts"])
     found.newest_ns.update(head["newest_ns"])
     found.journal.remember(head.get("rows", {}))
+    newest_ns, now_ns = max(found.newest_ns.values(), default=0), found.point.merge.now_ns
     for arrival in kept_since(found, store):
+        if now_ns is not None:
+            # The shell's time as it was then, so that a sensor's pause is one, and no clock that was set ahead.
+            for tick_ns in range(now_ns + TICK_NS, now_ns + arrival.newest_ns - newest_ns, TICK_NS):
+                found.journal.given(found.point.push(Tick(tick_ns)))
+                now_ns, newest_ns = tick_ns, newest_ns + TICK_NS
         found.counts[arrival.stream] = arrival.sequence
         found.newest_ns[arrival.stream] = arrival.newest_ns
         found.journal.given(found.point.push(arrival))

@@ -19,6 +19,7 @@ from midspan.service.beginning import begin
 from midspan.service.calibrations import accepted, added, calibrated_folder, loaded
 from midspan.service.changes import Changes
 from midspan.service.changing import end_points, look_at_calibration
+from midspan.service.checking import checked
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.discovery import announcements
@@ -33,7 +34,7 @@ from midspan.service.paused import Paused
 from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
-from midspan.service.running import Running, checked, drafted, line_of
+from midspan.service.running import Running, drafted, line_of, sizes_of
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
 from midspan.store.archive import archive
@@ -278,6 +279,11 @@ class Service:
         """Whether points are being begun with other settings."""
         return self._changing.locked()
 
+    @property
+    def sizes_px(self) -> dict[str, tuple[int, int]]:
+        """Width and height of the pictures that the cameras give, by address."""
+        return sizes_of(self._points)
+
     async def take(self, site: Site) -> Changes:
         """Go on with other settings of the same store; returns as soon as it is certain that they can be run. The
         points that they leave as they are lose no row.
@@ -287,7 +293,7 @@ class Service:
         await self._changing.acquire()
         try:
             changes = Changes.between(self.site, site)
-            fresh = await asyncio.to_thread(checked, site, changes.beginning)
+            fresh = await asyncio.to_thread(checked, site, changes.beginning, self.sizes_px)
             if changes.added:
                 names = dict.fromkeys(plan.name for one in (self.site, site) for plan in one.points)
                 await asyncio.to_thread(self._keeper.lock, list(names))
@@ -380,7 +386,9 @@ class Service:
                 self._loop.call_soon_threadsafe(self._taken, topic, payload, acknowledge)
 
     def _taken(self, topic: str, payload: bytes, acknowledge: Callable[[], None]) -> None:
-        """A message, in the loop: a block is acknowledged once it is kept."""
+        """A message, in the loop: a block is acknowledged once it is kept, and at the end to whoever goes on."""
+        if self._stop.is_set():
+            return
         if topic in self._intake.topics:
             self._intake.payload(topic, payload)
             self._acknowledge.append(acknowledge)
@@ -543,11 +551,8 @@ class Service:
     def standing(self) -> dict[str, Any]:
         """As the log has it."""
         state = self.state()
-        return {
-            "ready": state["ready"],
-            "points": [of_ready(one) for one in state["points"]],
-            "sources": state["sources"],
-        }
+        points = [of_ready(one) for one in state["points"]]
+        return {"ready": state["ready"], "points": points, "sources": state["sources"]}
 
     def state(self) -> dict[str, Any]:
         """How points, sources, store and broker stand, as the page's server has it; what is paused is no fault."""

@@ -16,7 +16,7 @@ from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
 from midspan.service.camera_process import CameraFeed
 from midspan.service.capture import capture_settings
-from midspan.service.mqtt import MAX_QUEUED, tls_context
+from midspan.service.mqtt import MAX_QUEUED
 from midspan.service.pace import ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
@@ -24,7 +24,6 @@ from midspan.service.replayed import radar_info
 from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.live_sources import without_secrets
 from midspan.settings.site import PointPlan, Site, captures_of
-from midspan.settings.stored.calibration import load_calibration
 from midspan.sources.accelerometer.units import SI_UNITS, si_factor
 from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info
@@ -370,14 +369,7 @@ def drafted(site: Site, names: Collection[str]) -> list[Running]:
     return [running(plan, captures / plan.name, folder) for plan in site.points if plan.name in names]
 
 
-def checked(site: Site, names: Collection[str]) -> list[Running]:
-    """The same, where all that the site names can be read: the broker's certificates, and the calibration of every
-    point, since those of points that go on are read again too. Raises UsageError and DataError for one that cannot.
-    """
-    folder = site.file.parent
-    if site.settings.mqtt is not None:
-        tls_context(site.settings.mqtt, folder)
-    for plan in site.points:
-        if plan.settings.calibration is not None:
-            load_calibration(folder / plan.settings.calibration, axis=plan.axis)
-    return drafted(site, names)
+def sizes_of(points: Collection[Running]) -> dict[str, tuple[int, int]]:
+    """Width and height (px) of the pictures that points' cameras give, by address."""
+    found = [(one.live.plan.sources[name], shape) for one in points for name, shape in one.sizes.items()]
+    return {address: (shape[1], shape[0]) for address, shape in found}

@@ -21,12 +21,12 @@ from typing import Any
 
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.service.changes import Changes
+from midspan.service.checking import checked
 from midspan.service.live_socket import LiveSocket, Tree
 from midspan.service.notify import notify
 from midspan.service.places import place_of
 from midspan.service.reasons import sentence
 from midspan.service.run import Service
-from midspan.service.running import checked
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.site import SITE_FILE, ServiceSettings, Site, load_site, require_folders
 from midspan.store.store import is_address
@@ -288,7 +288,8 @@ class Supervisor:
         require_folders(site)
         restart = self._fixed(site.store, site.settings.service)
         changes = Changes.between(self._running, site)
-        await asyncio.to_thread(checked, site, changes.beginning)
+        sizes_px = {} if self._service is None else self._service.sizes_px
+        await asyncio.to_thread(checked, site, changes.beginning, sizes_px)
         text = _needs_restart(restart) if restart else changes.text
         return {"text": f"Not written. {text}", "restart": restart, **changes.to_dict()}
 
