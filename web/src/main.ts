@@ -14,7 +14,7 @@ import { showCalibration } from "./views/calibration.ts";
 import { showCamera } from "./views/camera.ts";
 import { showCompare } from "./views/compare.ts";
 import { showPoint } from "./views/point.ts";
-import { showSettings } from "./views/settings.ts";
+import { forgetDrafts, showSettings } from "./views/settings.ts";
 import { showSite } from "./views/site.ts";
 import { showSources } from "./views/sources.ts";
 import { type Entry, sentenceOf } from "./views/view.ts";
@@ -156,6 +156,7 @@ async function leave(): Promise<void> {
   try {
     await logout();
   } finally {
+    forgetDrafts();
     askLogin();
   }
 }

@@ -36,6 +36,10 @@ export const showSettings: View = (root, site) => {
 
 /** Text that is not saved, with the text and the tag that it was made from, by its place: it outlasts its view. */
 const drafts = new Map<string, { text: string; tag: string; kept: string }>();
+/** At logging out: the next who logs in here may be somebody else. */
+export function forgetDrafts(): void {
+  drafts.clear();
+}
 window.addEventListener("beforeunload", (event) => {
   if (drafts.size) event.preventDefault();
 });
