@@ -87,8 +87,9 @@ RANGES = Experiment(
             },
             errors=True,
             because=(
+                "Which range errs less is chance. "
                 f"{WITHOUT} A wider range does not keep a warm body out of the target's picture: both ranges match as "
-                "much of what is left, and which one errs less is chance."
+                "much of what is left."
             ),
         ),
         Entry(
@@ -110,7 +111,7 @@ RANGES = Experiment(
                 ),
             },
             unit="",
-            because="The finger hides the same part of the target in both ranges.",
+            because="The finger hides the same in both ranges.",
         ),
         Entry(
             "Fig. 14",
@@ -126,8 +127,9 @@ RANGES = Experiment(
             },
             errors=True,
             because=(
-                f"{WITHOUT} Between the target's own range and the best one the noise of 0.05 K is what differs, a few "
-                "grey levels: matching survives both."
+                "Matching survives both ranges. "
+                f"{WITHOUT} Between the target's own range and the best one the noise of "
+                "0.05 K is what differs, a few grey levels."
             ),
         ),
         Entry(
@@ -148,8 +150,9 @@ RANGES = Experiment(
                 "and without it": "optimised, mean < 0.5 · ROI of each frame, mean",
             },
             because=(
+                "Matched descriptors do not see a gain. "
                 "A range of each frame's own moves with its extremes, by the noise of single pixels and with the "
-                "finger: that may be what the paper compares with, but matched descriptors do not see a change of gain."
+                "finger: that may be what the paper compares with."
             ),
         ),
     ),
@@ -172,7 +175,7 @@ BRIDGE = Experiment(
                 "it is neither corner": "is a corner < 0.5",
             },
             errors=True,
-            because=f"{WITHOUT} Which of the other two ranges errs less is chance.",
+            because=f"Which range errs less is chance. {WITHOUT}",
         ),
     ),
     f"{SIZES}; a jump of four people as 2.5 mm near 2.1 Hz, an exhaust of 25 °C that passes in a second",
@@ -196,7 +199,7 @@ LIGHT = Experiment(
                 "our key frames err less": "key frames < updating",
             },
             errors=True,
-            because="A fixed reference may find its target again under another light.",
+            because="A fixed reference may find its target again.",
         ),
     ),
     "10 frames a second, a stone in relief of 96 × 96 px, a light that goes 69° to the side until 80 s and swings "
@@ -230,7 +233,7 @@ DAY = Experiment(
             },
             errors=True,
             because=(
-                "The rule counts matches and not their errors, and waits for D frames after a new reference before it "
+                "The rule counts matches, not their errors. It waits for D frames after a new reference before it "
                 "may be replaced again: a camera that measures nothing keeps its turn."
             ),
         ),

@@ -71,7 +71,8 @@ CHIRP = Experiment(
             },
             unit="",
             because=(
-                "Slope, samples and rate of Table 1 make 2.77 GHz: 5.41 cm and 13.8 m. Printed is 0.9 f_s c / (2 S) / "
+                "The printed chirp makes 5.41 cm. "
+                "Slope, samples and rate of Table 1 make 2.77 GHz, 5.41 cm and 13.8 m. Printed is 0.9 f_s c / (2 S) / "
                 "255 = 4.89 cm: the usable band of the ADC, 0.9 of its rate, over the 255 steps between 256 points."
             ),
         ),
@@ -107,7 +108,7 @@ BUILDING = Experiment(
             },
             errors=True,
             because=(
-                "Which of five alike targets is best is chance: their errors differ by less than their scatter between "
+                "The best of five alike is chance. Their errors differ by less than their scatter between "
                 "draws; the claim that they are alike is what the paper's figure shows."
             ),
         ),

@@ -28,7 +28,7 @@ ALIASES = Experiment(
                 "every cell is right": "as the paper > 16.5",
             },
             unit="",
-            because="The cell of 10 frames/s and 6.3 Hz must be 3.7 Hz; the paper prints 4.7.",
+            because="One cell is a misprint. The cell of 10 frames/s and 6.3 Hz must be 3.7 Hz; the paper prints 4.7.",
         ),
     ),
 )
@@ -105,6 +105,7 @@ NOISE = Experiment(
             },
             errors=True,
             because=(
+                "10 ms change little below 1 Hz. "
                 "The existing technique takes nothing off at the frames' instants: below 1 Hz, where it uses the "
                 "displacement, 10 ms are 0.02 mm, far below its alias."
             ),
@@ -134,7 +135,7 @@ STOREY = Experiment(
             },
             errors=True,
             because=(
-                "Excitations 3 and 5 alias to 0.9 and 1.3 Hz, which Lee's low-pass already takes off. What the "
+                "Lee's low-pass takes off 0.9 and 1.3 Hz. Excitations 3 and 5 alias there. What the "
                 "anti-aliasing stage leaves there is the trapezoidal rule's error, 1.7 % of the tone at 5.1 Hz and 7 % "
                 "at 10.3 Hz, aliased: with a fifth of the frames' noise it still errs twice as much."
             ),
@@ -185,7 +186,7 @@ STOREY = Experiment(
             },
             errors=True,
             because=(
-                "Where nothing aliases below 1 Hz there is nothing to take off: the existing technique does "
+                "Without aliases below 1 Hz nothing is gained. The existing technique does "
                 "without the noise that the anti-aliasing stage adds and is equal or a little better."
             ),
         ),
@@ -211,7 +212,7 @@ PUSHED = Experiment(
                 "at 3 below existing": "proposed at 3 frames/s < existing at 3 frames/s",
             },
             errors=True,
-            because="At 3 frames/s 5.1 Hz aliases to 0.9 Hz, where Lee's low-pass leaves little of it.",
+            because="Lee's low-pass leaves little of 0.9 Hz. At 3 frames/s 5.1 Hz aliases to that.",
         ),
     ),
     "pushes of 15 to 25 mm and 2.5 s; the rest as for the storey model",
@@ -325,7 +326,8 @@ ALIGNMENT = Experiment(
             },
             unit="",
             because=(
-                "At a fraction of a frame's interval the alias turns with the phase of the tone, not with its own: the "
+                "The alias turns with the tone's phase. "
+                "At a fraction of a frame's interval it does not with its own: the "
                 "spline through lags of whole frames has its maximum elsewhere. Offsets here are 0.2 to 0.5 intervals."
             ),
         ),

@@ -17,7 +17,7 @@ CHOSEN = (
     "paper's was"
 )
 HELD = (
-    "Equation 7 holds the acceleration over a sample and is late by half of one: that alone is the error named “half a "
+    "Equation 7 is half a sample late. It holds the acceleration over a sample: that alone is the error named “half a "
     "sample late”."
 )
 
@@ -26,7 +26,7 @@ def _scale(where: str, paper: str) -> Entry:
     claim = {"the calibrated one is nearer to the truth than the known size's": "proposed off by < known size off by"}
     return Entry(
         where,
-        "scale factor by least squares on the matched track and by the known size, and what they are off by",
+        "scale factor by least squares and by the known size; their errors",
         paper,
         (
             "true factor (mm/px)",
@@ -51,8 +51,7 @@ def _final(where: str, paper: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of each excitation: existing, which is not fused; proposed and fused as printed, by the calibrated "
-        "factor and by the true one; error of half a sample's delay alone",
+        "RMSE of each excitation, existing not fused; half a sample's delay alone",
         paper,
         ("existing, known size", "proposed, fused", "proposed, fused, true factor", "half a sample late (mm)"),
         ("registration and smoother, fused",),
@@ -68,7 +67,7 @@ def _by_scale(where: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of the camera alone by scale factor",
+        "RMSE, camera alone, by scale factor",
         "calibrated better than known size",
         ("proposed, known size", "proposed, calibrated factor", "proposed, true factor"),
         ("registration, calibrated factor", "registration, true factor"),
@@ -86,7 +85,7 @@ def _by_rejection(where: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of the camera alone by rejection",
+        "RMSE, camera alone, by rejection",
         "similar",
         (
             "existing, calibrated factor",
@@ -169,7 +168,8 @@ TIME = Experiment(
             {"I and II take at most a fifth of it": "I and II < 0.2 · existing"},
             unit="µs",
             because=(
-                "RANSAC for a translation alone is one table of differences here, a fraction of a millisecond; the "
+                "RANSAC for translation alone is quick here. "
+                "It is one table of differences here, a fraction of a millisecond; the "
                 "time of a frame is that of finding and describing its features, which both share."
             ),
         ),
