@@ -51,8 +51,8 @@ class CalibrationSettings(Section):
         tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, Hz")
     ] = Field(
         None,
-        description="band of acceleration that decides the scale; narrower is less certain; left out: all that the "
-        "data allow",
+        description="band of acceleration that decides the scale; narrower is less certain; left out: all, with "
+        "literal the papers'",
     )
     literal: bool = Field(
         False, strict=True, description="scale factor and clock offset of a camera by the papers' steps"
