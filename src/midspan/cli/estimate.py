@@ -32,8 +32,10 @@ if TYPE_CHECKING:
 @click.option("--reference", type=click.Path(), help="With --method all: file of the true displacement.")
 @click.option("--reference-unit", help="Its unit, where the file does not say.")
 @click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed.")
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it.")
-@click.option("--tracker", help="Tracker, over the recording's own.")
+@click.option(
+    "--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it; see `midspan methods --papers`."
+)
+@click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
 @click.option("--point", help="Of a store: point whose raw records are computed again.")
 @click.option("--from", "begin", help="Of a store: first instant, ISO 8601 or seconds since 1970.")

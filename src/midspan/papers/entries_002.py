@@ -61,7 +61,7 @@ CHIRP = Experiment(
     (
         Entry(
             "Table 1",
-            "range resolution and largest range of the chirp: 64.985 MHz/µs, 256 samples at 6 MHz",
+            "range resolution and largest range of the chirp",
             "4.89 cm, 12 m",
             ("resolution cm", "of a simulated target cm", "largest range m"),
             (),
@@ -98,7 +98,7 @@ BUILDING = Experiment(
     (
         Entry(
             "Fig. 13, 14",
-            "RMSE by the target at 48 m and by four others at 31 to 42 m",
+            "RMSE by target, at 48 m and four at 31 to 42 m",
             "best at 48 m, the others alike",
             ("aided", "best other", "worst other"),
             ("radar",),
@@ -142,7 +142,7 @@ BRIDGE = Experiment(
     (
         Entry(
             "Fig. 20",
-            "the target that is chosen among three, of which two are stronger",
+            "the target chosen of three, two being stronger",
             "7.4605 m, not the largest amplitude",
             ("target chosen",),
             ("our target, off by bins",),

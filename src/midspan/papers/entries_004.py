@@ -26,7 +26,7 @@ def _scale(where: str, paper: str) -> Entry:
     claim = {"the calibrated one is nearer to the truth than the known size's": "proposed off by < known size off by"}
     return Entry(
         where,
-        "scale factor by least squares and by the known size; their errors",
+        "scale factor, calibrated and by the known size",
         paper,
         (
             "true factor (mm/px)",
@@ -51,7 +51,7 @@ def _final(where: str, paper: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of each excitation, existing not fused; half a sample's delay alone",
+        "RMSE of each excitation, existing not fused",
         paper,
         ("existing, known size", "proposed, fused", "proposed, fused, true factor", "half a sample late (mm)"),
         ("registration and smoother, fused",),
@@ -128,7 +128,7 @@ TABLE = _test(
     _final("Fig. 14", "30 % below existing; 0.53 over all"),
     Entry(
         "Fig. 15, 16",
-        "good matches where the sweep reaches beyond 12 px, with the region following and fixed; frames lost",
+        "good matches beyond 12 px, region following and fixed; frames lost",
         "18 against 15",
         ("matches, following", "matches, fixed", "frames lost"),
         (),
@@ -161,7 +161,7 @@ TIME = Experiment(
     (
         Entry(
             "Sec. 4.2, 4.3, time",
-            "processor time of a frame's rejection, 120 matches of which one in five is wrong",
+            "processor time of rejection, 120 matches, a fifth wrong",
             "a twentieth of the existing one's",
             ("I and II", "existing"),
             (),
