@@ -169,7 +169,8 @@ class CameraSettings(Section):
     )
     reference_settings: Annotated[dict[str, Any], Form("table")] = Field(
         default_factory=dict,
-        description='of reference = "updating": literal, threshold_frames, average_frames, sigmas, least_matches',
+        description='of reference = "updating": literal (false), threshold_frames (30), average_frames (10), sigmas '
+        '(2), least_matches (10)',
     )
 
     @property
