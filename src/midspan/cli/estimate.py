@@ -21,27 +21,23 @@ if TYPE_CHECKING:
 @click.command("estimate")
 @click.argument("recording", type=click.Path())
 @click.argument("video", type=click.Path(), required=False)
-@click.option("--value", help="With two files: the accelerometer's channel along the measured motion.")
-@click.option("--unit", help="With two files: the unit of its values, where its file does not say.")
-@click.option("--direction", type=click.Choice(["x", "y"]), help="With two files: the image axis of the motion, as the "
-              "film is shown; left out: y.")  # fmt: skip
+@click.option("--value", help="Two files: channel along the motion.")
+@click.option("--unit", help="Two files: its unit, where the file does not say.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Two files: image axis of the motion; left out: y.")
 @click.option(
     "-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration to use; left out: calibrate."
 )
-@click.option("-o", "--output", type=click.Path(), help="Result file (.csv .parquet .h5 .mat .xlsx .tdms .mseed .uff); "
-              "left out: result.csv in the recording.")  # fmt: skip
-@click.option("--method", help="Fusion method, over the recording's own; see `midspan methods`. `all` compares them: a "
-              "table, and a picture (-o FILE.png; left out: methods.png).")  # fmt: skip
-@click.option("--reference", type=click.Path(), help="With --method all: a file with times and displacement, over the "
-              "recording's [reference].")  # fmt: skip
-@click.option("--reference-unit", help="Unit of its values, where the file does not say, for example mm.")
-@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard; see "
-              "`midspan methods --papers`.")  # fmt: skip
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it: tracker, method, --literal and "
-              "the keys that `midspan methods --papers` names.")  # fmt: skip
-@click.option("--tracker", help="Tracker, over the recording's own.")
+@click.option("-o", "--output", type=click.Path(), help="Result; the suffix is the format; left out: result.csv.")
+@click.option("--method", help="Method, over the recording's own; `all`: table and picture (methods.png) of all.")
+@click.option("--reference", type=click.Path(), help="With --method all: file of the true displacement.")
+@click.option("--reference-unit", help="Its unit, where the file does not say.")
+@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed.")
+@click.option(
+    "--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it; see `midspan methods --papers`."
+)
+@click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
-@click.option("--point", help="RECORDING is a store: the point whose raw records are computed again.")
+@click.option("--point", help="Of a store: point whose raw records are computed again.")
 @click.option("--from", "begin", help="Of a store: first instant, ISO 8601 or seconds since 1970.")
 @click.option("--to", "end", help="Of a store: last instant.")
 @common_options
