@@ -70,7 +70,13 @@ def test_warnings_are_counted_and_the_first_is_named_notes_are_not():
     assert "(uncoded)" in verdict(motion, ["something."])
 
 
+def test_a_wrong_unit_shows_in_the_acceleration():
+    said = verdict([Motion(rows(swing()), 0.0)], [], 9.80665)
+    assert "calibrated on accelerations of up to 1 g;" in said
+    assert "calibrated" not in verdict([Motion(rows(swing()), 0.0)], [])
+
+
 def test_two_axes_stand_in_one_sentence():
     said = verdict([Motion(rows(swing()), 0.0, "y"), Motion(rows(2.0 * swing()), 0.0, "x")], [])
-    assert re.search(r"moved by 6\.\d+ mm along y, .* and .*moved by 12\.\d+ mm along x", said)
+    assert re.search(r"moved by 6\.\d+ mm along y, .* and by 12\.\d+ mm along x", said)
     assert said.count(". ") == 0

@@ -84,10 +84,11 @@ class Result:
     @property
     def verdict(self) -> str:
         """The result in one sentence: how far the structure moved, how surely, and what to look at first."""
-        if self.across is None:
-            return verdict((Motion(self.estimate, self.zero_std_m),), self.warnings)
-        motions = [Motion(one.estimate, one.zero_std_m, one.axis) for one in (self, self.across)]
-        return verdict(motions, self.warnings)
+        motions = [Motion(self.estimate, self.zero_std_m)]
+        if self.across is not None:
+            motions = [Motion(one.estimate, one.zero_std_m, one.axis) for one in (self, self.across)]
+        usual = self.calibration.usual
+        return verdict(motions, self.warnings, np.nan if usual is None else usual.peak_m_s2)
 
     @property
     def axis(self) -> str:

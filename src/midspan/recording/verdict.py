@@ -11,6 +11,7 @@ import numpy as np
 
 from midspan.notices import Severity, coded
 from midspan.records import Estimate, Status
+from midspan.signals.acceleration import GRAVITY_M_S2
 
 # Standard deviations on each side of a band that holds 95 % of the truth.
 BAND = 1.96
@@ -34,13 +35,20 @@ class Motion:
     axis: str = ""
 
 
-def verdict(motions: Sequence[Motion], warnings: Sequence[str]) -> str:
+def verdict(motions: Sequence[Motion], warnings: Sequence[str], peak_m_s2: float = math.nan) -> str:
     """A sentence on a result, with no more certainty than its band has; motions: one for each axis.
+
+    peak_m_s2: largest acceleration that the calibration rests on, where it is known: a wrong unit, which nothing in a
+    recording contradicts, shows in it.
 
     The extremes are those of the rows that rest on a measurement, or did a short time ago: a displacement that has run
     away (`lost`) is no motion.
     """
-    moved, notices = ", and ".join(map(_moved, motions)), [coded(one) for one in warnings]
+    first_axis, *others = map(_moved, motions)
+    moved = ", and ".join((first_axis, *(one.removeprefix("the structure moved ") for one in others)))
+    if math.isfinite(peak_m_s2):
+        moved += f", calibrated on accelerations of up to {peak_m_s2 / GRAVITY_M_S2:.2g} g"
+    notices = [coded(one) for one in warnings]
     serious = dict.fromkeys(one.code for one in notices if one.severity is Severity.SERIOUS)
     if serious:
         settled = " and ".join(UNSETTLED[code] for code in serious)
@@ -48,8 +56,8 @@ def verdict(motions: Sequence[Motion], warnings: Sequence[str]) -> str:
     doubts = [one for one in notices if one.severity is Severity.WARNING]
     if not doubts:
         return f"{_capital(moved)}; nothing was found that contradicts it."
-    first, others = doubts[0], len(doubts) - 1
-    more = f" and {'one' if others == 1 else others} more" if others else ""
+    first, count = doubts[0], len(doubts) - 1
+    more = f" and {'one' if count == 1 else count} more" if count else ""
     return f"{_capital(moved)}; look first at the warning on the {first.about or 'result'} ({first.code}){more}."
 
 
@@ -68,7 +76,9 @@ def _moved(motion: Motion) -> str:
     own_mm = math.sqrt(max(float(np.median(std)) ** 2 - (1e3 * motion.zero_std_m) ** 2, 0.0))
     if float(np.std(value)) < own_mm:
         return f"no motion{along} is certain: the rows differ by less than their standard deviation, {ends}"
-    return f"the structure moved by {_digits(value[high] - value[low], BAND * std[high])} mm{along}, {ends}"
+    return (
+        f"the structure moved by {_digits(value[high] - value[low], BAND * max(std[low], std[high]))} mm{along}, {ends}"
+    )
 
 
 def _with_band(value_mm: float, std_mm: float) -> str:

@@ -219,8 +219,7 @@ def calibrated(found: Calibration) -> list[Row]:
     usual = found.usual
     if usual is not None and math.isfinite(usual.low_m_s2) and usual.moved_m > 0.0:
         # How lively the calibration was, in units in which a wrong one shows.
-        peak = max(usual.high_m_s2 - usual.mean_m_s2, usual.mean_m_s2 - usual.low_m_s2) / GRAVITY_M_S2
-        value = f"up to {peak:.2g} g; {1e3 * usual.moved_m:.3g} mm rms"
+        value = f"up to {usual.peak_m_s2 / GRAVITY_M_S2:.2g} g; {1e3 * usual.moved_m:.3g} mm rms"
         rows.append(("accelerometer: motion calibrated on", value))
     return [*rows, ("made", f"{found.created} by midspan {found.version}")]
 

@@ -339,7 +339,8 @@ def _contradiction_text(apart_m: float, response: FrequencyResponse) -> str:
     return (
         "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
         f"{differs}Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that "
-        "it shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
+        "it shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff. Stiffen "
+        "both mountings, check the axis, raise the frame rate."
     )
 
 
