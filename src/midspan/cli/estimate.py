@@ -259,7 +259,7 @@ def show(console: Console, result: "Result", written: list[str], verbose: bool =
 
 def _first_rows(result: "Result", f: dict[str, Any], written: list[str]) -> list[tuple[str, str]]:
     """The rows that everybody needs."""
-    more = "; --verbose lists what it does not contain" if result.not_in_band else ""
+    more = "; report and --verbose list what it does not contain" if result.not_in_band else ""
     sigma = f"{f['median_std_mm']:.3g} mm (median), the zero's part {f['zero_std_mm']:.3g} mm{more}"
     return [
         ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method}), {_statuses(f)}"),
