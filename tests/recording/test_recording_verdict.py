@@ -36,7 +36,7 @@ def test_a_clean_result_says_how_far_with_the_band_of_each_end():
     assert (moved, low, high) == (6.0, -2.0, 4.0)
     # The first of equal ends is meant; 1.96 standard deviations to two digits.
     assert (low_band, high_band) == (0.02, 0.02)
-    assert said.endswith("nothing was found that contradicts it.")
+    assert said.endswith("no sensor contradicts it.")
 
 
 def test_a_motion_below_its_own_standard_deviation_is_not_certain():

@@ -147,7 +147,12 @@ def test_cards_and_tables_say_what_result_and_comparison_say(camera_text, camera
 
 
 def test_the_verdict_stands_first_and_no_path_anywhere(camera_text, camera_result):
-    assert escape(camera_result.verdict) in camera_text.split("<section")[0]
+    head = camera_text.split("<section")[0]
+    assert escape(camera_result.verdict) in head
+    # The result is right: its error without the zero is its own part of the band, ± a third.
+    differs = re.search(r"The reference differs by (\S+) mm rms besides its zero, ([\d.]+).% of it inside", head)
+    assert float(differs[1]) == pytest.approx(camera_result.figures()["median_own_std_mm"], rel=0.34)
+    assert float(differs[2]) > 85.0
     folder = camera_result.file.resolve().parent
     assert str(folder) not in camera_text
     # As two files on the command line may be given.

@@ -55,7 +55,7 @@ def verdict(motions: Sequence[Motion], warnings: Sequence[str], peak_m_s2: float
         return f"Do not use this displacement before you have settled {settled}: by its band alone, {moved}."
     doubts = [one for one in notices if one.severity is Severity.WARNING]
     if not doubts:
-        return f"{_capital(moved)}; nothing was found that contradicts it."
+        return f"{_capital(moved)}; no sensor contradicts it."
     first, count = doubts[0], len(doubts) - 1
     more = f" and {'one' if count == 1 else count} more" if count else ""
     return f"{_capital(moved)}; look first at the warning on the {first.about or 'result'} ({first.code}){more}."

@@ -22,10 +22,16 @@ MAX_OPEN = 3
 
 
 def verdict(material: Material) -> str:
-    """The result in a sentence; a serious warning shows in its colour."""
+    """The result in a sentence, with what a reference differs by; a serious warning shows in its colour."""
     severities = {one.severity for one in map(coded, material.result.warnings)}
     coloured = next((f" {worst}" for worst in (Severity.SERIOUS, Severity.WARNING) if worst in severities), "")
-    return page.paragraph(material.result.verdict, f"verdict{coloured}")
+    text, found = material.result.verdict, material.comparison
+    if found is not None:
+        # The zeros may differ by definition; a scale, a sign or a clock that is wrong shows without them.
+        share = found.without_zero.coverage_95
+        inside = "" if share is None else f", {tables.percent(share)} of it inside the band"
+        text += f" The reference differs by {found.without_zero.rmse_mm:.2g} mm rms besides its zero{inside}."
+    return page.paragraph(text, f"verdict{coloured}")
 
 
 def warnings(material: Material) -> str:
