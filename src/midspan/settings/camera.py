@@ -170,7 +170,7 @@ class CameraSettings(Section):
     reference_settings: Annotated[dict[str, Any], Form("table")] = Field(
         default_factory=dict,
         description='of reference = "updating": literal (false), threshold_frames (30), average_frames (10), sigmas '
-        '(2), least_matches (10)',
+        "(2), least_matches (10)",
     )
 
     @property
