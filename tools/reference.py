@@ -21,9 +21,9 @@ KEYS = f"""# Keys of the settings' files
 
 {MADE}
 
-A key without a default may be left out. A number outside its range is refused. `midspan help SECTION` prints a section,
-`midspan check-config FILE` the values in force. [Configuration](configuration.md) explains signs, clocks, and how
-sections work together.
+Values have the default in parentheses; a key without one may be left out. A number outside its range is refused.
+`midspan help SECTION` prints a section, `midspan check-config FILE` the values in force.
+[Configuration](configuration.md) explains signs, clocks, and how sections work together.
 
 | file | sections |
 | --- | --- |"""
@@ -85,15 +85,18 @@ def _tables(file: str, sections: Sequence[KeySection]) -> list[str]:
         parts += [f"As in [{place}]: {', '.join(f'`{key.name}`' for key in keys)}." for place, keys in shared.items()]
         named = [key for keys in shared.values() for key in keys]
         rows = [_row(key, file) for key in section.keys if key not in named]
-        headings = ("key", "unit", "meaning") if file == "calibration.json" else ("key", "default", "values", "meaning")
+        headings = ("key", "meaning") if file == "calibration.json" else ("key", "values", "meaning")
         parts += [_table(headings, rows)] if rows else []
         before = dict.fromkeys(section.keys, section.name) | before
     return parts
 
 
 def _row(key: Key, file: str) -> tuple[str, ...]:
+    """A row of a key with its default after the values; of calibration.json nobody chooses values, names have units."""
+    if file == "calibration.json":
+        return f"`{key.name}`", key.text
     default = f"`{key.default}`" if key.default not in ("", "required") else key.default
-    return (f"`{key.name}`", *(() if file == "calibration.json" else (default,)), key.values, key.text)
+    return f"`{key.name}`", f"{key.values} ({default})" if default else key.values, key.text
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -16,11 +16,10 @@ from midspan.writing import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DITTO = "″"
 SHORT_HEADER = ("", "paper", "as printed, here", "our default", "ratio", "holds")
 SHORT = (
-    "True factor: by the true scale factor. Guarded: our calibration and filter. Ratio: least error as printed over "
-    "ours, below 1 where ours is worse. `--report page.html` has claims, reasons and what is chosen here in full."
+    "Ratio: least error as printed over ours, below 1 where ours is worse. `--report page.html` has the variants (true "
+    "scale factor, mean input, guarded), claims, reasons and what is chosen here."
 )
 HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
 # Ours is blue in every figure; what the papers compare with has the colours after it.
@@ -78,7 +77,7 @@ def _axes(curve: Curve) -> "Figure":
 
 
 def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mapping[str, str]) -> str:
-    """A row a figure, in few words; the page of HTML has claims and reasons in full, and what is chosen here."""
+    """A row for each published figure, in few words; the page of HTML has the variants, claims and reasons in full."""
     (path.parent / "images").mkdir(exist_ok=True)
     lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)} {SHORT}", ""]
     for paper in _repeated(outcomes):
@@ -88,9 +87,9 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mappi
         lines += [_line(SHORT_HEADER), _line(["---"] * len(SHORT_HEADER))]
         before = ""
         for row in (row for one in own for row in one.rows):
-            cells = brief_cells(row, before)
+            if row.entry.paper != before:
+                lines.append(_line(brief_cells(row)))
             before = row.entry.paper
-            lines.append(_line(cells))
         for one in own:
             for curve in one.curves:
                 name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
@@ -101,11 +100,10 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mappi
     return "\n".join(lines)
 
 
-def brief_cells(row: Row, published: str = "") -> tuple[str, ...]:
-    """A row in few words; published: what the paper has in the row above, which is not written again."""
+def brief_cells(row: Row) -> tuple[str, ...]:
+    """A row in few words."""
     entry, factor = row.entry, "" if np.isnan(row.factor) else f"{row.factor:.3g}" if row.factor else "lost"
-    paper = DITTO if entry.paper == published else entry.paper
-    cells = (f"{entry.where}: {entry.what}", paper, row.printed, row.ours, factor, row.brief)
+    cells = (f"{entry.where}: {entry.what}", entry.paper, row.printed, row.ours, factor, row.brief)
     # Numbers of several cases stand close together.
     return tuple(cell.replace(" / ", "/") for cell in cells)
 
