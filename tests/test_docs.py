@@ -185,9 +185,12 @@ def test_equations_name_files_and_functions_that_exist():
             assert re.search(rf"^\s*(def|class) {last}\b", text, flags=re.MULTILINE), f"{cell[0]}: {name}"
 
 
-def test_the_picture_of_the_readme_is_small():
-    # 150 kB: a page that loads at once also on a slow line.
-    assert (ROOT / "docs" / "images" / "result.png").stat().st_size < 150_000
+def test_pictures_of_the_readme_and_the_gallery_are_small():
+    # 80 kB: a page that loads at once also on a slow line.
+    pages = (ROOT / "README.md", ROOT / "docs" / "gallery.md")
+    pictures = {page.parent / link for page in pages for link in LINK.findall(TEXTS[page]) if link.endswith(".png")}
+    assert len(pictures) >= 6
+    assert max(picture.stat().st_size for picture in pictures) < 80_000
 
 
 def test_the_changelog_has_an_entry_for_this_version():
