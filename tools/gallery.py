@@ -36,7 +36,7 @@ COLOURS = 32
 
 
 def draw(result: midspan.Result, truth_mm: np.ndarray) -> "Figure":
-    """The history over the truth, and below it what they differ by in the band of 95 %; truth_mm (rows,) at the rows."""
+    """The history over the truth, and below it their difference in the 95 % band; truth_mm: (rows,), at the rows."""
     figure = sheet(SIZE_IN[1], SIZE_IN[0])
     above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     time_s, value, half = result.time_s, result.displacement_mm, 1.96 * result.displacement_std_mm
@@ -66,11 +66,12 @@ def make(name: str) -> Comparison:
         with style():
             picture = write_picture(draw(result, truth_mm), IMAGES / f"gallery_{name}.png", DPI)
         drawn = Image.open(picture).convert("RGBA")
-        Image.alpha_composite(Image.new("RGBA", drawn.size, "white"), drawn).convert("RGB").quantize(COLOURS).save(picture, optimize=True)
+        opaque = Image.alpha_composite(Image.new("RGBA", drawn.size, "white"), drawn).convert("RGB")
+        opaque.quantize(COLOURS).save(picture, optimize=True)
         return midspan.compare(result, Path(recording) / "truth.csv", unit="mm")
 
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or SCENES:
         compared = make(name)
-        print(f"{name}: {compared.rmse_mm:.4g} mm rms, {100 * compared.coverage_95:.3g} % inside 1.96 standard deviations")
+        print(f"{name}: {compared.rmse_mm:.4g} mm rms, {100 * compared.coverage_95:.3g} % in the band")
