@@ -21,7 +21,7 @@ KEYS = f"""# Keys of the settings' files
 
 {MADE}
 
-Values have the default in parentheses; a key without one may be left out. A number outside its range is refused.
+A key without a default may be left out. A number outside its range is refused.
 `midspan help SECTION` prints a section, `midspan check-config FILE` the values in force.
 [Configuration](configuration.md) explains signs, clocks, and how sections work together.
 
@@ -73,7 +73,7 @@ def anchor(heading: str) -> str:
 
 
 def _tables(file: str, sections: Sequence[KeySection]) -> list[str]:
-    """Heading, sentence and table of each section; keys that an earlier section has alike are named alone."""
+    """Heading, sentence and list of each section; keys that an earlier section has alike are named alone."""
     parts: list[str] = []
     before: dict[Key, str] = {}
     for section in (one for one in sections if one.keys):
@@ -84,24 +84,18 @@ def _tables(file: str, sections: Sequence[KeySection]) -> list[str]:
         shared = {place: keys for place, keys in alike.items() if place and len(keys) >= MIN_SHARED}
         parts += [f"As in [{place}]: {', '.join(f'`{key.name}`' for key in keys)}." for place, keys in shared.items()]
         named = [key for keys in shared.values() for key in keys]
-        rows = [_row(key, file) for key in section.keys if key not in named]
-        headings = ("key", "meaning") if file == "calibration.json" else ("key", "values", "meaning")
-        parts += [_table(headings, rows)] if rows else []
+        rows = [_line(key, file) for key in section.keys if key not in named]
+        parts += ["\n".join(rows)] if rows else []
         before = dict.fromkeys(section.keys, section.name) | before
     return parts
 
 
-def _row(key: Key, file: str) -> tuple[str, ...]:
-    """A row of a key with its default after the values; of calibration.json nobody chooses values, names have units."""
+def _line(key: Key, file: str) -> str:
+    """A key with its values and default; of calibration.json nobody chooses values, names have units."""
     if file == "calibration.json":
-        return f"`{key.name}`", key.text
-    default = f"`{key.default}`" if key.default not in ("", "required") else key.default
-    return f"`{key.name}`", f"{key.values} ({default})" if default else key.values, key.text
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+        return f"- `{key.name}`: {key.text}"
+    default = f"default `{key.default}`" if key.default not in ("", "required") else key.default
+    return f"- `{key.name}` ({', '.join(filter(None, (key.values, default)))}): {key.text}"
 
 
 def commands_page() -> str:
@@ -113,18 +107,18 @@ def commands_page() -> str:
         text = [part.replace("\n", " ") for part in inspect.cleandoc(found.help or "").split("\n\n")]
         parts += [f"## {name}", f"`{' '.join(['midspan', name, *usage])}`: {text[0]}", *text[1:]]
         given = [one for one in found.params if isinstance(one, click.Option) and one.name not in ("quiet", "as_json")]
-        parts += [_table(("option", "meaning"), [_option(one) for one in given])] if given else []
+        parts += ["\n".join(_option(one) for one in given)] if given else []
     return "\n\n".join(parts) + "\n"
 
 
-def _option(option: click.Option) -> tuple[str, str]:
+def _option(option: click.Option) -> str:
     """Names of an option with what follows it, and its help with the default."""
     names, kind = ", ".join((*option.opts, *option.secondary_opts)), option.type
     value = option.metavar or (
         "|".join(kind.choices) if isinstance(kind, click.Choice) else kind.name.split()[0].upper()
     )
     default = f" Default: {option.default}." if option.show_default else " Required." if option.required else ""
-    return f"`{names}`" if option.is_flag else f"`{names} {value}`", f"{option.help}{default}"
+    return f"- `{names if option.is_flag else f'{names} {value}'}`: {option.help}{default}"
 
 
 PAGES = {DOCS / "reference-keys.md": keys_page, DOCS / "reference-commands.md": commands_page}
