@@ -34,7 +34,8 @@ FILES = {
     "has an example.",
     "calibration.json": "`midspan calibrate` writes it. It holds for one set-up: same camera, lens, focus, distance, "
     "target and region; clock offsets hold for one recording unless the clocks are locked. Unknown keys are ignored; a "
-    "value that cannot be is refused.",
+    "value that cannot be is refused. `midspan help camera.targets` and `midspan help radar.targets` have the keys of "
+    "single targets.",
 }
 COMMAND = f"""# Commands
 
@@ -46,7 +47,9 @@ output). [Configuration](configuration.md#commands) has exit codes and shell com
 
 def keys_page() -> str:
     """All keys of the three files."""
-    files = dict(zip(FILES, (recording_sections(), site_sections(), calibration_sections()), strict=True))
+    # Single targets of a calibration are left to `midspan help`.
+    stored = [one for one in calibration_sections() if not one.name.endswith(".targets")]
+    files = dict(zip(FILES, (recording_sections(), site_sections(), stored), strict=True))
     contents = [
         f"| {file} | {', '.join(f'[{one.name}](#{anchor(_heading(file, one))})' for one in _named(sections))} |"
         for file, sections in files.items()
