@@ -142,8 +142,8 @@ def test_a_row_of_the_short_table_says_the_verdict_and_the_first_reason():
         judged(Experiment("003", "x", unheard, (entry,)), [first], cleaner)[0]
         for first, cleaner in ((small, []), (large, []), (small, [large]))
     )
-    assert brief_cells(held) == ("Fig. 1: w", "1/2", "a 1 mm", "b 0.5 mm", "2", "yes")
-    assert brief_cells(failed) == ("Fig. 1: w", "1/2", "a 4/3 mm", "b 1/1 mm", "3.5", "no: It is late")
+    assert brief_cells(held) == ("Fig. 1: w", "1/2", "a 1 mm", "b 0.5 mm", "yes")
+    assert brief_cells(failed) == ("Fig. 1: w", "1/2", "a 4/3 mm", "b 1/1 mm", "no: It is late")
     assert only_noisy.brief == "yes; with less noise no"
 
 

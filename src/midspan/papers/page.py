@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from midspan.papers.claims import Curve, Row
 from midspan.papers.published import PAPERS, Paper
 from midspan.papers.table import Outcome
@@ -16,10 +14,10 @@ from midspan.writing import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SHORT_HEADER = ("", "paper", "as printed, here", "our default", "ratio", "holds")
+SHORT_HEADER = ("", "paper", "as printed, here", "our default", "holds")
 SHORT = (
-    "Ratio: least error as printed over ours, below 1 where ours is worse. `--report page.html` has the variants (true "
-    "scale factor, mean input, guarded), claims, reasons and what is chosen here."
+    "`--report page.html` has the variants (true scale factor, mean input, guarded), how many times less our default "
+    "errs, claims, reasons and what is chosen here."
 )
 HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
 # Ours is blue in every figure; what the papers compare with has the colours after it.
@@ -102,8 +100,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mappi
 
 def brief_cells(row: Row) -> tuple[str, ...]:
     """A row in few words."""
-    entry, factor = row.entry, "" if np.isnan(row.factor) else f"{row.factor:.3g}" if row.factor else "lost"
-    cells = (f"{entry.where}: {entry.what}", entry.paper, row.printed, row.ours, factor, row.brief)
+    cells = (f"{row.entry.where}: {row.entry.what}", row.entry.paper, row.printed, row.ours, row.brief)
     # Numbers of several cases stand close together.
     return tuple(cell.replace(" / ", "/") for cell in cells)
 
