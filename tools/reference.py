@@ -85,12 +85,19 @@ def _tables(file: str, sections: Sequence[KeySection]) -> list[str]:
         for key in section.keys:
             alike.setdefault(before.get(key, ""), []).append(key)
         shared = {place: keys for place, keys in alike.items() if place and len(keys) >= MIN_SHARED}
-        parts += [f"As in [{place}]: {', '.join(f'`{key.name}`' for key in keys)}." for place, keys in shared.items()]
+        parts += [_shared(keys, next(one for one in sections if one.name == place)) for place, keys in shared.items()]
         named = [key for keys in shared.values() for key in keys]
         rows = [_line(key, file) for key in section.keys if key not in named]
         parts += ["\n".join(rows)] if rows else []
         before = dict.fromkeys(section.keys, section.name) | before
     return parts
+
+
+def _shared(keys: Sequence[Key], source: KeySection) -> str:
+    """The keys that a section has from another one: those named, or all but the others, whichever is shorter."""
+    others = [key for key in source.keys if key not in keys]
+    which, listed = ("all but ", others) if others and len(others) < len(keys) else ("", keys)
+    return f"As in [{source.name}]: {'all' if not others else which + ', '.join(f'`{key.name}`' for key in listed)}."
 
 
 def _line(key: Key, file: str) -> str:
