@@ -56,15 +56,15 @@ def draw(result: midspan.Result, truth_mm: np.ndarray) -> "Figure":
     return figure
 
 
-def make(name: str) -> Comparison:
-    """Simulate, estimate, compare and draw one scenario."""
+def make(name: str, images: Path = IMAGES) -> Comparison:
+    """Simulate, estimate, compare and draw one scenario; its picture goes into `images`."""
     with tempfile.TemporaryDirectory() as folder:
         recording = write_scene(SCENES[name], Path(folder) / name, seed=0)
         result = midspan.estimate(recording)
         truth = np.genfromtxt(Path(recording) / "truth.csv", delimiter=",", names=True)
         truth_mm = np.interp(result.time_s, truth["time_s"], truth["displacement_mm"])
         with style():
-            picture = write_picture(draw(result, truth_mm), IMAGES / f"gallery_{name}.png", DPI)
+            picture = write_picture(draw(result, truth_mm), images / f"gallery_{name}.png", DPI)
         drawn = Image.open(picture).convert("RGBA")
         opaque = Image.alpha_composite(Image.new("RGBA", drawn.size, "white"), drawn).convert("RGB")
         opaque.quantize(COLOURS).save(picture, optimize=True)
