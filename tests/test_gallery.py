@@ -18,6 +18,7 @@ def test_the_page_shows_what_the_command_makes():
         assert f"`{scenario}`" in section
 
 
+@pytest.mark.slow
 def test_the_command_draws_a_scenario_with_the_error_that_the_page_states(tmp_path):
     compared = TOOL["make"]("gnss", tmp_path)
     # Of the same seed: what differs between processors is below the page's two digits.
