@@ -64,7 +64,13 @@ def test_the_command_over_all_papers_and_its_claims(chosen, tmp_path, monkeypatc
     entries = [(one.paper, entry.where) for one in experiments(MODULES) for entry in one.entries]
     assert [(row["paper"], row["where"]) for row in reported] == entries
     assert all(row["why"] for row in reported)
-    fails = sum(row["verdict"] == Verdict.FAILS.value for row in reported)
+    # The short table leaves out the variants of a published figure: Fig. 10, true factor.
+    shown = []
+    for row in reported:
+        before = shown[-1] if shown else {"published": None, "where": ""}
+        if row["published"] != before["published"] or not row["where"].startswith(f"{before['where']}, "):
+            shown.append(row)
+    fails = sum(row["verdict"] == Verdict.FAILS.value for row in shown)
     assert len(re.findall(r"\| no(: [^|]+)? \|$", page.read_text(encoding="utf-8"), re.MULTILINE)) == fails
     assert all((tmp_path / "images" / name).exists() for name in ("paper_003_fig16a.png", "paper_003_fig27c.png"))
     first = {(row["paper"], row["where"]): row for row in reported}

@@ -83,11 +83,11 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mappi
         lines += [f"## {paper.key}: {paper.name}", ""]
         lines += [f"Live: {late[paper.key]}.", ""] if paper.key in late else []
         lines += [_line(SHORT_HEADER), _line(["---"] * len(SHORT_HEADER))]
-        before = ""
+        shown: list[Row] = []
         for row in (row for one in own for row in one.rows):
-            if row.entry.paper != before:
-                lines.append(_line(brief_cells(row)))
-            before = row.entry.paper
+            if not (shown and is_variant(row, shown[-1])):
+                shown.append(row)
+        lines += [_line(brief_cells(row)) for row in shown]
         for one in own:
             for curve in one.curves:
                 name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
@@ -96,6 +96,11 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mappi
                 lines += ["", f"![{curve.figure}](images/{name}.png)"]
         lines.append("")
     return "\n".join(lines)
+
+
+def is_variant(row: Row, shown: Row) -> bool:
+    """Whether a row repeats the published figure of another one in another way."""
+    return row.entry.paper == shown.entry.paper and row.entry.where.startswith(f"{shown.entry.where}, ")
 
 
 def brief_cells(row: Row) -> tuple[str, ...]:
