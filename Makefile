@@ -15,7 +15,7 @@ WEB    := $(wildcard web/*.json web/*.html web/*.ts) $(shell find web/src web/pu
 # What the environment is made of.
 PARTS  := pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
 
-.PHONY: demo test check servers core-check static page docs bench live faults fuzz slow wheel container lock audit clean setup
+.PHONY: demo test check servers core-check static page docs reference bench live faults fuzz slow wheel container lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -47,6 +47,10 @@ slow: $(DEV) $(PAGE) servers
 # The documentation as a site in site/; a link that leads nowhere fails.
 docs: $(DEV)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+# The pages of all keys and commands, from the settings and the command line.
+reference: $(DEV)
+	$(BIN)/python tools/reference.py
 
 bench: $(DEV)
 	$(BIN)/python -m benchmarks

@@ -31,25 +31,21 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 TRACKERS = tuple(WORKS)[:4]
 PAGE = """# Other software, in one run
 
-Made by `python -m benchmarks peers --docs` (the environment: `sh tools/peers.sh`). Processor time of the whole call on
-one thread after a call on a small part, without imports and compiling; making a tracker's template is in it. Peak
-memory of the process; error as root mean square without its mean.
+Made by `python -m benchmarks peers --docs` (environment: `sh tools/peers.sh`). Processor time of one call on one
+thread, without imports; error: rms without its mean; memory: the process's peak.
 
 ## Trackers
 
-{frames} frames of 192 × 240 px, a region of 128 px, motion up to 5 px, noise of 2 grey values.
+{frames} frames of 192 × 240 px, a region of 128 px, motion up to 5 px, noise of 2 grey values; each library with
+its own defaults. scikit-image resolves 1/100 px.
 
 {trackers}
 
-Each library works by its own defaults but for the size of the region. scikit-image gives hundredths of a pixel;
-OpenCV's correlation is refined by a parabola through three values.
-
 ## Fusion
 
-1000 s of five tones from 0.05 to 10.3 Hz, a sum of sines in place of a simulated beam: 100 Hz of acceleration, 10 Hz of
-displacement, 40 dB each. filterpy, pykalman and statsmodels run one and the same model (displacement, velocity, bias;
-both noise levels known; measurements on the samples' instants), forwards and backwards; midspan has the same noise
-levels. SciPy's two have a cut-off of 1 Hz.
+1000 s of five tones from 0.05 to 10.3 Hz; acceleration at 100 Hz, displacement at 10 Hz, 40 dB each. filterpy, pykalman
+and statsmodels run one model (displacement, velocity, bias) with both noise levels known, as midspan does; SciPy's
+cut-off is 1 Hz.
 
 {fusion}
 """

@@ -1,19 +1,21 @@
 """What README and docs say is there: snippets run, keys and commands are complete, links lead somewhere."""
 
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 import midspan
 from midspan.cli.main import COMMANDS
 from midspan.fusion.methods import METHODS
 from midspan.records import Status
-from midspan.settings.camera import CameraSettings
+from midspan.settings.alarms import AlarmSettings
+from midspan.settings.keys import section_in
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
+from midspan.settings.site import PointSettings, SiteFile
 from midspan.sinks.write import FORMATS as WRITTEN
 from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
 from midspan.vision.tracker import TRACKERS, tracker_settings
@@ -21,7 +23,9 @@ from midspan.vision.tracker import TRACKERS, tracker_settings
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
-REFERENCE = TEXTS[ROOT / "docs" / "configuration.md"]
+REFERENCE = "\n".join(TEXTS[ROOT / "docs" / f"{name}.md"] for name in ("configuration", "reference-keys"))
+WRITTEN_PAGES = runpy.run_path(str(ROOT / "tools" / "reference.py"))["PAGES"]
+SITE_MODELS = (SiteFile, PointSettings, AlarmSettings)
 ALL = "\n".join(TEXTS.values())
 
 SNIPPET = re.compile(r"<!-- runnable(?: (continued)| with (\w+))? -->\n```python\n(.*?)```", re.DOTALL)
@@ -106,28 +110,22 @@ def test_every_python_block_is_marked_runnable():
         assert text.count("```python") == len(SNIPPET.findall(text)), page
 
 
-def sections(model=RecordingSettings, prefix=""):
-    for attribute, field in model.model_fields.items():
-        name = field.alias or attribute
-        options = (field.annotation, *getattr(field.annotation, "__args__", ()))
-        inner = next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
-        if inner is None:
-            yield prefix, name
+@pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
+def test_the_reference_is_what_its_command_writes(page):
+    assert page.read_text(encoding="utf-8") == WRITTEN_PAGES[page](), "out of date: `python tools/reference.py`"
+
+
+@pytest.mark.parametrize("model", [RecordingSettings, *SITE_MODELS], ids=lambda model: model.__name__)
+def test_every_key_has_one_short_sentence(model):
+    for name, field in model.model_fields.items():
+        inner = section_in(field.annotation)
+        if inner is not None:
+            test_every_key_has_one_short_sentence(inner)
         else:
-            yield from sections(inner, f"{prefix}.{name}" if prefix else name)
-
-
-@pytest.mark.parametrize(("section", "key"), list(sections()))
-def test_every_key_of_the_settings_is_in_the_reference(section, key):
-    if section.startswith("infrared.") or (section == "infrared" and key in CameraSettings.model_fields):
-        # [infrared] has the keys of [camera] and says so; what differs stands in its own table.
-        section = section.replace("infrared", "camera")
-    if section:
-        assert f"## [{section}]" in REFERENCE
-    # [displacement] and [reference] name the keys that they share with another section in a sentence.
-    shared = section in ("displacement", "reference")
-    text = REFERENCE if shared or not section else REFERENCE.split(f"## [{section}]")[1].split("\n## ")[0]
-    assert f"| `{key}` |" in text
+            # Twenty words are what a line of the table holds.
+            assert field.description, f"{model.__name__}.{name}"
+            assert len(field.description.split()) <= 20, f"{model.__name__}.{name}"
+            assert not field.description.endswith("."), f"{model.__name__}.{name}"
 
 
 def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
@@ -150,8 +148,7 @@ def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_described(command):
-    assert f"midspan {command}" in ALL
-    assert f"`midspan {command}" in REFERENCE
+    assert f"`midspan {command}" in TEXTS[ROOT / "docs" / "reference-commands.md"]
 
 
 def test_no_command_is_described_that_does_not_exist():
@@ -188,9 +185,12 @@ def test_equations_name_files_and_functions_that_exist():
             assert re.search(rf"^\s*(def|class) {last}\b", text, flags=re.MULTILINE), f"{cell[0]}: {name}"
 
 
-def test_the_picture_of_the_readme_is_small():
-    # 150 kB: a page that loads at once also on a slow line.
-    assert (ROOT / "docs" / "images" / "result.png").stat().st_size < 150_000
+def test_pictures_of_the_readme_and_the_gallery_are_small():
+    # 80 kB: a page that loads at once also on a slow line.
+    pages = (ROOT / "README.md", ROOT / "docs" / "gallery.md")
+    pictures = {page.parent / link for page in pages for link in LINK.findall(TEXTS[page]) if link.endswith(".png")}
+    assert len(pictures) >= 6
+    assert max(picture.stat().st_size for picture in pictures) < 80_000
 
 
 def test_the_changelog_has_an_entry_for_this_version():

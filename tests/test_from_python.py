@@ -84,7 +84,8 @@ def test_a_notebook_shows_tables_and_escapes_names(
     assert "<td>camera.mkv</td>" in page
     assert "mm/px" in known[0]._repr_html_()
     shown = known[1]._repr_html_()
-    assert shown.startswith('<img src="data:image/png;base64,')
+    assert shown.startswith(f"<p><b>{known[1].verdict}</b></p>")
+    assert '<img src="data:image/png;base64,' in shown
     assert "mm/px" in shown
     assert "smoother" in shown
 

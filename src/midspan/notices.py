@@ -79,6 +79,11 @@ def once(notices: Iterable[Notice], before: Iterable[Notice] = ()) -> tuple[Noti
     return (*(one for one in dict.fromkeys(before) if (one.code, one.about) not in again), *own)
 
 
+def worst_first(notices: Iterable[str]) -> list[Notice]:
+    """Notices by their severity, the serious ones first; of one severity in their order."""
+    return sorted(map(coded, notices), key=lambda one: list(Severity)[::-1].index(one.severity))
+
+
 def rounded(value: float) -> str:
     """A number of a sentence: two significant digits, and no exponent."""
     import numpy as np

@@ -60,6 +60,7 @@ def calls(footbridge, done, target):
         "formats": ["formats"],
         "methods": ["methods"],
         "check-config": ["check-config", f"{footbridge}"],
+        "help": ["help", "fusion"],
         "open": ["open", f"{footbridge}", "--no-browser", "--for", "0.5"],
         "run": ["run", f"{site(footbridge, target)}", "--for", "1"],
         "serve": ["serve", f"{done}/store", "--listen", "127.0.0.1:0", "--for", "0.5"],

@@ -135,3 +135,32 @@ def test_inspect_names_only_channels_of_the_right_unit(tmp_path: Path, capsys: p
     reported = refused(["inspect", folder], capsys, code=2)
     assert "'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in reported
     assert "Temp" not in reported
+
+
+def test_an_estimate_ends_in_eight_lines_with_the_three_worst_warnings(
+    footbridge: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from dataclasses import replace
+
+    from midspan import estimate
+    from midspan.cli.console import Console
+    from midspan.cli.estimate import show
+    from midspan.notices import Notice
+
+    codes = ("tilt", "outliers", "lens", "frozen", "unit-doubtful")
+    result = replace(estimate(footbridge), warnings=tuple(Notice(code, f"camera: {code}.") for code in codes))
+    capsys.readouterr()
+    show(Console(False, False), result, ["result.csv"])
+    out, err = capsys.readouterr()
+    assert len((out + err).splitlines()) <= 8
+    assert out.splitlines()[0].strip() == result.verdict
+    assert re.findall(r"\[(.*)\]", err) == ["unit-doubtful", "outliers", "lens"]
+    assert "and 2 more" in err
+    show(Console(False, False), result, ["result.csv"], verbose=True)
+    out, err = capsys.readouterr()
+    assert re.findall(r"\[(.*)\]", err) == ["unit-doubtful", "outliers", "lens", "frozen", "tilt"]
+    assert all(line in out for line in result.not_in_band)
+    show(Console(False, True), result, ["result.csv"])
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"] == result.verdict
+    assert document["warnings"] == list(result.warnings)

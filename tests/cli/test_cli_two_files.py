@@ -11,6 +11,7 @@ import film_matrix
 import midspan
 from lively_recordings import Lively, write
 from midspan.cli.main import run
+from midspan.settings.camera import CameraSettings
 from midspan.settings.load import load_settings
 from repeats import slow
 
@@ -102,7 +103,8 @@ def test_init_writes_a_recording_that_is_read(desk, tmp_path, capsys):
     assert (tmp_path / "new" / found.cameras[0].file).resolve() == desk / "phone.mkv"
     text = (tmp_path / "new" / "recording.toml").read_text()
     assert "or 'Beschl X', 'Beschl Y'" in text
-    assert "# exposure_s" in text
+    line = next(line for line in text.splitlines() if line.startswith("# exposure_s"))
+    assert line.endswith(CameraSettings.model_fields["exposure_s"].description)
     assert run(["init", str(desk / "logger.csv"), str(desk / "phone.mkv"), "-o", str(tmp_path / "new")]) == 2
     assert "exists already" in capsys.readouterr().err
 

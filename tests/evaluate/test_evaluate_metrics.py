@@ -182,6 +182,15 @@ def test_a_comparison_on_one_zero_and_clock_explains_nothing_away():
     assert compare(series(value), series(tones(t))).notes == ()
 
 
+def test_a_mean_error_that_the_zero_s_band_contains_is_no_other_zero():
+    t = np.arange(3000) / 100.0
+    value = tones(t) + np.random.default_rng(7).normal(0.0, 0.02e-3, len(t)) + 0.12e-3
+    own = np.full(len(t), 0.02e-3)
+    for zero_std, notes in ((0.1e-3, 0), (0.05e-3, 1)):
+        found = compare(series(value), series(tones(t)), band=Band(np.hypot(own, zero_std), zero_std))
+        assert len(found.notes) == notes
+
+
 def test_an_alignment_that_is_none_is_refused():
     with pytest.raises(UsageError, match="align"):
         compare(series(tones(np.arange(100) / 100)), series(tones(np.arange(100) / 100)), align="lag")

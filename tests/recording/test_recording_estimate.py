@@ -383,7 +383,7 @@ def test_a_result_is_compared_and_reported_by_itself(footbridge, result, tmp_pat
     assert direct.coverage_95 == pytest.approx(by_file.coverage_95, abs=1e-3)
     page = result.report(tmp_path / "report.html")
     assert page == tmp_path / "report.html"
-    assert "RMSE, reference as it is" in page.read_text(encoding="utf-8")
+    assert "<th>RMSE as it is</th>" in page.read_text(encoding="utf-8")
     with pytest.raises(UsageError, match="one axis only"):
         midspan.compare(result, footbridge / "truth.csv", axis="x")
 
@@ -400,6 +400,7 @@ def test_a_result_shows_itself_in_a_notebook_and_on_axes(result):
     shown = result._repr_html_()
     assert "data:image/png;base64," in shown
     assert f"{len(result.time_s)} rows" in shown
+    assert shown.startswith(f"<p><b>{result.verdict}</b></p>")
 
 
 def test_plot_gives_a_figure_that_pyplot_shows_and_a_notebook_shows_once(result, monkeypatch):

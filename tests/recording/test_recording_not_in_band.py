@@ -24,10 +24,11 @@ def size_mm(lines, cause):
 
 
 def test_a_slow_error_that_would_not_show_is_no_warning_and_has_its_size(folder, tmp_path, capsys):
-    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 0
+    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv"), "--verbose"]) == 0
     printed = capsys.readouterr()
     assert "slow error" not in printed.err
     assert printed.out.count("not in the band") == 1
+    assert "slow error" in printed.out
     said = json.loads((tmp_path / "r.json").read_text())
     # An accelerometer's noise hides some millimetres in 10 s, and not the motion's own size.
     assert 0.1 < size_mm(said["not_in_band"], SLOW_ERROR) < 50.0

@@ -91,7 +91,7 @@ def test_without_a_distance_one_message_tells_what_is_needed(tmp_path, capsys):
 
 
 def test_left_out_the_result_says_that_tilt_is_not_observed(folder, tmp_path, capsys):
-    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 0
+    assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv"), "-v"]) == 0
     printed = capsys.readouterr()
     assert f"camera: {TILT}" in printed.out
     assert TILT not in printed.err

@@ -221,7 +221,8 @@ def test_one_finger_scrolls_the_page_and_two_zoom(opened, report):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_chart_and_figures_follow_the_colour_scheme(opened, report, scheme):
     page = opened(report, color_scheme=scheme)
-    for selector in ("canvas", "figure:not(.live) img"):
+    page.locator("summary", has_text="Innovations").click()
+    for selector in ("canvas", "#innovations figure img"):
         typical = float(np.median(pixels(page, selector)))
         assert typical > 0.95 if scheme == "light" else typical < 0.2
 
@@ -233,6 +234,27 @@ def test_a_dark_page_is_printed_light_with_the_drawn_figure(opened, report):
     assert float(np.median(pixels(page, "figure.live img"))) > 0.95
     # Its letters are dark, too.
     assert float(np.min(pixels(page, "figure.live img"))) < 0.3
+
+
+def test_the_first_window_has_verdict_and_history_and_all_else_opens_on_a_click(opened, report):
+    page = opened(report)
+    chart = page.locator("canvas").bounding_box()
+    assert page.locator(".verdict").bounding_box()["y"] < chart["y"]
+    assert chart["y"] + chart["height"] < WIDE["height"]
+    figures = page.locator("#innovations figure")
+    assert not figures.is_visible()
+    page.locator("summary", has_text="Innovations").click()
+    assert figures.is_visible()
+    # Paper has no clicks.
+    page.emulate_media(media="print")
+    assert page.locator("#camera figure").first.bounding_box()["height"] > 100
+
+
+def test_the_reference_shows_where_it_equals_the_result(opened, report):
+    seen = pixels(opened(report))
+    orange = (seen[:, :, 0] > 0.7) & (seen[:, :, 0] - seen[:, :, 2] > 0.3)
+    # A line of one pixel across 1000 is 1000; below the result's line of 1.4 it has at least as much on either side.
+    assert np.count_nonzero(orange) > 1000
 
 
 def test_the_page_may_not_ask_for_anything(browser, report):

@@ -119,14 +119,14 @@ def test_the_documented_publisher_publishes(broker):
 
 
 def test_every_kind_of_event_is_in_the_documentation():
-    text = documented("### Events", "\n## ") + documented("| code |", "\n\n")
+    text = documented("## What is wrong\n", "\n## ")
     given = {*filter(None, stream.KINDS), stream.CLOCK_SET, *EVENT_KINDS, "lost frames", "blocked", "hidden"}
     for room in ("service", "engine", "vision", "thermal"):
         for file in (Path(midspan.__file__).parent / room).rglob("*.py"):
             for found in EVENT.findall(file.read_text(encoding="utf-8")):
                 given |= set(filter(None, found))
     assert {"returned", "gap", "lost_records", "shutter", "command"} <= given
-    assert [kind for kind in sorted(given) if f"\n| `{kind}` |" not in text] == []
+    assert [kind for kind in sorted(given) if f"`{kind}`" not in text] == []
 
 
 def until(condition, seconds=30.0):

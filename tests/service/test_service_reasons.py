@@ -31,10 +31,11 @@ def test_every_code_of_the_table_is_given_out_somewhere():
     assert [code for code in REASONS if f'"{code}"' not in text] == []
 
 
-def test_the_documentation_has_the_same_words():
+def test_the_documentation_has_the_same_codes():
     text = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| (.+?) \| (.+?) \|$", text, flags=re.MULTILINE)
-    assert {code: (meaning, remedy) for code, meaning, remedy in rows} == REASONS
+    section = text.split("## What is wrong\n", 1)[1].split("### Events", 1)[0]
+    rows = "".join(line.split("|")[2] for line in section.splitlines() if line.startswith("| "))
+    assert set(re.findall(r"`(\w+)`", rows)) == set(REASONS)
 
 
 def test_a_sentence_says_what_and_what_to_do():

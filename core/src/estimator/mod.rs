@@ -54,7 +54,6 @@ pub mod suspicion;
 pub mod update;
 pub mod waiting;
 pub mod way_back;
-pub mod whereabouts;
 
 #[cfg(test)]
 mod tests;

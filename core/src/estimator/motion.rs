@@ -22,8 +22,6 @@ pub struct AxisMotion {
     pub slope: f64,
     /// The velocity state is the true velocity plus this (s²) times the slope.
     pub lead: f64,
-    /// Displacement when it was last certain, m, see [`super::whereabouts`].
-    pub known_m: f64,
 }
 
 impl AxisMotion {

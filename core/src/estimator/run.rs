@@ -26,7 +26,6 @@ use super::suspicion::Watch;
 use super::update::{move_motion, relinearise, renew_parameter, set_datum};
 use super::waiting::{Item, Measurement, Timed};
 use super::way_back::{Scaled, WayBack};
-use super::whereabouts::keep_near;
 use serde::{Deserialize, Serialize};
 
 /// The hypotheses, the motion's input and the clock, that a run changes and carries on.
@@ -124,7 +123,7 @@ impl Filter {
     pub fn begun(begin: &Beginning, settings: &Settings, model: &Model) -> Self {
         Self {
             hyps: Hypotheses::one(Hypothesis::begun(begin, settings, model)),
-            motion: begin.motion(),
+            motion: begin.acceleration.iter().map(|&input| AxisMotion { input, ..AxisMotion::default() }).collect(),
             clock: Clock { time_s: begin.time_s - START_S, step_s: f64::INFINITY },
             judged: begin.judged,
             watch: Watch::new(settings.channels.len()),
@@ -222,7 +221,6 @@ impl Filter {
         self.clock.advance(end_s);
         if gap {
             self.watch.doubt_all(dt - step_s);
-            keep_near(&mut self.hyps, &mut self.motion, end_s, judge.back(), work);
         }
         for (axis, &input) in self.motion.iter_mut().zip(&now) {
             axis.input = input;
@@ -298,11 +296,10 @@ impl Filter {
         }
         let Timed { at_s, item: Item::Measured(row) } = items[j] else { return };
         let Self { hyps, motion, judged, watch, .. } = self;
+        let scene = scene_of(model, motion, &row, at_s, place);
         if *judged == 0 {
             watch.end_lapse();
-            keep_near(hyps, motion, at_s, judge.back(), work);
         }
-        let scene = scene_of(model, motion, &row, at_s, place);
         match judge {
             Judge::Open { undecided, innovations, origin_ns, back, .. } => {
                 let left = judge_open((hyps, judged, watch), &scene, back.as_deref_mut(), work);

@@ -196,17 +196,21 @@ impl Adjoint {
             Recorded::ClockStep { parameter, value } => return self.back_through_clock_step(parameter, value),
             Recorded::Relinearised { parameter, by } => return self.back_through_relinearised(parameter, by),
             Recorded::Datum => return self.back_through_datum(view),
-            Recorded::Near { axis, total } => {
-                let near = [Entry { state: motion_of(axis), factor: 1.0 }];
-                return self.back_through_update(way, place, (&near, total), view);
-            }
             Recorded::Measured { channel, total, scaled } => (channel, total, scaled),
         };
         if let Some(total) = total {
             self.doubts_clock = false;
-            let entries = std::mem::take(&mut self.live_rows[channel]);
-            self.back_through_update(way, place, (&entries, total), view);
-            self.live_rows[channel] = entries;
+            let stride = way.columns + way.size;
+            let (e, gain) = way.details[place * stride..(place + 1) * stride].split_at(way.columns);
+            if view.counting.counts() {
+                let mut counted = std::mem::take(&mut self.gain);
+                counted.copy_from_slice(gain);
+                view.counting.count(&mut counted);
+                self.back_through_measurement(channel, &counted, e, total);
+                self.gain = counted;
+            } else {
+                self.back_through_measurement(channel, gain, e, total);
+            }
         }
         let (model, width) = (&view.model.channels[channel], self.width);
         let rows = &mut self.rows;
@@ -227,27 +231,12 @@ impl Adjoint {
         }
     }
 
-    /// Before the update of record `place`, by the row with these entries, with the states as the pass back counts them.
-    fn back_through_update(&mut self, way: &WayBack, place: usize, (entries, total): (&[Entry], f64), view: &Counted) {
-        let stride = way.columns + way.size;
-        let (e, gain) = way.details[place * stride..(place + 1) * stride].split_at(way.columns);
-        if view.counting.counts() {
-            let mut counted = std::mem::take(&mut self.gain);
-            counted.copy_from_slice(gain);
-            view.counting.count(&mut counted);
-            self.back_through_row(entries, &counted, e, total);
-            self.gain = counted;
-        } else {
-            self.back_through_row(entries, gain, e, total);
-        }
-    }
-
     /// Before an accepted measurement: (I − K h')' [L, W] with − h e'/S in L and a new column h/√S in W.
     ///
     /// 1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
-    fn back_through_row(&mut self, entries: &[Entry], gain: &[f64], e: &[f64], total: f64) {
-        let Self { rows, width, live, moved, used, .. } = self;
-        let (width, taken) = (*width, used.div_ceil(LANES));
+    fn back_through_measurement(&mut self, channel: usize, gain: &[f64], e: &[f64], total: f64) {
+        let Self { rows, width, live, live_rows, moved, used, .. } = self;
+        let (entries, width, taken) = (&live_rows[channel], *width, used.div_ceil(LANES));
         for (entry, out) in entries.iter().zip(moved.chunks_exact_mut(width)) {
             for (lanes, out) in out[..taken].iter_mut().enumerate() {
                 // Summed without the state itself: never as a difference.

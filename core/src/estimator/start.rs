@@ -5,7 +5,6 @@ use super::cause::Decision;
 use super::decided::{Log, Undecided};
 use super::innovation::Work;
 use super::model::{Model, instant, since};
-use super::motion::AxisMotion;
 use super::rows::{Innovations, Output, Rows, mixed};
 use super::run::{Block, Filter, Judge};
 use super::samples::{INSERTED, Samples, View};
@@ -27,9 +26,8 @@ const SOUND_SHARE: f64 = 0.25;
 /// A wider prior would make each measurement unlikely that begins it anew: of two, the farther off the first one is,
 /// the more likely would the first one be.
 const SCATTER_WITHIN: f64 = 3.0;
-/// It lies within this many metres where the measurements are fewer than [`FEW`], and of where it was when nothing has
-/// measured for long.
-pub const MAX_M: f64 = 1.0;
+/// It lies within this many metres where the measurements are fewer than [`FEW`].
+const MAX_M: f64 = 1.0;
 const FEW: usize = 4;
 /// Shortest time between two measurements that a speed is taken from, s.
 const SHORTEST_S: f64 = 1e-3;
@@ -84,12 +82,6 @@ impl Beginning {
             velocity_std_m_s: settings.velocity_std_m_s.as_ref().map_or(speed, |given| given[..axes].to_vec()),
             judged: items.len(),
         }
-    }
-
-    /// What each axis' interval before the first sample holds.
-    pub fn motion(&self) -> Vec<AxisMotion> {
-        let both = self.acceleration.iter().zip(&self.displacement_m);
-        both.map(|(&input, &known_m)| AxisMotion { input, known_m, ..AxisMotion::default() }).collect()
     }
 
     /// Whether it is of this many axes.

@@ -250,8 +250,7 @@ fn a_tilt_state_and_a_gyroscope_are_a_name_and_a_row_each() {
     let mut plain = Plain { x: x.clone(), p: p.clone() };
     let (mut gain, mut uncertain, dt, density) = (vec![0.0; n], Vec::new(), 0.01, 1e-5);
     for k in 0..400 {
-        let motion =
-            AxisMotion { input: scatter.next(), slope: 30.0 * scatter.next(), lead: dt * dt / 12.0, known_m: 0.0 };
+        let motion = AxisMotion { input: scatter.next(), slope: 30.0 * scatter.next(), lead: dt * dt / 12.0 };
         let way = super::motion::Way::new(&[motion], 0.0, dt);
         super::predict::predict_mean(&mut x, 1, &way, &[]);
         model.layout.find_uncertain(&p, &mut uncertain);

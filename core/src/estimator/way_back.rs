@@ -45,11 +45,6 @@ pub(super) enum Recorded {
     },
     Datum,
     Doubt,
-    /// An axis was taken to be near to where it was; the innovation's variance.
-    Near {
-        axis: usize,
-        total: f64,
-    },
     /// A clock has stepped: the parameter, and what it was estimated to be before.
     ClockStep {
         parameter: usize,
@@ -247,16 +242,7 @@ impl WayBack {
     /// Adds a measurement.
     #[inline]
     pub fn leave_record(&mut self, at_s: f64, channel: usize, total: Option<f64>, scaled: Scaled, work: &Work) {
-        self.leave(at_s, Recorded::Measured { channel, total, scaled }, work);
-    }
-
-    /// Adds that an axis was taken to be near to where it was.
-    pub fn leave_near(&mut self, at_s: f64, axis: usize, total: f64, work: &Work) {
-        self.leave(at_s, Recorded::Near { axis, total }, work);
-    }
-
-    #[inline]
-    fn leave(&mut self, at_s: f64, what: Recorded, work: &Work) {
+        let what = Recorded::Measured { channel, total, scaled };
         self.records.push(Record { sample: self.time_s.len(), at_s, what });
         self.details.extend_from_slice(&work.e);
         self.details.extend_from_slice(&work.gain);

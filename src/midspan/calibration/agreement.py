@@ -76,7 +76,7 @@ class Misfit:
             f"is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of that. "
             "Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was not "
             "declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor, a machine "
-            "above half the accelerometer's rate, play in a joint, a clock that steps."
+            "above half the accelerometer's rate, play in a joint, a clock that steps. Check these."
         )
         return [Notice("misfit", text)]
 

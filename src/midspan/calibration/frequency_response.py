@@ -229,7 +229,8 @@ class FrequencyResponse:
             yield Notice(
                 "accelerometer-resonates",
                 "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
-                f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and {open_text}.",
+                f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and {open_text}. "
+                "Mount it on the structure itself.",
             )
         if Kind.LEAN in self.known:
             yield Notice(
@@ -241,7 +242,8 @@ class FrequencyResponse:
             yield Notice(
                 "logger-low-pass",
                 f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} "
-                "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider.",
+                "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider. "
+                "Set the logger's low-pass far above the motion.",
             )
         if Kind.RESONANCE in self.known:
             yield Notice(
@@ -256,7 +258,7 @@ class FrequencyResponse:
                 "logger-low-pass",
                 f"accelerometer: its delay changes with frequency, by {-1e3 * self.lag_s3 * square:+.2g} ms from 0 to "
                 f"{motion_hz:.2g} Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the "
-                "error band is wider.",
+                "error band is wider. Set the logger's low-pass far above the motion.",
             )
 
 

@@ -179,6 +179,6 @@ def strange_noise(pair: Pair, fit: Fit, sensor: str, causes: str) -> list[Notice
         f"fast parts of its readings have {1e3 * own:.2g} mm/s² at most; the band takes it for its noise. Nothing "
         "tells which of the two errs. On the accelerometer's part it may be a bias that drifts (1/f noise), cross "
         "motion that an inclined axis picks up, a mounting that vibrates, clipped crests, or a low-pass in the logger, "
-        f"which hides its fast noise; on the {sensor}'s part {causes}."
+        f"which hides its fast noise; on the {sensor}'s part {causes}. Check these."
     )
     return [Notice("accelerometer-noisy", text)]

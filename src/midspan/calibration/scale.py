@@ -487,8 +487,12 @@ def _alike_text(fit: Fit, other: Fit, where: str) -> str:
 def _warnings(search: OffsetSearch, usable: int) -> Iterator[Notice]:
     std = float(np.sqrt(search.offset.variance))
     if std > 2e-3:
-        text = f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation)."
+        text = f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation). "
+        text += "More motion with changing frequency in calibration.window_s would sharpen it."
         yield Notice("clock-uncertain", text)
     left_out = usable - int(np.count_nonzero(np.isfinite(search.pair.rows[:, 2])))
     if left_out > 0.05 * usable:
-        yield Notice("outliers", f"{left_out} of {usable} frames were left out of the calibration as outliers.")
+        text = f"{left_out} of {usable} frames were left out of the calibration as outliers. See whether something "
+        yield Notice(
+            "outliers", f"{text}passes before the target; choose camera.roi or calibration.window_s without it."
+        )

@@ -21,7 +21,7 @@ def command(store: str, action: str, name: str | None, scope: str | None, quiet:
     """Users and tokens of a store's page: add them, remove them, list them.
 
     read: look at everything. operate: also calibrate, accept, pause, acknowledge. admin: also change SITE.toml. A
-    password or token is printed once. What is removed has no access any more at once.
+    password or token is printed once.
     """
     from midspan.errors import DataError
     from midspan.serve.access import ACCESS_FILE, Access

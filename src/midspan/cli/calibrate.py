@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 @click.command("calibrate")
 @click.argument("recording", type=click.Path())
 @click.option("-o", "--output", type=click.Path(), help="File to write; left out: calibration.json in the recording.")
-@click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
-@click.option("--literal", is_flag=True, help="Scale factors and a camera's clock offset as the papers print them.")
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
+@click.option("--tracker", help="Tracker, over the recording's own.")
+@click.option("--literal", is_flag=True, help="Scale factors and clock offset as printed.")
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it.")
 @common_options
 def command(recording: str, output: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""

@@ -9,8 +9,14 @@ from midspan.cli.console import Console, common_options
 from midspan.trees import flattened, toml_value
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from midspan.settings.keys import KeySection
     from midspan.settings.recording import RecordingSettings
     from midspan.settings.site import PointPlan
+
+# Width of a column of values, characters: that of most file names.
+MAX_COLUMN = 24
 
 
 @click.command("check-config")
@@ -18,6 +24,7 @@ if TYPE_CHECKING:
 @common_options
 def command(file: str, quiet: bool, as_json: bool) -> None:
     """Validate a recording.toml or a SITE.toml (or the folder that holds it) without running it."""
+    from midspan.settings.keys import recording_sections
     from midspan.settings.load import load_settings, settings_file
     from midspan.settings.site import is_site
 
@@ -37,7 +44,7 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
                 continue
             if not (path.parent / file_name).exists():
                 missing.append(f"{path}: {name}.{key} = {file_name!r}: no such file yet.")
-    console.table(_rows(settings.model_dump(exclude_none=True)))
+    console.table(_rows(settings.model_dump(exclude_none=True), recording_sections()))
     console.warn(missing)
     console.say(_verdict(str(path), missing))
     console.document(
@@ -45,9 +52,16 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     )
 
 
-def _rows(tree: dict[str, Any]) -> list[tuple[str, str]]:
-    """The settings as a file of TOML writes them, one a row; without those that are empty."""
-    return [(key, toml_value(value)) for key, value in flattened(tree) if value not in ("", (), [], {})]
+def _rows(tree: dict[str, Any], sections: "Sequence[KeySection]") -> list[tuple[str, str]]:
+    """The settings as a file of TOML writes them, one a row, each with its meaning; without those that are empty."""
+    from midspan.settings.keys import described
+
+    given = [(key, toml_value(value)) for key, value in flattened(tree) if value not in ("", (), [], {})]
+    # Long values do not move the meanings of all others.
+    width = min(max((len(value) for _, value in given), default=0), MAX_COLUMN)
+    return [
+        (key, f"{value:<{width}}  # {text}" if (text := described(sections, key)) else value) for key, value in given
+    ]
 
 
 def _verdict(file: str, missing: list[str]) -> str:
@@ -78,6 +92,7 @@ def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
+    from midspan.settings.keys import site_sections
     from midspan.settings.live_sources import without_secrets
     from midspan.settings.site import load_site, require_folders
 
@@ -99,7 +114,7 @@ def _site(file: str, console: Console) -> None:
         absent = [f"{where}: {line}" for line in _missing(plan, site.file.parent, where)]
         warnings += [*absent, *(f"{where}: {line}" for line in _units(plan, where))]
         missing += absent
-    console.table(_rows({**settings, "point": points}))
+    console.table(_rows({**settings, "point": points}, site_sections()))
     console.warn(warnings)
     console.say(_verdict(file, missing))
     console.document({"file": file, "valid": True, "warnings": warnings, "settings": {**settings, "point": points}})

@@ -13,19 +13,17 @@ ALIGNMENTS = ("none", "zero", "zero+lag")
 @click.command("compare")
 @click.argument("result", type=click.Path())
 @click.argument("reference", type=click.Path())
-@click.option("--unit", help="Unit of the reference's values where its file does not say, for example mm.")
-@click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a result that has both; left out: its main "
-              "columns.")  # fmt: skip
-@click.option("--align", type=click.Choice(ALIGNMENTS), default=ALIGNMENTS[0], help="The headline: as they are, "
-              "without the mean error, or without lag and mean error; all three are printed.")  # fmt: skip
+@click.option("--unit", help="Unit of the reference, where its file does not say.")
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Axis of a result that has both; left out: the main one.")
+@click.option(
+    "--align", type=click.Choice(ALIGNMENTS), default=ALIGNMENTS[0], help="Which of the three is the headline."
+)
 @common_options
 def command(result: str, reference: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Compare a result with a reference over their common time span.
 
-    The figures are given as the two are, without the mean error, which is another zero, and without the lag, which is
-    another clock; a note says where one of these is most of the error. REFERENCE is a file with time and displacement,
-    or a recording with a [reference] section. Both must be on the accelerometer's clock. The error is result minus
-    reference.
+    REFERENCE is a file with time and displacement, or a recording with [reference], on the accelerometer's clock. The
+    error is result minus reference: as they are, without its mean (another zero), and without lag (another clock).
     """
     from midspan.evaluate.result_file import compare as compare_results
 

@@ -13,7 +13,7 @@ import click
 
 from midspan.cli.main import COMMANDS
 from midspan.cli.process import stop_if_asked
-from midspan.notices import Notice
+from midspan.notices import Notice, worst_first
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -22,6 +22,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 PROGRESS, AS_LINES, LINES_S = "MIDSPAN_PROGRESS", "json", 0.2
 # A bar appears once the command has lasted this long.
 BAR_AFTER_S = 0.5
+# Below a result; a person reads this many.
+MAX_WARNINGS = 3
 
 
 def common_options(function: Command) -> Command:
@@ -67,6 +69,13 @@ class Console:
             for line in lines:
                 coded = f"{line.severity}: {line} [{line.code}]" if isinstance(line, Notice) else f"warning: {line}"
                 click.echo(coded, err=True)
+
+    def warn_first(self, lines: Iterable[str]) -> None:
+        """Print the worst warnings, and how many more there are."""
+        listed = worst_first(lines)
+        self.warn(listed[:MAX_WARNINGS])
+        if len(listed) > MAX_WARNINGS and not self.quiet:
+            click.echo(f"and {len(listed) - MAX_WARNINGS} more: --verbose, or the report", err=True)
 
     def document(self, tree: dict[str, Any]) -> None:
         """Print the JSON document where it was asked for; numbers that are not finite become null."""

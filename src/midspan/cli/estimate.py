@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midspan.cli.console import Console, common_options
-from midspan.notices import notice_trees
+from midspan.notices import notice_trees, worst_first
 from midspan.papers.published import PAPER_KEYS
 
 if TYPE_CHECKING:
@@ -21,27 +21,24 @@ if TYPE_CHECKING:
 @click.command("estimate")
 @click.argument("recording", type=click.Path())
 @click.argument("video", type=click.Path(), required=False)
-@click.option("--value", help="With two files: the accelerometer's channel along the measured motion.")
-@click.option("--unit", help="With two files: the unit of its values, where its file does not say.")
-@click.option("--direction", type=click.Choice(["x", "y"]), help="With two files: the image axis of the motion, as the "
-              "film is shown; left out: y.")  # fmt: skip
+@click.option("--value", help="Two files: channel along the motion.")
+@click.option("--unit", help="Two files: its unit, where the file does not say.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Two files: image axis of the motion; left out: y.")
 @click.option(
     "-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration to use; left out: calibrate."
 )
-@click.option("-o", "--output", type=click.Path(), help="Result file (.csv .parquet .h5 .mat .xlsx .tdms .mseed .uff); "
-              "left out: result.csv in the recording.")  # fmt: skip
-@click.option("--method", help="Fusion method, over the recording's own; see `midspan methods`. `all` compares them: a "
-              "table, and a picture (-o FILE.png; left out: methods.png).")  # fmt: skip
-@click.option("--reference", type=click.Path(), help="With --method all: a file with times and displacement, over the "
-              "recording's [reference].")  # fmt: skip
-@click.option("--reference-unit", help="Unit of its values, where the file does not say, for example mm.")
-@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard; see "
-              "`midspan methods --papers`.")  # fmt: skip
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it: tracker, method, --literal and "
-              "the keys that `midspan methods --papers` names.")  # fmt: skip
-@click.option("--tracker", help="Tracker, over the recording's own.")
+@click.option("-o", "--output", type=click.Path(), help="Result; the suffix is the format; left out: result.csv.")
+@click.option("--method", help="Method, over the recording's own; `all`: table and picture (methods.png) of all.")
+@click.option("--reference", type=click.Path(), help="With --method all: file of the true displacement.")
+@click.option("--reference-unit", help="Its unit, where the file does not say.")
+@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed.")
+@click.option(
+    "--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it; see `midspan methods --papers`."
+)
+@click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
-@click.option("--point", help="RECORDING is a store: the point whose raw records are computed again.")
+@click.option("-v", "--verbose", is_flag=True, help="All figures, all warnings, and what no band contains.")
+@click.option("--point", help="Of a store: point whose raw records are computed again.")
 @click.option("--from", "begin", help="Of a store: first instant, ISO 8601 or seconds since 1970.")
 @click.option("--to", "end", help="Of a store: last instant.")
 @common_options
@@ -152,7 +149,7 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
         write_report(result, report, references, console)
         written.append(str(report))
     result.save(output)
-    show(console, result, written)
+    show(console, result, written, options["verbose"])
 
 
 def open_with(
@@ -233,28 +230,18 @@ def _extent(f: dict[str, Any], axis: str = "") -> list[tuple[str, str]]:
     ]
 
 
-def show(console: Console, result: "Result", written: list[str]) -> None:
-    """Print the first figures of a result and where it went."""
+def show(console: Console, result: "Result", written: list[str], verbose: bool = False) -> None:
+    """Print what a result says, in eight lines at most, and where it went; verbose: all figures and warnings."""
     f = result.figures()
-    share = ", ".join(f"{100 * part:.3g} % {word}" for word, part in f["status"].items() if part > 0)
-    sources = [f"{100 * part:.3g} % {word}" for word, part in f["source"].items()]
-    console.table(
-        [
-            ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
-            *_extent(f),
-            ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
-            ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
-            *([] if result.across is None else _extent(result.across.figures(), result.across.axis)),
-            *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
-            ("status", share),
-            *([("source", ", ".join(sources))] if len(sources) > 1 else []),
-            *([("not in the band", f"{'; '.join(result.not_in_band)}.")] if result.not_in_band else []),
-            ("written", ", ".join(written)),
-        ]
-    )
-    console.warn(result.warnings)
+    console.say(f"  {result.verdict}")
+    console.table(_all_rows(result, f, written) if verbose else _first_rows(result, f, written))
+    if verbose:
+        console.warn(worst_first(result.warnings))
+    else:
+        console.warn_first(result.warnings)
     console.document(
         {
+            "verdict": result.verdict,
             "figures": f,
             "method": result.method,
             "written": written,
@@ -264,6 +251,38 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             "calibration": result.calibration.to_dict(),
         }
     )
+
+
+def _first_rows(result: "Result", f: dict[str, Any], written: list[str]) -> list[tuple[str, str]]:
+    """The rows that everybody needs."""
+    more = "; report and --verbose list what it does not contain" if result.not_in_band else ""
+    sigma = f"{f['median_std_mm']:.3g} mm (median), the zero's part {f['zero_std_mm']:.3g} mm{more}"
+    return [
+        ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method}), {_statuses(f)}"),
+        ("standard deviation", sigma),
+        ("written", ", ".join(written)),
+    ]
+
+
+def _all_rows(result: "Result", f: dict[str, Any], written: list[str]) -> list[tuple[str, str]]:
+    """All figures of a result."""
+    sources = [f"{100 * part:.3g} % {word}" for word, part in f["source"].items()]
+    return [
+        ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
+        *_extent(f),
+        ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
+        ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
+        *([] if result.across is None else _extent(result.across.figures(), result.across.axis)),
+        *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
+        ("status", _statuses(f)),
+        *([("source", ", ".join(sources))] if len(sources) > 1 else []),
+        *(("not in the band" if k == 0 else "", f"{line}") for k, line in enumerate(result.not_in_band)),
+        ("written", ", ".join(written)),
+    ]
+
+
+def _statuses(f: dict[str, Any]) -> str:
+    return ", ".join(f"{100 * part:.3g} % {word}" for word, part in f["status"].items() if part > 0)
 
 
 # What stands for all methods, as the value of --method.

@@ -13,21 +13,20 @@ if TYPE_CHECKING:
 
 @click.command("export")
 @click.argument("store")
-@click.option("--point", help="Name of the point; may be left out where the store has only one.")
-@click.option("--from", "begin", help="First instant: ISO 8601 (UTC where no zone is given) or seconds since 1970.")
+@click.option("--point", help="Name of the point, where there are several.")
+@click.option("--from", "begin", help="First instant, ISO 8601 (UTC) or seconds since 1970.")
 @click.option("--to", "end", help="Last instant; left out: the newest row.")
 @click.option(
     "-o",
     "--output",
     type=click.Path(),
-    help="File (.csv .parquet .h5 .mat .xlsx .tdms .mseed .uff); left out for a store: POINT.csv.",
+    help="File; the suffix is the format; left out: POINT.csv.",
 )
 @common_options
 def command(store: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Write rows of a store in the columns and formats of a result, or a result or track in another format.
 
-    STORE is a store, or a file that `midspan estimate` or `midspan track` wrote; its suffix and that of -o choose the
-    formats.
+    STORE is a store, or a file that `midspan estimate` or `midspan track` wrote.
     """
     console = Console(quiet, as_json)
     from midspan.evaluate.stored_table import READERS

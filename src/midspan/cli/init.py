@@ -11,11 +11,10 @@ from midspan.cli.console import Console, common_options
 @click.command("init")
 @click.argument("accel", type=click.Path())
 @click.argument("video", type=click.Path())
-@click.option("-o", "--output", type=click.Path(), help="Folder of the recording.toml; left out: that of ACCEL.")
-@click.option("--value", help="Channel of ACCEL along the measured motion; left out: the only one, or the upright one.")
-@click.option("--unit", help="Unit of its values, where the file does not say.")
-@click.option("--direction", type=click.Choice(["x", "y"]), help="Image axis of the motion, as the film is shown; left "
-              "out: y.")  # fmt: skip
+@click.option("-o", "--output", type=click.Path(), help="Folder to write into; left out: that of ACCEL.")
+@click.option("--value", help="Channel along the motion; left out: the only or the upright one.")
+@click.option("--unit", help="Unit, where the file does not say.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Image axis of the motion; left out: y.")
 @common_options
 def command(accel: str, video: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Write a commented recording.toml for an accelerometer's file and a video: channels, units and rates as found."""

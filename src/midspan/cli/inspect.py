@@ -15,9 +15,8 @@ if TYPE_CHECKING:
 
 @click.command("inspect")
 @click.argument("recording", type=click.Path())
-@click.option("--all-frames", is_flag=True, help="Look at every frame, not only the first 600.")
-@click.option("--picture", type=click.Path(), help="Write the camera's first frame with pixel grid, places to track "
-              "and a strip of motion (.png .svg .pdf).")  # fmt: skip
+@click.option("--all-frames", is_flag=True, help="Look at more than the first 600 frames.")
+@click.option("--picture", type=click.Path(), help="Draw first frame, regions to track and motion (.png .svg .pdf).")
 @common_options
 def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""

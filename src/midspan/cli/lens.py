@@ -14,25 +14,24 @@ if TYPE_CHECKING:
 
 @click.command("lens")
 @click.argument("images", type=click.Path())
+@click.option("-o", "--output", default="lens.json", show_default=True, type=click.Path(), help="File to write.")
 @click.option(
-    "-o", "--output", default="lens.json", show_default=True, type=click.Path(), help="File to write (.json)."
-)
-@click.option(
-    "--columns", default=9, show_default=True, type=click.IntRange(min=3), help="Inner corners along the board."
+    "--columns",
+    default=9,
+    show_default=True,
+    type=click.IntRange(min=3),
+    help="Inner corners along the board, where four squares meet.",
 )
 @click.option("--rows", default=6, show_default=True, type=click.IntRange(min=3), help="Inner corners across it.")
 @click.option("--square-mm", default=25.0, show_default=True, type=float, help="Side of a square, mm.")
 @click.option("--model", default="pinhole", show_default=True, help="pinhole, or fisheye for very wide lenses.")
-@click.option(
-    "--every", type=click.IntRange(min=1), help="Use every n-th picture; left out: at most 150, evenly spread."
-)
-@click.option("--picture", type=click.Path(), help="Draw coverage, misfits and correction (.png .svg .pdf .jpg).")
+@click.option("--every", type=click.IntRange(min=1), help="Use every n-th; left out: at most 150.")
+@click.option("--picture", type=click.Path(), help="Draw coverage, misfits and correction.")
 @common_options
 def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Calibrate a camera's lens from pictures of a checkerboard, for [camera.lens] of recording.toml.
+    """Calibrate a camera's lens from pictures of a checkerboard, for [camera.lens].
 
-    IMAGES is a folder or glob of images, or a video, taken in the mode of the recording: same size, focus and zoom,
-    stabiliser off. Columns and rows count inner corners, where four squares meet: 9 by 6 on a board of 10 by 7 squares.
+    IMAGES is a folder, glob or video, taken in the mode of the recording: same size, focus and zoom, stabiliser off.
     """
     from midspan.checks import option, positive
     from midspan.cli.targets import check_lens, check_result

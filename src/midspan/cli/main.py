@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "methods": ("methods", "Trackers and fusion methods, and when to use each."),
     "papers": ("papers", "The papers' experiments repeated in simulation: their figures next to ours."),
     "check-config": ("check_config", "Validate a recording.toml or a SITE.toml without running it."),
+    "help": ("help", "Explain a command, a section of the settings' files, or a key."),
 }
 
 # What file systems take.

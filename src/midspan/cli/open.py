@@ -24,8 +24,7 @@ REDIRECT = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" cont
 def command(recording: str, port: int, no_browser: bool, for_s: float | None, quiet: bool, as_json: bool) -> None:
     """The page over a recording, or over a folder of them: look, draw the region, calibrate, estimate, compare, export.
 
-    It is served to this machine alone, to whoever has the link that is printed, until Ctrl-C. Each link works once;
-    Enter prints another.
+    This machine alone is served, by the printed link, which works once; Enter prints another, Ctrl-C ends.
     """
     import asyncio
     import signal

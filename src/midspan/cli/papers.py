@@ -21,16 +21,14 @@ LATENCY_S = 30.0
 
 @click.command("papers")
 @click.option("--only", type=click.Choice(sorted(paper.key for paper in PAPERS)), help="One paper; left out: all.")
-@click.option("--quick", is_flag=True, help="One seed, short records, few points: some two minutes.")
+@click.option("--quick", is_flag=True, help="One seed, short records: two minutes.")
 @click.option("--seeds", type=click.IntRange(min=1), help="Draws of everything random.  [default: 3; 1 with --quick]")
-@click.option("--report", type=click.Path(), help="Also write one page with the figures: .html, or .md with its "
-              "figures in a folder next to it.")  # fmt: skip
+@click.option("--report", type=click.Path(), help="Also write a page with the figures (.html, .md).")
 @common_options
 def command(only: str | None, quick: bool, seeds: int | None, report: str | None, quiet: bool, as_json: bool) -> None:
     """Repeat the papers' experiments in simulation: what they print, as printed here, our default, their claims.
 
-    Each claim is an inequality of measured numbers, judged on the mean of the seeds. Known truth, the papers' geometry,
-    rates and chirps; what they do not print is chosen here and named.
+    Each claim is an inequality of measured numbers, judged on the mean of the seeds.
     """
     from midspan.papers.table import MODULES, QUICK_SEEDS, SEEDS, experiments, repeat
 

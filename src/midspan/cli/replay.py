@@ -16,9 +16,9 @@ from midspan.papers.published import PAPER_KEYS
 @click.option("--point", help="Name of the point; left out: the recording's name.")
 @click.option("--speed", type=click.FloatRange(0.0, 1e6, min_open=True), help="Times real time; left out: no waiting.")
 @click.option("-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration; left out: calibrate.")
-@click.option("--method", help="One of `midspan methods` but smoother.  [default: kalman]")
-@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="All as one paper has it, see `estimate`.")
+@click.option("--method", help="Any method but smoother.  [default: kalman]")
+@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed.")
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it.")
 @click.option("--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="End after this many s of it.")
 @common_options
 def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:

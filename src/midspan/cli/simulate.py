@@ -7,17 +7,16 @@ from midspan.cli.console import Console, common_options
 
 @click.command("simulate")
 @click.argument("scenario", required=False)
-@click.option("-o", "--output", type=click.Path(), help="Folder to write; it must not exist with other content.")
+@click.option("-o", "--output", type=click.Path(), help="Folder to write, new or of an older recording.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same recording.")
 @click.option(
     "--break",
     "breaks",
     multiple=True,
     metavar="NAME[,NAME…]",
-    help="Break the model on purpose, the truth stays: gain, axis, colour, step, burst, exposure, bracket, tilt, "
-    "logger, pattern, mast, breathing, haze, float, clock-step, railing, interference, rounding or hum.",
+    help="Break the model on purpose, as --list names; the truth stays.",
 )
-@click.option("--list", "listed", is_flag=True, help="Name the scenarios.")
+@click.option("--list", "listed", is_flag=True, help="Name the scenarios and breaks.")
 @common_options
 def command(
     scenario: str | None,
@@ -31,12 +30,15 @@ def command(
     """Write a recording folder with its truth (truth.csv)."""
     from midspan.checks import option
     from midspan.papers.scenes import PAPER_NAMES, chosen_here, write_scene
+    from midspan.simulate.scenarios.breaks import BREAKS
     from midspan.simulate.scenarios.table import NAMES
 
     console = Console(quiet, as_json)
     names = NAMES | PAPER_NAMES
     if listed:
         console.table(names.items(), indent=0)
+        console.say("\n--break:")
+        console.table([(name, one.line) for name, one in BREAKS.items()], indent=0)
         console.document(names)
         return
     if scenario is None or output is None:

@@ -12,15 +12,14 @@ _HEADER = "frequency_hz,density_mm2_hz"
 
 @click.command("spectrum")
 @click.argument("result", type=click.Path())
-@click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a result that has both.")
-@click.option("--unit", help="Unit of the displacement where the file does not say, for example mm.")
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Axis of a result that has both.")
+@click.option("--unit", help="Unit, where the file does not say.")
 @click.option("-o", "--output", type=click.Path(), help="Write frequency and density as CSV.")
 @common_options
 def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """The spectrum of a displacement: natural frequencies with damping and their standard deviations.
 
-    Each peak that chance does not make is fitted as an oscillator with white force on a level of its own, by the
-    likelihood of the periodogram (Whittle).
+    Each peak beyond chance is fitted as an oscillator under white force by Whittle's likelihood.
     """
     from midspan.evaluate.result_file import read_result
     from midspan.evaluate.spectrum import spectrum

@@ -14,14 +14,12 @@ if TYPE_CHECKING:
 
 @click.command("track")
 @click.argument("source", type=click.Path())
-@click.option("--roi", type=RegionType(), help="Region of interest in px; left out: the recording's, else chosen.")
-@click.option("--tracker", help="See `midspan methods`.")
+@click.option("--roi", type=RegionType(), help="Region of interest, px; left out: the recording's, else chosen.")
+@click.option("--tracker", help="Tracker; see `midspan methods`.")
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
-@click.option("--rate-hz", type=float, help="Frames a second, where the source has no time stamps.")
+@click.option("--rate-hz", type=float, help="Frames a second, where there are no stamps.")
 @click.option("--start-s", type=float, default=0.0, help="Time of the first frame, s.")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(), help="File to write (.csv .parquet .h5 .mat .xlsx .tdms)."
-)
+@click.option("-o", "--output", required=True, type=click.Path(), help="Table to write; the suffix is the format.")
 @common_options
 def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Translation of a target in pixels (x right, y down) for each frame: camera alone, no accelerometer needed.

@@ -62,6 +62,11 @@ class AxisFigures:
     range_high_m_s2: float = np.inf
 
     @property
+    def peak_m_s2(self) -> float:
+        """The largest acceleration that was measured, without its mean; not finite where that is unknown."""
+        return max(self.high_m_s2 - self.mean_m_s2, self.mean_m_s2 - self.low_m_s2)
+
+    @property
     def levels(self) -> Levels:
         """By these clipped samples are found."""
         std, ends = float(np.sqrt(self.variance)), (self.range_low_m_s2, self.range_high_m_s2)

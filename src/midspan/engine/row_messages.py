@@ -38,6 +38,8 @@ EVENT_CODES = {
 }
 # A target that is seen in a smaller share of the frames is reported.
 MIN_SEEN = 0.9
+# What to do where nothing was measured.
+SEEN = "Keep the target in sight, in the light, from the first to the last frame."
 # Events of the radar that are warnings as well.
 REPORTED = ("new datum", "contradiction")
 
@@ -83,7 +85,8 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Noti
     found = []
     rejected = rejected_share(innovation)
     if rejected > NOTABLE_REJECTED:
-        text = f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers."
+        text = f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers. See the innovations in "
+        text += "the report: something passes before the target, or it moves on its own."
         found.append(Notice("outliers", text))
     for status in (Status.COASTING, Status.LOST):
         own = rows.status == status
@@ -92,7 +95,7 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Noti
             share, widest = 100.0 * float(np.mean(own)), 1.96e3 * float(np.sqrt(np.max(rows.variance_m2[own])))
             text = (
                 f"{share:.2g} % of the rows{along} are {status.word}: no measurement supports them; they are known to "
-                f"± {widest:.3g} mm at worst (95 %)."
+                f"± {widest:.3g} mm at worst (95 %). Keep the target in sight; the report shows when it was not."
             )
             found.append(Notice(status.word, text))
     return found
@@ -111,8 +114,8 @@ def unmeasured_ends(
     ended = min(max(int(one[-1]) for one in stamps), int(sampled_ns[-1]))
     late_s, early_s = (first - begun) / NANOSECONDS, (ended - last) / NANOSECONDS
     span = f"{shown(begun)} to {shown(first)}"
-    late = [Notice("lost", f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late.")]
-    text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early."
+    late = [Notice("lost", f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late. {SEEN}")]
+    text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early. {SEEN}"
     return (late if late_s > 1.0 else []) + ([Notice("lost", text)] if early_s > 1.0 else [])
 
 
@@ -122,12 +125,13 @@ def radar_warnings(log: RadarLog, of_source: Sequence[Notice]) -> list[Notice]:
     if log.lost:
         text = (
             f"radar: {log.lost} frames ({100.0 * log.lost / log.frames:.2g} %) never arrived or hold interference: "
-            "more power in all range bins than usual."
+            "more power in all range bins than usual. Check the network, and for other radars nearby."
         )
         found.append(Notice("radar-data", text))
     for item, used in zip(log.targets, log.used, strict=True):
         if used < MIN_SEEN * log.frames:
             share = 100.0 * used / log.frames
-            text = f"radar: the target {item.target.place} was seen in {share:.3g} % of frames only."
+            text = f"radar: the target {item.target.place} was seen in {share:.3g} % of frames only. "
+            text += "Aim at a target that nothing hides."
             found.append(Notice("radar-target", text))
     return found

@@ -166,7 +166,8 @@ class TargetTracking:
         """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy"."""
         found, chain = list[Notice](), self.chain
         if chain.frozen_frames:
-            text = f"{chain.frozen_frames} frames repeat the picture before them, or a part of it; they were not used."
+            text = f"{chain.frozen_frames} frames repeat the picture before them, or a part of it; they were not used. "
+            text += "Check the camera and its recorder; a converted or slow-motion film repeats frames, too."
             found.append(Notice("frozen", f"camera: {text}"))
         if (picture := chain.picture) is not None:
             found += picture_warnings(picture, axes)

@@ -331,7 +331,9 @@ def _explained(both: _Pair, agreements: tuple[Agreement, Agreement, Agreement | 
             f"Displacement and reference have the same form, but the displacement is {ratio:.3g} times the reference. "
             "Check the units of both (--unit) and their signs."
         )
-    if zero.rmse_mm < MOSTLY * plain.rmse_mm:
+    # A mean error that the band of the zero contains is no other zero.
+    contained_mm = 0.0 if both.band is None else 1.96e3 * both.band.zero_std_m
+    if zero.rmse_mm < MOSTLY * plain.rmse_mm and abs(zero.zero_mm) > contained_mm:
         found.append(
             f"The reference has another zero: the displacement is {zero.zero_mm:+.4g} mm from it on average. Without "
             f"that the RMSE is {zero.rmse_mm:.4g} mm{_inside(zero)} (--align zero)."

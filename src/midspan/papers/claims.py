@@ -83,7 +83,8 @@ class Entry:
     where: "Fig. 14"; paper: the paper's own figure; printed, ours: names of measured numbers of the method as printed
     and of our default; a name that ends in "(…)" has a unit of its own. claims: words → inequality, as `Claim.of` takes
     them. errors: both are errors, those with a unit of their own excepted, so that the factor between their least can
-    be given. because: why the claim does not hold here, or, without claims, why it cannot be tried.
+    be given. because: why the claim does not hold here, or, without claims, why it cannot be tried;
+    its first sentence, of at most eight words, stands in the table.
     """
 
     where: str
@@ -135,6 +136,15 @@ class Row:
         """What was measured with less noise, as printed and by default, and its verdict; empty where nothing was."""
         one = self.cleaner
         return "" if one is None else "; ".join((*filter(None, (one.printed, f"ours {one.ours}")), one.verdict.value))
+
+    @property
+    def brief(self) -> str:
+        """The verdict in a few words, with that for less noise where it is another one."""
+        if self.verdict is Verdict.HOLDS:
+            less = self.cleaner is not None and self.cleaner.verdict is Verdict.FAILS
+            return "yes; with less noise no" if less else "yes"
+        reason = self.entry.because.split(". ")[0].rstrip(".")
+        return f"{'no' if self.verdict is Verdict.FAILS else 'not tried'}: {reason}".rstrip(": ")
 
     @property
     def worse(self) -> bool:

@@ -21,26 +21,30 @@ CHOSEN = (
 OURS = ("registration",)
 FUSED = ("registration and smoother, fused",)
 HELD = (
-    "Equation 7 holds the acceleration over a sample, which is late by half of one: that alone is the error named "
+    "Equation 7 is half a sample late. It holds the acceleration over a sample: that alone is the error named "
     "“half a sample late”, the same for both trackers, and nearly all of the fused one. The scale factor of the "
     "printed calibration comes on top; where R of equation 10 takes that up, the filter runs away, and its errors are "
     "centimetres. With the guarded filter, whose input rule is exact, and our calibration the two trackers differ."
 )
 ESTIMATED = (
-    "What the printed scale factor is off by, times the region's shift, is in the residual displacement that beta and "
+    "The printed scale factor's error is in both. "
+    "Times the region's shift it is in the residual displacement that beta and "
     "the active pixels are estimated from; and by the calibrated factor in all errors alike. With our calibration, "
     "in the row after the next, the same trackers differ as published."
 )
 SMALLER = (
+    "The scale factor's error is common to both. "
     "The gain is there and smaller: by the calibrated factor both have the error of the scale factor, and beta and the "
     "active pixels are estimated with it. Matching errs by little more than a hundredth of a pixel on this texture."
 )
 CHANCE = (
+    "R² of the sets differs by chance. "
     "What the printed calibration leaves of scale factor and clock offset limits R², not the pixels: the sets differ "
     "in its third digit, and the threshold with the largest keeps few pixels or many by chance. With both as they "
     "truly are, R² outdoors is 0.9996 and the selected pixels err least."
 )
 LITTLE = (
+    "Little motion is left below 1 Hz. "
     "The comparison's band ends at a tenth of the frame rate used, 1 Hz; people who jump at 2.1 Hz leave little motion "
     "there to choose pixels by."
 )
@@ -52,7 +56,7 @@ TABLE_7 = "0.160 / 0.163 / 0.189 to 0.059 / 0.048 / 0.032"
 def _factor(where: str, paper: str) -> Entry:
     return Entry(
         where,
-        "scale factor alpha, and what it is off by",
+        "scale factor alpha and its error",
         paper,
         ("true factor (mm/px)", "factor of hybrid (mm/px)", "hybrid off by"),
         ("factor of registration and smoother (mm/px)", "registration and smoother off by"),
@@ -79,7 +83,7 @@ def _fused(where: str, paper: str) -> tuple[Entry, ...]:
     )
     apart = Entry(
         f"{where}, true factor",
-        "the same by the true scale factor; against the truth half a sample earlier; error of that delay alone",
+        "also against the truth half a sample earlier; that delay alone",
         paper,
         (
             "features, fused, true factor",
@@ -95,7 +99,7 @@ def _fused(where: str, paper: str) -> tuple[Entry, ...]:
     )
     guarded = Entry(
         f"{where}, guarded",
-        "RMSE after fusion, printed trackers with our calibration and guards",
+        "RMSE after fusion",
         paper,
         ("features guarded, fused", "hybrid guarded, fused"),
         FUSED,
@@ -104,7 +108,7 @@ def _fused(where: str, paper: str) -> tuple[Entry, ...]:
     )
     mean = Entry(
         f"{where}, mean input",
-        "RMSE after fusion, as printed but for ½(a_k + a_{k+1}) between two samples, and q = 0.02 m/s²",
+        "RMSE after fusion, q = 0.02 m/s²",
         paper,
         ("features, mean input, fused", "hybrid, mean input, fused"),
         FUSED,
@@ -118,12 +122,12 @@ def _alone(
     where: str, paper: str, names: tuple[str, ...], claims: Mapping[str, str], because: str
 ) -> tuple[Entry, ...]:
     """A table of the camera alone by the calibrated scale factor, and by the true one."""
-    what = "RMSE of the camera alone"
+    what = "RMSE, camera alone"
     return (
         Entry(where, f"{what}, calibrated as printed", paper, names, OURS, claims, errors=True, because=because),
         Entry(
             f"{where}, true factor",
-            f"{what}, the same tracks by the true scale factor",
+            what,
             paper,
             tuple(f"{name}, true factor" for name in names),
             tuple(f"{name}, true factor" for name in OURS),
@@ -138,7 +142,7 @@ def _guarded(where: str, paper: str, names: tuple[str, ...], claims: Mapping[str
     """The same with our calibration, which the trackers learn from, too."""
     return Entry(
         f"{where}, guarded",
-        "RMSE of the camera alone, printed trackers with our calibration",
+        "RMSE, camera alone",
         paper,
         tuple(f"{name} guarded" for name in names),
         OURS,
@@ -164,7 +168,7 @@ def _pixels(where: str, paper: str) -> tuple[Entry, ...]:
 
 def _flow(where: str, paper: str, more: Mapping[str, str]) -> Entry:
     claims = {"equation 3 is worse than twice hybrid": "flow, mean > 2 · hybrid, mean", **more}
-    what = "RMSE of the camera alone: optical flow by equation 3, the same without slopes below 0.1 rad/px, hybrid"
+    what = "RMSE, camera alone: equation 3, without slopes below 0.1 rad/px, hybrid"
     return Entry(where, what, paper, ("flow", "flow, steep slopes", "hybrid"), OURS, claims, errors=True)
 
 
@@ -176,7 +180,7 @@ INDOOR = Experiment(
         _factor("Sec. 4.1", "2.11"),
         Entry(
             "Fig. 9",
-            "R² of filtered phase on displacement with step 1 of the calibration and without, and beta",
+            "R² of phase on displacement with step 1 and without; beta",
             "R² 0.9821 and beta -3.8093 mm/rad with it, no line without",
             ("R², selected pixels", "R², without step 1", "beta (mm/rad)"),
             (),
@@ -190,7 +194,7 @@ INDOOR = Experiment(
         _guarded("Fig. 10", "53 % lower at most", ("features", "hybrid"), BETTER),
         Entry(
             "Sec. 4.1, wrapping",
-            "frames in which the existing flow and the hybrid are more than a pixel off",
+            "frames more than a pixel off",
             "the existing flow fails, hybrid does not",
             ("flow, frames", "hybrid, frames"),
             (),
@@ -219,14 +223,14 @@ OUTDOOR = Experiment(
         ),
         Entry(
             "Fig. 12",
-            "active pixels of the region: of large amplitude, selected",
+            "active pixels of the region",
             "pictures, without a number",
             ("amplitude pixels (%)", "selected pixels (%)"),
             because="the paper shows the pixels and counts none.",
         ),
         Entry(
             "Fig. 14",
-            "R² of filtered phase on displacement by active pixels",
+            "R² of phase on displacement by active pixels",
             "largest with the selected pixels",
             ("R², all pixels", "R², amplitude pixels", "R², selected pixels"),
             (),
@@ -250,7 +254,7 @@ BRIDGE = Experiment(
         _factor("Sec. 5", "1.359"),
         Entry(
             "Sec. 5, phase",
-            "R² of filtered phase on displacement, and beta",
+            "R² of phase on displacement; beta",
             "-1.233 mm/rad",
             ("R², selected pixels", "beta (mm/rad)"),
             (),

@@ -61,7 +61,7 @@ CHIRP = Experiment(
     (
         Entry(
             "Table 1",
-            "range resolution and largest range of the chirp: 64.985 MHz/µs, 256 samples at 6 MHz",
+            "range resolution and largest range of the chirp",
             "4.89 cm, 12 m",
             ("resolution cm", "of a simulated target cm", "largest range m"),
             (),
@@ -71,7 +71,8 @@ CHIRP = Experiment(
             },
             unit="",
             because=(
-                "Slope, samples and rate of Table 1 make 2.77 GHz: 5.41 cm and 13.8 m. Printed is 0.9 f_s c / (2 S) / "
+                "The printed chirp makes 5.41 cm. "
+                "Slope, samples and rate of Table 1 make 2.77 GHz, 5.41 cm and 13.8 m. Printed is 0.9 f_s c / (2 S) / "
                 "255 = 4.89 cm: the usable band of the ADC, 0.9 of its rate, over the 255 steps between 256 points."
             ),
         ),
@@ -97,7 +98,7 @@ BUILDING = Experiment(
     (
         Entry(
             "Fig. 13, 14",
-            "RMSE by the target at 48 m and by four others at 31 to 42 m",
+            "RMSE by target, at 48 m and four at 31 to 42 m",
             "best at 48 m, the others alike",
             ("aided", "best other", "worst other"),
             ("radar",),
@@ -107,7 +108,7 @@ BUILDING = Experiment(
             },
             errors=True,
             because=(
-                "Which of five alike targets is best is chance: their errors differ by less than their scatter between "
+                "The best of five alike is chance. Their errors differ by less than their scatter between "
                 "draws; the claim that they are alike is what the paper's figure shows."
             ),
         ),
@@ -141,7 +142,7 @@ BRIDGE = Experiment(
     (
         Entry(
             "Fig. 20",
-            "the target that is chosen among three, of which two are stronger",
+            "the target chosen of three, two being stronger",
             "7.4605 m, not the largest amplitude",
             ("target chosen",),
             ("our target, off by bins",),

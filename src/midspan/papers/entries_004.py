@@ -17,7 +17,7 @@ CHOSEN = (
     "paper's was"
 )
 HELD = (
-    "Equation 7 holds the acceleration over a sample and is late by half of one: that alone is the error named “half a "
+    "Equation 7 is half a sample late. It holds the acceleration over a sample: that alone is the error named “half a "
     "sample late”."
 )
 
@@ -26,7 +26,7 @@ def _scale(where: str, paper: str) -> Entry:
     claim = {"the calibrated one is nearer to the truth than the known size's": "proposed off by < known size off by"}
     return Entry(
         where,
-        "scale factor by least squares on the matched track and by the known size, and what they are off by",
+        "scale factor, calibrated and by the known size",
         paper,
         (
             "true factor (mm/px)",
@@ -51,8 +51,7 @@ def _final(where: str, paper: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of each excitation: existing, which is not fused; proposed and fused as printed, by the calibrated "
-        "factor and by the true one; error of half a sample's delay alone",
+        "RMSE of each excitation, existing not fused",
         paper,
         ("existing, known size", "proposed, fused", "proposed, fused, true factor", "half a sample late (mm)"),
         ("registration and smoother, fused",),
@@ -68,7 +67,7 @@ def _by_scale(where: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of the camera alone by scale factor",
+        "RMSE, camera alone, by scale factor",
         "calibrated better than known size",
         ("proposed, known size", "proposed, calibrated factor", "proposed, true factor"),
         ("registration, calibrated factor", "registration, true factor"),
@@ -86,7 +85,7 @@ def _by_rejection(where: str) -> Entry:
     }
     return Entry(
         where,
-        "RMSE of the camera alone by rejection",
+        "RMSE, camera alone, by rejection",
         "similar",
         (
             "existing, calibrated factor",
@@ -129,7 +128,7 @@ TABLE = _test(
     _final("Fig. 14", "30 % below existing; 0.53 over all"),
     Entry(
         "Fig. 15, 16",
-        "good matches where the sweep reaches beyond 12 px, with the region following and fixed; frames lost",
+        "good matches beyond 12 px, region following and fixed; frames lost",
         "18 against 15",
         ("matches, following", "matches, fixed", "frames lost"),
         (),
@@ -162,14 +161,15 @@ TIME = Experiment(
     (
         Entry(
             "Sec. 4.2, 4.3, time",
-            "processor time of a frame's rejection, 120 matches of which one in five is wrong",
+            "processor time of rejection, 120 matches, a fifth wrong",
             "a twentieth of the existing one's",
             ("I and II", "existing"),
             (),
             {"I and II take at most a fifth of it": "I and II < 0.2 · existing"},
             unit="µs",
             because=(
-                "RANSAC for a translation alone is one table of differences here, a fraction of a millisecond; the "
+                "RANSAC for translation alone is quick here. "
+                "It is one table of differences here, a fraction of a millisecond; the "
                 "time of a frame is that of finding and describing its features, which both share."
             ),
         ),

@@ -14,6 +14,11 @@ from midspan.writing import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SHORT_HEADER = ("", "paper", "as printed, here", "our default", "holds")
+SHORT = (
+    "`--report page.html` has the variants (true scale factor, mean input, guarded), how many times less our default "
+    "errs, claims, reasons and what is chosen here."
+)
 HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
 # Ours is blue in every figure; what the papers compare with has the colours after it.
 OURS, OTHERS = (
@@ -70,24 +75,39 @@ def _axes(curve: Curve) -> "Figure":
 
 
 def _markdown(outcomes: Sequence[Outcome], path: Path, command: str, late: Mapping[str, str]) -> str:
+    """A row for each published figure, in few words; the page of HTML has the variants, claims and reasons in full."""
     (path.parent / "images").mkdir(exist_ok=True)
-    lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
+    lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)} {SHORT}", ""]
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
-        lines += [f"## {paper.key}: {paper.name}", "", f"{paper.citation}.", ""]
+        lines += [f"## {paper.key}: {paper.name}", ""]
         lines += [f"Live: {late[paper.key]}.", ""] if paper.key in late else []
-        lines += [_line(HEADER), _line(["---"] * len(HEADER))]
-        lines += [_line(_cells(row)) for one in own for row in one.rows]
-        lines += ["", "The paper does not print, and is chosen here:", ""]
-        lines += [f"- {name}: {text}." for name, text in _free(own)]
+        lines += [_line(SHORT_HEADER), _line(["---"] * len(SHORT_HEADER))]
+        shown: list[Row] = []
+        for row in (row for one in own for row in one.rows):
+            if not (shown and is_variant(row, shown[-1])):
+                shown.append(row)
+        lines += [_line(brief_cells(row)) for row in shown]
         for one in own:
             for curve in one.curves:
                 name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
                 picture_file = path.parent / "images" / f"{name}.png"
                 write_picture(_axes(curve), picture_file, 110)
-                lines += ["", f"![{curve.figure}: {curve.y} over {curve.x}](images/{name}.png)"]
+                lines += ["", f"![{curve.figure}](images/{name}.png)"]
         lines.append("")
     return "\n".join(lines)
+
+
+def is_variant(row: Row, shown: Row) -> bool:
+    """Whether a row repeats the published figure of another one in another way."""
+    return row.entry.paper == shown.entry.paper and row.entry.where.startswith(f"{shown.entry.where}, ")
+
+
+def brief_cells(row: Row) -> tuple[str, ...]:
+    """A row in few words."""
+    cells = (f"{row.entry.where}: {row.entry.what}", row.entry.paper, row.printed, row.ours, row.brief)
+    # Numbers of several cases stand close together.
+    return tuple(cell.replace(" / ", "/") for cell in cells)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
 from midspan.recording.not_in_band import not_in_band
 from midspan.recording.streams.recording import Recording
+from midspan.recording.verdict import Motion, verdict
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
@@ -79,6 +80,15 @@ class Result:
     def not_in_band(self) -> tuple[str, ...]:
         """What the standard deviations cannot contain, with its size where this recording tells one, in sentences."""
         return not_in_band(self.settings, self.calibration, self.estimate)
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence: how far the structure moved, how surely, and what to look at first."""
+        motions = [Motion(self.estimate, self.zero_std_m)]
+        if self.across is not None:
+            motions = [Motion(one.estimate, one.zero_std_m, one.axis) for one in (self, self.across)]
+        usual = self.calibration.usual
+        return verdict(motions, self.warnings, np.nan if usual is None else usual.peak_m_s2)
 
     @property
     def axis(self) -> str:
@@ -151,6 +161,7 @@ class Result:
             # Where it is the whole record JSON has no number for it.
             "delay_s": self.delay_s if np.isfinite(self.delay_s) else None,
             "zero_std_mm": 1e3 * self.zero_std_m,
+            "verdict": self.verdict,
             "not_in_band": list(self.not_in_band),
             **self._axes(),
             **self._sensors(),

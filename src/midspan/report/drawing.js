@@ -81,15 +81,15 @@ class Sheet {
       start = i;
     }
   }
-  line(t, found, pause, y, colour) {
+  line(t, found, pause, y, colour, width = 1.5, opacity = 1) {
     const { pen } = this;
-    pen.strokeStyle = colour; pen.lineWidth = 1.4; pen.beginPath();
+    pen.strokeStyle = colour; pen.lineWidth = width; pen.globalAlpha = opacity; pen.beginPath();
     this.#runs(t, found, pause, (run) => run.forEach(({ row, low, high }, i) => {
       const x = this.x(t[row]);
       if (i) pen.lineTo(x, y(low)); else pen.moveTo(x, y(low));
       if (high !== low) pen.lineTo(x, y(high));
     }));
-    pen.stroke();
+    pen.stroke(); pen.globalAlpha = 1;
   }
   area(t, found, pause, y, colour) {
     const { pen } = this;

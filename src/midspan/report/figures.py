@@ -23,6 +23,8 @@ ZOOM_S = 8.0
 MODES_SHOWN = 3.0
 MIN_VALUES = 64
 MAX_SEGMENT = 2**16
+# Of the reference under the estimate's line of 0.9, in points.
+REFERENCE_WIDTH = 2.6
 # Innovations are drawn to this many of their median standard deviations, or as far as 95 % of them lie.
 CLIPPED_STD = 6.0
 # Measurements that a zoom can show one by one.
@@ -30,18 +32,29 @@ MAX_CLEAR = 250
 
 
 def history(material: Material) -> Picture:
-    """The whole displacement with its band, the reference, and where no measurement supports it."""
-    figure = sheet(3.2)
-    axes = figure.subplots()
+    """The whole displacement with its band, the reference, and where no measurement supports it; below, σ, which a
+    large motion hides.
+    """
+    figure = sheet(3.8)
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.0, 1.0))
     d, s = material.result.displacement_mm, material.result.displacement_std_mm
     band = envelope(material.t, d - BAND * s, d + BAND * s)
     axes.fill_between(band.t, band.low, band.high, color=Colour.SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
     reference = _reference_within(material, slice(0, len(material.t)))
     if reference is not None:
-        draw_line(axes, envelope(*reference, reference[1]), Colour.VERMILLION, "reference", linewidth=0.9)
+        # Underneath, and wider than the estimate's line: where both agree it shows on either side.
+        wide = {"linewidth": REFERENCE_WIDTH, "alpha": 0.6}
+        draw_line(axes, envelope(*reference, reference[1]), Colour.VERMILLION, "reference", **wide)
     draw_line(axes, envelope(material.t, d, d), Colour.BLUE, "displacement")
-    _shade(axes, material)
+    draw_line(below, envelope(material.t, s, s), Colour.BLUE, "σ")
+    below.set_ylim(0.0, None)
+    below.set_ylabel("σ (mm)")
+    for one in (axes, below):
+        _shade(one, material)
     _finish(axes, material, "displacement (mm)")
+    axes.set_xlabel("")
+    below.set_xlabel(material.clock.label)
+    figure.align_ylabels()
     return picture(figure)
 
 

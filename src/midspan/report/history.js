@@ -136,6 +136,8 @@ class TimeHistory {
   #line(line, y) {
     const { sheet, band } = this, colour = sheet.colour(COLOURS[line.shape]), found = this.#seen(line, line.levels);
     if (line.shape === "points") sheet.points(line.t, found, y, colour, (row) => band * line.s[row]);
+    // The reference lies under the result's line and is wider: where both agree it shows on either side.
+    else if (line.shape === "under") sheet.line(line.t, found, line.pause, y, colour, 4.5, 0.6);
     else sheet.line(line.t, found, line.pause, y, colour);
   }
   #mark(panel, lines, y) {

@@ -59,9 +59,12 @@ def heading(title: str, lines: Iterable[str]) -> str:
     return f"<header><h1>{escape(title)}</h1>{''.join(f'<div class=meta>{escape(x)}</div>' for x in lines)}</header>"
 
 
-def section(identity: str, title: str, *pieces: str) -> str:
-    """A section with its heading; `pieces` are HTML already."""
-    return f'<section id="{escape(identity)}"><h2>{escape(title)}</h2>\n' + "\n".join(pieces) + "\n</section>"
+def section(identity: str, title: str, *pieces: str, closed: bool = False) -> str:
+    """A section with its heading; `pieces` are HTML already. closed: it opens on a click."""
+    heading, inner = f"<h2>{escape(title)}</h2>", "\n".join(pieces)
+    if closed:
+        heading, inner = "", f"<details><summary>{heading}</summary>\n{inner}\n</details>"
+    return f'<section id="{escape(identity)}">{heading}{inner}\n</section>'
 
 
 def contents(pieces: Iterable[str]) -> str:

@@ -2,10 +2,12 @@
 
 import base64
 import io
+from html import escape
 from typing import TYPE_CHECKING
 
 from midspan.checks import instance
 from midspan.notebook import table
+from midspan.notices import worst_first
 from midspan.recording.result import Result
 from midspan.report.thinning import envelope
 
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURE_INCHES = (9.0, 3.0)
+# In a notebook.
+MAX_WARNINGS = 3
 
 
 def plot(result: Result, axes: "Axes | None" = None) -> "Figure":
@@ -41,7 +45,7 @@ def plot(result: Result, axes: "Axes | None" = None) -> "Figure":
 
 
 def notebook_html(result: Result) -> str:
-    """What a notebook shows: the picture and the first figures."""
+    """What a notebook shows: the verdict, the picture, the first figures and the worst warnings."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=FIGURE_INCHES, layout="constrained")
@@ -50,4 +54,8 @@ def notebook_html(result: Result) -> str:
     figure.savefig(picture, format="png", dpi=96)
     data = base64.b64encode(picture.getvalue()).decode()
     rows = [("displacement", result.summary()), *result.calibration.summary()]
-    return f'<img src="data:image/png;base64,{data}"/>{table(result.name, rows, result.warnings)}'
+    listed = list[str](worst_first(result.warnings))
+    if len(listed) > MAX_WARNINGS:
+        listed[MAX_WARNINGS:] = [f"and {len(listed) - MAX_WARNINGS} more: result.warnings, or the report"]
+    picture_html = f'<img src="data:image/png;base64,{data}"/>'
+    return f"<p><b>{escape(result.verdict)}</b></p>{picture_html}{table(result.name, rows, listed)}"

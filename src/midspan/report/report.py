@@ -36,16 +36,23 @@ def report_html(result: Result, reference: TimeSeries | None = None, across: Tim
     """The page's text; reference, across: as for `write_report`."""
     material = gather(result, reference, across)
     with style():
-        body = _sections(material)
-    top = [page.heading(material.name, _lines(material)), page.contents(body), page.cards(tables.summary(material))]
-    return page.document(f"{material.name} – midspan report", [*top, *body])
+        top, rest = _answer(material), _evidence(material)
+    head = [page.heading(material.name, _lines(material)), sections.verdict(material)]
+    body = [*head, *top, *rest, sections.footer(material)]
+    return page.document(f"{material.name} – midspan report", body)
 
 
-def _sections(material: Material) -> list[str]:
-    """The sections that there are, in their order."""
+def _answer(material: Material) -> list[str]:
+    """What everybody reads: the time history, six figures, the worst warnings."""
+    return [sections.displacement(material), page.cards(tables.summary(material)), sections.warnings(material)]
+
+
+def _evidence(material: Material) -> list[str]:
+    """The sections that open on a click, in their order."""
     found = [
-        sections.warnings(material),
-        sections.displacement(material),
+        sections.events(material),
+        sections.band(material),
+        sections.closer(material),
         sections.second_axis(material),
         sections.spectra(material),
         sections.calibration(material),
@@ -54,7 +61,6 @@ def _sections(material: Material) -> list[str]:
         sections.cameras(material),
         sections.radar(material),
         sections.numbers(material),
-        sections.footer(material),
     ]
     return [piece for piece in found if piece]
 
@@ -63,9 +69,8 @@ def _lines(material: Material) -> list[str]:
     result = material.result
     rows = result.estimate.time_ns
     sensors = " and ".join(["accelerometer", *(m.name for m in material.measured)])
-    where = "" if result.file is None else f" · {result.file}"
     return [
-        f"Displacement from {sensors} · {tables.method_words(result.method)}{where}",
+        f"Displacement from {sensors} · {tables.method_words(result.method)}",
         f"From {shown(int(rows[0]))} to {shown(int(rows[-1]))} on the accelerometer's clock",
         f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by midspan {__version__}",
     ]

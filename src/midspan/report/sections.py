@@ -2,73 +2,123 @@
 
 import json
 
+import numpy as np
+
 from midspan._version import __version__
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import CameraResult
-from midspan.records import NANOSECONDS, Source
+from midspan.notices import Severity, coded, worst_first
+from midspan.records import NANOSECONDS, Source, Status
 from midspan.report import camera_figures, figures, infrared_figures, page, radar_figures, tables
 from midspan.report.history_data import chart_of
 from midspan.report.material import Material, shown_here
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable, metadata_json
 
+# Warnings that stand open on the page.
+MAX_OPEN = 3
+
+
+def verdict(material: Material) -> str:
+    """The result in a sentence, with what a reference differs by; a serious warning shows in its colour."""
+    severities = {one.severity for one in map(coded, material.result.warnings)}
+    coloured = next((f" {worst}" for worst in (Severity.SERIOUS, Severity.WARNING) if worst in severities), "")
+    text, found = material.result.verdict, material.comparison
+    if found is not None:
+        # The zeros may differ by definition; a scale, a sign or a clock that is wrong shows without them.
+        share = found.without_zero.coverage_95
+        inside = "" if share is None else f", {tables.percent(share)} of it inside the band"
+        text += f" The reference differs by {found.without_zero.rmse_mm:.2g} mm rms besides its zero{inside}."
+    return page.paragraph(text, f"verdict{coloured}")
+
 
 def warnings(material: Material) -> str:
-    """Warnings and events, the first ones where there are many."""
-    found = list[str](material.result.warnings)
+    """The worst warnings; the others open on a click."""
+    found = list[str](worst_first(material.result.warnings))
     if material.problem is not None:
-        found.append(f"The reference could not be used. {material.problem}")
+        found.insert(0, f"The reference could not be used. {material.problem}")
     if material.comparison is not None:
         found += [f"Reference: {note}" for note in material.comparison.notes]
-    pieces = [page.bullets(found, "warnings") if found else page.paragraph("No warnings.")]
-    return page.section("warnings", "Warnings and events", *pieces, *_events(material))
+    if not found:
+        return ""
+    pieces = [page.bullets(found[:MAX_OPEN], "warnings")]
+    if rest := found[MAX_OPEN:]:
+        pieces.append(page.collapsible(f"{len(rest)} more", page.bullets(rest, "warnings")))
+    return page.section("warnings", "Warnings", *pieces)
 
 
-def _events(material: Material) -> list[str]:
-    """All events: a table of a few; of many one a kind, that opens on a click."""
+def events(material: Material) -> str:
+    """All events: a table of a few; of many one a kind, that opens on a click. Empty without one."""
     found = material.result.events
     if not found:
-        return []
+        return ""
+    title = f"Events ({len(found)})"
     header = (material.clock.label, "event", "what happened")
     if len(found) <= tables.FEW_EVENTS:
-        return [page.table(tables.events(material, found), header)]
-    pieces = [page.paragraph(f"{len(found)} events; a click opens those of a kind.", "note")]
+        return page.section("events", title, page.table(tables.events(material, found), header), closed=True)
+    pieces = []
     for kind in dict.fromkeys(event.kind for event in found):
         rows = tables.events(material, [event for event in found if event.kind == kind])
         when = f"at {rows[0][0]} s" if len(rows) == 1 else f"from {rows[0][0]} to {rows[-1][0]} s"
         pieces.append(page.collapsible(f"{kind}: {len(rows)}, {when}", page.table(rows, header), "events"))
     whole = page.table(tables.events(material, found), header)
-    return [*pieces, page.collapsible(f"all {len(found)} in the order of time", whole, "events")]
+    pieces.append(page.collapsible(f"all {len(found)} in the order of time", whole, "events"))
+    return page.section("events", title, *pieces, closed=True)
 
 
 def displacement(material: Material) -> str:
-    """Time history, error against the reference, zoom."""
-    pieces = _motion(
-        material,
-        "The line is the estimate, the light area its band of ±1.96 standard deviations σ: 95 % of the truth should "
-        "lie inside. Orange shading: coasting, from the accelerometer alone; red shading: no measurement for long. ",
-        "What is left after the reference is taken away, counted from its mean: the two zeros may differ, and the "
-        "legend says by how much. An honest band holds 95 % of it; a slope is a drift; error that looks like the "
-        "motion is a wrong scale or clock.",
-        "The segment with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
-        "deviations, moved to the result's zero: most bars should touch the line. Below, the same minus the "
-        "displacement, so that the band can be seen.",
+    """The time history."""
+    return page.section("displacement", "Displacement", _history(material))
+
+
+def _history(material: Material, along: str = "", before: str = "") -> str:
+    """The time history with how to read it; along: the axis in its title."""
+    caption = (
+        "The line is the estimate, the light area its band of ±1.96 standard deviations: 95 % of the truth should "
+        "lie inside. σ, one of them, is drawn below. "
     )
+    if material.comparison is not None:
+        caption += "The wide line underneath is the reference. "
+    if np.any(material.result.estimate.status != Status.TRACKING):
+        caption += "Orange shading: coasting, from the accelerometer alone; red shading: no measurement for long. "
+    attributes, kept = chart_of(material)
+    text = f"{before}{caption}{_moved(material)}{kept}"
+    return page.figure(figures.history(material), f"Displacement{along}", text, attributes)
+
+
+def band(material: Material) -> str:
+    """What the standard deviations are made of, and what they cannot contain."""
+    pieces = [page.table(tables.band(material))]
     if material.result.not_in_band:
         pieces += [page.paragraph("What the band cannot contain:"), page.bullets(material.result.not_in_band, "plain")]
-    return page.section("displacement", "Displacement", *pieces)
+    return page.section("band", "What the band contains", *pieces, closed=True)
 
 
-def _motion(material: Material, history: str, error: str, zoom: str, along: str = "") -> list[str]:
-    """The figures of the displacement with their captions; along: the axis in their titles."""
-    attributes, kept = chart_of(material)
-    drawn = figures.history(material)
-    pieces = [page.figure(drawn, f"Displacement{along}", f"{history}{_moved(material)}{kept}", attributes)]
+def closer(material: Material) -> str:
+    """Error against the reference, and the liveliest seconds."""
+    title = "The liveliest seconds" if material.comparison is None else "Error against the reference"
+    return page.section("closer", title, *_closer(material), closed=True)
+
+
+def _closer(material: Material, along: str = "") -> list[str]:
+    """Error and zoom with their captions; along: the axis in their titles."""
+    pieces = []
     if material.comparison is not None:
-        pieces.append(page.figure(figures.error(material), f"Error{along or ' against the reference'}", error))
-    return [*pieces, page.figure(figures.zoom(material), f"The liveliest seconds{along}", zoom)]
+        caption = (
+            "What is left after the reference is taken away, counted from its mean: the two zeros may differ, and the "
+            "legend says by how much. An honest band holds 95 % of it; a slope is a drift; error that looks like the "
+            "motion is a wrong scale or clock."
+        )
+        pieces = [page.table(tables.comparison(material.comparison))]
+        pieces.append(page.figure(figures.error(material), f"Error{along or ' against the reference'}", caption))
+    caption = (
+        "The segment with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
+        "deviations, moved to the result's zero: most bars should touch the line. Below, the same minus the "
+        "displacement, so that the band can be seen."
+    )
+    return [*pieces, page.figure(figures.zoom(material), f"The liveliest seconds{along}", caption)]
 
 
 def _moved(material: Material) -> str:
@@ -90,18 +140,11 @@ def second_axis(material: Material) -> str:
         else "It has no accelerometer: the camera alone was smoothed, so the band opens between frames. Positive is "
         f"where the structure moves {'to the right' if axis == 'x' else 'down'} in the image."
     )
-    pieces = _motion(
-        second,
-        "As above, along this axis. ",
-        "What is left after the reference along this axis is taken away, counted from its mean.",
-        "The segment with the largest velocity along this axis, with the camera's own measurements.",
-        f" along {axis}",
-    )
-    if second.comparison is not None:
-        pieces.append(page.table(tables.comparison(second.comparison)))
+    along = f" along {axis}"
     note = page.paragraph(f"The axis {axis} of the image; all else on this page is along {material.result.axis}. {how}")
     calibrated = page.table(tables.calibrated(second.result.calibration))
-    return page.section("second-axis", f"Displacement along {axis}", note, *pieces, calibrated)
+    pieces = [note, _history(second, along, "As above, along this axis. "), *_closer(second, along), calibrated]
+    return page.section("second-axis", f"Displacement along {axis}", *pieces, closed=True)
 
 
 def spectra(material: Material) -> str:
@@ -126,7 +169,7 @@ def spectra(material: Material) -> str:
         pieces += [page.table(tables.modes(modes), tables.MODES_HEADER), page.paragraph(how, "note")]
     else:
         pieces.append(page.paragraph("No peak stands out beyond chance, or the record is too short for one.", "note"))
-    return page.section("spectra", "Natural frequencies and spectra", *pieces)
+    return page.section("spectra", "Natural frequencies and spectra", *pieces, closed=True)
 
 
 def calibration(material: Material) -> str:
@@ -156,7 +199,7 @@ def calibration(material: Material) -> str:
         pieces.append(page.figure(camera_figures.scale(diagnostics, sensor), title, caption))
     if all(diagnostics is None for _, _, diagnostics in shown):
         pieces.append(page.paragraph(_no_figures(found), "note"))
-    return page.section("calibration", "Calibration", *pieces)
+    return page.section("calibration", "Calibration", *pieces, closed=True)
 
 
 def _no_figures(found: Calibration) -> str:
@@ -187,7 +230,7 @@ def innovations(material: Material) -> str:
     if len(found) > 1:
         caption += " A row for each sensor: of one more is expected than of another."
     drawn = page.figure(figures.innovations(material), "Innovations", caption)
-    return page.section("innovations", "Innovations", drawn)
+    return page.section("innovations", "Innovations", drawn, closed=True)
 
 
 def radar(material: Material) -> str:
@@ -218,7 +261,7 @@ def _one_radar(material: Material, name: str, found: RadarCalibration, trace: Ra
         pieces.append(page.figure(radar_figures.circle(found, found.diagnostics), "Circle of the phasors", caption))
     if trace is not None:
         pieces.append(_radar_phase(material, trace))
-    return page.section(name, name.capitalize(), *pieces)
+    return page.section(name, name.capitalize(), *pieces, closed=True)
 
 
 def _radar_phase(material: Material, trace: RadarTrace) -> str:
@@ -244,12 +287,9 @@ def _radar_phase(material: Material, trace: RadarTrace) -> str:
 
 
 def numbers(material: Material) -> str:
-    """Figures, comparison and settings as tables."""
-    pieces = [page.table(tables.figures(material))]
-    if material.comparison is not None:
-        pieces += ["<h3>Against the reference</h3>", page.table(tables.comparison(material.comparison))]
-    pieces += ["<h3>Settings</h3>", page.table(tables.settings(material))]
-    return page.section("numbers", "Figures and settings", *pieces)
+    """Figures and settings as tables."""
+    pieces = [page.table(tables.figures(material)), "<h3>Settings</h3>", page.table(tables.settings(material))]
+    return page.section("numbers", "Figures and settings", *pieces, closed=True)
 
 
 def footer(material: Material) -> str:
@@ -262,7 +302,7 @@ def footer(material: Material) -> str:
         f"{material.result.calibration.created}”, together with the settings above, which make the result repeatable.",
         f"Lengths in mm, times in s from {first:.3f} s of the accelerometer's clock on, frequencies in Hz.",
     )
-    written = page.verbatim(json.dumps(json.loads(text), indent=2))
+    written = page.verbatim(json.dumps(tables.named_only(json.loads(text)), indent=2))
     return page.collapsible("Settings, calibration and events as JSON", written) + page.footer(lines)
 
 
@@ -296,7 +336,7 @@ def _one(material: Material, found: CameraResult) -> str:
         "blur; these measurements count for less."
     )
     pieces.append(page.figure(camera_figures.tracker(found, material.clock), "Tracking", caption))
-    return page.section(found.sensor, found.sensor.capitalize(), *pieces)
+    return page.section(found.sensor, found.sensor.capitalize(), *pieces, closed=True)
 
 
 def _choice(material: Material, found: CameraResult) -> str:
@@ -348,4 +388,4 @@ def cameras(material: Material) -> str:
                 "°C. A flat floor is usual: many ranges are as good. “lost”: the target was, in too many frames."
             )
             pieces.append(page.figure(infrared_figures.surface(surface), "Temperature range", caption))
-    return page.section("cameras", "Cameras over the record", *pieces)
+    return page.section("cameras", "Cameras over the record", *pieces, closed=True)

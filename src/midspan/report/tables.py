@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,37 +28,40 @@ from midspan.vision.roi import RegionChoice
 
 # This many events stand in one table; more are grouped by their kinds.
 FEW_EVENTS = 12
+# Of the first sensor, scale and clock; those of others stand in the table of figures.
+MAX_SENSOR_CARDS = 2
 Row = tuple[str, str]
 Card = tuple[str, str, str]
 
 
 def summary(material: Material) -> list[Card]:
-    """The cards on top: label, value, a smaller line."""
+    """The cards on top, six at most: label, value, a smaller line."""
     f = material.result.figures()
-    length_s = f["end_s"] - f["start_s"]
-    status, value = f["status"], material.result.displacement_mm
-    rate_hz = 1.0 / step_of(material.result.estimate.time_ns)
-    shares = (f"{percent(status['coasting'])} coasting", f"{percent(status['lost'])} lost")
+    value, std = material.result.displacement_mm, material.result.displacement_std_mm
+    high, low = int(value.argmax()), int(value.argmin())
+    shares = (f"{percent(f['status']['coasting'])} coasting", f"{percent(f['status']['lost'])} lost")
+    zero = f"of it common to all rows, the zero: ± {BAND * f['zero_std_mm']:.3g} mm"
     return [
-        ("Maximum", f"{f['largest_mm']:+.4g} mm", f"at {material.t[int(value.argmax())]:.3f} s"),
-        ("Minimum", f"{f['smallest_mm']:+.4g} mm", f"at {material.t[int(value.argmin())]:.3f} s"),
-        ("Motion", f"{f['rms_mm']:.4g} mm rms", f"{f['largest_mm'] - f['smallest_mm']:.4g} mm peak to peak"),
-        (
-            "Typical band (95 %)",
-            f"± {BAND * f['median_std_mm']:.3g} mm",
-            f"σ {f['median_std_mm']:.3g} mm; each row's own {f['median_own_std_mm']:.4g} mm",
-        ),
-        ("Zero", f"± {f['zero_std_mm']:.4g} mm", "σ of the zero, common to all rows"),
-        ("Direction", *_direction_words(material)),
-        *_peak(material),
-        *_sensor_cards(material),
-        ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz:.5g} Hz".replace(",", " ")),
-        ("Tracking", percent(status["tracking"]), ", ".join(shares)),
-        *_against(material.comparison),
+        ("Maximum", f"{value[high]:+.4g} mm", f"± {BAND * std[high]:.3g} mm, at {material.t[high]:.3f} s"),
+        ("Minimum", f"{value[low]:+.4g} mm", f"± {BAND * std[low]:.3g} mm, at {material.t[low]:.3f} s"),
+        ("Band (95 %)", f"± {BAND * f['median_std_mm']:.3g} mm", f"median; {zero}"),
+        *_sensor_cards(material)[:MAX_SENSOR_CARDS],
+        ("Tracking", percent(f["status"]["tracking"]), ", ".join(shares)),
     ]
 
 
-def _direction_words(material: Material) -> tuple[str, str]:
+def band(material: Material) -> list[Row]:
+    """The standard deviations of the rows and of what is common to all of them."""
+    f = material.result.figures()
+    return [
+        ("standard deviation σ", f"{f['median_std_mm']:.4g} mm (median)"),
+        ("σ, largest", f"{float(np.max(material.result.displacement_std_mm)):.4g} mm"),
+        ("of it, common to all rows", f"{f['zero_std_mm']:.4g} mm: the zero"),
+        ("of it, each row's own", f"{f['median_own_std_mm']:.4g} mm (median)"),
+    ]
+
+
+def _direction_words(material: Material) -> str:
     """The accelerometer's channel and what a positive displacement is."""
     sensor, axis = material.result.settings.accelerometer, material.result.axis
     name = "" if sensor is None else sensor.value or getattr(sensor, f"value_{axis}", None) or Path(sensor.file).name
@@ -65,17 +69,16 @@ def _direction_words(material: Material) -> tuple[str, str]:
     if camera is not None:
         ways = ("left", "right") if camera.direction == "x" else ("up", "down")
         more += f"; the target then moves {ways[camera.scale.value_m_per_px > 0.0]} in the image"
-    return name or "accelerometer", more
+    return f"{name or 'accelerometer'}: {more}"
 
 
-def _peak(material: Material) -> list[Card]:
+def _peak(material: Material) -> list[Row]:
     """The largest acceleration without its bias."""
     felt = material.acceleration
     if felt is None or not np.isfinite(felt.value).any():
         return []
     peak = float(np.nanmax(np.abs(felt.value - material.result.calibration.bias_m_s2)))
-    largest = float(np.max(np.abs(material.result.displacement_mm)))
-    return [("Peak", f"{peak / GRAVITY_M_S2:.3g} g, {largest:.4g} mm", "acceleration without its bias; displacement")]
+    return [("largest acceleration, without its bias", f"{peak / GRAVITY_M_S2:.3g} g")]
 
 
 def _sensor_cards(material: Material) -> list[Card]:
@@ -97,19 +100,6 @@ def with_std(value: float, std: float, unit: str) -> str:
     """A value with its standard deviation, both to its second digit."""
     digits = 6 if not 0.0 < std < math.inf else min(max(1 - math.floor(math.log10(std)), 0), 9)
     return f"{value:.{digits}f} ± {std:.2g} {unit}"
-
-
-def _against(found: Comparison | None) -> list[Card]:
-    """The comparison with the reference as it is, and without its zero and clock."""
-    if found is None:
-        return []
-    rows = []
-    for label, one in agreements(found):
-        share = one.normalised_rmse_percent
-        more = [] if share is None else [f"{share:.2g} % of its peak to peak"]
-        more += [] if one.coverage_95 is None else [f"{percent(one.coverage_95)} inside ±{BAND} σ"]
-        rows.append((f"RMSE, reference {label}", f"{one.rmse_mm:.3g} mm", ", ".join(more)))
-    return rows
 
 
 def agreements(found: Comparison) -> list[tuple[str, Agreement]]:
@@ -141,10 +131,16 @@ def duration(length_s: float) -> str:
 def figures(material: Material) -> list[Row]:
     """The figures of the result."""
     f = material.result.figures()
+    rate_hz = 1.0 / step_of(material.result.estimate.time_ns)
+    length = duration(f["end_s"] - f["start_s"])
     rows = [
         ("method", method_words(material.result.method)),
         ("start, end", f"{f['start_s']:.6f} s, {f['end_s']:.6f} s on the accelerometer's clock"),
-        ("standard deviation, largest", f"{float(np.max(material.result.displacement_std_mm)):.4g} mm"),
+        ("span", f"{length}, {f['rows']} rows at {rate_hz:.5g} Hz"),
+        ("direction", _direction_words(material)),
+        ("motion", f"{f['rms_mm']:.4g} mm rms, {f['largest_mm'] - f['smallest_mm']:.4g} mm peak to peak"),
+        *_peak(material),
+        *((label, f"{value} ({more})") for label, value, more in _sensor_cards(material)[MAX_SENSOR_CARDS:]),
     ]
     innovation = material.result.innovation
     if len(innovation.verdict):
@@ -171,7 +167,10 @@ def comparison(found: Comparison) -> list[Row]:
     for label, one in agreements(found):
         share = one.coverage_95
         covered = "" if share is None else f"; {percent(share)} inside ±{BAND} σ (95 % is honest)"
-        rows.append((f"RMSE {label}", f"{one.rmse_mm:.5g} mm{covered}"))
+        of_it = (
+            "" if (part := one.normalised_rmse_percent) is None else f", {part:.2g} % of the reference's peak to peak"
+        )
+        rows.append((f"RMSE {label}", f"{one.rmse_mm:.5g} mm{of_it}{covered}"))
     return [
         *rows,
         ("bias (result − reference)", f"{found.bias_mm:+.5g} mm"),
@@ -220,8 +219,7 @@ def calibrated(found: Calibration) -> list[Row]:
     usual = found.usual
     if usual is not None and math.isfinite(usual.low_m_s2) and usual.moved_m > 0.0:
         # How lively the calibration was, in units in which a wrong one shows.
-        peak = max(usual.high_m_s2 - usual.mean_m_s2, usual.mean_m_s2 - usual.low_m_s2) / GRAVITY_M_S2
-        value = f"up to {peak:.2g} g; {1e3 * usual.moved_m:.3g} mm rms"
+        value = f"up to {usual.peak_m_s2 / GRAVITY_M_S2:.2g} g; {1e3 * usual.moved_m:.3g} mm rms"
         rows.append(("accelerometer: motion calibrated on", value))
     return [*rows, ("made", f"{found.created} by midspan {found.version}")]
 
@@ -302,7 +300,7 @@ def partly_static(found: Candidate, choice: RegionChoice) -> bool:
 
 def settings(material: Material) -> list[Row]:
     """The settings used, flat, in the words of recording.toml; with what was taken for those that were left out."""
-    tree = material.result.settings.model_dump(mode="json", exclude_none=True)
+    tree = named_only(material.result.settings.model_dump(mode="json", exclude_none=True))
     for camera in material.result.cameras:
         listed = tree[camera.source.word]
         for own in listed if isinstance(listed, list) else [listed]:
@@ -312,6 +310,26 @@ def settings(material: Material) -> list[Row]:
                 }
     rows = [(key, value) for key, value in flattened(tree) if value != []]
     return [(key, ", ".join(map(str, value)) if isinstance(value, list) else str(value)) for key, value in rows]
+
+
+# Keys of a sensor's section that hold a file.
+FILE_KEYS = ("file", "times", "config")
+
+
+def named_only(tree: Any) -> Any:
+    """Plain values with files by their names alone where the whole path was given: a report goes to other people."""
+    if isinstance(tree, list):
+        return [named_only(one) for one in tree]
+    if not isinstance(tree, dict):
+        return tree
+    return {key: _name(value) if key in FILE_KEYS else named_only(value) for key, value in tree.items()}
+
+
+def _name(file: Any) -> Any:
+    """The name of a file whose whole path is given; others, and what is no file, as they are."""
+    if isinstance(file, str) and Path(file).is_absolute():
+        return Path(file).name
+    return named_only(file)
 
 
 def _taken(camera: CameraResult, settings: CameraSettings) -> dict[str, str]:

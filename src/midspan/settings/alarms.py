@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, SecretStr, model_validator
 
-from midspan.settings.fields import IsNumber, Section, limited
+from midspan.settings.fields import Form, IsNumber, Section, limited
 
 Quantity = Literal["displacement", "drift", "velocity", "std", "silent", "disk"]
 # A limit on more than a kilometre, or within less than a nanometre, is a unit that was mistaken.
@@ -35,38 +35,44 @@ def _is_a_name(value: str) -> str:
 class AlarmSettings(Section):
     """One alarm of a point: what it watches, the limit, and what has to hold before it fires and ends."""
 
-    name: Annotated[str, AfterValidator(_is_a_name)] = Field(description="the alarm's name, another one for each")
-    on: Quantity = Field(description="displacement, drift, velocity, std, silent or disk")
-    limit_mm: Length | None = Field(None, description="limit of |displacement|, drift or std, mm")
+    name: Annotated[str, AfterValidator(_is_a_name)] = Field(
+        description="the alarm's name, another one for each of the point"
+    )
+    on: Quantity = Field(
+        description="quantity that is watched; drift: of the daily mean; silent: no block of a source; disk: "
+        "the store's"
+    )
+    limit_mm: Length | None = Field(None, description="limit of the size of displacement, drift or std")
     span_m: Annotated[float, IsNumber, limited(1e-3, 1e5, "m")] | None = Field(
-        None, description="span that a displacement is compared with, m"
+        None, description="span that a displacement is compared with, with span_over instead of limit_mm"
     )
     span_over: Annotated[float, IsNumber, limited(1.0, 1e6)] | None = Field(
-        None, description="limit as a part of the span: 800 is span_m / 800"
+        None, description="limit as a part of the span: 800 is span_m / 800; larger fires earlier"
     )
-    limit_mm_s: Speed | None = Field(None, description="limit of |velocity|, mm/s")
+    limit_mm_s: Speed | None = Field(None, description="limit of the size of velocity")
     limit_percent: Annotated[float, IsNumber, limited(1.0, 100.0, "%")] | None = Field(
-        None, description="how much of the store's disk may be used, %"
+        None, description="how much of the store's disk may be used"
     )
-    level: Literal["warning", "critical"] = Field("warning", description="warning or critical")
+    level: Literal["warning", "critical"] = Field("warning", description="how serious it is")
     delay_s: Delay = Field(
-        0.0, description="how long the limit is exceeded before it fires, s; silent: since the source's newest block"
+        0.0,
+        description="how long the limit is exceeded before it fires; of silent: time since the source's newest block",
     )
     hysteresis_mm: Annotated[float, IsNumber, limited(0.0, 1e6, "mm")] = Field(
-        0.0, description="how far below the limit it ends, mm"
+        0.0, description="how far below the limit it ends; more keeps it from flickering"
     )
     hysteresis_mm_s: Annotated[float, IsNumber, limited(0.0, 1e7, "mm/s")] = Field(
-        0.0, description="the same of a velocity, mm/s"
+        0.0, description="the same of a velocity"
     )
     hysteresis_percent: Annotated[float, IsNumber, limited(0.0, 100.0, "%")] = Field(
-        0.0, description="the same of the disk, %"
+        0.0, description="the same of the disk"
     )
-    keep_firing_s: Delay = Field(10.0, description="how long it is below the limit before it ends, s")
+    keep_firing_s: Delay = Field(10.0, description="how long the value stays below before the alarm ends")
     no_data_s: Annotated[float, IsNumber, limited(0.1, 604_800.0, "s")] | None = Field(
-        None, description="without rows for so long it fires as no_data, with an id of its own, s; left out: never"
+        None, description="without rows for this long it fires as no_data, with an id of its own; left out: never"
     )
     repeat_s: Annotated[float, IsNumber, limited(1.0, 604_800.0, "s")] = Field(
-        3600.0, description="how often it is notified again until it is acknowledged, s"
+        3600.0, description="how often it is notified again until it is acknowledged"
     )
 
     @model_validator(mode="after")
@@ -128,21 +134,25 @@ def _is_mail(value: str) -> str:
     return value
 
 
-Mail = Annotated[str, AfterValidator(_is_mail)]
+Mail = Annotated[str, AfterValidator(_is_mail), Form("address")]
 
 
 class NotifySettings(Section):
     """Where alarms go besides page, store and MQTT: a webhook, or mail."""
 
-    webhook: SecretStr | None = Field(None, description="address that each change is sent to by POST, as JSON")
-    secret: SecretStr | None = Field(None, description='what the body is signed with; write "{NAME}"; left out: not')
-    smtp: Annotated[str, AfterValidator(_is_a_server)] | None = Field(
-        None, description="host and port of a mail server; 465 is TLS at once"
+    webhook: Annotated[SecretStr, Form("address")] | None = Field(
+        None, description="http(s) address to which each change is sent by POST, as JSON"
     )
-    to: tuple[Mail, ...] = Field((), description="who gets mail")
+    secret: Annotated[SecretStr, Form("text")] | None = Field(
+        None, description='key of the body\'s HMAC-SHA256; write "{NAME}"; left out: not signed'
+    )
+    smtp: Annotated[str, AfterValidator(_is_a_server), Form("HOST:PORT")] | None = Field(
+        None, description="host and port of a mail server, instead of webhook; 465 is TLS at once"
+    )
+    to: Annotated[tuple[Mail, ...], Form("list of addresses")] = Field((), description="addresses that get mail")
     sender: Mail = Field("midspan@localhost", description="whom mail is from")
     user: str | None = Field(None, description="user of the mail server; left out: none")
-    password: SecretStr | None = Field(None, description='its password; write "{NAME}"')
+    password: Annotated[SecretStr, Form("text")] | None = Field(None, description='its password; write "{NAME}"')
 
     @model_validator(mode="after")
     def _is_one(self) -> "NotifySettings":
@@ -164,10 +174,12 @@ class NotifySettings(Section):
 class MaintenanceSettings(Section):
     """A time without messages; alarms are evaluated and kept all the same."""
 
-    begin: datetime = Field(description="first instant, UTC without a zone")
-    end: datetime = Field(description="end, UTC without a zone")
+    begin: Annotated[datetime, Form("time")] = Field(description="first instant, UTC without a zone")
+    end: Annotated[datetime, Form("time")] = Field(description="end, UTC without a zone")
     reason: str = Field("", description="what is done then")
-    points: tuple[str, ...] = Field((), description="whose alarms; left out: all")
+    points: Annotated[tuple[str, ...], Form("list of names")] = Field(
+        (), description="points whose messages are silent; left out: all"
+    )
 
     @model_validator(mode="after")
     def _is_a_time(self) -> "MaintenanceSettings":

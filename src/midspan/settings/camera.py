@@ -13,6 +13,7 @@ from midspan.settings.fields import (
     Duration,
     FileName,
     FiniteNumber,
+    Form,
     IsNumber,
     Rate,
     Section,
@@ -29,6 +30,7 @@ from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens
 from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, UPDATING, tracker_settings
 
+ROI = Form("4 whole numbers, px")
 Celsius = Annotated[float, IsNumber, limited(-273.15, 1e5, "°C")]
 # Settings of trackers are pixels, shares and counts; each tracker has rules of its own within this.
 MAX_TRACKER_SETTING = 1e9
@@ -49,24 +51,30 @@ def _in_words_of(section: str, values: Mapping[str, Any]) -> Iterator[None]:
 class TargetSettings(Section):
     """One of several targets of a camera."""
 
-    roi: Annotated[tuple[int, int, int, int], AfterValidator(region_is_positive)] = Field(
-        description="x, y, width, height, px"
+    roi: Annotated[tuple[int, int, int, int], AfterValidator(region_is_positive), ROI] = Field(
+        description="x, y of the upper left corner, width, height"
     )
-    name: SensorName | None = Field(None, description="what reports and columns call it; left out: its number")
+    name: SensorName | None = Field(
+        None, description="what reports, warnings and columns call it; left out: its number"
+    )
 
 
 class LensSettings(Section):
     """The camera's lens in OpenCV's models: a file that `midspan lens` wrote, or the numbers themselves."""
 
-    file: FileName | None = Field(None, description="lens.json of `midspan lens`, instead of all other keys")
-    model: Annotated[str, known(LENS_MODELS, "lens model")] = Field("pinhole", description="OpenCV's lens model")
-    matrix: Annotated[tuple[FiniteNumber, ...] | None, AfterValidator(has_four)] = Field(
-        None, description="fx, fy, cx, cy, px"
+    file: FileName | None = Field(None, description="lens.json that `midspan lens` wrote, instead of all other keys")
+    model: Annotated[str, known(LENS_MODELS, "lens model")] = Field(
+        "pinhole", description="OpenCV's camera model; fisheye is for more than about 120°"
     )
-    distortion: tuple[FiniteNumber, ...] | None = Field(
-        None, description="k1, k2, p1, p2[, k3 …] of a pinhole; k1, k2, k3, k4 of a fisheye"
+    matrix: Annotated[tuple[FiniteNumber, ...] | None, AfterValidator(has_four), Form("4 numbers, px")] = Field(
+        None, description="fx, fy, cx, cy; the middle of the first pixel is 0, 0"
     )
-    size: tuple[int, int] | None = Field(None, description="width, height of the frames it was calibrated for, px")
+    distortion: Annotated[tuple[FiniteNumber, ...] | None, Form("4, 5, 8 or 12 numbers")] = Field(
+        None, description="pinhole: k1, k2, p1, p2 and k3 … k6, s1 … s4 in OpenCV's order; fisheye: k1 … k4"
+    )
+    size: Annotated[tuple[int, int] | None, Form("2 whole numbers, px")] = Field(
+        None, description="width and height of the frames it was calibrated for, those of the recording"
+    )
 
     @model_validator(mode="after")
     def _is_whole(self) -> "LensSettings":
@@ -91,16 +99,24 @@ class LensSettings(Section):
 class CameraSettings(Section):
     """A camera: on the structure, looking at fixed surroundings, or on a tripod, looking at the structure."""
 
-    name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
-    file: FileName
-    times: FileName | None = Field(None, description="file with a column time_s, one row a frame")
-    rate_hz: Rate | None = Field(None, description="frames a second, where the file has no time stamps")
-    start_s: Time = Field(0.0, description="time of the first frame, s")
-    every: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
-        1, description="use every n-th frame; higher is faster"
+    name: SensorName | None = Field(None, description="what it is called; needed where there are several of a kind")
+    file: FileName = Field(
+        description="video, folder or glob of images, multi-page TIFF, .npy or .npz stack, or table of a track"
     )
-    roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(region_is_positive)] = Field(
-        None, description="x, y, width, height, px; left out: chosen"
+    times: FileName | None = Field(
+        None, description="file with a column time_s, one row a frame of the file; over all other times"
+    )
+    rate_hz: Rate | None = Field(
+        None, description="frames a second, where the file has no stamps; also over a declared slow-motion rate"
+    )
+    start_s: Time = Field(
+        0.0, description="added to the container's stamps, or with rate_hz time of the first frame; not used with times"
+    )
+    every: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
+        1, description="use every n-th frame; higher is faster and noisier"
+    )
+    roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(region_is_positive), ROI] = Field(
+        None, description="x, y of the upper left corner, width, height of the textured target; left out: chosen"
     )
     target: tuple[TargetSettings, ...] = Field((), description="several targets instead of roi, each with its own roi")
     automatic_targets: Annotated[int, IsNumber, Field(ge=1, le=6)] = Field(
@@ -109,38 +125,52 @@ class CameraSettings(Section):
     direction: Literal["x", "y", "xy"] = Field(
         "y", description="image axis of the measured motion: x right, y down, or both"
     )
-    exposure_s: Duration | None = Field(None, description="exposure time, s; its averaging is corrected")
-    readout_s: Duration = Field(0.0, description="rolling shutter: seconds from first to last row")
+    exposure_s: Duration | None = Field(
+        None,
+        description="exposure time, whose averaging is corrected; left out: estimated where visible, else in the "
+        "scale's σ",
+    )
+    readout_s: Duration = Field(
+        0.0, description="rolling shutter: time from first to last row; more dates lower rows later"
+    )
     scale_mm_per_px: Annotated[float, IsNumber, limited(-1e6, 1e6, "mm/px")] | None = Field(
-        None, description="displacement for one pixel, signed, of a target of known size; left out: calibrated"
+        None,
+        description="displacement for one pixel, signed, where known beforehand (one target, one axis); left out: "
+        "calibrated",
     )
     scale_std_mm_per_px: Annotated[float, IsNumber, limited(0.0, 1e6, "mm/px")] = Field(
-        0.0, description="its standard deviation, mm/px; more widens the band as the motion grows"
+        0.0, description="standard deviation of scale_mm_per_px; more widens the band in proportion to the displacement"
     )
     tilt_std_mdeg: Annotated[float, IsNumber, limited(0.0, 1e5, "mdeg")] = Field(
-        0.0, description="standard deviation of the camera's own tilt, mdeg, in the band; 0: not in it"
+        0.0,
+        description="standard deviation of the camera's own tilt; widens the band, times the distance; 0: not in it",
     )
     distance_m: Annotated[float, IsNumber, limited(1e-3, 1e6, "m")] | None = Field(
-        None, description="from camera to target, for tilt_std_mdeg; left out: from lens and scale factor"
+        None, description="from camera to the (farthest) target, for tilt_std_mdeg and the check of the scale factor"
     )
     focal_length_mm: Annotated[float, IsNumber, limited(1e-2, 1e5, "mm")] | None = Field(
-        None, description="of the lens; with pixel_pitch_um and distance_m the scale factor is checked"
+        None, description="of the lens; with pixel_pitch_um and distance_m an implausible scale factor is a warning"
     )
     pixel_pitch_um: Annotated[float, IsNumber, limited(1e-2, 1e3, "µm")] | None = Field(
         None, description="from pixel to pixel on the image sensor, at the video's resolution"
     )
-    tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
-    tracker_settings: dict[str, Any] = Field(
+    tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(
+        DEFAULT_TRACKER, description="how the target is found; see `midspan methods`"
+    )
+    tracker_settings: Annotated[dict[str, Any], Form("table")] = Field(
         default_factory=dict,
-        description="settings of the tracker by name, see docs/trackers.md; left out: its defaults",
+        description="settings of that tracker by name, in docs/trackers.md; another --tracker leaves them unused",
     )
     lens: LensSettings | None = Field(None, description="the lens's distortion; left out: none is corrected")
     reference: Literal["first", "key-frames", "updating"] | None = Field(
-        None, description="the frame that each one is compared with: the first, several, or a new one; left out: first"
+        None,
+        description="frame that each one is compared with: first, several overlapping, or replaced as published; "
+        "left out: first",
     )
-    reference_settings: dict[str, Any] = Field(
+    reference_settings: Annotated[dict[str, Any], Form("table")] = Field(
         default_factory=dict,
-        description='settings of reference = "updating" by name, see docs/infrared.md; left out: its defaults',
+        description='of reference = "updating": literal (false), threshold_frames (30), average_frames (10), sigmas '
+        "(2), least_matches (10)",
     )
 
     @property
@@ -206,23 +236,34 @@ class CameraSettings(Section):
 class InfraredSettings(CameraSettings):
     """A thermal camera on the structure that looks at fixed surroundings: its temperatures too."""
 
-    reference: Literal["first", "key-frames", "updating"] | None = Field(
-        None, description="the frame that each is compared with: the first, several, or a new one; left out: several"
+    file: FileName = Field(
+        description="stack in °C (.npz, .npy), 16-bit TIFF or PNG, FLIR .seq .csq .fff, radiometric .jpg"
     )
-    temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = Field(
-        None, description="°C shown in 256 grey levels; left out: temperatures as they are, or optimised for features"
+    reference: Literal["first", "key-frames", "updating"] | None = Field(
+        None,
+        description="frame that each one is compared with: first, several overlapping, or replaced as published; "
+        "left out: several",
+    )
+    temperature_range_c: Annotated[
+        tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, °C")
+    ] = Field(
+        None,
+        description="low and high of the tracker's 256 grey levels; left out: temperatures as they are, optimised "
+        "for features",
     )
     range_divisions: Annotated[int, IsNumber, Field(ge=1, le=64)] = Field(
-        DIVISIONS, description="equal parts M between region and whole view that ranges are made of; more is slower"
+        DIVISIONS, description="parts M between region and view, of which (M + 1)² ranges are tried; more is slower"
     )
     kelvin_per_count: Annotated[float, IsNumber, limited(1e-9, 1e3, "K a count")] | None = Field(
-        None, description="K a count of 16-bit pictures; left out: as the file says"
+        None, description="temperature of one count of 16-bit images; left out: estimated from the images"
     )
     zero_k: Annotated[float, IsNumber, limited(-1e6, 1e6, "K")] = Field(
-        0.0, description="temperature of count 0 of 16-bit pictures, K"
+        0.0, description="temperature of count 0 of 16-bit images"
     )
     emissivity: Annotated[float, IsNumber, Field(gt=0, le=1)] | None = Field(
-        None, description="of the target, 0 to 1; left out: the one in a FLIR file"
+        None,
+        description="of the target; lower sets temperatures farther from the surroundings'; left out: as in the FLIR "
+        "file",
     )
 
     @property

@@ -1,5 +1,6 @@
 """Kinds of values that settings are made of, each with its rule in words."""
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
@@ -23,18 +24,33 @@ def _number(value: object) -> object:
 IsNumber = BeforeValidator(_number)
 
 
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What the reference of all keys says of a key's values where its type and limits do not."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """The rule that a number lies within limits; NaN does not."""
+
+    limits: ValueRange
+
+    def __call__(self, value: float) -> float:
+        """The value; ValueError where it is outside."""
+        if value not in self.limits:
+            raise ValueError(f"must be {self.limits}. Correct the value or its unit")
+        return value
+
+
 def limited(low: float, high: float, unit: str = "") -> AfterValidator:
     """A number from `low` to `high`; NaN is none."""
     return _held(ValueRange(low, high, unit))
 
 
 def _held(limits: ValueRange) -> AfterValidator:
-    def check(value: float) -> float:
-        if value not in limits:
-            raise ValueError(f"must be {limits}. Correct the value or its unit")
-        return value
-
-    return AfterValidator(check)
+    return AfterValidator(Within(limits))
 
 
 Rate = Annotated[float, IsNumber, _held(RATE_HZ)]
@@ -61,7 +77,7 @@ def _is_a_path(value: str) -> str:
     return value
 
 
-FileName = Annotated[str, Field(min_length=1), AfterValidator(_is_a_path)]
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_is_a_path), Form("path")]
 
 
 def region_is_positive(value: tuple[int, int, int, int] | None) -> tuple[int, int, int, int] | None:
@@ -87,16 +103,26 @@ def second_is_larger(value: tuple[float, float] | None) -> tuple[float, float] |
     return value
 
 
-def known(table: dict[str, Any], kind: str) -> AfterValidator:
-    """A name that stands in a table; `kind` says in messages what it names."""
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """The rule that a name stands in a table; `kind` says in messages what it names."""
 
-    def check(value: str) -> str:
-        if value not in table:
-            rule = f"must be one of {', '.join(table)} ({kind}s of this version). {nearest(value, table)}"
+    table: dict[str, Any]
+    kind: str
+
+    def __call__(self, value: str) -> str:
+        """The name; ValueError for another one."""
+        if value not in self.table:
+            rule = (
+                f"must be one of {', '.join(self.table)} ({self.kind}s of this version). {nearest(value, self.table)}"
+            )
             raise ValueError(rule.rstrip())
         return value
 
-    return AfterValidator(check)
+
+def known(table: dict[str, Any], kind: str) -> AfterValidator:
+    """A name that stands in a table; `kind` says in messages what it names."""
+    return AfterValidator(OneOf(table, kind))
 
 
 class Section(BaseModel):
@@ -122,4 +148,4 @@ def _listed(value: Any) -> Any:
 
 
 Listed = BeforeValidator(_listed)
-SensorName = Annotated[str, AfterValidator(_is_a_word)]
+SensorName = Annotated[str, AfterValidator(_is_a_word), Form("letters, digits, _, -")]

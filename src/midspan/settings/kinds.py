@@ -10,7 +10,9 @@ from midspan.records import Frame, RangeFrame, Readings
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import Section
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
-from midspan.settings.stored.sections import StoredAccelerometer, StoredCamera, StoredDisplacement, StoredRadar
+from midspan.settings.stored.cameras import StoredCamera
+from midspan.settings.stored.radar import StoredRadar
+from midspan.settings.stored.sections import StoredAccelerometer, StoredDisplacement
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT
 
 ACCELEROMETER = "accelerometer"

@@ -10,7 +10,7 @@ from midspan.calibration.camera.view import PrintedSteps
 from midspan.checks import RATE_HZ
 from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_HALF_WINDOW, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
-from midspan.settings.fields import IsNumber, Listed, Section, Time, known, limited, second_is_larger
+from midspan.settings.fields import Form, IsNumber, Listed, Section, Time, known, limited, second_is_larger
 from midspan.settings.kinds import ACCELEROMETER, KINDS, sensors_of
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
 
@@ -34,27 +34,37 @@ def _is_a_length(value: int) -> int:
     return value
 
 
+Taps = Annotated[int, IsNumber, AfterValidator(_is_a_length), Form(f"odd, {MIN_TAPS} … {MAX_TAPS}")]
+
+
 class CalibrationSettings(Section):
     """How scale factor and clock offset are found."""
 
-    window_s: Annotated[tuple[Time, Time] | None, AfterValidator(second_is_larger)] = Field(
-        None,
-        description="start and end of the part used, s on the accelerometer's clock; left out: the first minute, of "
-        "[displacement] up to half an hour",
+    window_s: Annotated[tuple[Time, Time] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, s")] = (
+        Field(
+            None,
+            description="start and end on the accelerometer's clock; longer is more certain; left out: first "
+            "minute, of [displacement] half an hour",
+        )
     )
-    band_hz: Annotated[tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger)] = Field(
+    band_hz: Annotated[
+        tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, Hz")
+    ] = Field(
         None,
-        description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow, with "
+        description="band of acceleration that decides the scale; narrower is less certain; left out: all, with "
         "literal the papers'",
     )
-    literal: bool = Field(False, strict=True, description="scale factor and clock offset of a camera as printed")
+    literal: bool = Field(
+        False, strict=True, description="scale factor and clock offset of a camera by the papers' steps"
+    )
     spline: bool = Field(
-        True, strict=True, description="with literal: the cross-correlation is interpolated; false: to the frame only"
+        True,
+        strict=True,
+        description="with literal: the correlation's peak is interpolated; false: offsets are whole frame intervals",
     )
     max_offset_s: Annotated[float, IsNumber, Field(ge=0, le=3600)] = Field(
         0.5,
-        description="largest clock offset searched for, s; a larger one finds clocks farther apart and is refused more "
-        "often as ambiguous",
+        description="largest clock offset searched for; less excludes ambiguities, more takes longer",
     )
 
     def printed(self, camera: CameraSettings | None) -> PrintedSteps | None:
@@ -68,57 +78,77 @@ class CalibrationSettings(Section):
 class FusionSettings(Section):
     """How acceleration and displacement become one."""
 
-    method: Annotated[str, known(METHODS, "method")] = Field("smoother", description="see `midspan methods`")
-    lag_s: Annotated[float, IsNumber, limited(1e-6, 3600.0, "s")] = Field(
-        0.5, description="delay of the method `lag`, s; longer is nearer to the smoother"
+    method: Annotated[str, known(METHODS, "method")] = Field(
+        "smoother", description="fusion method; see `midspan methods`"
     )
-    literal: bool = Field(False, strict=True, description="a paper's method as printed, without guard; radar too")
+    lag_s: Annotated[float, IsNumber, limited(1e-6, 3600.0, "s")] = Field(
+        0.5, description="delay of `lag`; longer is nearer to the smoother's error"
+    )
+    literal: bool = Field(
+        False,
+        strict=True,
+        description="method as its paper prints it, without guard; radar and tracker predictions too",
+    )
     switching: Literal["variance", "matches"] = Field(
-        "variance", description="how two cameras are believed: both by their variances, or the one with more matches"
+        "variance", description="two cameras: both count by their variances, or only the one with more matches"
     )
     forgetting: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
-        0.95, description="factor beta of `adaptive-kalman`; nearer to 1 learns more slowly"
+        0.95, description="`adaptive-kalman`: forgetting factor; nearer to 1 adapts more slowly and steadily"
     )
     input_rule: Literal["held", "mean"] = Field(
         "held",
-        description="`adaptive-kalman` as printed: between two samples acts the first one (equation 7) or their mean",
+        description="`adaptive-kalman`, literal: the first of two samples acts between them (equation 7), or their "
+        "mean",
     )
     first_frames: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
-        10, description="`adaptive-kalman` as printed: frames before its noise R is estimated"
+        10, description="`adaptive-kalman`, literal: frames before R is estimated; more starts more steadily"
     )
     input_noise_m_s2: Annotated[float, IsNumber, limited(1e-12, 1e6, "m/s²")] | None = Field(
-        None, description="its noise of the acceleration (the root of Q); left out: as calibrated"
+        None,
+        description="`adaptive-kalman`, literal: root of Q; too small runs away, too large makes R negative; left "
+        "out: calibrated",
     )
     start_noise_mm: Annotated[float, IsNumber, limited(1e-9, 1e6, "mm")] | None = Field(
-        None, description="its noise in these frames, mm; left out: as calibrated, and half a sample of the speed"
+        None,
+        description="`adaptive-kalman`, literal: root of the first R; too small runs away; left out: from "
+        "calibration and speed",
     )
     start_velocity_mm_s: Annotated[float, IsNumber, limited(0.0, 1e9, "mm/s")] | None = Field(
-        None, description="standard deviation of its first velocity, mm/s; left out: three times the rms speed"
+        None,
+        description="`adaptive-kalman`, literal: standard deviation of the first velocity; left out: three times the "
+        "rms speed",
     )
     half_window: Annotated[int, IsNumber, Field(ge=MIN_HALF_WINDOW, le=1_000_000)] | None = Field(
-        None, description="`fir`: samples on each side of a row; left out: 0.5 s, or by cut_off_hz"
+        None, description="`fir`: samples on each side of a row; more delays longer; left out: 0.5 s, or by cut_off_hz"
     )
     cut_off_hz: Annotated[float, IsNumber, limited(1e-6, RATE_HZ.high, "Hz")] | None = Field(
-        None, description="`fir`: from where the acceleration counts, Hz; left out: 1.5 / half_window in s"
+        None,
+        description="`fir`: where acceleration makes `accuracy` of the amplitude; lower delays longer; left out: 1.5 "
+        "/ half_window in s",
     )
     accuracy: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
-        0.97, description="`fir`: share of the amplitude at cut_off_hz that the acceleration gives"
+        0.97, description="`fir`: share of the amplitude at cut_off_hz that the acceleration makes"
     )
-    transition_hz: Annotated[tuple[Frequency, Frequency], AfterValidator(_is_a_transition)] = Field(
+    transition_hz: Annotated[
+        tuple[Frequency, Frequency], AfterValidator(_is_a_transition), Form("2 numbers, rising, Hz")
+    ] = Field(
         (0.5, 1.0),
-        description="`two-stage-fir`: up to the first the displacement alone counts, from the second, f_c, on the "
-        "acceleration, Hz; wider shortens the delay",
+        description="`two-stage-fir`: displacement alone counts below the first, acceleration alone above the "
+        "second; wider shortens the delay",
     )
-    taps: Annotated[int, IsNumber, AfterValidator(_is_a_length)] | None = Field(
-        None, description="`two-stage-fir`: length of its complementary filters, odd; left out: by a ripple of 0.001"
+    taps: Taps | None = Field(
+        None,
+        description="`two-stage-fir`: length of the complementary filters; fewer shortens the delay, leaks more; "
+        "left out: ripple 0.001",
     )
-    anti_alias_taps: Annotated[int, IsNumber, AfterValidator(_is_a_length)] | None = Field(
-        None, description="`two-stage-fir`: length of its anti-aliasing filter, odd; left out: by a ripple of 0.001"
+    anti_alias_taps: Taps | None = Field(
+        None,
+        description="`two-stage-fir`: length of the anti-aliasing filter; fewer shortens the delay, leaks more; left "
+        "out: ripple 0.001",
     )
     spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SPLINE_FRAMES)] = Field(
         SPLINE_FRAMES,
-        description="`fir`, `two-stage-fir`: displacements ahead that the spline through them uses; fewer shortens the "
-        "delay",
+        description="`fir`, `two-stage-fir`: displacements ahead that the spline waits for; fewer shortens the delay",
     )
 
     @model_validator(mode="after")
@@ -141,8 +171,8 @@ class FusionSettings(Section):
 class SiteSettings(Section):
     """Where the structure stands: kept with the result; only the published rule of two cameras uses it."""
 
-    latitude_deg: Annotated[float, IsNumber, Field(ge=-90, le=90)] = Field(description="degrees, north positive")
-    longitude_deg: Annotated[float, IsNumber, Field(ge=-180, le=180)] = Field(description="degrees, east positive")
+    latitude_deg: Annotated[float, IsNumber, Field(ge=-90, le=90)] = Field(description="north positive")
+    longitude_deg: Annotated[float, IsNumber, Field(ge=-180, le=180)] = Field(description="east positive")
 
 
 SensorSettings = CameraSettings | RadarSettings | DisplacementSettings

@@ -8,6 +8,7 @@ from midspan.settings.fields import (
     Carrier,
     Duration,
     FileName,
+    Form,
     IsNumber,
     Name,
     Noise,
@@ -23,39 +24,55 @@ from midspan.settings.fields import (
 class ChannelSettings(Section):
     """Where a channel comes from: a file, its time and value columns, its unit, or a rate where it has no time."""
 
-    file: FileName
-    time: Name | None = Field(None, description="column of time; left out: found by name, else rate_hz")
-    value: Name | None = Field(None, description="column of the values; left out: found when only one can be meant")
-    unit: Name | None = Field(None, description="unit of the values; left out: as the file says")
-    rate_hz: Rate | None = Field(None, description="samples a second, where there is no time column")
-    start_s: Time = Field(0.0, description="time of the first sample, where there is no time column, s")
+    file: FileName = Field(description="file of the channel; a suffix or what it begins with chooses the reader")
+    time: Name | None = Field(
+        None,
+        description="column, variable or channel of time (seconds, epoch, ISO 8601); left out: found by name, else "
+        "rate_hz",
+    )
+    value: Name | None = Field(
+        None, description="column, variable or channel of the values; left out: found where only one can be meant"
+    )
+    unit: Name | None = Field(None, description="unit of the values, over the file's own; left out: as the file says")
+    rate_hz: Rate | None = Field(
+        None, description="samples a second, where there is no time column; left out: the file's own rate"
+    )
+    start_s: Time = Field(
+        0.0, description="time of the first sample, or added to the file's own clock; not used with a time column"
+    )
     noise_std: Noise | None = Field(
         None,
-        description="noise of one sample, in m/s² (accelerometer) or in `unit`; left out: estimated; more trusts less",
+        description="white noise of one sample, in m/s² or the displacement's unit; higher trusts the sensor less; "
+        "left out: estimated",
     )
 
 
 class AccelerometerSettings(ChannelSettings):
     """The accelerometer's file."""
 
-    value_x: Name | None = Field(None, description="column along the image's x axis, with camera.direction = 'xy'")
-    value_y: Name | None = Field(None, description="column along the image's y axis, with camera.direction = 'xy'")
-    cross_values: Annotated[tuple[Name, ...], Field(max_length=2)] = Field(
+    value_x: Name | None = Field(
+        None, description='column along the image\'s x axis (right), instead of value, with camera.direction = "xy"'
+    )
+    value_y: Name | None = Field(
+        None, description='column along the image\'s y axis (down), instead of value, with camera.direction = "xy"'
+    )
+    cross_values: Annotated[tuple[Name, ...], Field(max_length=2), Form("1 or 2 texts")] = Field(
         (),
-        description="columns of its other axes, in the same unit: the direction of the other sensors' axis is "
-        "estimated, so that cross motion of an inclined accelerometer is taken out; left out: it is that of `value`",
+        description="columns of its other axes, in the same unit: cross motion felt by an inclined accelerometer is "
+        "taken out",
     )
     sensitivity: Annotated[float, IsNumber, limited(0.0, 1e6, "V per m/s²")] = Field(
-        0.0, description="V per m/s², with unit = 'V'; 0: not used"
+        0.0, description="volts for one m/s²; needed with a unit of voltage, refused with any other"
     )
     scale_std: Annotated[float, IsNumber, Field(ge=0, le=1)] = Field(
         0.0,
-        description="relative standard deviation of its sensitivity, in the band through every scale; 0: not known",
+        description="relative standard deviation of its sensitivity (0.01: one percent); widens every row's band; 0: "
+        "not in it",
     )
     estimate_scale: bool = Field(
         True,
         strict=True,
-        description="together with [displacement]: estimate the accelerometer's gain and take it out; false: it is 1",
+        description="together with [displacement]: its gain is estimated and taken out; false: the gain is 1",
     )
 
     @model_validator(mode="after")
@@ -72,52 +89,57 @@ class AccelerometerSettings(ChannelSettings):
 class RadarSettings(Section):
     """A chirp radar on the structure that looks at fixed surroundings."""
 
-    name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
-    file: FileName
-    config: FileName | None = Field(None, description=".cfg of the mmWave demo or .json of mmWave Studio")
-    iq_order: Literal["auto", "IIQQ", "QQII", "IQIQ", "QIQI"] = Field(
-        "auto", description="order of I and Q in a raw capture; auto: from the settings and the samples"
+    name: SensorName | None = Field(None, description="what it is called; needed where there are several of a kind")
+    file: FileName = Field(description="raw ADC .bin of DCA1000, slow-time I/Q .h5 or .npy, Acconeer .h5")
+    config: FileName | None = Field(
+        None, description=".cfg of the mmWave demo or .json of mmWave Studio; a .bin needs it"
     )
-    start_s: Time = Field(0.0, description="time of the first frame, s")
+    iq_order: Literal["auto", "IIQQ", "QQII", "IQIQ", "QIQI"] = Field(
+        "auto", description="order of I and Q in a .bin; auto: from config and samples"
+    )
+    start_s: Time = Field(0.0, description="start of the first frame, on the radar's own clock")
     rate_hz: Rate | None = Field(
         None, description="frames a second of slow-time I/Q, where neither file nor config says it"
     )
     carrier_hz: Carrier | None = Field(
-        None, description="carrier of slow-time I/Q, where neither file nor config says it, Hz"
+        None, description="carrier of slow-time I/Q, where neither file nor config says it"
     )
     targets: Annotated[int, IsNumber, Field(ge=1, le=8)] = Field(
-        3, description="how many fixed targets are used at most; more is steadier when some are blocked"
+        3, description="how many fixed targets are used at most; more is steadier where some are hidden"
     )
     target_range_m: Annotated[float, IsNumber, limited(1e-3, 1e5, "m")] | None = Field(
-        None, description="use only the target nearest to this range, m; left out: the best ones"
+        None, description="only the target nearest to this range, within 0.5 m, is used; left out: the best ones"
     )
 
 
 class DisplacementSettings(ChannelSettings):
     """Any other displacement: GNSS, total station, LVDT, level."""
 
-    name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
+    name: SensorName | None = Field(None, description="what it is called; needed where there are several of a kind")
     estimate_offset: bool | None = Field(
         None,
         strict=True,
-        description="true: learn and apply the clock offset to the accelerometer, or refuse; false: one clock; left "
-        "out: one clock unless the motion shows an offset, which is then applied",
+        description="true: clock offset estimated, else refused; false: one clock; left out: corrected where the "
+        "motion shows an offset",
     )
     estimate_scale: bool = Field(
-        False, strict=True, description="learn and apply the scale, with its sign; false: the unit is taken as it is"
+        False,
+        strict=True,
+        description="true: the scale is estimated with its sign, or refused; false: the unit is taken as it is",
     )
     exposure_s: Duration | None = Field(
-        None, description="time over which the sensor averages, s; left out: found where the motion tells it"
+        None,
+        description="time over which one value averages; longer corrects more; 0: none; left out: "
+        "estimated where visible",
     )
     receiver: Literal["gnss"] | None = Field(
         None,
-        description="gnss: the error band holds a slow error of 3 mm over 100 s where the record shows no other and "
-        "noise_time_s is left out; left out: any other sensor",
+        description="gnss: the band holds a slow error of 3 mm over 100 s unless the record shows another",
     )
     noise_time_s: NoiseTime | None = Field(
         None,
-        description="correlation time of its slow error (GNSS), s; 0: it has none; left out: estimated where the "
-        "data allow it; longer trusts its slow part less",
+        description="correlation time of its slow error; longer trusts slow changes less; 0: none; left out: "
+        "estimated where visible",
     )
 
 

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, SecretStr, model_validator
 from midspan.errors import DataError, UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
-from midspan.settings.fields import FileName, IsNumber, Section, limited
+from midspan.settings.fields import FileName, Form, IsNumber, Section, limited
 from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.live_axes import MAX_NAME, by_axis
 from midspan.settings.live_sources import address_of, one_use
@@ -85,24 +85,25 @@ def _is_a_host(value: str) -> str:
     return value
 
 
-PointName = Annotated[str, AfterValidator(is_a_point)]
+PointName = Annotated[str, AfterValidator(is_a_point), Form("letters, digits, -, _")]
 
 
 class StoreSettings(Section):
     """Where rows are kept: a folder for SQLite files, or the address of a PostgreSQL database."""
 
-    path: FileName | None = Field(None, description="folder for SQLite files, relative to this file")
-    url: SecretStr | None = Field(None, description="postgresql://user@host/database, instead of path")
+    path: FileName | None = Field(None, description="folder for SQLite files, relative to SITE.toml")
+    url: Annotated[SecretStr, Form("address")] | None = Field(
+        None, description="postgresql://user@host/database, instead of path"
+    )
     captures: FileName | None = Field(
-        None, description="folder for the recordings that points are calibrated on and opened from; left out: in path"
+        None,
+        description="folder for recordings that points are calibrated on; left out: in path, or SITE-captures with url",
     )
     keep_days: Annotated[float, IsNumber, limited(1.0, 36500.0, "days")] = Field(
-        365.0, description="how long rows and raw records are kept, in days"
+        365.0, description="how long rows and raw records are kept"
     )
 
-    archive: FileName | None = Field(
-        None, description="folder for each day's records as Parquet, relative to this file; left out: none"
-    )
+    archive: FileName | None = Field(None, description="folder for each day's records as Parquet; left out: none")
 
     @model_validator(mode="after")
     def _is_one(self) -> "StoreSettings":
@@ -117,24 +118,28 @@ class MqttSettings(Section):
     """The broker that blocks come from and results go to."""
 
     host: Annotated[str, Field(min_length=1), AfterValidator(_is_a_host)] = Field(
-        "127.0.0.1", description="name or address of the broker"
+        "127.0.0.1", description="name or address of the broker; with TLS a name in its certificate"
     )
-    port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(1883, description="its port")
+    port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(
+        1883, description="port of the broker; with TLS usually 8883"
+    )
     user: Annotated[str, Field(min_length=1)] | None = Field(None, description="user name; left out: none")
-    password: SecretStr | None = Field(None, description='password; write "{NAME}" to take it from the environment')
+    password: Annotated[SecretStr, Form("text")] | None = Field(
+        None, description='password; write "{NAME}" to take it from the environment'
+    )
     prefix: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] = Field(
         "midspan", description="what all topics of results begin with"
     )
 
     discovery: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] | None = Field(
-        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; left out: it learns nothing'
+        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; left out: no discovery'
     )
     ca: FileName | None = Field(
         None,
-        description="certificates (PEM) that prove the broker's, relative to this file: TLS; left out: none",
+        description="certificates (PEM) that prove the broker's: TLS; left out: no TLS",
     )
-    cert: FileName | None = Field(None, description="this site's certificate (PEM), for brokers that ask for one")
-    key: FileName | None = Field(None, description="the certificate's key (PEM), without a password")
+    cert: FileName | None = Field(None, description="this site's certificate (PEM), for a broker that asks for one")
+    key: FileName | None = Field(None, description="its key (PEM), without a password")
 
     @model_validator(mode="after")
     def _has_both(self) -> "MqttSettings":
@@ -154,13 +159,13 @@ class MqttSettings(Section):
 class ServiceSettings(Section):
     """The web service of the site."""
 
-    listen: Annotated[str, AfterValidator(_is_an_address)] = Field(
+    listen: Annotated[str, AfterValidator(_is_an_address), Form("HOST:PORT")] = Field(
         "127.0.0.1:8080", description="host and port of page, REST, /healthz, /readyz and /metrics"
     )
     tls_cert: FileName | None = Field(
-        None, description="certificate (PEM) with its chain, relative to this file; needed on any address but loopback"
+        None, description="certificate (PEM) with its chain; needed on any address but loopback"
     )
-    tls_key: FileName | None = Field(None, description="the certificate's key (PEM), relative to this file")
+    tls_key: FileName | None = Field(None, description="its key (PEM)")
 
     @model_validator(mode="after")
     def _is_protected(self) -> "ServiceSettings":
@@ -174,20 +179,24 @@ class ServiceSettings(Section):
 class PointSettings(Section):
     """How a point is estimated; its sensors are sections of their own."""
 
-    name: PointName
+    name: PointName = Field(description="name of the point, part of topics, files and addresses")
     method: Literal["kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir"] = Field(
         "kalman",
-        description="kalman: at once; lag: lag_s later, nearly a file's; adaptive-kalman: for noise that changes; fir, "
-        "two-stage-fir: as published, seconds later",
+        description="at once, lag_s later, adaptive, or a paper's filters seconds later; see `midspan methods`",
     )
     literal: bool = Field(False, strict=True, description="method, calibration and tracker as a paper prints them")
-    lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(0.5, description="delay of the method lag, s")
-    calibration: FileName | None = Field(None, description="calibration.json; left out: calibrates itself")
+    lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(
+        0.5, description="delay of `lag`, refused with any other method; longer is nearer to a file's error"
+    )
+    calibration: FileName | None = Field(
+        None,
+        description="calibration.json of `midspan calibrate` or an earlier run; left out: the point calibrates itself",
+    )
     accept: Literal["auto", "manual"] = Field(
-        "auto", description="whether a calibration found on the way comes into force on its own"
+        "auto", description="whether the point's own calibration comes into force at once or waits for cmd/accept"
     )
     calibration_s: Annotated[float, IsNumber, limited(10.0, 3600.0, "s")] = Field(
-        60.0, description="how long a calibration on the way records, s; longer needs less motion"
+        60.0, description="how long it records to calibrate itself; longer needs less motion"
     )
 
     @model_validator(mode="after")
@@ -203,7 +212,7 @@ class SiteFile(Section):
     """The sections of the file apart from the points."""
 
     name: Annotated[str, AfterValidator(_is_a_site)] = Field(
-        description="the site's name, part of every topic: blanks are allowed; +, #, / and control characters are not"
+        description="the site's name, part of every topic; blanks are allowed, +, # and / are not"
     )
     store: StoreSettings
     mqtt: MqttSettings | None = None

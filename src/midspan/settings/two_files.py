@@ -63,7 +63,7 @@ class Draft:
             ]
             open_keys = [(key, f"# {key} = ", why) for (own, key), why in self.left_out.items() if own == section]
             lines += [f"{line:<40}  # {remark}" if remark else line for _, line, remark in [*written, *open_keys]]
-        return "\n".join(["# Written by midspan init; every key is explained in docs/configuration.md.", *lines, ""])
+        return "\n".join(["# Written by midspan init; `midspan help SECTION` explains every key.", *lines, ""])
 
 
 def is_sensor_file(given: object) -> bool:
@@ -157,6 +157,7 @@ def _read(found: Draft, path: Path, request: "SeriesRequest", choose: bool, read
 
 def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direction: str) -> None:
     """The keys of the camera."""
+    from midspan.settings.keys import described, recording_sections
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
     from midspan.sources.thermal.formats import is_thermal, open_thermal
@@ -172,13 +173,14 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direct
     source, timed = timed_or_counted(opened)
     info = source.info
     found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
-    found.put(section, "direction", direction, 'image axis of the motion: "x" (right +), "y" (down +) or "xy"')
+    keys = recording_sections()
+    found.put(section, "direction", direction, described(keys, f"{section}.direction"))
     if not timed:
-        found.need(section, "rate_hz", "frames a second: the file has no times of its own")
+        found.need(section, "rate_hz", described(keys, f"{section}.rate_hz"))
     elif acceleration is not None:
         _begin(found, section, video, (float(source.times_ns()[0]) * 1e-9, float(acceleration.time_ns[0]) * 1e-9))
-    found.left_out[section, "exposure_s"] = "time a frame is exposed, s; left out: estimated, or in the error band"
-    found.left_out[section, "roi"] = "x, y, width, height in px; left out: chosen automatically"
+    for key in ("exposure_s", "roi"):
+        found.left_out[section, key] = described(keys, f"{section}.{key}")
 
 
 def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]) -> None:

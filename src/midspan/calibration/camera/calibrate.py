@@ -287,7 +287,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         camera.without_gain(1.0, parts["misfit"]),
         found.input_noise,
         bias,
-        tuple(warnings),
+        tuple(doubt_exposures(warnings, parts["compression"])),
         plain,
         misfit=coloured,
         slope=found.response.slope,
@@ -299,6 +299,15 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
 def _left_out(camera: CameraCalibration) -> list[Notice]:
     text = f"Target {{0}} is left out along {camera.direction}: {{1}}"
     return [Notice("part-left-out", text.format(one.name, one.reason)) for one in camera.targets if not one.used]
+
+
+def doubt_exposures(notices: Sequence[Notice], compression_std: float) -> list[Notice]:
+    """Notices of an exposure with the other cause of what they rest on; compression_std: what the compression of the
+    film may do to the scale factor, relative, 0 without it.
+    """
+    other = "The compression of this film makes fast, small motion smaller too; its exposure may be far shorter."
+    doubtful = [one.code == "exposure" and compression_std > 0.0 for one in notices]
+    return [one.worded(f"{one} {other}") if doubt else one for one, doubt in zip(notices, doubtful, strict=True)]
 
 
 def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float) -> list[Notice]:
@@ -330,7 +339,8 @@ def _contradiction_text(apart_m: float, response: FrequencyResponse) -> str:
     return (
         "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
         f"{differs}Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that "
-        "it shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
+        "it shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff. Stiffen "
+        "both mountings, check the axis, raise the frame rate."
     )
 
 

@@ -63,7 +63,7 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
                 "radar-target",
                 f"radar: the targets {targets[0].place} and {targets[1].place} differ by about "
                 f"{rounded(1e3 * np.sqrt(power.sum()))} mm (rms, at {at_hz:.2g} Hz): one of them moves on its own, and "
-                "the accelerometer cannot tell which. The error band holds it.",
+                "the accelerometer cannot tell which. The error band holds it. Aim at what is fixed.",
             )
             return
     held = "the error band holds it, as it would an error of the accelerometer"

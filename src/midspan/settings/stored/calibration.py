@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from midspan._version import __version__
 from midspan.calibration.direction import Direction
@@ -22,11 +22,13 @@ from midspan.engine.axis import AxisFigures
 from midspan.errors import DataError
 from midspan.notebook import table
 from midspan.notices import NOTICES, Notice, notice_trees
-from midspan.settings.fields import Listed
+from midspan.settings.fields import Form, Listed
 from midspan.settings.kinds import KINDS, sensors_of
 from midspan.settings.messages import explain
 from midspan.settings.recording import Sensor
 from midspan.settings.stored import sections
+from midspan.settings.stored.cameras import StoredAxis, StoredCamera
+from midspan.settings.stored.radar import StoredRadar
 from midspan.signals.lines import Line
 from midspan.trees import TreeError, read_json
 from midspan.writing import write_whole
@@ -201,7 +203,7 @@ class Calibration:
         left_out = {"left_out": self.left_out} if self.left_out else {}
         if self.across is None or first is None or other is None:
             return left_out
-        along = sections.StoredAxis.axis_tree
+        along = StoredAxis.axis_tree
         both = {first.direction: along(first, self), other.direction: along(other, self.across)}
         return left_out | {"direction": "xy", "axis": first.direction, "axes": both}
 
@@ -216,14 +218,16 @@ class Calibration:
 class StoredCalibration(sections.Stored):
     """The whole file; of each kind of sensor one section, or a list of several with a name each."""
 
-    version: sections.Text = ""
-    created: sections.Text = ""
-    warnings: tuple[sections.Text, ...] = ()
-    notices: tuple[sections.StoredNotice, ...] = ()
+    version: sections.Text = Field("", description="of midspan")
+    created: sections.Text = Field("", description="when it was made, UTC")
+    warnings: tuple[sections.Text, ...] = Field((), description="list of sentences")
+    notices: Annotated[tuple[sections.StoredNotice, ...], Form("list")] = Field(
+        (), description="the same with severity and code"
+    )
     accelerometer: sections.StoredAccelerometer
-    camera: Annotated[tuple[sections.StoredCamera, ...], Listed] = ()
-    infrared: Annotated[tuple[sections.StoredCamera, ...], Listed] = ()
-    radar: Annotated[tuple[sections.StoredRadar, ...], Listed] = ()
+    camera: Annotated[tuple[StoredCamera, ...], Listed] = ()
+    infrared: Annotated[tuple[StoredCamera, ...], Listed] = ()
+    radar: Annotated[tuple[StoredRadar, ...], Listed] = ()
     displacement: Annotated[tuple[sections.StoredDisplacement, ...], Listed] = ()
 
     @model_validator(mode="after")

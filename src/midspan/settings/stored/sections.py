@@ -7,31 +7,22 @@ versions can be read.
 
 import dataclasses
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WrapValidator, model_validator
 
-from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
-from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
-from midspan.checks import ValueRange, shown
+from midspan.checks import ValueRange
 from midspan.engine.axis import AxisFigures
-from midspan.errors import UsageError
-from midspan.radar.following import Background
-from midspan.radar.target import Target
-from midspan.records import Region, ScaleFactor, Source, TimeOffset
-from midspan.settings.camera import Celsius
+from midspan.records import TimeOffset
 from midspan.settings.fields import (
-    Carrier,
     Duration,
+    Form,
     IsNumber,
     SensorName,
     Time,
     limited,
-    region_is_positive,
-    second_is_larger,
 )
 from midspan.signals.lines import Line
 from midspan.vision.lens import Lens
@@ -39,8 +30,6 @@ from midspan.vision.lens import Lens
 MM = 1e3
 # The size of any scale or conversion factor.
 FACTOR = ValueRange(1e-9, 1e9)
-# What a radar's target in use must have, either sign of its factor; its coherence is 1 but for rounding.
-USED = {"amplitude": ValueRange(1e-30, 1e30), "conversion_factor": FACTOR, "coherence": ValueRange(0.01, 1.001)}
 
 
 def _is_a_factor(value: float) -> float:
@@ -49,14 +38,7 @@ def _is_a_factor(value: float) -> float:
     return value
 
 
-def _lens(value: Any) -> Lens | None:
-    try:
-        return None if value is None else Lens.from_dict(value)
-    except (KeyError, TypeError, ValueError, OverflowError, UsageError) as error:
-        raise ValueError(f"is no lens: {error}".rstrip(".")) from None
-
-
-def _null(unknown: float) -> WrapValidator:
+def null(unknown: float) -> WrapValidator:
     """What null stands for."""
     return WrapValidator(lambda value, number: unknown if value is None else number(value))
 
@@ -73,16 +55,11 @@ Bias = Annotated[float, IsNumber, limited(-1e4, 1e4, "m/s²")]
 Component = Annotated[float, IsNumber, limited(-10.0, 10.0)]
 # From rounding to above any range.
 Noise = Annotated[float, IsNumber, limited(1e-15, 1e6, "(px or mm)")]
-# Of a range profile, whose transform has fewer places.
-Bin = Annotated[float, IsNumber, limited(0.0, 1e6, "bins")]
-Decibel = Annotated[float, IsNumber, limited(-300.0, 300.0, "dB")]
-Whole = Annotated[int, Field(strict=True)]
-Roi = Annotated[tuple[Whole, Whole, Whole, Whole], AfterValidator(region_is_positive)]
 Complex = tuple[Number, Number]
-NumberOrNan = Annotated[Number, _null(math.nan)]
-NumberOrInf = Annotated[Number, _null(math.inf)]
-NumberOrZero = Annotated[Number, _null(0.0)]
-StdOrInf = Annotated[Std, _null(math.inf)]
+NumberOrNan = Annotated[Number, null(math.nan)]
+NumberOrInf = Annotated[Number, null(math.inf)]
+NumberOrZero = Annotated[Number, null(0.0)]
+StdOrInf = Annotated[Std, null(math.inf)]
 Text = Annotated[str, BeforeValidator(str)]
 Yes = Annotated[bool, Field(strict=True)]
 
@@ -131,15 +108,9 @@ def _plain(value: Any) -> Any:
             return StoredUsual.tree(value)
         case Line():
             return StoredLine.tree(value)
-        case Background():
-            return StoredBackground.tree(value)
         case Lens():
             return value.to_dict()
     return value
-
-
-def _complex(pairs: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
-    return np.array([complex(*pair) for pair in pairs])
 
 
 class StoredUsual(Stored):
@@ -151,7 +122,7 @@ class StoredUsual(Stored):
     dominant_hz: Std
     low_m_s2: Number
     high_m_s2: Number
-    range_low_m_s2: Annotated[Number, _null(-math.inf)] = -math.inf
+    range_low_m_s2: Annotated[Number, null(-math.inf)] = -math.inf
     range_high_m_s2: NumberOrInf = math.inf
     resolution_m_s2: StdOrInf = math.inf
     moved_m: Std
@@ -173,19 +144,36 @@ class StoredAccelerometer(Stored):
         **{"scale": "accelerometer_scale", "scale_std": "accelerometer_scale_std", "slope_rad_m": "slope"},
         **{"direction": "", "direction_std": ""},
     }
-    noise_std_m_s2: AccelerationNoise
-    motion_noise_s: Std = 0.0
-    bias_m_s2: Bias = 0.0
-    bias_std_m_s2: StdOrInf = math.inf
-    bias_drift_m_s3: Number = 0.0
-    scale: Factor = 1.0
-    scale_std: Std = 0.0
-    misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
-    slope_rad_m: Number = 0.0
-    direction: Annotated[tuple[Component, ...], Field(max_length=2)] = ()
-    direction_std: tuple[Std, ...] = ()
-    usual: StoredUsual | None = None
-    lines: tuple[StoredLine, ...] = ()
+    noise_std_m_s2: AccelerationNoise = Field(description="noise per sample, given or estimated")
+    motion_noise_s: Std = Field(0.0, description="noise density for each mean square of the acceleration, in addition")
+    bias_m_s2: Bias = Field(0.0, description="what it reads at rest, at the window's end")
+    bias_std_m_s2: StdOrInf = Field(math.inf, description="its standard deviation; null: not known")
+    bias_drift_m_s3: Number = Field(0.0, description="how fast the bias drifts; widens its random walk; 0: not visible")
+    scale: Factor = Field(1.0, description="gain relative to a displacement sensor; 1 where it was not estimated")
+    scale_std: Std = Field(
+        0.0,
+        description="standard deviation of the gain, else the recording's scale_std; part of all scales' deviations",
+    )
+    misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = Field(
+        1.0, description="factor on the variance of rows, 1 or more, for innovations that are not white"
+    )
+    slope_rad_m: Number = Field(
+        0.0, description="inclination per displacement, whose share of gravity is added; 0: none visible"
+    )
+    direction: Annotated[tuple[Component, ...], Field(max_length=2)] = Field(
+        (), description="with cross_values: sensors' axis along the cross axes, for one along value"
+    )
+    direction_std: tuple[Std, ...] = Field((), description="standard deviations of direction")
+    usual: Annotated[StoredUsual | None, Form("section")] = Field(
+        None,
+        description="usual mean, variance, frequency, extremes, range and resolution, by which gaps and clipping are "
+        "judged",
+    )
+    lines: Annotated[tuple[StoredLine, ...], Form("list")] = Field(
+        (),
+        description="narrow lines that are no motion: low_hz, high_hz, std_m_s2, taken_out (false: they widen the "
+        "band)",
+    )
 
     @model_validator(mode="after")
     def _has_pairs(self) -> "StoredAccelerometer":
@@ -200,125 +188,12 @@ class StoredAccelerometer(Stored):
         return super().values(record) | {"usual": usual, "lines": lines}
 
 
-class StoredTarget(Stored):
-    """One target of a camera; one that is not used may lack what was not estimated of it."""
-
-    name: Text | None = None
-    roi: Roi
-    scale_mm_per_px: Factor | None = None
-    scale_std_mm_per_px: Std | None = 0.0
-    noise_std_px: Annotated[Noise, _null(math.nan)] = math.nan
-    variance_factor: Annotated[Ratio, _null(math.nan)] = math.nan
-    used: Yes = True
-    reason: Text = ""
-    lever_px: Number = 0.0
-
-    @model_validator(mode="after")
-    def _has_what_is_used(self) -> "StoredTarget":
-        wanted = ["scale_mm_per_px", "noise_std_px", "variance_factor"] if self.used else []
-        wanted += ["scale_std_mm_per_px"] if self.scale_mm_per_px is not None else []
-        for key in wanted:
-            if getattr(self, key) is None or math.isnan(getattr(self, key)):
-                raise ValueError(f"{key} is missing")
-        return self
-
-    def record(self, number: int) -> TargetCalibration:
-        """The target, which is called by its number where it has no name."""
-        more = {"region": Region(*self.roi), "scale": _factor(self), "name": self.name or str(number)}
-        return TargetCalibration(**self.values(TargetCalibration) | more)
-
-    @classmethod
-    def tree(cls, record: TargetCalibration) -> dict[str, Any]:
-        """The section of a target."""
-        return super().tree(record) | _region_tree(record.region) | _factor_tree(record.scale)
-
-
-class StoredScale(Stored):
-    """What is estimated along one image axis; the targets' own values are in `targets`."""
-
-    fields = {"targets": ""}
-    scale_mm_per_px: Factor
-    scale_std_mm_per_px: Std = 0.0
-    relative_scale_std: Std | None = None
-    phase_scale_mm_per_rad: Factor | None = None
-    apart_std_mm: Std = 0.0
-    slow_std_mm: Std = 0.0
-    slow_time_s: StdOrInf = math.inf
-    slow_hz: Std = 0.0
-    noise_std_px: Noise = 0.02
-    variance_factor: Ratio = 1.0
-    targets: tuple[StoredTarget, ...] = ()
-
-    def along(self) -> dict[str, Any]:
-        """The fields of a camera along one image axis; the section's own keys count for its only target in use."""
-        common = set(StoredTarget.model_fields) - {"name", "used", "reason"}
-        stated = {key: getattr(self, key) for key in common if key in self.model_fields_set}
-        alone = sum(target.used for target in self.targets) == 1
-        targets = [one.model_copy(update=stated) if alone and one.used else one for one in self.targets]
-        records = tuple(one.record(number) for number, one in enumerate(targets, start=1))
-        return self.values(CameraCalibration) | {"scale": _factor(self), "targets": records}
-
-    @classmethod
-    def tree(cls, record: CameraCalibration) -> dict[str, Any]:
-        """The section of a camera along one image axis."""
-        targets = [StoredTarget.tree(target) for target in record.targets]
-        return super().tree(record) | _factor_tree(record.scale) | {"targets": targets}
-
-
-def _factor(part: StoredScale | StoredTarget) -> ScaleFactor | None:
-    value, std = part.scale_mm_per_px, part.scale_std_mm_per_px or 0.0
-    return None if value is None else ScaleFactor(value / MM, (std / MM) ** 2)
-
-
-def _factor_tree(scale: ScaleFactor | None) -> dict[str, float | None]:
-    value, std = (None, None) if scale is None else (MM * scale.value_m_per_px, MM * math.sqrt(scale.variance))
-    return {"scale_mm_per_px": value, "scale_std_mm_per_px": std}
-
-
-def _region_tree(region: Region) -> dict[str, list[int]]:
-    return {"roi": [region.x, region.y, region.width, region.height]}
-
-
-# What the keys of the accelerometer along an image axis begin with.
-PREFIX = "accelerometer_"
-
-
-class StoredAxis(StoredScale):
-    """One of both image axes, with the noise and bias of its own accelerometer, whose keys have a prefix."""
-
-    noise_std_px: Noise
-    variance_factor: Ratio
-    fused: Yes = True
-    accelerometer: StoredAccelerometer
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_prefix(cls, tree: Any) -> Any:
-        if not isinstance(tree, dict):
-            return tree
-        section = {key.removeprefix(PREFIX): value for key, value in tree.items() if str(key).startswith(PREFIX)}
-        return tree | {"accelerometer": section}
-
-    @classmethod
-    def axis_tree(cls, camera: CameraCalibration, calibration: Any) -> dict[str, Any]:
-        """The section of a camera and its accelerometer along one image axis."""
-        section = StoredAccelerometer.tree(calibration)
-        return cls.tree(camera) | {f"{PREFIX}{key}": value for key, value in section.items()}
-
-
-class StoredAxes(Stored):
-    """Both image axes."""
-
-    x: StoredAxis
-    y: StoredAxis
-
-
 class StoredSensor(Stored):
     """What all sensors have: a name where there are several of a kind, and a clock."""
 
-    name: SensorName | None = None
-    time_offset_s: Time
-    time_offset_std_s: StdOrInf = 0.0
+    name: SensorName | None = Field(None, description="of a named sensor; of several a list holds one section each")
+    time_offset_s: Time = Field(description="clock offset, added to the sensor's stamps")
+    time_offset_std_s: StdOrInf = Field(0.0, description="its standard deviation; null: not known")
 
     @property
     def offset(self) -> TimeOffset:
@@ -335,7 +210,8 @@ class StoredSensor(Stored):
         return super().tree(record) | offset
 
 
-def _offset(offset: TimeOffset) -> str:
+def offset_summary(offset: TimeOffset) -> str:
+    """A clock offset with its standard deviation, as one line of a summary has it."""
     return f"clock offset {1e3 * offset.value_s:.2f} ± {1e3 * math.sqrt(offset.variance):.2f} ms"
 
 
@@ -346,216 +222,33 @@ def offset_words(offset: TimeOffset) -> str:
     return f"{1e3 * offset.value_s:+.3f} ± {1e3 * math.sqrt(offset.variance):.2g} ms"
 
 
-class StoredCamera(StoredSensor, StoredScale):
-    """A camera of light or infrared."""
-
-    fields = {"targets": "", "axis": "", "axes": ""}
-    roi: Roi
-    direction: Literal["x", "y", "xy"] = "y"
-    axis: Literal["x", "y"] | None = None
-    axes: StoredAxes | None = None
-    left_out: Literal["", "x", "y"] = ""
-    tracker: Text = "template"
-    lens: Annotated[Lens | None, BeforeValidator(_lens)] = None
-    temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = None
-    exposure_s: Duration = 0.0
-    literal: Yes = False
-
-    @model_validator(mode="after")
-    def _has_both_axes(self) -> "StoredCamera":
-        if self.direction == "xy" and (self.axis is None or self.axes is None):
-            raise ValueError('must hold axis, "x" or "y", and axes with x and y, where direction = "xy"')
-        return self
-
-    def record(self, kind: str) -> CameraCalibration:
-        """The camera along its main axis."""
-        direction = self.axis if self.direction == "xy" and self.axis is not None else self.direction
-        more = {"region": Region(*self.roi), "direction": direction, "source": Source[kind.upper()]}
-        return CameraCalibration(**self.along() | more)
-
-    def across(self, main: CameraCalibration) -> tuple[CameraCalibration, StoredAccelerometer]:
-        """The same camera along its second axis, and the accelerometer there."""
-        assert self.axes is not None
-        part = self.axes.x if main.direction == "y" else self.axes.y
-        second = dataclasses.replace(main, **part.along(), direction="x" if main.direction == "y" else "y")
-        # The best target along this axis may be another one than along the main axis: the one with the axis's scale.
-        regions = [target.region for target in second.targets if target.used and target.scale == second.scale]
-        return dataclasses.replace(second, region=(*regions, main.region)[0]), part.accelerometer
-
-    @classmethod
-    def tree(cls, record: CameraCalibration) -> dict[str, Any]:
-        """The section of a camera along its main axis."""
-        return super().tree(record) | _region_tree(record.region)
-
-    @staticmethod
-    def summary(camera: CameraCalibration) -> str:
-        """Scale factor and clock offset."""
-        value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-        return f"{value:.5g} ± {std:.2g} mm/px along {camera.direction}, {_offset(camera.offset)}"
-
-    @staticmethod
-    def rows(camera: CameraCalibration) -> list[tuple[str, str]]:
-        """The values that the report lists."""
-        value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-        region, seen = camera.region, camera.temperature_range_c
-        return [
-            ("scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
-            ("clock offset", offset_words(camera.offset)),
-            ("noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
-            ("variance factor", f"{camera.variance_factor:.3g}"),
-            ("region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
-            *([("temperature range", f"{seen[0]:.2f} … {seen[1]:.2f} °C")] if seen else []),
-            ("direction, tracker", f"{camera.direction}, {camera.tracker}"),
-        ]
-
-
-class StoredBackground(Stored):
-    """What is static in each bin that a radar's target moves through."""
-
-    bins: Annotated[tuple[Bin, ...], Field(min_length=1)]
-    phasors: Annotated[tuple[Complex, ...], Field(min_length=1)]
-
-    @model_validator(mode="after")
-    def _has_pairs(self) -> "StoredBackground":
-        if len(self.bins) != len(self.phasors):
-            raise ValueError(f"must have as many phasors as bins; received {len(self.phasors)} and {len(self.bins)}")
-        return self
-
-
-class StoredRadarTarget(Stored):
-    """One peak of the range profile."""
-
-    fields = {"noise_std_mm": "noise_m", "own_std_mm": "own_m"}
-    place_bin: Bin
-    range_m: NumberOrNan = math.nan
-    snr_db: Annotated[Decibel, _null(math.inf)] = math.inf
-    amplitude: Number
-    conversion_factor: NumberOrNan = math.nan
-    conversion_factor_std: Number | None = None
-    time_offset_s: Time | None = None
-    time_offset_std_s: NumberOrInf = math.inf
-    coherence: Number | None = None
-    clutter: NumberOrNan = math.nan
-    disagreement_rad: NumberOrZero = 0.0
-    noise_std_mm: NumberOrInf = math.inf
-    reach_bins: Annotated[Bin, _null(0.0)] = 0.0
-    modulation_rad: NumberOrNan = math.nan
-    phase_noise_rad2: NumberOrZero = 0.0
-    own_std_mm: NumberOrZero = 0.0
-    own_hz: NumberOrZero = 0.0
-    leak: Complex = (0.0, 0.0)
-    background: StoredBackground | None = None
-    weights: Annotated[tuple[Complex, ...], Field(min_length=1)]
-    used: Yes = True
-    reason: Text = ""
-
-    @model_validator(mode="after")
-    def _can_be_used(self) -> "StoredRadarTarget":
-        for key, limits in USED.items() if self.used else ():
-            value = getattr(self, key)
-            # A factor of either sign.
-            size = abs(value) if key == "conversion_factor" else value
-            if value is not None and size not in limits:
-                raise ValueError(f"{key} of a target in use must be {limits}; received {shown(value)}")
-        return self
-
-    def record(self, offset_s: float) -> RadarTarget:
-        """The target; what is not known of it is another thing for one that is used than for one that is not.
-
-        offset_s: of the radar's clock.
-        """
-        std, own_s, coherence = (0.0, offset_s, 1.0) if self.used else (math.inf, math.nan, 0.0)
-        unknown = {"conversion_factor_std": std, "time_offset_s": own_s, "coherence": coherence}
-        known = {name: value for name, value in self.values(Target).items() if value is not None}
-        known |= {"leak": complex(*self.leak), "weights": _complex(self.weights)}
-        if self.background is not None:
-            bins, phasors = np.array(self.background.bins), _complex(self.background.phasors)
-            known["background"] = Background(bins, phasors)
-        return RadarTarget(Target(**unknown | known), self.used, self.reason)
-
-
-class StoredRadar(StoredSensor):
-    """A radar; its own conversion factor is that of the best target, and counts where somebody has changed it."""
-
-    fields = {"targets": ""}
-    conversion_factor: Factor
-    conversion_factor_std: Std = 0.0
-    relative_std: Std | None = None
-    variance_factor: Ratio = 1.0
-    carrier_hz: Carrier
-    channels: Annotated[int, IsNumber, Field(ge=1, le=4096)]
-    literal: Yes = False
-    targets: tuple[StoredRadarTarget, ...]
-
-    @model_validator(mode="after")
-    def _has_a_target(self) -> "StoredRadar":
-        used = [target for target in self.targets if target.used]
-        if not used:
-            raise ValueError("targets must hold a target in use")
-        if any(len(target.weights) != self.channels for target in used):
-            raise ValueError(f"targets must have weights for {self.channels} channels each")
-        return self
-
-    def record(self, _kind: str) -> RadarCalibration:
-        """The radar; the section's own conversion factor is that of the best target."""
-        best, *others = sorted((one.record(self.time_offset_s) for one in self.targets), key=lambda item: not item.used)
-        factor = {"conversion_factor": self.conversion_factor, "conversion_factor_std": self.conversion_factor_std}
-        target = dataclasses.replace(best.target, **factor)  # type: ignore[arg-type]
-        spread = best.target.relative_std if self.relative_std is None else self.relative_std
-        more = {"targets": (dataclasses.replace(best, target=target), *others), "relative_std": spread}
-        return RadarCalibration(**self.values(RadarCalibration) | more)
-
-    @classmethod
-    def tree(cls, record: RadarCalibration) -> dict[str, Any]:
-        """The section of a radar; range and noise of the best target inform alone."""
-        best = StoredRadarTarget.tree(record.best)
-        of_best = {key: best[key] for key in ("conversion_factor", "conversion_factor_std", "noise_std_mm")}
-        targets = [
-            StoredRadarTarget.tree(one.target) | {"used": one.used, "reason": one.reason} for one in record.targets
-        ]
-        return super().tree(record) | of_best | {"target_range_m": best["range_m"], "targets": targets}
-
-    @staticmethod
-    def summary(radar: RadarCalibration) -> str:
-        """Conversion factor, range of the target and clock offset."""
-        target = radar.targets[0].target
-        value, std = target.conversion_factor, target.conversion_factor_std
-        return f"conversion factor {value:.5g} ± {std:.2g}, target {target.place}, {_offset(radar.offset)}"
-
-    @staticmethod
-    def rows(radar: RadarCalibration) -> list[tuple[str, str]]:
-        """The values that the report lists."""
-        best = radar.best
-        value, std = best.conversion_factor, best.conversion_factor_std
-        return [
-            ("conversion factor", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
-            ("range", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
-            ("clock offset", offset_words(radar.offset)),
-            ("noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
-            ("variance factor", f"{radar.variance_factor:.3g}"),
-            ("carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
-        ]
-
-
 class StoredDisplacement(StoredSensor):
     """A displacement sensor; its scale is 1 where it was not estimated."""
 
-    noise_std_mm: Noise
-    resolution_m: Std | None = None
-    low_m: Annotated[Number, _null(-math.inf)] = -math.inf
-    high_m: NumberOrInf = math.inf
-    slow_std_mm: Std = 0.0
-    slow_time_s: StdOrInf = math.inf
-    slow_hz: Std = 0.0
-    exposure_s: Duration = 0.0
-    apart_std_mm: Std = 0.0
-    scale: Factor = 1.0
-    scale_std: Std = 0.0
-    clock_rate: Number = 0.0
-    clock_reference_s: Number = 0.0
-    unseen_drift_mm: StdOrInf = 0.0
-    unseen_step_mm: StdOrInf = 0.0
-    unseen_gap_mm: StdOrInf = 0.0
+    noise_std_mm: Noise = Field(description="white noise of one value")
+    resolution_m: Std | None = Field(
+        None, description="smallest step between values; changes below it do not count as motion"
+    )
+    low_m: Annotated[Number, null(-math.inf)] = Field(
+        -math.inf, description="lower end of its range where it was held there; null: none"
+    )
+    high_m: NumberOrInf = Field(math.inf, description="upper end of its range, likewise")
+    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: its noise is white")
+    slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
+    slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
+    exposure_s: Duration = Field(0.0, description="time over which a value averages, given or estimated")
+    apart_std_mm: Std = Field(0.0, description="contradiction to the accelerometer (rms) of unknown cause, in the band")
+    scale: Factor = Field(1.0, description="displacement per reading, with estimate_scale")
+    scale_std: Std = Field(0.0, description="its standard deviation")
+    clock_rate: Number = Field(
+        0.0, description="added to its stamps for each second since clock_reference_s; 0: even clocks"
+    )
+    clock_reference_s: Number = Field(0.0, description="instant on its own clock from which clock_rate counts")
+    unseen_drift_mm: StdOrInf = Field(
+        0.0, description="drift within 10 s that would not show, for not_in_band; null: any; 0: not examined"
+    )
+    unseen_step_mm: StdOrInf = Field(0.0, description="step of its zero that would not show, likewise")
+    unseen_gap_mm: StdOrInf = Field(0.0, description="step across its longest gap that would not show, likewise")
 
     def record(self, _kind: str) -> DisplacementCalibration:
         """The displacement sensor."""
@@ -565,7 +258,7 @@ class StoredDisplacement(StoredSensor):
     def summary(sensor: DisplacementCalibration) -> str:
         """Noise, scale where it was estimated, and clock offset."""
         scale = "" if sensor.scale == 1.0 else f", scale {sensor.scale:.5g} ± {sensor.scale_std:.2g}"
-        return f"noise {1e3 * sensor.noise_std_m:.3g} mm{scale}, {_offset(sensor.offset)}"
+        return f"noise {1e3 * sensor.noise_std_m:.3g} mm{scale}, {offset_summary(sensor.offset)}"
 
     @staticmethod
     def rows(sensor: DisplacementCalibration) -> list[tuple[str, str]]:
