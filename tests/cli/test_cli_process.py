@@ -219,3 +219,33 @@ def test_the_package_is_a_command(tmp_path):
     done = subprocess.run([sys.executable, "-m", "midspan", "formats"], cwd=tmp_path, capture_output=True, check=False)
     assert done.returncode == 0
     assert b"csv" in done.stdout.lower()
+
+
+FLOODED = """
+import asyncio, os, signal, threading, time
+from midspan.cli.process import stop_by_signals
+
+async def main():
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    stop_by_signals(loop, stopped.set)
+    def flood():
+        for _ in range(20_000):
+            loop.call_soon_threadsafe(lambda: None)
+        os.kill(os.getpid(), signal.SIGTERM)
+        filled.set()
+    filled = threading.Event()
+    threading.Thread(target=flood).start()
+    filled.wait(60)
+    await asyncio.wait_for(stopped.wait(), 10)
+
+asyncio.run(main())
+print("stopped")
+"""
+
+
+def test_a_signal_is_heard_by_a_loop_that_has_hundreds_of_messages_to_take():
+    """The loop's own handler loses it: the socket that would wake the loop is full."""
+    done = subprocess.run(
+        [sys.executable, "-c", FLOODED], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "stopped\n"), done.stderr

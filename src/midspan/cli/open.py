@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.cli.process import stop_by_signals
 
 if TYPE_CHECKING:
     import asyncio
@@ -27,7 +28,6 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
     This machine alone is served, by the printed link, which works once; Enter prints another, Ctrl-C ends.
     """
     import asyncio
-    import signal
     from tempfile import TemporaryDirectory
 
     from midspan.serve.application import PAGE
@@ -45,8 +45,7 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
 
     async def main(folder: Path) -> None:
         ending, loop = asyncio.Event(), asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, ending.set)
+        stop_by_signals(loop, ending.set)
         with listening(f"127.0.0.1:{port}", "--port") as listener:
             desk, at = Desk(files, folder), f"http://127.0.0.1:{listener.getsockname()[1]}"
 

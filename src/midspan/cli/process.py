@@ -7,6 +7,7 @@ import sys
 
 TYPE_CHECKING = False  # see `cli/main.py`
 if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
     from collections.abc import Callable
     from types import FrameType
     from typing import Any
@@ -66,6 +67,21 @@ def supervised(command: "Callable[[], int]") -> int:
     # The work is done: what comes now ends the process at once and without a traceback.
     _use(before, signal.SIG_DFL)
     return code
+
+
+def stop_by_signals(loop: "AbstractEventLoop", stop: "Callable[[], None]") -> None:
+    """Let Ctrl-C and a service manager's signal call `stop` in a loop of this thread.
+
+    The loop's own handlers are woken by a byte in the socket that its other threads wake it by: where hundreds of
+    messages wait, that is full, and the signal is lost.
+    """
+
+    def heard(_number: int, _frame: "FrameType | None") -> None:
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(stop)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, heard)
 
 
 def _catch_signals() -> "tuple[int, ...]":

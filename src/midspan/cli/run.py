@@ -4,6 +4,7 @@ import click
 
 from midspan.cli.access import announce_admin
 from midspan.cli.console import Console, common_options
+from midspan.cli.process import stop_by_signals
 
 
 @click.command("run")
@@ -19,7 +20,6 @@ def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: b
     import asyncio
     import faulthandler
     import json
-    import signal
     import sys
     from datetime import UTC, datetime
 
@@ -41,8 +41,7 @@ def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: b
         supervisor = Supervisor(
             settings, say, note, serve=serve, announce=lambda: announce_admin(settings.where, console)
         )
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, supervisor.stop)
+        stop_by_signals(asyncio.get_running_loop(), supervisor.stop)
         return await supervisor.run(for_s)
 
     if sys.__stderr__ is not None:

@@ -6,6 +6,7 @@ import click
 
 from midspan.cli.access import announce_admin
 from midspan.cli.console import Console, common_options
+from midspan.cli.process import stop_by_signals
 
 
 @click.command("serve")
@@ -23,7 +24,6 @@ def command(
     The first start makes the user `admin` and prints its password once (not with --quiet).
     """
     import asyncio
-    import signal
 
     from midspan.errors import DataError
     from midspan.serve.process import ServeSettings, more_descriptors, served
@@ -41,8 +41,7 @@ def command(
 
     async def main() -> str:
         ending = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, ending.set)
+        stop_by_signals(asyncio.get_running_loop(), ending.set)
         with listening(listen, "--listen") as listener:
             host, port = listen.rpartition(":")[0], listener.getsockname()[1]
             address = f"http{'' if tls_cert is None else 's'}://{host}:{port}"
