@@ -45,7 +45,14 @@ def made_result(folder):
         "time_s": time_ns / NANOSECONDS, "displacement_mm": value, "displacement_std_mm": np.full(len(value), 0.1),
         "velocity_mm_s": np.zeros(len(value)), "source": np.ones(len(value), dtype=np.int8), "status": status,
     }  # fmt: skip
-    metadata = {"midspan": "0.1.0", "method": "smoother", "not_in_band": ["tilt"], "notices": [], "events": []}
+    metadata = {
+        "midspan": "0.1.0",
+        "verdict": "It moved.",
+        "method": "smoother",
+        "not_in_band": ["tilt"],
+        "notices": [],
+        "events": [],
+    }
     write_result(folder / "result.csv", ResultTable(columns, time_ns, metadata))
 
 
@@ -194,6 +201,7 @@ def test_a_peak_keeps_its_height_and_what_is_lost_has_no_value(client, footbridg
     made_result(footbridge_copy)
     found = client.get(f"{API}/0/result").json()
     assert (found["method"], found["not_in_band"], found["rows"]) == ("smoother", ["tilt"], RATE * SECONDS)
+    assert found["verdict"] == "It moved."
     assert (found["from_s"], found["to_s"]) == (0.0, SECONDS - 0.01)
     for count in (1, 7, 1000):
         asked = {"from_s": 0, "to_s": SECONDS, "buckets": count}

@@ -20,6 +20,8 @@ interface Notice {
   text: string;
 }
 interface ResultBody extends Span {
+  /** Not in results of earlier versions. */
+  verdict: string | null;
   method: string;
   /** Of a result along two axes, by their names. */
   axes: Record<string, { column: string }> | null;
@@ -213,6 +215,7 @@ class ResultView {
     const made = `Method ${found.method}, ${found.rows} rows, written ${clock(1000 * (recording.result_s ?? 0))}`;
     return [
       el("h2", {}, "Displacement"),
+      el("p", { class: "words" }, found.verdict ?? ""),
       el("p", { class: "quiet" }, `${made}: result.csv in its folder.`),
       el("p", { class: "wrong" }, old ? "recording.toml was changed since: estimate again." : ""),
     ];
@@ -257,11 +260,18 @@ function calibrationTable(calibration: Record<string, unknown>): HTMLElement {
 
 const list = (texts: string[]) => el("ul", {}, ...texts.map((text) => el("li", {}, text)));
 
-/** What a result warns of, above it. */
+const SEVERITIES = ["serious", "warning", "note"];
+const WARNINGS_SHOWN = 3;
+
+/** What a result warns of, above it: the worst three, the others folded. */
 function warningsOf(found: ResultBody): HTMLElement[] {
-  const notices = found.notices ?? [];
-  if (!notices.length) return [];
-  return [el("h2", {}, "Warnings"), list(notices.map((one) => `${one.severity}: ${one.text} [${one.code}]`))];
+  const rank = ({ severity }: Notice) => SEVERITIES.indexOf(severity);
+  const worst = [...(found.notices ?? [])].sort((a, b) => rank(a) - rank(b));
+  const texts = worst.map((one) => `${one.severity}: ${one.text} [${one.code}]`);
+  const others = texts.slice(WARNINGS_SHOWN);
+  if (!texts.length) return [];
+  const more = el("details", {}, el("summary", {}, `${others.length} more`), list(others));
+  return [el("h2", {}, "Warnings"), list(texts.slice(0, WARNINGS_SHOWN)), ...(others.length ? [more] : [])];
 }
 
 /** What is not in the band, events and the calibration of a result. */

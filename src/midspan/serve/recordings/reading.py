@@ -31,7 +31,7 @@ RESULT_FILE, REPORT_FILE = "result.csv", "report.html"
 # Levels of folders that are looked through for recordings, and how many these may be: more are a campaign.
 FOLDERS_DEEP, MAX_RECORDINGS = 2, 500
 # Of a result's metadata, what a person reads.
-SHOWN = ("midspan", "method", "delay_s", "zero_std_mm", "axes", "not_in_band", "notices", "events")
+SHOWN = ("midspan", "verdict", "method", "delay_s", "zero_std_mm", "axes", "not_in_band", "notices", "events")
 MAX_EVENTS = 1000
 
 
