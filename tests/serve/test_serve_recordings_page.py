@@ -141,7 +141,7 @@ def test_it_is_estimated_and_the_result_shown_compared_and_saved(page, folder, t
     assert page.get_by_label("Calibration").input_value() == "kept"
     with page.context.expect_page() as report:
         page.get_by_role("button", name="Open the report").click()
-    play.expect(report.value.get_by_role("heading", name="Warnings and events")).to_be_visible()
+    play.expect(report.value.get_by_role("heading", name="Displacement", exact=True)).to_be_visible()
     report.value.close()
 
 

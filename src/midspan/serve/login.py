@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal, Protocol
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
@@ -131,18 +131,14 @@ async def begin(credentials: Credentials, request: Request, response: Response, 
 
 
 @routes.get("/session", response_model=Session, responses=declared(401), dependencies=[Depends(TokenScheme)])
-async def session(
-    request: Request, optional: Annotated[bool, Query(include_in_schema=False)] = False
-) -> Session | JSONResponse:
-    """Who is logged in, with the CSRF token: a page that was loaded again asks for it.
-
-    optional: the page's own way to ask: 200 and a null user instead of 401, which browsers report as a fault.
-    """
+async def session(request: Request) -> Session | JSONResponse:
+    """Who is logged in, with the CSRF token: a page that was loaded again asks for it."""
     gate = gate_of(request)
     try:
         found, kept = login_of(request)
     except Problem:
-        if optional:
+        # The page's own way to ask, `?optional=true`: browsers report a 401 as a fault.
+        if request.query_params.get("optional") == "true":
             return JSONResponse({"user": None, "text": gate.how, "code": gate.code})
         raise
     csrf, serves = csrf_of(kept) if kept else "", gate.serves
