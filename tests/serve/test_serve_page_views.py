@@ -249,6 +249,8 @@ def test_a_change_is_shown_at_once_and_nothing_is_asked_for_meanwhile(opened, si
     page, asked = opened(), []
     card = page.locator(".card").first
     play.expect(card).to_have_attribute("data-state", "good")
+    # What a view begins with.
+    page.wait_for_load_state("networkidle")
     page.on("request", lambda request: asked.append(request.url))
     page.wait_for_timeout(3500)
     stated(point={"status": "coasting"})

@@ -61,7 +61,7 @@ def check(where: str) -> Checked:
     if (folder / CHECKPOINT_FILE).is_file() and not any(one.file == CHECKPOINT_FILE for one in faults):
         with closing(SqliteDatabase(folder / CHECKPOINT_FILE, read_only=True)) as database:
             faults += [Fault(CHECKPOINT_FILE, text) for _, text in _damaged_checkpoints(database)]
-    logs = sorted((folder / LOGS).glob("*.log"))
+    logs = _logs(folder)
     for log in logs:
         cut = log.stat().st_size - whole_bytes(log)
         if cut > 0 and _is_free(log):
@@ -126,29 +126,41 @@ def backup(where: str, target: Path) -> list[str]:
 
 
 def _copied(folder: Path, part: Path) -> list[str]:
-    logs = sorted((folder / LOGS).glob("*.log"))
-    first = [folder / CHECKPOINT_FILE, *logs]
-    others = [
+    names = [name for name in (_copy(folder, part, folder / CHECKPOINT_FILE),) if name]
+    # Each is listed once what comes before it is copied: a log, or the blocks that one becomes, may be made meanwhile.
+    for listed in (_logs, _others):
+        names += [name for file in listed(folder) if (name := _copy(folder, part, file))]
+    return names
+
+
+def _logs(folder: Path) -> list[Path]:
+    return sorted((folder / LOGS).glob("*.log"))
+
+
+def _others(folder: Path) -> list[Path]:
+    """What is copied besides checkpoints and logs."""
+    return [
         file
         for file in sorted(folder.rglob("*"))
-        if file.is_file() and file not in first and file.relative_to(folder).parts[0] not in LEFT_OUT
+        if file.is_file() and file != folder / CHECKPOINT_FILE and file.relative_to(folder).parts[0] not in LEFT_OUT
         # SQLite's own files of a database are in the copy that it makes.
         and ".sqlite-" not in file.name and not file.name.endswith((DAMAGED, UNFINISHED))
     ]  # fmt: skip
-    names = []
-    for file in [*first, *others]:
-        copy = part / file.relative_to(folder)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        if file.suffix == ".sqlite" and file.is_file():
-            with sqlite_faults(file), closing(_read(file)) as one, closing(sqlite3.connect(copy)) as other:
-                one.backup(other)
-            shutil.copymode(file, copy)
-        elif file.is_file():
-            shutil.copy2(file, copy)
-        else:
-            continue
-        names.append(str(file.relative_to(folder)))
-    return names
+
+
+def _copy(folder: Path, part: Path, file: Path) -> str:
+    """Copy a file of a folder; its name, empty where it is gone."""
+    copy = part / file.relative_to(folder)
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    if file.suffix == ".sqlite" and file.is_file():
+        with sqlite_faults(file), closing(_read(file)) as one, closing(sqlite3.connect(copy)) as other:
+            one.backup(other)
+        shutil.copymode(file, copy)
+    elif file.is_file():
+        shutil.copy2(file, copy)
+    else:
+        return ""
+    return str(file.relative_to(folder))
 
 
 def _folder(where: str, action: str) -> Path:
