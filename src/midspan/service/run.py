@@ -64,6 +64,7 @@ class Service:
         self.site, self._say, self._note, self._socket = site, say, note, socket
         self._keeper = Keeper(site.store, [plan.name for plan in site.points])
         self._points = drafted(site, [plan.name for plan in site.points])
+        self.sizes_px = partial(sizes_of, self._points)
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
         self._paused = paused = Paused(place_of(site.store))
         self._alarms = Alarming(site, say, lambda tree: None if socket is None else socket.publish(tree))
@@ -279,11 +280,6 @@ class Service:
         """Whether points are being begun with other settings."""
         return self._changing.locked()
 
-    @property
-    def sizes_px(self) -> dict[str, tuple[int, int]]:
-        """Width and height of the pictures that the cameras give, by address."""
-        return sizes_of(self._points)
-
     async def take(self, site: Site) -> Changes:
         """Go on with other settings of the same store; returns as soon as it is certain that they can be run. The
         points that they leave as they are lose no row.
@@ -293,7 +289,7 @@ class Service:
         await self._changing.acquire()
         try:
             changes = Changes.between(self.site, site)
-            fresh = await asyncio.to_thread(checked, site, changes.beginning, self.sizes_px)
+            fresh = await asyncio.to_thread(checked, site, changes.beginning, self.sizes_px())
             if changes.added:
                 names = dict.fromkeys(plan.name for one in (self.site, site) for plan in one.points)
                 await asyncio.to_thread(self._keeper.lock, list(names))

@@ -288,7 +288,7 @@ class Supervisor:
         require_folders(site)
         restart = self._fixed(site.store, site.settings.service)
         changes = Changes.between(self._running, site)
-        sizes_px = {} if self._service is None else self._service.sizes_px
+        sizes_px = {} if self._service is None else self._service.sizes_px()
         await asyncio.to_thread(checked, site, changes.beginning, sizes_px)
         text = _needs_restart(restart) if restart else changes.text
         return {"text": f"Not written. {text}", "restart": restart, **changes.to_dict()}

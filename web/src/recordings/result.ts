@@ -263,7 +263,7 @@ const list = (texts: string[]) => el("ul", {}, ...texts.map((text) => el("li", {
 const SEVERITIES = ["serious", "warning", "note"];
 const WARNINGS_SHOWN = 3;
 
-/** What a result warns of, above it: the worst three, the others folded. */
+/** What a result warns of, above it: the worst three, the others under a heading that opens. */
 function warningsOf(found: ResultBody): HTMLElement[] {
   const rank = ({ severity }: Notice) => SEVERITIES.indexOf(severity);
   const worst = [...(found.notices ?? [])].sort((a, b) => rank(a) - rank(b));
