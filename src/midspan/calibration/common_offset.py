@@ -21,6 +21,7 @@ class Fitted:
 
     found: tuple[ScaleCalibration | None, ...]
     reasons: tuple[str, ...]
+    tilt: "Tilt | None" = None
 
     @property
     def used(self) -> list[ScaleCalibration]:
@@ -54,7 +55,7 @@ def one_offset(fits: Sequence[Fitted]) -> list[Fitted]:
                 )
             else:
                 found[k] = _at_offset(one, offset)
-        joint.append(Fitted(tuple(found), tuple(reasons)))
+        joint.append(replace(fit, found=tuple(found), reasons=tuple(reasons)))
     return joint
 
 

@@ -50,6 +50,8 @@ OTHER_ZERO_STD_M = 0.1
 # Density of the random walk of a sensor's clock relative to the accelerometer's, s²/s: it follows a drift of 60 ppm at
 # once.
 CLOCK_WALK = 3.6e-9
+# A tilt is taken as independent from frame to frame: nothing is assumed of how fast a camera nods.
+TILT_INTERVALS = 0.25
 # A target calibrated for another radar, or moved since, differs in carrier by this share or in range by this many bins.
 SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
@@ -216,7 +218,7 @@ def camera_channels(
         own_s = camera.exposure_s if exposure_s is None else exposure_s
         mappings = camera.mappings()
         noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
-        best = camera.best_used
+        best, slow = camera.best_used, _slow_error(camera, step_s)
         for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
             zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
             channel = Channel(
@@ -231,9 +233,9 @@ def camera_channels(
                 coasting_s=coasting_s,
                 lost_s=lost_s,
                 interval_s=step_s,
-                slow_std_m=camera.slow_std_m,
-                slow_time_s=camera.slow_time_s,
-                slow_hz=camera.slow_hz,
+                slow_std_m=slow[0],
+                slow_time_s=slow[1],
+                slow_hz=slow[2],
             )
             along[axis].append(table.add(channel))
     for numbers, camera in zip(along, calibrations, strict=True):
@@ -247,6 +249,15 @@ def camera_channels(
     levers = [[mapping.lever_px for mapping in camera.mappings()] for camera in calibrations]
     arms = list(zip(*levers, strict=True))
     return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px, levers_px=arms)
+
+
+def _slow_error(camera: CameraCalibration, step_s: float) -> tuple[float, float, float]:
+    """Standard deviation (m, by the first target), time (s) and frequency (Hz) of what moves all of a camera's picture."""
+    if camera.tilt_std_px == 0.0:
+        return camera.slow_std_m, camera.slow_time_s, camera.slow_hz
+    # Relative to the tilt of the first frame it is as uncertain again.
+    std_m = np.sqrt(2.0) * camera.tilt_std_px * abs(camera.mappings()[0].scale_m_per_px)
+    return float(std_m), TILT_INTERVALS * step_s, 0.0
 
 
 def radar_chain(

@@ -8,6 +8,7 @@ import numpy as np
 from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.camera.disagreement import agreed, m_per_px
+from midspan.calibration.camera.tilt import tilt_of
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.camera.zoom import without_zoom
 from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
@@ -181,8 +182,12 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
             reasons.append(str(error))
             if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
                 apart_s.append(error.clock_offset_s + view.late_ns / NANOSECONDS)
+    fit = Fitted(tuple(found), tuple(reasons))
+    tilt = tilt_of(view, targets, fit) if len(targets) > 1 else None
+    if tilt is not None:
+        return Fitted(tuple(tilt.found for _ in targets), tuple("" for _ in targets), tilt)
     if any(found):
-        return Fitted(tuple(found), tuple(reasons))
+        return fit
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
     text = " ".join((*lines, *reported()))
@@ -224,14 +229,20 @@ def _judged(
         if found is None:
             known.append(TargetCalibration(target.region, target.name, None, used=False, reason=why))
             continue
-        scale = target.with_picture_error(found.scale, view.axis).wider(found.response.relative_std)
+        scale = found.scale
+        if fit.tilt is not None:
+            value = fit.tilt.scales[len(known)]
+            scale = ScaleFactor(value, found.scale.variance * (value / found.scale.value_m_per_px) ** 2)
+        scale = target.with_picture_error(scale, view.axis).wider(found.response.relative_std)
         figures = (scale, found.noise.std, found.variance_factor)
         lever_px = target.lever_px(view.axis)
         known.append(TargetCalibration(target.region, target.name, *figures, not why, why, lever_px))
-    known = _without_useless(known)
+    known = known if fit.tilt is not None else _without_useless(known)
     found = fit.found[_best(known)]
     assert found is not None
     camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
+    if fit.tilt is not None:
+        return replace(camera, tilt_std_px=fit.tilt.std_px), ()
     return agreed(view, targets, camera, fit)
 
 
@@ -263,7 +274,10 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         apart_m = float(np.hypot(apart_m, slow_m))
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
-        relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
+        relative_scale_std=relative_scale_std(*zip(*used, strict=True))
+        if len(used) > 1 and fit.tilt is None
+        else None,
+        tilt_std_px=camera.tilt_std_px,
         exposure_s=found.response.exposure_s,
         apart_std_m=float(np.sqrt(apart_m**2 + tilt_m**2 + start_m**2 + found.response.other_m**2)),
         slow_std_m=0.0 if taken is None else slow_m,

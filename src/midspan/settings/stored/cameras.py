@@ -92,6 +92,7 @@ class StoredScale(Stored):
     slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: its noise is white")
     slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
+    tilt_std_px: Std = Field(0.0, description="standard deviation of the tilt that the targets show; 0: none")
     noise_std_px: Noise = Field(0.02, description="noise of one frame's translation")
     variance_factor: Ratio = Field(1.0, description="estimated variance over the tracker's own")
     targets: tuple[StoredTarget, ...] = ()

@@ -1,0 +1,113 @@
+"""A camera that tilts, seen by targets at different distances.
+
+A tilt θ of the camera moves all its targets by as many pixels, a displacement u the nearer ones by more (ρ = 1/distance,
+f: focal length in px):
+
+    p_k = f ρ_k u + f θ + n_k
+
+The difference of two targets holds no tilt. It is one displacement sensor with the scale f (ρ_j − ρ_k), which the
+accelerometer tells as that of any other; neither distance is needed. What is left open by the differences, the factors
+r_k = f ρ_k + c with one c, changes the tilt by −c u and the displacement not at all: the regression of the targets on
+the displacement chooses c. The tilt is a state of the estimator, of the size that shows here (J. Sensors: the geometry
+of a translation and a small rotation, R. Hartley and A. Zisserman, Multiple View Geometry, 2004, section 6.1, doi
+10.1017/CBO9780511811685).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
+from midspan.calibration.common_offset import Fitted
+from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
+from midspan.errors import UntrustedError
+from midspan.fusion.path import at
+from midspan.fusion.streams import smooth
+from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, Source
+from midspan.signals.stamps import inside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tilt:
+    """What the differences of a camera's targets tell along one image axis.
+
+    found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one constant
+    added to their inverses; std_px: standard deviation of the tilt in the image; pair: numbers of the two targets whose
+    difference is the sharpest.
+    """
+
+    found: ScaleCalibration
+    scales: tuple[float, ...]
+    std_px: float
+    pair: tuple[int, int]
+
+
+def apart(one: PixelTrack, other: PixelTrack) -> PixelTrack:
+    """The difference of two tracks of the same frames."""
+    return replace(
+        one,
+        x_px=one.x_px - other.x_px,
+        y_px=one.y_px - other.y_px,
+        variance_x_px2=one.variance_x_px2 + other.variance_x_px2,
+        variance_y_px2=one.variance_y_px2 + other.variance_y_px2,
+    )
+
+
+def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | None:
+    """What the differences tell; None where the camera shows no tilt, or nothing tells one. fit: of each target alone."""
+    sharpest = _sharpest(view, targets)
+    if sharpest is None:
+        return None
+    pair, found = sharpest
+    noise_m = abs(found.scale.value_m_per_px) * found.noise.std
+    alone = [abs(one.scale.value_m_per_px) * one.noise.std for one in fit.used]
+    count = len(found.search.fit.whitened.variance)
+    if alone and count * np.log(min(alone) / noise_m) < MIN_GAIN:
+        return None
+    ratios, left = _compared(view, targets, pair, found)
+    shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
+    if not shared > 0.0:
+        return None
+    return Tilt(found, tuple(1.0 / ratios), float(np.sqrt(shared)), pair)
+
+
+def _sharpest(view: View, targets: Sequence[SeenTarget]) -> tuple[tuple[int, int], ScaleCalibration] | None:
+    best: tuple[float, tuple[int, int], ScaleCalibration] | None = None
+    for i, k in combinations(range(len(targets)), 2):
+        try:
+            found = scale_of(view, camera_pair(view, apart(targets[i].rows, targets[k].rows), targets[i].blur_s))
+        except UntrustedError:
+            continue
+        noise_m = abs(found.scale.value_m_per_px) * found.noise.std
+        if best is None or noise_m < best[0]:
+            best = noise_m, (i, k), found
+    return best and best[1:]
+
+
+def _compared(
+    view: View, targets: Sequence[SeenTarget], pair: tuple[int, int], found: ScaleCalibration
+) -> tuple[Floats, Floats]:
+    """Pixels per metre (k,) of the targets, and what each differs from the displacement by (k, n), px."""
+    i, k = pair
+    track, scale = apart(targets[i].rows, targets[k].rows), found.scale.value_m_per_px
+    value, variance = track.along(view.axis)
+    time_ns = track.time_ns + view.late_ns + round(NANOSECONDS * found.search.offset.value_s)
+    source = np.full(len(value), Source.CAMERA, dtype=np.uint8)
+    block = Displacement(time_ns, scale * value, scale**2 * found.variance_factor * variance, source)
+    acceleration = view.prepared.with_noise(found.input_noise.density, found.input_noise.motion_s)
+    kalman = filter_settings(view.prepared, found.input_noise.density)
+    path = smooth(acceleration, block, kalman).estimate
+    window = inside(time_ns, *view.window_ns)
+    moved = at(path, time_ns[window])[0]
+    ratios, left = np.empty(len(targets)), np.full((len(targets), len(moved)), np.nan)
+    for number, target in enumerate(targets):
+        value, variance = (one[window] for one in target.rows.along(view.axis))
+        seen = np.isfinite(value) & np.isfinite(variance)
+        moves, place = moved[seen] - np.mean(moved[seen]), value[seen] - np.mean(value[seen])
+        ratios[number] = float(moves @ place) / float(moves @ moves)
+        left[number, seen] = place - ratios[number] * moves
+    # The regressions differ from it by the noise of the displacement.
+    ratios[i] = ratios[k] + 1.0 / scale
+    return ratios, left
