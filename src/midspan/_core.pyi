@@ -368,6 +368,9 @@ def render_scene(
     y_px: Floats,
     order: tuple[int, int],
 ) -> NDArray[np.float32]: ...
+def warp_scene(
+    coefficients: NDArray[np.float32], margin: int, down_px: Floats, across_px: Floats
+) -> NDArray[np.float32]: ...
 def paint_boxes(shape: tuple[int, int], level: float, boxes: NDArray[np.int64], tones: Floats) -> Floats: ...
 def modal_response(
     force: Floats, transition: list[list[float]], load_now: list[float], load_next: list[float]

@@ -3,6 +3,8 @@
 use super::cause::{Cause, Decision};
 use super::hypothesis::{Contradiction, Hypothesis};
 use super::innovation::Mixed;
+use super::layout::motion_of;
+use super::matrix::Matrix;
 use super::model::Model;
 use super::reports::Report;
 use super::samples::BRIDGED;
@@ -220,18 +222,62 @@ impl Standing {
     }
 }
 
-/// Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it.
+/// Variance (m²) that all rows of an axis have in common: of the datum as the first channel's sensor counts it.
 #[inline]
 pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     let (p, misfit) = (&hyp.p, model.misfit[axis]);
-    let zero = model.channels.iter().find(|one| one.row.axis == axis).map(|one| one.zero);
-    match (model.datum.as_ref().map(|datum| datum[axis]), zero) {
-        (None, None) => 0.0,
-        (None, Some(z)) => misfit * p[(z, z)],
-        (Some(d), None) => misfit * p[(d, d)],
-        (Some(d), Some(_)) if p[(d, d)] <= 0.0 => 0.0,
-        (Some(d), Some(z)) => misfit * (p[(d, d)] + 2.0 * p[(d, z)] + p[(z, z)]).max(0.0),
+    let mut own = model.channels.iter().filter(|one| one.row.axis == axis);
+    let Some(first) = own.next() else {
+        return model.datum.as_ref().map_or(0.0, |datum| misfit * p[(datum[axis], datum[axis])]);
+    };
+    let Some(datum) = model.datum.as_ref() else { return misfit * p[(first.zero, first.zero)] };
+    let d = datum[axis];
+    if p[(d, d)] <= 0.0 {
+        return 0.0;
     }
+    let others: Vec<usize> = own.filter(|one| one.sensor == first.sensor).map(|one| one.zero).collect();
+    if others.iter().all(|&z| p[(z, z)] == 0.0) {
+        let z = first.zero;
+        return misfit * (p[(d, d)] + 2.0 * p[(d, z)] + p[(z, z)]).max(0.0);
+    }
+    misfit * without_zeros(p, d, motion_of(axis), (first.zero, &others))
+}
+
+/// Variance of the datum `d` without what the zeros of a sensor's channels move it and the displacement `x` by alike.
+fn without_zeros(p: &Matrix, d: usize, x: usize, (first, others): (usize, &[usize])) -> f64 {
+    let zeros: Vec<usize> = std::iter::once(first).chain(others.iter().copied()).filter(|&z| p[(z, z)] > 0.0).collect();
+    let n = zeros.len();
+    // The displacement's regression on the zeros, by elimination.
+    let mut system = Matrix::zeros(n, n + 1);
+    for (i, &z) in zeros.iter().enumerate() {
+        for (j, &other) in zeros.iter().enumerate() {
+            system[(i, j)] = p[(z, other)];
+        }
+        system[(i, n)] = p[(z, x)];
+    }
+    let mut share = vec![0.0; n];
+    for i in 0..n {
+        for k in i + 1..n {
+            let factor = system[(k, i)] / system[(i, i)];
+            for j in i..=n {
+                let moved = factor * system[(i, j)];
+                system[(k, j)] -= moved;
+            }
+        }
+    }
+    for i in (0..n).rev() {
+        let known: f64 = (i + 1..n).map(|j| system[(i, j)] * share[j]).sum();
+        // A zero that the others tell has no share of its own.
+        share[i] = if system[(i, i)] > 1e-9 * p[(zeros[i], zeros[i])] { (system[(i, n)] - known) / system[(i, i)] } else { 0.0 };
+    }
+    let mut variance = p[(d, d)];
+    for (i, &z) in zeros.iter().enumerate() {
+        variance -= 2.0 * share[i] * p[(d, z)];
+        for (j, &other) in zeros.iter().enumerate() {
+            variance += share[i] * share[j] * p[(z, other)];
+        }
+    }
+    variance.max(0.0)
 }
 
 /// What several hypotheses found as one: means and variances by their weights.

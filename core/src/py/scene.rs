@@ -4,7 +4,7 @@ use super::elements;
 use crate::scene::paint::{self, Rectangle};
 use crate::scene::render::{Derivative, Moment, SAMPLES, Scene};
 use crate::scene::{beam, beam::Recurrence};
-use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -40,6 +40,26 @@ fn render_scene<'py>(
     let picture = py.detach(|| scene.render(shape.0, shape.1, &moments, derivative));
     let picture = picture.ok_or_else(|| PyValueError::new_err("x_px, y_px: beyond the scene's margin"))?;
     picture.into_pyarray(py).reshape([shape.0, shape.1])
+}
+
+/// See [`Scene::at_points`]: (n,); `down_px`, `across_px` (n,).
+#[pyfunction]
+fn warp_scene<'py>(
+    py: Python<'py>,
+    coefficients: PyReadonlyArray3<'py, f32>,
+    margin: usize,
+    down_px: PyReadonlyArray1<'py, f64>,
+    across_px: PyReadonlyArray1<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let (array, down, across) =
+        (coefficients.as_array(), elements("down_px", &down_px)?, elements("across_px", &across_px)?);
+    super::same_length("down_px, across_px", down.len(), across.len())?;
+    let (samples, phases, wide) = array.dim();
+    let values = array.as_slice().filter(|_| phases == SAMPLES && margin < 1 << 20);
+    let values = values.ok_or_else(|| PyValueError::new_err("coefficients: (samples, 8, columns), contiguous"))?;
+    let scene = Scene { coefficients: values, samples, wide, margin };
+    let found = py.detach(|| scene.at_points(down, across));
+    Ok(found.ok_or_else(|| PyValueError::new_err("points: beyond the scene's margin"))?.into_pyarray(py))
 }
 
 /// See [`paint::paint`]; `boxes` (n, 4): top, left, height, width; `tones` (n,).
@@ -81,6 +101,7 @@ fn modal_response<'py>(
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(render_scene, module)?)?;
+    module.add_function(wrap_pyfunction!(warp_scene, module)?)?;
     module.add_function(wrap_pyfunction!(paint_boxes, module)?)?;
     module.add_function(wrap_pyfunction!(modal_response, module)?)
 }

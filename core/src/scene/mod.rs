@@ -3,3 +3,4 @@
 pub mod beam;
 pub mod paint;
 pub mod render;
+pub mod warp;

@@ -61,16 +61,20 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | No
     if sharpest is None:
         return None
     pair, found = sharpest
-    noise_m = abs(found.scale.value_m_per_px) * found.noise.std
-    alone = [abs(one.scale.value_m_per_px) * one.noise.std for one in fit.used]
     count = len(found.search.fit.whitened.variance)
-    if alone and count * np.log(min(alone) / noise_m) < MIN_GAIN:
+    if any(count * np.log(_error_m(one) / _error_m(found)) < MIN_GAIN for one in fit.used):
         return None
     ratios, left = _compared(view, targets, pair, found)
     shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
     if not shared > 0.0:
         return None
     return Tilt(found, tuple(1.0 / ratios), float(np.sqrt(shared)), pair)
+
+
+def _error_m(found: ScaleCalibration) -> float:
+    """What a frame differs from the acceleration by, m: noise, and an error with a course of its own."""
+    own_px = 0.0 if found.own is None else found.own.std
+    return float(abs(found.scale.value_m_per_px) * np.hypot(found.noise.std, own_px))
 
 
 def _sharpest(view: View, targets: Sequence[SeenTarget]) -> tuple[tuple[int, int], ScaleCalibration] | None:
@@ -80,9 +84,8 @@ def _sharpest(view: View, targets: Sequence[SeenTarget]) -> tuple[tuple[int, int
             found = scale_of(view, camera_pair(view, apart(targets[i].rows, targets[k].rows), targets[i].blur_s))
         except UntrustedError:
             continue
-        noise_m = abs(found.scale.value_m_per_px) * found.noise.std
-        if best is None or noise_m < best[0]:
-            best = noise_m, (i, k), found
+        if best is None or _error_m(found) < best[0]:
+            best = _error_m(found), (i, k), found
     return best and best[1:]
 
 

@@ -93,6 +93,19 @@ class Sum(Motion):
 
 
 @dataclass(frozen=True, slots=True)
+class Scaled(Motion):
+    """A motion times a factor, `late_s` later; with a factor in rad/m a rotation, in rad."""
+
+    motion: Motion
+    factor: float
+    late_s: float = 0.0
+
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`."""
+        return self.factor * self.motion.derivative(np.asarray(time_s) - self.late_s, order)
+
+
+@dataclass(frozen=True, slots=True)
 class Window(Motion):
     """A motion that is at rest before `start_s` and after `stop_s`, with a smooth ramp of `ramp_s` inside at each end.
 

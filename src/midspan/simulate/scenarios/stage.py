@@ -19,9 +19,21 @@ from midspan.simulate.radar.setup import RadarSetup
 from midspan.simulate.scene.camera import Camera, Light, View
 from midspan.simulate.scene.disturbances import Disturbance, Panel
 from midspan.simulate.scene.fisheye import Fisheye, bent_scene
+from midspan.simulate.scene.pose import Plane, Pose, PosedView
 from midspan.simulate.scene.texture import textured_scene
 
 Span = tuple[float, float]  # start and end in s
+
+
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """A camera that turns: pose, what it looks at, rows and columns of its picture, focal length (px) and lens."""
+
+    pose: Pose
+    planes: tuple[Plane, ...]
+    size_px: tuple[int, int]
+    focal_px: float
+    k1: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +44,8 @@ class CameraSetup:
     Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
     `targets` (name, region) are written as [[camera.target]]. `says_exposure`: whether the settings state the exposure.
     `fisheye`: the lens, whose scene and frames take the place of `texture` and `size_px`. `clock_step`: true time (s)
-    at which the camera's clock is set, and by how much (s).
+    at which the camera's clock is set, and by how much (s). `posed`: draws the pose with the structure's motion; what it
+    says takes the place of scale, texture, size and panels.
     """
 
     rate_hz: float = 10.0
@@ -53,6 +66,7 @@ class CameraSetup:
     says_exposure: bool = True
     fisheye: Fisheye | None = None
     clock_step: tuple[float, float] = (np.inf, 0.0)
+    posed: Callable[[Motion, np.random.Generator], Posed] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +146,13 @@ class Stage:
         """Time stamps (n,) in s on the camera's clock of the frames that are stored."""
         stamps = frame_stamps(self.scenario.duration_s, setup.rate_hz, setup.start_s, setup.time_offset_s)
         return stamps[~within(stamps + setup.time_offset_s, setup.dropped)]
+
+    def posed_view(self, setup: CameraSetup) -> PosedView | None:
+        """The camera that turns before its planes; None where it does not turn."""
+        if setup.posed is None:
+            return None
+        own = setup.posed(self.sensed, self.rng_scene.spawn(1)[0])
+        return PosedView(own.planes, own.pose, own.size_px, own.focal_px, own.k1, setup.camera)
 
     def view(self, setup: CameraSetup) -> View:
         """The camera looking at its scene."""

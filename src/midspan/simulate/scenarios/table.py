@@ -14,6 +14,7 @@ from midspan.simulate.motion.motion import Rest, modes, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel
 from midspan.simulate.scenarios.radar import RADAR_SCENARIOS, lively
 from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario, stage
+from midspan.simulate.scenarios.tilting import TILTING_SCENARIOS
 from midspan.simulate.scene.camera import Camera, Light, cramer_rao_std_px
 from midspan.simulate.scene.disturbances import Car, Disturbance, Foliage, Panel, Water
 from midspan.simulate.scene.texture import textured_scene
@@ -235,6 +236,7 @@ SCENARIOS: dict[str, Scenario] = {
     ),
     **RADAR_SCENARIOS,
     **DAY_SCENARIOS,
+    **TILTING_SCENARIOS,
 }
 
 NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.items()}
@@ -243,7 +245,7 @@ NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.ite
 def pixel_bound(name: str, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
     """Cramér-Rao bound (x, y) in px of one frame of scenario `name`, in `region` or all of it; NaN: no camera."""
     setup = SCENARIOS[option("scenario", name, SCENARIOS)].camera
-    if setup is None:
+    if setup is None or setup.posed is not None:
         return (np.nan, np.nan)
     view = stage(SCENARIOS[name], seed).view(setup)
     return cramer_rao_std_px(view.scene, view.camera, region=region)

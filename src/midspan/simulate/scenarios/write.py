@@ -21,7 +21,8 @@ from midspan.simulate.files.folder import (
 from midspan.simulate.scenarios.breaks import broken
 from midspan.simulate.scenarios.stage import CameraSetup, Scenario, Stage, stage, within
 from midspan.simulate.scenarios.table import SCENARIOS
-from midspan.simulate.scene.camera import cramer_rao_std_px
+from midspan.simulate.scene.camera import View, cramer_rao_std_px
+from midspan.simulate.scene.pose import PosedView
 
 
 def write(
@@ -110,8 +111,12 @@ def _write_truth(folder: Path, staged: Stage) -> None:
 
 def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
     true_times = staged.frame_stamps_s(setup) + setup.time_offset_s
-    stamps, view = staged.written_stamps_s(setup), staged.view(setup)
-    film = view.film(staged.sensed, true_times, rng=staged.rng_sensor)
+    stamps, posed = staged.written_stamps_s(setup), staged.posed_view(setup)
+    if posed is None:
+        view = staged.view(setup)
+        film, known = view.film(staged.sensed, true_times, rng=staged.rng_sensor), _known(setup, view)
+    else:
+        film, known = posed.film(true_times, rng=staged.rng_sensor), _known_posed(posed)
     frames = (
         np.zeros_like(pixels) if black else pixels
         for pixels, black in zip(film, within(true_times, setup.black), strict=True)
@@ -126,13 +131,26 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
     )
     if not exact_in_video(stamps):
         write_table(folder / "camera_times.csv", {"time_s": stamps}, decimals={"time_s": 9})
+    return known | {"time_offset_s": setup.time_offset_s}
+
+
+def _known(setup: CameraSetup, view: View) -> dict[str, Any]:
+    lens = setup.fisheye
     x_px, y_px = cramer_rao_std_px(view.scene, view.camera)
     region = Region(0, 0, view.scene.columns, view.scene.rows) if lens is None else lens.lit
     return {
         "scale_mm_per_px": setup.scale_mm_per_px,
-        "time_offset_s": setup.time_offset_s,
         "cramer_rao_std_px": {"x": x_px, "y": y_px},
         "cramer_rao_region": [region.x, region.y, region.width, region.height],
+    }
+
+
+def _known_posed(view: PosedView) -> dict[str, Any]:
+    bounds = [cramer_rao_std_px(plane.scene, view.camera) for plane in view.planes]
+    return {
+        "focal_px": view.focal_px,
+        "distance_m": [plane.distance_m for plane in view.planes],
+        "cramer_rao_std_px": {"x": [x for x, _ in bounds], "y": [y for _, y in bounds]},
     }
 
 

@@ -37,12 +37,12 @@ class Camera:
         """Counts in the file for one DN (1 of 255)."""
         return float(2**self.bits - 1) / WHITE_DN
 
-    def moments(self, stamp_s: float, rows: int) -> Floats:
+    def moments(self, stamp_s: float, rows: int, count: int = _MOMENTS) -> Floats:
         """Times in s at which the picture is taken: (1, sub), or (rows, sub) with a rolling shutter.
 
         The stamp is the middle of the exposure; with a rolling shutter, of the first row's.
         """
-        within = ((np.arange(_MOMENTS) + 0.5) / _MOMENTS - 0.5) * self.exposure_s
+        within = ((np.arange(count) + 0.5) / count - 0.5) * self.exposure_s
         if self.readout_s == 0.0:
             return stamp_s + within[None, :]
         return stamp_s + self.readout_s * np.linspace(0, 1, rows)[:, None] + within

@@ -41,6 +41,12 @@ class Scene:
         """
         return self._evaluate(x_px, y_px, order=(0, 0)) + np.float32(self.mean_dn)
 
+    def at_points(self, down_px: Floats, across_px: Floats) -> Image:
+        """Mean DN (…) at points (…) in rows and columns from the first pixel; within `reach_px` beyond the picture."""
+        points = (np.ascontiguousarray(one, dtype=np.float64).reshape(-1) for one in (down_px, across_px))
+        found = _core.warp_scene(self.coefficients, _margin(self.reach_px), *points)
+        return found.reshape(np.shape(down_px)) + np.float32(self.mean_dn)
+
     def gradient(self, x_px: float, y_px: float) -> tuple[Image, Image]:
         """Derivatives (rows, columns) of the rendered image with the translation along x and y, DN/px."""
         scale = np.float32(-SAMPLES)  # a translation to the right reads the scene further to the left

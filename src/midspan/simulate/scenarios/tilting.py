@@ -1,0 +1,77 @@
+"""Structures that turn as they move, with a camera before targets at several distances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.records import Region
+from midspan.simulate.motion.motion import Motion, Pulse, Rest, Scaled, Sum, modes, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.scenarios.stage import CameraSetup, Posed, Scenario
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.pose import Plane, Pose
+from midspan.simulate.scene.texture import textured_scene
+
+MDEG = float(np.radians(1e-3))
+# A span of 45 m at its quarter: slope over displacement in its second mode, rad/m.
+SPAN_SLOPE = np.pi / 45.0
+# A target moves by less than this within its part of the picture, px.
+RIM_PX = 12
+
+
+@dataclass(frozen=True, slots=True)
+class TiltingFootbridge:
+    """Pose and planes of a box at a footbridge's quarter span that looks along it at posts at these distances.
+
+    The box leans with the bridge, later under walkers than it sinks, and nods on its bracket.
+    """
+
+    distances_m: tuple[float, ...] = (3.0, 10.0)
+    size_px: int = 128
+
+    def __call__(self, motion: Motion, rng: np.random.Generator) -> Posed:
+        """The camera's pose with the bridge's motion, and what it looks at."""
+        drawn, *textures = rng.spawn(1 + len(self.distances_m))
+        nods = random_motion((3.3, 3.7), 1.5 * MDEG, rng=drawn, lines=20)
+        sun = random_motion((0.004, 0.02), 4.0 * MDEG, rng=drawn, lines=6)
+        pitch = Sum((Scaled(motion, 0.6 * SPAN_SLOPE), Scaled(motion, 0.4 * SPAN_SLOPE, late_s=2.0), nods, sun))
+        roll = random_motion((3.3, 3.7), 0.5 * MDEG, rng=drawn, lines=20)
+        planes = tuple(
+            Plane(
+                Region(0, k * self.size_px, self.size_px, self.size_px),
+                textured_scene("natural", (self.size_px, self.size_px), rng=texture),
+                distance_m,
+            )
+            for k, (distance_m, texture) in enumerate(zip(self.distances_m, textures, strict=True))
+        )
+        pose = Pose((Rest(), Scaled(motion, -1.0), Rest()), (pitch, Rest(), roll))
+        return Posed(pose, planes, (self.size_px * len(planes), self.size_px), focal_px=5000.0, k1=-0.05)
+
+
+def _walked(rng: np.random.Generator) -> Motion:
+    """Modes at 2.1 and 6 Hz, and three people who cross."""
+    still = modes((2.05, 2.15, 1.0e-3, 40), (5.9, 6.1, 0.05e-3, 40), start_s=1.5, ramp_s=2.0)
+    people = tuple(Pulse(-2.0e-3, float(at_s + rng.uniform(-4.0, 4.0)), 5.5) for at_s in (20.0, 50.0, 80.0))
+    return Sum((still(rng), *people))
+
+
+def _regions(names: tuple[str, ...], size_px: int) -> tuple[tuple[str, Region], ...]:
+    inner = size_px - 2 * RIM_PX
+    return tuple((name, Region(RIM_PX, k * size_px + RIM_PX, inner, inner)) for k, name in enumerate(names))
+
+
+TILTING_SCENARIOS: dict[str, Scenario] = {
+    "tilting-footbridge": Scenario(
+        line="footbridge whose box leans and nods, camera at 10 Hz before two targets at 3 and 10 m",
+        title="simulated footbridge, quarter span, two targets",
+        duration_s=100.0,
+        motion=_walked,
+        accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-3, bias_m_s2=9.81),
+        camera=CameraSetup(
+            time_offset_s=0.114,
+            camera=Camera(exposure_s=0.004),
+            targets=_regions(("near", "far"), 128),
+            posed=TiltingFootbridge(),
+        ),
+    ),
+}
