@@ -1,12 +1,13 @@
 """What pip does with the sources: the page is built with the package, and a build without it is explained."""
 
+import asyncio
 import importlib.util
 import shutil
 import subprocess
 from pathlib import Path
 
+import httpx
 import pytest
-from starlette.testclient import TestClient
 
 from midspan.serve import application
 
@@ -51,6 +52,12 @@ def test_without_npm_the_package_is_built_and_says_that_it_has_no_page(backend, 
 
 def test_a_server_without_the_page_says_how_to_get_it(monkeypatch, tmp_path):
     monkeypatch.setattr(application, "PAGE", tmp_path / "page")
-    answer = TestClient(application.page_over(None, [])).get("/")
+    transport = httpx.ASGITransport(application.page_over(None, []))
+
+    async def asked():
+        async with httpx.AsyncClient(transport=transport, base_url="http://midspan") as client:
+            return await client.get("/")
+
+    answer = asyncio.run(asked())
     assert answer.status_code == 503
     assert "make page" in answer.text

@@ -1,7 +1,7 @@
 """How pip builds midspan from its sources: the page by npm, where it is not built yet, then the package by maturin.
 
-An installation in place (`pip install -e`) leaves the page to `make page`. Without Node, or where npm fails, the package
-is built without the page; `midspan run` then says so.
+An installation in place (`pip install -e`) leaves the page to `make page`. Without Node, or where npm fails, the
+package is built without the page; its server then says so.
 """
 
 import shutil
