@@ -267,7 +267,7 @@ def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_pat
 def test_a_calibration_of_other_targets_is_refused(site_copy, result):
     listed = [{"roi": [NEAR.x + 1, NEAR.y, 48, 48]}, {"roi": [WALL.x, WALL.y, 48, 48]}]
     set_keys(site_copy, "camera", target=listed)
-    with pytest.raises(midspan.UsageError, match=r"camera\.target: the calibration was made for 4 targets"):
+    with pytest.raises(midspan.UsageError, match=r"camera\.target: the targets must be the 4 of the calibration"):
         midspan.estimate(midspan.open_recording(site_copy), result.calibration)
 
 

@@ -79,7 +79,7 @@ def test_frames_behind_bytes_that_are_none_are_found_again_and_that_is_reported(
     assert source.times_ns().tolist() == [1_000_000_000, 1_066_000_000, 1_099_000_000]
     np.testing.assert_allclose(list(source.frames())[1].pixels, scene(2), atol=HALF_COUNT_K)
     assert source.info.damage == (
-        f"{len(frames[1])} bytes of a.seq before frame 1 are no whole frame and were passed over",
+        f"{len(frames[1])} bytes of a.seq before frame 1 are not a complete frame and were skipped",
     )
 
 
