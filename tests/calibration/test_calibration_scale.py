@@ -250,10 +250,10 @@ def test_a_barely_known_scale_brings_a_warning_with_its_figure():
     assert 0.01 < relative < 0.05
     (line,) = uncertain_scale("camera", relative, {"motion": relative, "compression": 0.5 * relative})
     assert line.code == "scale-uncertain"
-    assert f"± {100 * relative:.1f} % only" in line
-    assert "comes from little motion for the noise. More motion" in line
+    assert f"is uncertain by ± {100 * relative:.1f} %" in line
+    assert "comes from too little motion for the noise. Choose" in line
     (line,) = uncertain_scale("camera", 0.015, {"motion": 0.001, "compression": 0.0149})
-    assert "the largest part, ± 1.5 %, comes from the compression of the video" in line
+    assert "the largest part, ± 1.5 %, comes from video compression" in line
     assert uncertain_scale("camera", 0.0099, {"motion": 0.0099}) == []
 
 

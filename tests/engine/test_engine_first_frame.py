@@ -57,7 +57,7 @@ def body_beside_the_target(stack, rng):
     [
         (lambda stack, rng: None, 0, ""),
         (shutter, 3, "the first 3 frames show a closed shutter or a cover; they were skipped"),
-        (body, 10, "the first 10 frames show something else over 40 % of a target; they were skipped"),
+        (body, 10, "the first 10 frames have 40 % of a target occluded; they were skipped"),
         (fog, 0, ""),
         (dusk, 0, ""),
         (cooling, 0, ""),

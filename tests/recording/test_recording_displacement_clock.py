@@ -164,7 +164,7 @@ def test_a_quiet_recording_is_not_refused(share, offset, site):
 
 @pytest.mark.parametrize(("factor", "offset"), [(-25.4, False), (-0.04, True)])
 def test_a_reversed_sign_is_reported_before_any_clock(factor, offset, site):
-    with pytest.raises(UntrustedError, match="sign is reversed: turned round and multiplied by"):
+    with pytest.raises(UntrustedError, match="sign is reversed: with the opposite sign and multiplied by"):
         midspan.calibrate(site(bridge(3), factor=factor, estimate_offset=offset))
 
 

@@ -46,7 +46,7 @@ def test_a_stated_range_that_excludes_the_best_offset_is_said(mirrored):
 def test_a_tone_whose_half_period_is_out_of_range_needs_a_stated_range(tmp_path):
     tone = Lively(tones=((4e-3, 0.45),), late_s=0.1)
     folder = write(tmp_path, tone, "camera")
-    with pytest.raises(midspan.UntrustedError, match=r"ambiguous: .* State calibration.max_offset_s"):
+    with pytest.raises(midspan.UntrustedError, match=r"ambiguous: .* Set calibration.max_offset_s"):
         midspan.calibrate(folder)
     stated = midspan.calibrate(midspan.open_recording(folder, calibration={"max_offset_s": 0.5})).camera
     # Known to its own deviation, five times at most.

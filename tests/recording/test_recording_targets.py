@@ -222,9 +222,7 @@ def test_a_camera_that_tilts_is_named_with_what_it_makes_of_each_target(listed, 
     only(site_copy, *listed)
     with pytest.raises(midspan.UntrustedError, match="either the camera tilts") as refused:
         midspan.calibrate(midspan.open_recording(site_copy))
-    said = re.search(
-        r"displacement of near wrong by ([\d.]+) mm rms and that of wall by ([\d.]+) mm", str(refused.value)
-    )
+    said = re.search(r"displacement errors of ([\d.]+) mm rms at near and ([\d.]+) mm rms at wall", str(refused.value))
     window = tilt_px - tilt_px.mean()
     # The mean over the window is the zero's; the tilt's fast part, a tenth, goes into the structure's path.
     np.testing.assert_allclose(float(said[1]), 0.75 * np.std(window), rtol=0.25)

@@ -166,7 +166,7 @@ def test_one_damaged_packet_count_loses_that_packet_and_is_a_warning(tmp_path: P
     (tmp_path / "adc.bin").write_bytes(with_count(datagrams, number, count))
     source = open_radar(tmp_path / "adc.bin", RadarRequest(settings(tmp_path), "IIQQ"))
     frames = list(source.frames())
-    assert f"radar: 1 of {len(datagrams)} packets in adc.bin have a damaged count" in source.info.warnings[0]
+    assert f"radar: 1 of {len(datagrams)} packets in adc.bin have a damaged byte counter" in source.info.warnings[0]
     frame_bytes = WORDS.nbytes // 40
     first, last = number * 1456 // frame_bytes, ((number + 1) * 1456 - 1) // frame_bytes
     hurt = {frame.index for frame in frames if not frame.valid.all()}

@@ -119,9 +119,7 @@ def test_a_calibration_of_zeros_is_refused_with_a_remedy(tmp_path: Path) -> None
     place = whole.index(b"Model 7") - 0xD4
     whole[place + 0x58 : place + 0x64] = bytes(12)
     (tmp_path / "a.seq").write_bytes(whole)
-    with pytest.raises(
-        DataError, match=r"frame 0 has a record of the camera's calibration that cannot be right.*Export"
-    ):
+    with pytest.raises(DataError, match=r"frame 0 has an invalid record of the camera's calibration.*Export"):
         open_thermal(tmp_path / "a.seq")
 
 
