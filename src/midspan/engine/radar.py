@@ -256,7 +256,7 @@ class _Follower:
         if state.unseen_ns < 0:
             state.unseen_ns = time_ns
         if not state.reported and time_ns - state.unseen_ns >= MIN_REPORTED_S * NANOSECONDS:
-            text = "no complete frame without interference arrives" if kind == "lost frames" else "is not seen"
+            text = "no complete frame without interference arrives" if kind == "lost frames" else "not visible"
             state.reported, events = True, (Event(state.unseen_ns, kind, f"{self.name}: {text} from here on."),)
         sure = state.first is None and base[1] < UNSURE_RAD2
         common = state.lost_rad2 + state.doubt_rad2
@@ -367,10 +367,8 @@ class _Follower:
             state.gap = state.gap.met(seen.place_bin * self.cycles_per_bin - phase / TURN, phase)
             if state.before is not None and (cycles := self._verified(state.before)) is not None:
                 phase += TURN * cycles
-                text = f"corrects the cycle after the outage by {cycles:+d}"
-                if cycles == 0:
-                    text = "confirms the cycle after the outage"
-                events.append(Event(time_ns, "cycle", f"{self.name}: its range {text}."))
+                text = f"corrects the cycle by {cycles:+d}" if cycles else "confirms the cycle"
+                events.append(Event(time_ns, "cycle", f"{self.name}: its range {text} after the outage."))
         return self._measured(time_ns, phase, seen, events)
 
     def _follow(self, time_ns: int, phase_rad: float, own: PhasePrediction) -> None:
