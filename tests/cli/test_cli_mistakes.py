@@ -249,7 +249,7 @@ MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
     "logger and film four seconds apart, half a second stated": (half_a_second, 4, "clocks seem to differ by"),
     "files of different days": (other_day, 4, "both files are of the same event"),
     "acceleration thinned to 4 Hz": (thinned, 4, "4 samples per second.*decimated"),
-    "acceleration held between samples": (thinned_and_held, 0, r"every 10th sample only.*\[rate-too-low\]"),
+    "acceleration held between samples": (thinned_and_held, 0, r"only every 10th sample.*\[rate-too-low\]"),
     "acceleration clipped": (clipped, 3, "clipped"),
     "camera that drops frames": (drops_frames, 4, "lost or doubled frames"),
     "camera that repeats frames": (repeats_frames, 0, r"\[frozen\]"),

@@ -90,5 +90,5 @@ def test_a_shutter_at_the_start_and_a_body_after_it_are_both_waited_for(tmp_path
     found = begun(source, 0, None, [TARGET])
     assert next(found.frames).index == 10
     assert found.reason.startswith(
-        "the first 3 frames show a closed shutter or a cover and then 7 frames show something"
+        "the first 3 frames show a closed shutter or a cover and then 7 frames have 40 % of a target occluded"
     )

@@ -23,7 +23,7 @@ CASES = {
 
 
 def said(not_in_band):
-    """Whether the list names the accelerometer's own tolerance."""
+    """Whether the list names the accelerometer's sensitivity."""
     return any(SENSITIVITY in line for line in not_in_band)
 
 
