@@ -116,7 +116,7 @@ def test_it_is_estimated_and_the_result_shown_compared_and_saved(page, folder, t
     play.expect(page.get_by_text(re.compile(r"^Done in \d+ s\. midspan estimate"))).to_be_visible(timeout=120_000)
     assert (folder / "a bridge" / "result.csv").exists()
     play.expect(page.locator("tr", has_text="RMSE").first).to_contain_text("inside ±1.96 σ")
-    play.expect(page.get_by_text("the accelerometer's own tolerance")).to_be_visible()
+    play.expect(page.get_by_text("accelerometer sensitivity: an error of 1 %")).to_be_visible()
     frame = page.locator(".chart")
     largest = page.locator("dl.figures div", has_text="largest").locator("dd")
     whole = largest.inner_text()

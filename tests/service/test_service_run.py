@@ -313,7 +313,7 @@ def test_a_damaged_checkpoint_lets_its_point_open_anew(tmp_path):
     store.close()
     asyncio.run(asyncio.wait_for(service.run(0.2), 120.0))
     assert service.begun
-    assert [line for line in lines if "checkpoint" in line and "is damaged; the point starts anew" in line]
+    assert [line for line in lines if "checkpoint" in line and "is damaged; the point restarts" in line]
 
 
 def test_every_command_is_answered_at_once(tmp_path):
