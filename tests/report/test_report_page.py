@@ -78,7 +78,7 @@ def test_a_camera_recording_has_every_section_and_figure_in_their_order(camera_t
     assert [title for title, _ in found.pictures] == [
         "Displacement",
         "Error against the reference",
-        "The liveliest seconds",
+        "Fastest motion",
         "Spectra",
         "Scale factor and clock offset",
         "Innovations",
@@ -92,7 +92,7 @@ def test_a_displacement_recording_has_no_camera_parts(sensor_text):
     found = Page(sensor_text)
     assert found.sections == ["displacement", "band", "closer", "spectra", "calibration", "innovations", "numbers"]
     titles = [title for title, _ in found.pictures]
-    assert titles == ["Displacement", "The liveliest seconds", "Spectra", "Innovations"]
+    assert titles == ["Displacement", "Fastest motion", "Spectra", "Innovations"]
     coded = r"<style>.*?</style>|<script>.*?</script>"
     assert "px" not in re.sub(coded, "", without_pictures(sensor_text), flags=re.DOTALL)
 

@@ -154,7 +154,7 @@ def _units(plan: "PointPlan", where: str) -> list[str]:
     for name, quantity, section in _channels(plan.recording):
         if not plan.sources[name].startswith("replay:"):
             if section.unit is None:
-                lines.append(f"{name}.unit: is left out; {SI_UNITS[quantity]} is taken.")
+                lines.append(f"{name}.unit: is missing; {SI_UNITS[quantity]} is assumed.")
             else:
                 _check_unit(section, quantity, f"{where}: {name}")
     return lines
