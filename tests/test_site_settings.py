@@ -88,7 +88,7 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
         (('unit = "g"', 'unit = "g"\ncross_values = ["ax"]'), r"accelerometer.cross_values: belongs to files"),
         (('direction = "y"', 'direktion = "y"'), r"camera.direktion: is not a known key"),
-        (('path = "store"', ""), r"must have path \(a folder\) or url"),
+        (('path = "store"', ""), r"must have either path \(a folder\) or url"),
         (('"river-bridge"', '"river/bridge"'), r"name = 'river/bridge': must be 1 to 64 characters other than"),
         (('"river-bridge"', '"river+"'), r"name = 'river\+': must be 1 to 64 characters"),
         (('"river-bridge"', '"a\\u0007"'), r"must be 1 to 64 characters other than \+, #, / and control"),
@@ -127,17 +127,20 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (("mqtt:bridge/acc1", "mqtt:+/acc1"), r"accelerometer.source: must be one topic, without the wildcards"),
         (
             ("mqtt:bridge/acc1", "mqtt:midspan/v1/river-bridge/quarter-span/displacement"),
-            r"accelerometer.source: must be another topic than the site's own results, midspan/v1/river-bridge/",
+            r"accelerometer.source: must not be a topic of the site's results, midspan/v1/river-bridge/",
         ),
         (("rtsp://user:{SITE_SECRET}@127.0.0.1:8554/cam", "usb:x"), r"camera.source: must be usb: and the number"),
         (('user = "midspan"\n', ""), r"mqtt: must have user with password"),
-        (("[mqtt]", '[mqtt]\nhost = "127.0.0.1:1883"'), r"mqtt.host = '127.0.0.1:1883': must be a host alone"),
+        (("[mqtt]", '[mqtt]\nhost = "127.0.0.1:1883"'), r"mqtt.host = '127.0.0.1:1883': must be a host without port"),
         (
             ("[mqtt]", '[mqtt]\nhost = "mqtt://broker:1883"'),
-            r"must be a host alone; the port is a key of its own: host = 'broker', port = 1883",
+            r"must be a host without port; port is another key: host = 'broker', port = 1883",
         ),
-        (("[mqtt]", '[mqtt]\nhost = "[::1]:1883"'), r"must be a host alone; .*: host = '::1', port = 1883"),
-        (("[mqtt]", '[mqtt]\nhost = "mqtt://broker"'), r"mqtt.host = 'mqtt://broker': must be a host alone, as"),
+        (("[mqtt]", '[mqtt]\nhost = "[::1]:1883"'), r"must be a host without port; .*: host = '::1', port = 1883"),
+        (
+            ("[mqtt]", '[mqtt]\nhost = "mqtt://broker"'),
+            r"mqtt.host = 'mqtt://broker': must be a host without port, such as",
+        ),
         (('user = "midspan"', 'user = ""'), r"mqtt.user = ''"),
         (
             ("[mqtt]", '[service]\nlisten = "0.0.0.0:8080"\n[mqtt]'),
@@ -329,10 +332,10 @@ def test_alarms_as_documented(tmp_path, monkeypatch):
         (('to = ["night@example.org"]', ""), r"must have to with smtp"),
         (('to = ["night@example.org"]', 'to = ["night"]'), r"must be an e-mail address"),
         (("http://127.0.0.1", "ftp://127.0.0.1"), r"must have a webhook that begins with http://"),
-        (("end = 2026-12-01T16", "end = 2026-12-01T06"), r"must have an end after its begin"),
+        (("end = 2026-12-01T16", "end = 2026-12-01T06"), r"must end after it begins"),
         (('name = "deflection"', 'name = "a/b"'), r"must be 1 to 64 characters other than /"),
         (("[[notify]]", '[[point.alarm]]\nname = "deflection"\non = "std"\nlimit_mm = 1.0\n[[notify]]'),
-         r"alarm.name: must be another one for each alarm; 2 have"),
+         r"alarm.name: must be unique; 2 alarms have"),
     ],
 )  # fmt: skip
 def test_wrong_alarms_are_refused_with_the_key(tmp_path, monkeypatch, change, words):

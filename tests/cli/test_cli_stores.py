@@ -26,7 +26,7 @@ def test_replay_takes_the_names_that_a_site_takes(footbridge, tmp_path, capsys, 
 def test_a_store_takes_no_recordings_place(footbridge_copy, tmp_path, capsys):
     before = sorted(footbridge_copy.rglob("*"))
     assert run(["replay", str(footbridge_copy), "-o", str(footbridge_copy)]) == 2
-    assert "is a recording's folder. Give a folder of its own" in capsys.readouterr().err
+    assert "is a recording's folder. Choose another folder" in capsys.readouterr().err
     assert sorted(footbridge_copy.rglob("*")) == before
     (tmp_path / "file").write_text("kept")
     assert run(["replay", str(footbridge_copy), "-o", str(tmp_path / "file")]) == 2
@@ -85,7 +85,7 @@ def test_what_a_site_names_and_is_not_there_is_said(tmp_path, capsys):
     assert code == 0
     assert [line.partition("SITE.toml: ")[2] for line in found["warnings"]] == [
         "point 'p': calibration = 'p.json': no such file yet.",
-        "point 'p': accelerometer.unit: is left out; m/s^2 is taken.",
+        "point 'p': accelerometer.unit: is missing; m/s^2 is assumed.",
         "point 'q': accelerometer.source = 'replay:bridge': no such recording yet.",
         "point 'q': camera.source = 'replay:bridge': no such recording yet.",
     ]

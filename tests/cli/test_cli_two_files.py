@@ -49,7 +49,7 @@ def table(path, time, value):
 def test_several_channels_are_named_with_their_unit(desk, capsys):
     assert run(["estimate", str(desk / "logger.csv"), str(desk / "phone.mkv")]) == 2
     text = capsys.readouterr().err
-    assert "3 channels could be meant: 'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in text
+    assert "3 channels are possible: 'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in text
     assert "--value 'Beschl Z'" in text
 
 
@@ -89,7 +89,7 @@ def test_two_files_from_python_give_what_the_command_gives(desk, tmp_path):
     found = midspan.estimate(*files, value="Beschl Z")
     # The file holds nine digits.
     np.testing.assert_allclose(found.displacement_mm, rows["displacement_mm"], rtol=1e-7, atol=1e-9)
-    with pytest.raises(midspan.UsageError, match="3 channels could be meant"):
+    with pytest.raises(midspan.UsageError, match="3 channels are possible"):
         midspan.estimate(*map(str, files))
     with pytest.raises(midspan.UsageError, match="go with two files"):
         midspan.estimate(desk / "recording", value="Beschl Z")

@@ -206,7 +206,7 @@ def test_over_tls_both_sides_prove_who_they_are(mosquitto, certificate, tmp_path
 
 def test_certificates_that_are_none_or_not_there_are_said(tmp_path):
     (tmp_path / "ca.pem").write_text("no certificate")
-    with pytest.raises(UsageError, match="mqtt: ca, cert and key must be certificates"):
+    with pytest.raises(UsageError, match="mqtt: ca, cert and key must be matching certificates"):
         Broker(MqttSettings(ca="ca.pem"), "a", {}, lambda *_: None, tmp_path)
     for wrong in ({"cert": "a.pem", "ca": "ca.pem"}, {"cert": "a.pem", "key": "a.key"}):
         with pytest.raises(ValueError, match="must have"):

@@ -40,5 +40,5 @@ def test_the_documentation_has_the_same_codes():
 
 def test_a_sentence_says_what_and_what_to_do():
     assert sentence("refused") == (
-        "The connection is refused: nothing listens there: check the address and that the camera is on."
+        "The connection was refused: nothing listens at this address: check the address, and that the camera is on."
     )

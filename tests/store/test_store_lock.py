@@ -116,7 +116,7 @@ def test_an_address_in_use_is_refused_before_the_store_is_made(tmp_path, capsys)
         assert run(["run", str(tmp_path / "SITE.toml"), "--for", "5"]) == 2
     reported = capsys.readouterr().err
     assert f"SITE.toml: service.listen: 127.0.0.1:{port} cannot be listened on (Address already in use)" in reported
-    assert "write another address or port" in reported
+    assert "set another address or port" in reported
     assert not (tmp_path / "store").exists()
 
 
