@@ -57,9 +57,9 @@ def test_a_source_that_is_wrong_is_said_in_a_sentence_as_text(opened, site):
         play.expect(page.locator(".summary")).to_have_attribute("data-state", "notice")
         assert page.locator("img").count() == 0
         # What begins is no fault, and not good either.
-        begins = {**point, "reason": "opening", "text": "The point is being opened.", "sources": []}
+        begins = {**point, "reason": "opening", "text": "The point is opening.", "sources": []}
         site.engine.state = state(ready=False, points=[begins, state()["points"][1]])
-        play.expect(card.locator(".words")).to_have_text("is being opened")
+        play.expect(card.locator(".words")).to_have_text("is opening")
         play.expect(card).to_have_attribute("data-state", "notice")
     finally:
         site.engine.state = state()
@@ -104,7 +104,7 @@ def test_what_others_wrote_is_text_in_every_view(opened, site):
 
 def test_a_peak_keeps_its_height_at_every_zoom_and_a_gap_is_open(opened, site):
     page = opened("point/p")
-    largest = page.locator("dl.figures div", has_text="largest").locator("dd")
+    largest = page.locator("dl.figures div", has_text="maximum").locator("dd")
     for span in ("3600", "10800", "86400", "31622400"):
         page.get_by_label("Shown").select_option(span)
         play.expect(largest).to_have_text(f"{PEAK_MM:.3f} mm")
@@ -176,7 +176,7 @@ def test_the_region_is_drawn_by_mouse_moved_by_keys_and_written_for_its_point(op
     page.mouse.down()
     page.mouse.move(box["x"] + 180 * scale, box["y"] + 150 * scale, steps=4)
     page.mouse.up()
-    play.expect(page.get_by_text("Region: 80 × 50 px at 100, 100 (not in force yet)")).to_be_visible()
+    play.expect(page.get_by_text("Region: 80 × 50 px at 100, 100 (not applied yet)")).to_be_visible()
     canvas.focus()
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("Shift+ArrowDown")
@@ -243,7 +243,7 @@ def test_an_alarm_goes_through_all_its_states(opened, site):
     play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
     past = page.locator("main section", has=page.get_by_role("heading", name="Past")).locator("tbody tr")
     play.expect(past.first).to_contain_text(re.compile(r"(6\.000|5\.9\d\d) mm"))
-    audit = page.locator("main section", has=page.get_by_role("heading", name="What became")).locator("tbody tr")
+    audit = page.locator("main section", has=page.get_by_role("heading", name="History")).locator("tbody tr")
     play.expect(audit.first).to_contain_text("ended")
     for what in ("pending", "firing", "acknowledged", "silenced", "silence ended"):
         play.expect(audit.filter(has=page.get_by_role("cell", name=what, exact=True))).not_to_have_count(0)

@@ -39,7 +39,7 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
     page = opened("sources", viewport=PHONE)
     row = page.locator("tbody tr")
     for name, text in (
-        ("Rate", "20 of 30 /s"), ("Delay", "137 ms"), ("Left out", "3 late, 1 faulty, opened again 2 times"),
+        ("Rate", "20 of 30 /s"), ("Delay", "137 ms"), ("Rejected", "3 late, 1 faulty, reconnected 2 times"),
         ("Clock ± σ", "−12.3 ± 2.1 ms, 1.3 ppm"), ("Time stamps", "the camera's clock"),
     ):  # fmt: skip
         play.expect(row.locator(f"[data-name='{name}']")).to_have_text(text)
@@ -48,7 +48,7 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
         assert violations(page) == []
     unknown = dict.fromkeys(("nominal_rate_hz", "delay_s", "clock_offset_s", "clock_offset_std_s", "clock_drift_ppm"))
     stated(camera={"faults": 0, "late": 0, "restarts": 0, **unknown})
-    play.expect(row.locator("[data-name='Left out']")).to_have_text("none")
+    play.expect(row.locator("[data-name='Rejected']")).to_have_text("none")
     for name in ("Delay", "Clock ± σ"):
         play.expect(row.locator(f"[data-name='{name}']")).to_be_empty()
     play.expect(row.locator("[data-name=Rate]")).to_have_text(re.compile(r"^20 /s$"))
