@@ -362,7 +362,7 @@ def test_settings_are_reported_as_the_file_has_them(camera):
         (tree_with(camera=[TWO[0], {"file": "r.mkv"}]), ("[[camera]]", "a unique name", "camera[2] has none")),
         (tree_with(camera=[TWO[0], TWO[0]]), ("each sensor a unique name", "'left'")),
         (tree_with(camera=TWO, radar={"file": "r.npy", "name": "left"}), ("2 have the name 'left'",)),
-        (tree_with(camera={**CAMERA, "name": "radar"}), ("camera[1]", "'radar'", "something else")),
+        (tree_with(camera={**CAMERA, "name": "radar"}), ("camera[1]", "'radar'", "is reserved")),
         (tree_with(camera=[TWO[0], {**TWO[1], "name": "a.b"}]), ("camera[2].name = 'a.b'", "letters")),
         (tree_with(camera=[TWO[0], {**TWO[1], "every": 0}]), ("camera[2].every = 0",)),
         (tree_with(camera=[TWO[0], {**TWO[1], "rio": 0}]), ("camera[2].rio", "'roi'")),

@@ -85,8 +85,8 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (('method = "lag"', 'method = "smoother"'), r"point 'quarter-span': method = 'smoother'"),
         (('source = "mqtt:bridge/acc1"', 'source = "ftp://x"'), r"accelerometer.source: must be one of mqtt:"),
         (('source = "mqtt:bridge/acc1"', ""), r"accelerometer.source: is missing"),
-        (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
-        (('unit = "g"', 'unit = "g"\ncross_values = ["ax"]'), r"accelerometer.cross_values: belongs to files"),
+        (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: is for files only"),
+        (('unit = "g"', 'unit = "g"\ncross_values = ["ax"]'), r"accelerometer.cross_values: is for files only"),
         (('direction = "y"', 'direktion = "y"'), r"camera.direktion: is not a known key"),
         (('path = "store"', ""), r"must have either path \(a folder\) or url"),
         (('"river-bridge"', '"river/bridge"'), r"name = 'river/bridge': must be 1 to 64 characters other than"),
@@ -144,9 +144,9 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (('user = "midspan"', 'user = ""'), r"mqtt.user = ''"),
         (
             ("[mqtt]", '[service]\nlisten = "0.0.0.0:8080"\n[mqtt]'),
-            r"service: must be on loopback, as 127.0.0.1, without .*; received listen = '0.0.0.0:8080'",
+            r"service: must be a loopback address such as 127.0.0.1 without .*; received listen = '0.0.0.0:8080'",
         ),
-        (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both, a certificate and its key"),
+        (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both tls_cert and tls_key"),
         (
             (
                 "[[point]]",
@@ -191,7 +191,7 @@ def test_a_point_along_both_axes_is_two_that_share_their_camera(tmp_path, monkey
         (
             ("[[point]]", '[[point]]\nname = "quarter-span-x"\naccelerometer.source = "mqtt:p"\n'
              'displacement.source = "mqtt:q"\n[[point]]'),
-            r"2 have the name 'quarter-span-x'. One is the x axis of a point",
+            r"2 points have the name 'quarter-span-x'. One is the x axis of a point",
         ),
         (('name = "quarter-span"', f'name = "{63 * "q"}"'), r"name: must have at most 62 characters .* received 63"),
     ],
@@ -215,7 +215,7 @@ def test_a_recording_along_both_axes_has_both_accelerations(tmp_path, monkeypatc
 def test_a_certificate_that_is_missing_is_named_with_its_key(tmp_path, monkeypatch):
     text = SITE.replace("[mqtt]", '[service]\nlisten = "0.0.0.0:443"\ntls_cert = "c.pem"\ntls_key = "k.pem"\n[mqtt]')
     (tmp_path / "c.pem").touch()
-    with pytest.raises(UsageError, match=r"service.tls_key = 'k.pem': must be a file that can be read"):
+    with pytest.raises(UsageError, match=r"service.tls_key = 'k.pem': must be a readable file"):
         require_folders(loaded(tmp_path, monkeypatch, text))
 
 
@@ -234,14 +234,14 @@ def test_a_site_without_points_is_reported_so(tmp_path, monkeypatch):
 
 def test_two_points_of_one_name_are_refused(tmp_path, monkeypatch):
     point = SITE[SITE.index("[[point]]") :]
-    with pytest.raises(UsageError, match="2 have the name 'quarter-span'"):
+    with pytest.raises(UsageError, match="2 points have the name 'quarter-span'"):
         loaded(tmp_path, monkeypatch, SITE + point)
 
 
 def test_a_missing_secret_is_named(tmp_path, monkeypatch):
-    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken .* is not set"):
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} needs .* is not set"):
         loaded(tmp_path, monkeypatch, secret=None)
-    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken .* is empty"):
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} needs .* is empty"):
         loaded(tmp_path, monkeypatch, secret="")
     with pytest.raises(UsageError, match=r"point 'quarter-span'.camera.source: \{NONE_SUCH\} is taken"):
         loaded(tmp_path, monkeypatch, SITE.replace("user:{SITE_SECRET}", "user:{NONE_SUCH}"))
@@ -273,7 +273,7 @@ def test_folders_that_cannot_be_made_are_named_with_their_key(tmp_path, monkeypa
     assert (tmp_path / named).stat().st_mtime_ns == touched_ns
     for place, why in (("SITE.toml", "SITE.toml is a file"), ("SITE.toml/below", "is a file"), ("/proc/x", "/proc: ")):
         site = loaded(tmp_path, monkeypatch, text.replace(f'{key} = "{named}"', f'{key} = "{place}"'))
-        with pytest.raises(UsageError, match=rf"SITE.toml: store.{key} = '{place}': must be a folder .*{why}"):
+        with pytest.raises(UsageError, match=rf"SITE.toml: store.{key} = '{place}': must be a writable folder.*{why}"):
             require_folders(site)
 
 

@@ -113,10 +113,10 @@ def test_a_unit_of_something_else_and_a_site_without_points_are_refused(tmp_path
 def test_a_folder_with_a_site_is_that_site_and_a_store_in_the_place_of_a_file_is_refused(tmp_path, capsys):
     text = SITE.replace('path = "store"', 'path = "SITE.toml"')
     code, found = checked(tmp_path, capsys, text)
-    assert (code, "store.path = 'SITE.toml': must be a folder" in found["error"]) == (2, True)
+    assert (code, "store.path = 'SITE.toml': must be a writable folder" in found["error"]) == (2, True)
     for command in ("check-config", "run"):
         assert run([command, str(tmp_path), "--json"]) == 2
-        assert "store.path = 'SITE.toml': must be a folder" in json.loads(capsys.readouterr().out)["error"]
+        assert "store.path = 'SITE.toml': must be a writable folder" in json.loads(capsys.readouterr().out)["error"]
 
 
 def test_an_empty_file_is_neither_a_recording_nor_a_site(tmp_path, capsys):

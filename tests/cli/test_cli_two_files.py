@@ -121,7 +121,7 @@ def test_init_leaves_open_what_the_files_do_not_say(desk, tmp_path, capsys):
 
 def test_options_of_two_files_go_with_two_files(desk, capsys):
     assert run(["estimate", str(desk), "--unit", "g"]) == 2
-    assert "--unit: goes with two files" in capsys.readouterr().err
+    assert "--unit: needs two files" in capsys.readouterr().err
     assert run(["estimate", str(desk / "logger.csv"), str(desk / "phone.mkv"), "--point", "p"]) == 2
     assert "--point" in capsys.readouterr().err
 
@@ -165,4 +165,4 @@ def test_a_direction_is_given_with_two_files(portrait, tmp_path, capsys):
     assert "Check camera.direction first (with two files: --direction): no camera" in capsys.readouterr().err
     assert run(["estimate", *files, "--direction", "z"]) == 2
     assert run(["estimate", str(tmp_path / "new"), "--direction", "x"]) == 2
-    assert "--direction: goes with two files" in capsys.readouterr().err
+    assert "--direction: needs two files" in capsys.readouterr().err

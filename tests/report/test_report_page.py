@@ -281,7 +281,7 @@ def test_many_events_are_all_there_folded_by_their_kinds_with_counts():
     result = long_result(3000, events=120)
     of_two_kinds = tuple(replace(e, kind="switch") if k % 3 == 0 else e for k, e in enumerate(result.events))
     collapsible, rows = shown_events(replace(result, events=of_two_kinds))
-    assert [line.split(",")[0] for line in collapsible] == ["switch: 40", "gap: 80", "all 120 in the order of time"]
+    assert [line.split(",")[0] for line in collapsible] == ["switch: 40", "gap: 80", "all 120 in order of time"]
     # The clock of this record begins with its first row, 10 ms a row; the last switch is event 117.
     assert collapsible[0] == "switch: 40, from 0.000 to 1.170 s"
     assert rows == dict.fromkeys(range(120), 2)

@@ -146,7 +146,7 @@ def test_over_a_store_alone_nothing_is_offered_that_cannot_work(browser, tmp_pat
                     play.expect(page.get_by_role("button", name=name)).to_be_disabled()
             if view == "alarms":
                 play.expect(page.get_by_role("button", name="Send a test message")).to_be_disabled()
-                play.expect(page.get_by_text("Not known. No process measures here")).to_be_visible()
+                play.expect(page.get_by_text("Not known. No measuring process is running")).to_be_visible()
         play.expect(page.get_by_text("This store has no SITE.toml here")).to_be_visible()
         assert said == []
     finally:

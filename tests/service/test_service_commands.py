@@ -100,10 +100,10 @@ def test_a_pause_is_no_fault_and_outlasts_a_restart(service, tmp_path):
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        ({"command": "calibrate", "point": "nobody"}, "is no point"),
-        ({"command": "pause", "source": "p", "reason": "x"}, "is no source"),
-        ({"command": "pause", "source": "p.camera", "reason": "x"}, "is no source"),
-        ({"command": "picture", "source": "p.displacement"}, "has no picture"),
+        ({"command": "calibrate", "point": "nobody"}, "is not a point"),
+        ({"command": "pause", "source": "p", "reason": "x"}, "is not a source"),
+        ({"command": "pause", "source": "p.camera", "reason": "x"}, "is not a source"),
+        ({"command": "picture", "source": "p.displacement"}, "is not a camera"),
         ({"command": "format", "point": "p"}, "is not a command"),
     ],
 )

@@ -63,7 +63,7 @@ def _against_optics(name: str, camera: CameraSettings, calibration: CameraCalibr
         return []
     text = (
         f"{name}: scale factor {1e3 * expected:.3g} mm/px from distance and focal length, but {1e3 * found:.3g} "
-        f"mm/px from the accelerometer, ratio {found / expected:.3g}. Check accelerometer.unit and sensitivity; "
+        f"mm/px from the accelerometer, {found / expected:.3g} times as much. Check accelerometer.unit, sensitivity; "
         "distance_m, focal_length_mm and pixel_pitch_um of the camera; and whether the video was resized or zoomed."
     )
     return [Notice("scale-implausible", text)]
