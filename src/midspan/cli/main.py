@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
 
         code = supervised(lambda: run(given))
     except KeyboardInterrupt:
-        sys.stderr.write("midspan: interrupted; nothing half-written was left.\n")
+        sys.stderr.write("midspan: interrupted; no partial files were left.\n")
         code = 130
     sys.exit(code)
 
@@ -67,7 +67,7 @@ def run(arguments: list[str]) -> int:
     try:
         os.getcwd()
     except FileNotFoundError:
-        text = 'the current folder no longer exists; it was replaced or removed. Change into it anew: `cd "$PWD"`.'
+        text = 'the current folder no longer exists; it was replaced or removed. Enter it again: `cd "$PWD"`.'
         return _explain(arguments, text, 2, None)
     # An argument that, as a path, holds a name that no file can have.
     names = ((given, os.fsencode(name)) for given in arguments for name in given.split("/"))
@@ -85,10 +85,10 @@ def run(arguments: list[str]) -> int:
     except MidspanError as error:
         return _explain(arguments, str(error), error.exit_code, None)
     except (KeyboardInterrupt, click.Abort):
-        click.echo("midspan: interrupted; nothing half-written was left.", err=True)
+        click.echo("midspan: interrupted; no partial files were left.", err=True)
         return 130
     except MemoryError:
-        return _explain(arguments, "not enough memory for this. Use a shorter recording.", 3, None)
+        return _explain(arguments, "not enough memory. Use a shorter recording.", 3, None)
     except Exception as error:
         if os.environ.get("MIDSPAN_TRACEBACK"):
             raise
