@@ -97,7 +97,7 @@ def test_the_numbers_of_a_lens_can_stand_in_the_recording():
     ("lens", "words"),
     [
         ({}, ["camera.lens", "missing: distortion, matrix, size"]),
-        ({"file": "lens.json", **GOOD}, ["camera.lens", "not both"]),
+        ({"file": "lens.json", **GOOD}, ["camera.lens", "must have either file or the numbers"]),
         ({**GOOD, "matrix": [900.0, 900.0]}, ["camera.lens.matrix", "fx, fy, cx, cy"]),
         ({**GOOD, "distortion": [0.1]}, ["camera.lens", "4 or 5 or 8 or 12"]),
         ({**GOOD, "size": [640]}, ["camera.lens.size", "2 numbers"]),

@@ -111,7 +111,7 @@ def test_init_writes_a_recording_that_is_read(desk, tmp_path, capsys):
 
 def test_init_leaves_open_what_the_files_do_not_say(desk, tmp_path, capsys):
     assert run(["init", str(desk / "accel.csv"), str(desk / "phone.mkv"), "-o", str(tmp_path)]) == 0
-    assert "accelerometer.unit is not in the files" in capsys.readouterr().out
+    assert "accelerometer.unit: not found in the files" in capsys.readouterr().out
     assert "# unit = " in (tmp_path / "recording.toml").read_text()
     assert run(["estimate", str(tmp_path)]) == 2
     assert "unit" in capsys.readouterr().err

@@ -250,4 +250,4 @@ def test_what_came_while_a_point_was_begun_is_its_own_and_what_is_dropped_is_cou
     assert (stream.records, len(first.early), stream.restarts) == (10, 0, 0)
     lost = [text for name, kind, text in events if (name, kind) == ("a", "lost_records")]
     assert len(lost) == 1
-    assert "4 were dropped" in lost[0]
+    assert "4 records were dropped" in lost[0]

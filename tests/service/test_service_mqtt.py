@@ -119,7 +119,7 @@ def test_the_documented_publisher_publishes(broker):
 
 
 def test_every_kind_of_event_is_in_the_documentation():
-    text = documented("## What is wrong\n", "\n## ")
+    text = documented("## Faults\n", "\n## ")
     given = {*filter(None, stream.KINDS), stream.CLOCK_SET, *EVENT_KINDS, "lost frames", "blocked", "hidden"}
     for room in ("service", "engine", "vision", "thermal"):
         for file in (Path(midspan.__file__).parent / room).rglob("*.py"):

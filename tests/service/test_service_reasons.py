@@ -33,7 +33,7 @@ def test_every_code_of_the_table_is_given_out_somewhere():
 
 def test_the_documentation_has_the_same_codes():
     text = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
-    section = text.split("## What is wrong\n", 1)[1].split("### Events", 1)[0]
+    section = text.split("## Faults\n", 1)[1].split("### Events", 1)[0]
     rows = "".join(line.split("|")[2] for line in section.splitlines() if line.startswith("| "))
     assert set(re.findall(r"`(\w+)`", rows)) == set(REASONS)
 

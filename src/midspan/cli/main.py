@@ -88,7 +88,7 @@ def run(arguments: list[str]) -> int:
         click.echo("midspan: interrupted; no partial files were left.", err=True)
         return 130
     except MemoryError:
-        return _explain(arguments, "not enough memory. Use a shorter recording.", 3, None)
+        return _explain(arguments, "not enough memory for this. Use a shorter recording.", 3, None)
     except Exception as error:
         if os.environ.get("MIDSPAN_TRACEBACK"):
             raise
