@@ -243,7 +243,7 @@ def test_a_missing_secret_is_named(tmp_path, monkeypatch):
         loaded(tmp_path, monkeypatch, secret=None)
     with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} needs .* is empty"):
         loaded(tmp_path, monkeypatch, secret="")
-    with pytest.raises(UsageError, match=r"point 'quarter-span'.camera.source: \{NONE_SUCH\} needs the environment variable"):
+    with pytest.raises(UsageError, match=r"point 'quarter-span'.camera.source: \{NONE_SUCH\} needs the environment"):
         loaded(tmp_path, monkeypatch, SITE.replace("user:{SITE_SECRET}", "user:{NONE_SUCH}"))
 
 

@@ -178,9 +178,9 @@ def test_a_calibration_from_a_file_is_shown_with_what_the_recording_itself_says(
     camera_result.calibration.save(tmp_path / "calibration.json")
     result = estimate(camera, load_calibration(tmp_path / "calibration.json"))
     text = report_html(result)
-    assert "came from a file" in text
+    assert "Scale factor in the calibration file" in text
     assert "Scale factor and clock offset" in [title for title, _ in Page(text).pictures]
-    here, std = re.search(r"itself shows, (\S+) ± (\S+) mm/px", text).groups()
+    here, std = re.search(r"from this recording: (\S+) ± (\S+) mm/px", text).groups()
     # Of the same frames, tracked once more with the filter's prediction.
     assert abs(float(here) - 1e3 * SCALE_M_PER_PX) < 4.0 * float(std)
     # Without the recording's files nothing can be drawn.

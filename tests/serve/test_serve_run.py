@@ -306,7 +306,7 @@ def test_points_that_new_settings_leave_as_they_are_lose_no_row(site, footbridge
     # What would happen is said before it does.
     tried = put(run, changed, params={"dry_run": "true"})
     assert {key: tried[key] for key in expected} == expected
-    assert "Not written" in tried["text"]
+    assert "Not saved" in tried["text"]
     assert (tmp_path / "SITE.toml").read_text() == run.text
     done = put(run, changed)
     assert {key: done[key] for key in expected} == expected

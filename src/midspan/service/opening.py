@@ -135,7 +135,7 @@ def head_of(kept: bytes) -> dict[str, Any]:
     except ValueError:
         tree = None
     if not isinstance(tree, dict) or not {"folder", "calibration", "counts", "newest_ns"} <= set(tree):
-        raise DataError("The store's checkpoint is damaged; the point starts without it.")
+        raise DataError("The store's checkpoint is damaged; the point starts anew.")
     return tree
 
 
