@@ -57,7 +57,7 @@ const showSettings: OfRecording = (root, recording, desk) =>
   editSettings(root, {
     file: "recording.toml",
     below: `/recordings/${recording.number}`,
-    note: `${recording.folder}/recording.toml. Wrong settings are not saved.`,
+    note: `${recording.folder}/recording.toml. Wrong settings are rejected.`,
     save: "Check and save",
     fault: () => (recording.fault ? { text: recording.fault, key: null } : null),
     written: () => desk.ask(),

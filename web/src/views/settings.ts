@@ -27,7 +27,7 @@ export const showSettings: View = (root, site) => {
   return editSettings(root, {
     file: "SITE.toml",
     below: "",
-    note: "SITE.toml. Wrong settings are not saved. Check reports the effect of new ones.",
+    note: "SITE.toml. Wrong settings are rejected. Check reports the effect of new ones.",
     save: "Save and apply",
     isSite: true,
     fault: () => site.health?.settings ?? null,
