@@ -84,7 +84,7 @@ def test_without_a_distance_one_message_tells_what_is_needed(tmp_path, capsys):
     set_keys(other, "camera", tilt_std_mdeg=2.0)
     assert run(["estimate", str(other)]) == 2
     said = capsys.readouterr().err
-    assert "camera: must have distance_m, the metres from camera to target, or a section lens" in said
+    assert "camera: must have distance_m (m from camera to target) or a section lens" in said
     assert said.count("\n") <= 2
     append(other, LENS.format(fx=1000.0, fy=1000.0))
     assert run(["check-config", str(other / "recording.toml")]) == 0

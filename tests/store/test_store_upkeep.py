@@ -142,7 +142,7 @@ def test_what_is_no_store_in_a_folder_is_said(tmp_path, capsys):
     assert run(["store", "postgresql://nobody@host/db", "backup", str(tmp_path / "x")]) == 2
     assert "pg_dump" in capsys.readouterr().err
     assert run(["store", str(tmp_path), "backup"]) == 2
-    assert "FILE: is missing with backup" in capsys.readouterr().err
+    assert "FILE: is missing; backup needs one" in capsys.readouterr().err
 
 
 def test_figures_of_a_mended_store_are_those_of_its_rows(written):
