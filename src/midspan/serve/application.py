@@ -31,8 +31,8 @@ class Standing(BaseModel):
     ready: bool
     points: list[dict[str, Any]]
     sources: list[dict[str, Any]]
-    has_settings: bool = Field(description="whether a SITE.toml belongs to the store here")
-    settings: dict[str, Any] | None = Field(None, description="text, file and key of what is wrong with SITE.toml")
+    has_settings: bool = Field(description="whether the store has a SITE.toml here")
+    settings: dict[str, Any] | None = Field(None, description="text, file and key of an error in SITE.toml")
 
 
 def application(serving: Serving) -> Any:
@@ -55,7 +55,20 @@ def page_over(serving: Any, interface: Sequence[APIRouter]) -> FastAPI:
         # No mount at the root: it would take what other routes answer with 405.
         app.mount("/assets", StaticFiles(directory=PAGE / "assets"))
         app.include_router(page)
+    else:
+        app.include_router(no_page)
     return app
+
+
+no_page = APIRouter(include_in_schema=False)
+# A build of the sources in place, or one without Node, has no page.
+NO_PAGE = "this installation has no page; install a wheel of midspan, or run `make page` in its sources"
+
+
+@no_page.get("/")
+async def explain() -> PlainTextResponse:
+    """Why there is no page."""
+    return PlainTextResponse(f"midspan: {NO_PAGE}. The REST interface is at {API}.\n", status_code=503)
 
 
 page = APIRouter(include_in_schema=False)
