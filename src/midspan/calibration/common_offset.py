@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +18,14 @@ MIN_OFFSET_S = 3e-3
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The targets along one axis: what was found (None: refused), and why a target is not used (empty: it is)."""
+    """The targets along one axis: what was found (None: refused), and why a target is not used (empty: it is).
+
+    tilt: of the camera, where the targets show one; what was found is then the same for all of them.
+    """
 
     found: tuple[ScaleCalibration | None, ...]
     reasons: tuple[str, ...]
-    tilt: "Tilt | None" = None
+    tilt: Any = None
 
     @property
     def used(self) -> list[ScaleCalibration]:

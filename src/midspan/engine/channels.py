@@ -252,7 +252,7 @@ def camera_channels(
 
 
 def _slow_error(camera: CameraCalibration, step_s: float) -> tuple[float, float, float]:
-    """Standard deviation (m, by the first target), time (s) and frequency (Hz) of what moves all of a camera's picture."""
+    """Standard deviation (m by the first target), time (s) and frequency (Hz) of what moves all of an image."""
     if camera.tilt_std_px == 0.0:
         return camera.slow_std_m, camera.slow_time_s, camera.slow_hz
     # Relative to the tilt of the first frame it is as uncertain again.

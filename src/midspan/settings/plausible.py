@@ -83,5 +83,10 @@ def target_distance_m(camera: CameraSettings, calibration: CameraCalibration) ->
 
 
 def tilt_std_m(camera: CameraSettings, calibration: CameraCalibration) -> float:
-    """What a camera's tilt makes of the displacement along an axis, m: its standard deviation times the distance."""
+    """What a camera's tilt makes of the displacement along an axis, m: its standard deviation times the distance.
+
+    0 where the targets show it.
+    """
+    if calibration.tilt_std_px > 0.0:
+        return 0.0
     return math.radians(1e-3 * camera.tilt_std_mdeg) * (target_distance_m(camera, calibration) or 0.0)

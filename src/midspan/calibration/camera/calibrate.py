@@ -26,6 +26,11 @@ from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
 from midspan.vision.region_choice import USELESS
 
+# A camera that sways tilts slowly as well, with its structure and in the sun, which neither the accelerometer nor one
+# distance shows: by this many times what it sways by at its own frequency. Footbridges of the kind of the scenario
+# `tilting-footbridge` need 1.6 to 3.
+SLOW_TILT = 3.0
+
 CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
 PRINTED = (
@@ -228,12 +233,11 @@ def _judged(
         if found is None:
             known.append(TargetCalibration(target.region, target.name, None, used=False, reason=why))
             continue
-        scale = found.scale
-        if fit.tilt is not None:
-            value = fit.tilt.scales[len(known)]
-            scale = ScaleFactor(value, found.scale.variance * (value / found.scale.value_m_per_px) ** 2)
+        number = len(known)
+        scale = found.scale if fit.tilt is None else fit.tilt.scale(number)
+        noise_px = found.noise.std if fit.tilt is None else fit.tilt.noise_px[number]
         scale = target.with_picture_error(scale, view.axis).wider(found.response.relative_std)
-        figures = (scale, found.noise.std, found.variance_factor)
+        figures = (scale, noise_px, found.variance_factor)
         lever_px = target.lever_px(view.axis)
         known.append(TargetCalibration(target.region, target.name, *figures, not why, why, lever_px))
     known = known if fit.tilt is not None else _without_useless(known)
@@ -241,7 +245,7 @@ def _judged(
     assert found is not None
     camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
     if fit.tilt is not None:
-        return replace(camera, tilt_std_px=fit.tilt.std_px), ()
+        return replace(camera, tilt_std_px=fit.tilt.std_px), (fit.tilt.text([target.name for target in targets]),)
     return agreed(view, targets, camera, fit)
 
 
@@ -250,13 +254,13 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     found = fit.found[_best(camera.targets)]
     assert found is not None
     used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
-    several = len(camera.targets) > 1
+    several = len(camera.targets) > 1 and fit.tilt is None
     warnings = [*notices, *_left_out(camera)]
-    for one, target in used:
+    for one, target in used[: 1 if fit.tilt is not None else None]:
         warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
     own = found.own
-    taken = own if own is not None and own.taken else None
+    taken = own if own is not None and own.taken and fit.tilt is None else None
     # The size of an error that was found is its own, and what the accelerometer errs by is its noise.
     other = 0.0 if own is not None or found.felt_alone else contradiction(search.pair, search.fit)
     apart_m = other * abs(found.scale.value_m_per_px)
@@ -268,14 +272,14 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     start = start_noise(search.pair, search.fit)
     start_m = TEMPLATE_NOISE * start.std * abs(found.scale.value_m_per_px)
     slow_m = 0.0 if own is None else own.std * abs(found.scale.value_m_per_px)
-    if own is not None and not (own.alone and own.taken):
+    if own is not None and not (own.alone and taken is not None):
         # Nothing tells whose error it is.
         apart_m = float(np.hypot(apart_m, slow_m))
+    if own is not None and own.sways and fit.tilt is None:
+        apart_m = float(np.hypot(apart_m, SLOW_TILT * slow_m))
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
-        relative_scale_std=relative_scale_std(*zip(*used, strict=True))
-        if len(used) > 1 and fit.tilt is None
-        else None,
+        relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 and fit.tilt is None else None,
         tilt_std_px=camera.tilt_std_px,
         exposure_s=found.response.exposure_s,
         apart_std_m=float(np.sqrt(apart_m**2 + tilt_m**2 + start_m**2 + found.response.other_m**2)),
@@ -287,7 +291,8 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
-    warnings += [*_zero_warnings(start_m, drifts=start.drifts), *_apart_warnings(found, coloured, slow_m, apart_m)]
+    warnings += _zero_warnings(start_m, drifts=start.drifts)
+    warnings += _apart_warnings(found, coloured, slow_m, apart_m, tilt_seen=fit.tilt is not None)
     best = seen[_best(camera.targets)]
     parts = {
         "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
@@ -323,10 +328,18 @@ def doubt_exposures(notices: Sequence[Notice], compression_std: float) -> list[N
     return [one.worded(f"{one} {other}") if doubt else one for one, doubt in zip(notices, doubtful, strict=True)]
 
 
-def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float) -> list[Notice]:
-    """What camera and accelerometer differ by besides noise, in a sentence."""
+def _apart_warnings(
+    found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float, *, tilt_seen: bool
+) -> list[Notice]:
+    """What camera and accelerometer differ by besides noise, in a sentence; tilt_seen: whether the targets show it."""
     if found.own is not None:
-        return [Notice("motion-not-shared", found.own.text("camera", slow_m))]
+        text = found.own.text("camera", slow_m)
+        if found.own.sways and not tilt_seen:
+            text += (
+                f" It may tilt slowly as well: the error band includes {rounded(1e3 * SLOW_TILT * slow_m)} mm for "
+                "that. A second target at another distance would show the tilt."
+            )
+        return [Notice("motion-not-shared", text)]
     if apart_m > 0.0:
         return [Notice("motion-not-shared", _contradiction_text(apart_m, found.response))]
     causes = "a vibrating mast or bracket, autofocus, hot air, or a rotating target"

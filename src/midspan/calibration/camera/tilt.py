@@ -1,16 +1,15 @@
 """A camera that tilts, seen by targets at different distances.
 
-A tilt θ of the camera moves all its targets by as many pixels, a displacement u the nearer ones by more (ρ = 1/distance,
-f: focal length in px):
+A tilt θ of the camera moves all its targets by as many pixels, a displacement u the nearer ones by more (ρ: one over
+the distance, f: focal length in px):
 
     p_k = f ρ_k u + f θ + n_k
 
 The difference of two targets holds no tilt. It is one displacement sensor with the scale f (ρ_j − ρ_k), which the
 accelerometer tells as that of any other; neither distance is needed. What is left open by the differences, the factors
 r_k = f ρ_k + c with one c, changes the tilt by −c u and the displacement not at all: the regression of the targets on
-the displacement chooses c. The tilt is a state of the estimator, of the size that shows here (J. Sensors: the geometry
-of a translation and a small rotation, R. Hartley and A. Zisserman, Multiple View Geometry, 2004, section 6.1, doi
-10.1017/CBO9780511811685).
+the displacement chooses c. The tilt is a state of the estimator, of the size that shows here. (Of the geometry: R.
+Hartley and A. Zisserman, Multiple View Geometry, 2004, section 6.1, doi 10.1017/CBO9780511811685.)
 """
 
 from collections.abc import Sequence
@@ -25,7 +24,8 @@ from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
-from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, Source
+from midspan.notices import Notice, rounded
+from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, ScaleFactor, Source
 from midspan.signals.stamps import inside
 
 
@@ -34,14 +34,32 @@ class Tilt:
     """What the differences of a camera's targets tell along one image axis.
 
     found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one constant
-    added to their inverses; std_px: standard deviation of the tilt in the image; pair: numbers of the two targets whose
-    difference is the sharpest.
+    added to their inverses; noise_px (k,): of one frame of each target; std_px: standard deviation of the tilt in the
+    image; pair: numbers of the two targets whose difference is the sharpest.
     """
 
     found: ScaleCalibration
     scales: tuple[float, ...]
+    noise_px: tuple[float, ...]
     std_px: float
     pair: tuple[int, int]
+
+    def scale(self, number: int) -> ScaleFactor:
+        """The scale factor of a target, as uncertain as that of the difference."""
+        own, whole = self.scales[number], self.found.scale
+        return ScaleFactor(own, whole.variance * (own / whole.value_m_per_px) ** 2)
+
+    def text(self, names: Sequence[str]) -> Notice:
+        """A sentence on it; names: of all targets."""
+        one, other = (names[k] for k in self.pair)
+        third = (
+            "" if len(names) > 2 else " A slow motion of one target alone would look the same; a third target shows it."
+        )
+        return Notice(
+            "tilt",
+            f"camera: it tilts by {rounded(self.std_px)} px rms in the image; the difference between targets {one} and "
+            f"{other} is free of it and gives the displacement.{third}",
+        )
 
 
 def apart(one: PixelTrack, other: PixelTrack) -> PixelTrack:
@@ -56,7 +74,7 @@ def apart(one: PixelTrack, other: PixelTrack) -> PixelTrack:
 
 
 def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | None:
-    """What the differences tell; None where the camera shows no tilt, or nothing tells one. fit: of each target alone."""
+    """What the differences tell; None where they do not show a tilt. fit: of each target alone."""
     sharpest = _sharpest(view, targets)
     if sharpest is None:
         return None
@@ -68,7 +86,14 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | No
     shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
     if not shared > 0.0:
         return None
-    return Tilt(found, tuple(1.0 / ratios), float(np.sqrt(shared)), pair)
+    noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
+    return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair)
+
+
+def _noise_px(target: SeenTarget, axis: str, factor: float) -> float:
+    """Standard deviation of one frame of a target, px; factor: estimated variance over the tracker's own."""
+    variance = target.rows.along(axis)[1]
+    return float(np.sqrt(factor * np.median(variance[np.isfinite(variance)])))
 
 
 def _error_m(found: ScaleCalibration) -> float:

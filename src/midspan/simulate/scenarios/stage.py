@@ -44,8 +44,8 @@ class CameraSetup:
     Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
     `targets` (name, region) are written as [[camera.target]]. `says_exposure`: whether the settings state the exposure.
     `fisheye`: the lens, whose scene and frames take the place of `texture` and `size_px`. `clock_step`: true time (s)
-    at which the camera's clock is set, and by how much (s). `posed`: draws the pose with the structure's motion; what it
-    says takes the place of scale, texture, size and panels.
+    at which the camera's clock is set, and by how much (s). `posed`: draws the pose from the structure's motion; it
+    takes the place of scale, texture, size and panels.
     """
 
     rate_hz: float = 10.0

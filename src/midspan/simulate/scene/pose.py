@@ -72,8 +72,7 @@ class PosedView:
 
     def mean_image(self, stamp_s: float) -> Image:
         """The noise-free picture (rows, columns) in DN stamped `stamp_s` (true time)."""
-        rows, columns = self.shape
-        moments = self.camera.moments(stamp_s, rows, MOMENTS)
+        moments = self.camera.moments(stamp_s, self.shape[0], MOMENTS)
         place, turned = self.pose.at(moments)
         image: Image = np.zeros(self.shape, dtype=np.float32)
         for plane in self.planes:
