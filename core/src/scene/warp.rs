@@ -29,7 +29,7 @@ impl Scene<'_> {
     }
 }
 
-/// First sample and the weights of it and those after it, for reading at a pixel of so many samples.
+/// First sample and the weights of it and those after it, for reading at a pixel; samples: their number.
 fn taps(pixel: f64, samples: usize) -> Option<(usize, [f32; TAPS])> {
     let place = SAMPLES as f64 * pixel;
     if !(place.abs() < 1e9) {

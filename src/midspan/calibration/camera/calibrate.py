@@ -261,9 +261,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     search, tilt_m = found.search, camera.apart_std_m
     own = found.own
     taken = own if own is not None and own.taken and fit.tilt is None else None
-    # The size of an error that was found is its own, and what the accelerometer errs by is its noise.
-    other = 0.0 if own is not None or found.felt_alone else contradiction(search.pair, search.fit)
-    apart_m = other * abs(found.scale.value_m_per_px)
+    apart_m, slow_m = _contradicted_m(found, tilt_seen=fit.tilt is not None)
     lever = seen[_best(camera.targets)].levers.get(camera.direction)
     if lever is not None:
         apart_m = float(np.hypot(apart_m, lever.left_px * abs(found.scale.value_m_per_px)))
@@ -271,12 +269,6 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     # The noise of the reference frame is in all rows alike.
     start = start_noise(search.pair, search.fit)
     start_m = TEMPLATE_NOISE * start.std * abs(found.scale.value_m_per_px)
-    slow_m = 0.0 if own is None else own.std * abs(found.scale.value_m_per_px)
-    if own is not None and not (own.alone and taken is not None):
-        # Nothing tells whose error it is.
-        apart_m = float(np.hypot(apart_m, slow_m))
-    if own is not None and own.sways and fit.tilt is None:
-        apart_m = float(np.hypot(apart_m, SLOW_TILT * slow_m))
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 and fit.tilt is None else None,
@@ -312,6 +304,19 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         direction=found.direction,
         parts=parts,
     )
+
+
+def _contradicted_m(found: ScaleCalibration, *, tilt_seen: bool) -> tuple[float, float]:
+    """Rms (m) of what camera and accelerometer contradict each other by, of unknown cause, and of a slow error."""
+    own, scale = found.own, abs(found.scale.value_m_per_px)
+    if own is None:
+        # What the accelerometer errs by is its noise.
+        return (0.0 if found.felt_alone else contradiction(found.search.pair, found.search.fit)) * scale, 0.0
+    slow_m = own.std * scale
+    # Nothing tells whose error it is.
+    unknown_m = 0.0 if own.alone and own.taken and not tilt_seen else slow_m
+    tilt_m = SLOW_TILT * slow_m if own.sways and not tilt_seen else 0.0
+    return float(np.hypot(unknown_m, tilt_m)), slow_m
 
 
 def _left_out(camera: CameraCalibration) -> list[Notice]:
