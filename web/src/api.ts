@@ -66,6 +66,8 @@ export interface Buckets {
   displacement_mm_mean: Numbers;
   displacement_std_mm: Numbers;
   status: (string | null)[];
+  /** How many have a value; null over more than 32 days. */
+  rows: Numbers;
 }
 export interface Rows {
   time: number[];

@@ -43,7 +43,11 @@ def sentence_of(alarm: Alarm) -> str:
         return f"{what}: only the band touches the limit."
     if alarm.reason == "no_data":
         return f"{alarm.point}: no rows for {alarm.value:.4g} s, limit {alarm.limit:.4g} s."
-    return f"{what}: exceeded{' for certain' if band else ''}, since {iso(alarm.since_ns)}."
+    certain = " for certain" if band else ""
+    if alarm.state == "pending" and abs(alarm.value) - band <= alarm.limit:
+        return f"{what}: was exceeded{certain} at {iso(alarm.since_ns)}, too shortly to fire."
+    peak = f" It was {alarm.peak:.4g} {unit} at most." if abs(alarm.peak) > abs(alarm.value) else ""
+    return f"{what}: exceeded{certain}, since {iso(alarm.since_ns)}.{peak}"
 
 
 def tree_of(alarm: Alarm, silence: Tree | None = None) -> Tree:

@@ -302,7 +302,7 @@ class PointView {
     drawn.forEach((one, at) => this.#keys[at]?.toggleAttribute("hidden", !isIn(one)));
     say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
     const limits = this.#levels.filter(({ y }) => y > 0).map(({ y, name }) => [`limit ${name}`, `±${y} mm`] as const);
-    listStatistics(this.#figures, statistics(all, this.#loaded.areRows), limits);
+    listStatistics(this.#figures, statistics(all, this.#loaded.areRows, from), limits);
   }
 
   #read(x: number | null, values: (number | null)[]): void {
