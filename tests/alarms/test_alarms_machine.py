@@ -93,12 +93,16 @@ def test_it_fires_since_its_value_is_above_the_limit_and_not_since_its_band_is()
     changes = advance(own, state, rows(np.r_[held(19, 30), held(25, 1), held(19, 30)], 1.0))
     assert [(one.state, one.reason) for one in changes] == [("pending", "band"), ("pending", "limit")]
     assert [since_s(one) for one in changes] == pytest.approx([0.0, 30.0])
-    assert sentence_of(state.alarm).endswith("was exceeded for certain at 2026-09-21T14:13:50.000Z, too shortly to fire.")
+    assert sentence_of(state.alarm).endswith(
+        "was exceeded for certain at 2026-09-21T14:13:50.000Z, too shortly to fire."
+    )
     # Above it for good, but for an instant below.
     (fires,) = advance(own, state, rows(np.r_[held(25, 1), held(-19, 0.1), held(-26, 5)], 1.0, begin_s=61.0))
     assert (fires.state, since_s(fires)) == ("firing", pytest.approx(62.1))
     advance(own, state, rows(np.r_[held(-31, 1), held(18, 0.1)], 5.0, begin_s=67.1))
-    said = "displacement 18 mm ± 9.8 mm, limit 20 mm: exceeded for certain, since 2026-09-21T14:14:22.100Z. It was -31 mm"
+    said = (
+        "displacement 18 mm ± 9.8 mm, limit 20 mm: exceeded for certain, since 2026-09-21T14:14:22.100Z. It was -31 mm"
+    )
     assert sentence_of(state.alarm) == f"p: {said} at most."
     (ends,) = advance(own, state, rows(held(0, 2), begin_s=70.0))
     assert (ends.state, since_s(ends)) == ("ended", pytest.approx(62.1))

@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { openWords } from "../src/alarms.ts";
 import { joined } from "../src/charts/series.ts";
 import { valueRange } from "../src/charts/value_range.ts";
 import { TimeWindow } from "../src/charts/window.ts";
@@ -108,6 +109,15 @@ test("the mean of buckets and of the rows that came since is that of every row",
   assert.equal(statistics(all, false, 3600)?.mean, 6);
   // Of buckets without a mean there is none.
   assert.equal(statistics({ ...all, mean: all.mean.map(() => null) }, false)?.mean, null);
+});
+
+test("open alarms are counted by how they stand", () => {
+  const silence = { until: "", owner: "", reason: "" };
+  const one = (state: string, isSilent = false) => ({ state, silence: isSilent ? silence : null });
+  assert.equal(openWords([]), "No alarm is open.");
+  assert.equal(openWords([one("acknowledged")]), "1 alarm is open: 1 acknowledged.");
+  const all = [one("firing"), one("firing"), one("firing", true), one("pending")];
+  assert.equal(openWords(all), "4 alarms are open: 2 fire, 1 silenced, 1 pending.");
 });
 
 test("a window that follows ends with the newest row, one that is zoomed keeps its middle", () => {

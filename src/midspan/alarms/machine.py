@@ -20,9 +20,9 @@ class Alarm:
     """One alarm from its begin to its end.
 
     value, std: at the newest sample, in `unit`; peak: the value furthest from zero. since_ns: since when the
-    limit is exceeded for certain, before that since when its band touches it; time_ns: of the newest change. reported: the state that people were notified of last,
-    at reported_ns; "" for none. source: which one is silent, "" of other rules, and
-    silent_ns: since when.
+    limit is exceeded for certain, before that since when its band touches it; time_ns: of the newest change.
+    reported: the state that people were notified of last, at reported_ns; "" for none. source: which one is silent,
+    "" of other rules, and silent_ns: since when.
     """
 
     id: str

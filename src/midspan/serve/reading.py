@@ -149,7 +149,7 @@ def _rows(where: str, point: str, first_ns: int, end_ns: int) -> tuple[Nanosecon
 
 
 def buckets(where: str, point: str, first_ns: int, end_ns: int, count: int) -> Tree:
-    """Least, largest and mean displacement, largest deviation, worst status and number of rows of `count` equal spans."""
+    """Least, largest and mean displacement, largest deviation, worst status and number of rows of `count` spans."""
     edges = first_ns + ((end_ns - first_ns) * np.arange(count + 1, dtype=object) // count).astype(np.int64)
     with opened(where) as store:
         if end_ns - first_ns <= SECONDS_S * NANOSECONDS:

@@ -221,6 +221,7 @@ class Serving:
             "reason": reason or state.get("reason") or state.get("notice", ""),
             "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
             "notice": "" if reason else state.get("notice", ""),
+            "warnings": [] if reason else state.get("warnings", []),
             "since": None if since_ns is None else reading.iso(since_ns),
             "calibration": state.get("calibration"),
             "stage": "" if reason else state.get("stage", ""),
