@@ -1,7 +1,7 @@
 // Alarms: those that are open, silenced and past; acknowledge, silence, test; where they go and what became of them.
 
 import { type AlarmBody, type AuditBody, get, post, remove, type SilenceBody, type TargetBody } from "../api.ts";
-import { measured, QUANTITY, stateWords, urgency } from "../alarms.ts";
+import { measured, openWords, QUANTITY, stateWords, urgency } from "../alarms.ts";
 import { button, disable, el, line, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock } from "../words.ts";
