@@ -87,7 +87,7 @@ def test_changes_are_those_of_what_measures(tmp_path):
     # Captured recordings in another folder are other ones.
     moved = load_site(write(tmp_path, HEAD + 'captures = "elsewhere"\n' + serial("a")))
     assert Changes.between(site_of(tmp_path, serial("a")), moved) == Changes(changed=("a",))
-    assert Changes(("c",), ("a", "b"), ()).text == "c: begins. a, b: begins anew. The other points go on."
+    assert Changes(("c",), ("a", "b"), ()).text == "Point c begins. Points a, b begin anew. The other points go on."
     assert Changes().text == "All points go on."
 
 

@@ -39,8 +39,12 @@ class Changes:
     @property
     def text(self) -> str:
         """What becomes of the points, in sentences."""
-        said = [("begins", self.added), ("begins anew", self.changed), ("ends", self.removed)]
-        lines = [f"{', '.join(names)}: {what}." for what, names in said if names]
+        said = [("begin", "", self.added), ("begin", " anew", self.changed), ("end", "", self.removed)]
+        lines = [
+            f"Point{'s' * (len(names) > 1)} {', '.join(names)} {what}{'s' * (len(names) == 1)}{how}."
+            for what, how, names in said
+            if names
+        ]
         return " ".join([*lines, "The other points go on." if lines else "All points go on."])
 
     def to_dict(self) -> dict[str, Any]:

@@ -46,7 +46,7 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "opening": ("the point is being opened", "wait some seconds"),
     "clock": (
-        "a clock was set, or stepped, and by how much is looked for",
+        "a clock may have been set, or have stepped: whether, and by how much, is looked for",
         "wait for some motion; let NTP slew the clocks of sensors and machine",
     ),
     "no_rows": ("the point gives no rows though its sources bring records", "see its events"),
