@@ -1,16 +1,19 @@
 """A live point without a shell: captures, jobs, a calibration together with the running one, and its acceptance."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import midspan
 from midspan.engine.point import PointStatus
+from midspan.notices import Notice, notice_trees
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.capture import capture_settings
 from midspan.service.opening import opened
 from midspan.service.point import LivePoint, Phase
+from midspan.service.running import Running
 from midspan.settings.site import load_site
 
 SITE = """
@@ -153,6 +156,34 @@ def test_the_engine_says_where_a_sensors_clock_is(tmp_path):
         assert abs(offset_s - early_s) < 4.0 * std_s
     assert engine.interval_s("displacement") == pytest.approx(0.1)
     assert engine.interval_s("accelerometer") == pytest.approx(0.01)
+
+
+def test_what_a_calibration_warns_of_is_an_event_and_stands_with_the_point(tmp_path):
+    point = live_point(tmp_path)
+    calibration, _ = running(point)
+    note = Notice("exposure", "camera: the exposure is taken out.")
+    doubt = Notice("scale-implausible", "displacement: the scale is 2.5.")
+    remedy = Notice("clock-uncertain", "displacement: set displacement.estimate_offset = true.")
+    warned = replace(calibration, warnings=(note, remedy, doubt))
+    point.batch()
+    point.calibrated(2, warned.to_act_on)
+    point.offered(3, warned.to_act_on)
+    said = [event.text for _, event in point.batch().events if event.kind == "calibration_warning"]
+    assert said == [f"p: calibration {number}: {text}" for number in (2, 3) for text in (doubt, remedy)]
+    live = Running(point, {}, {}, {})
+    assert live.state(0.0, live.standing(0.0))["warnings"] == notice_trees(calibration.to_act_on)
+    folder = point.settled_in
+    point.drop()
+    point.is_opened(opened(folder, "p", warned, 2), folder)
+    assert [one["severity"] for one in live.state(0.0, live.standing(0.0))["warnings"]] == ["serious", "warning"]
+
+
+def test_that_a_clock_may_have_stepped_is_an_event_each_time(tmp_path, monkeypatch):
+    point, told = live_point(tmp_path), []
+    for seeks in (False, True, True, False, True):
+        monkeypatch.setattr(LivePoint, "seeks_clock", seeks)
+        told.append([event.kind for _, event in point.batch().events])
+    assert told == [[], ["clock_sought"], [], [], ["clock_sought"]]
 
 
 def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_path):

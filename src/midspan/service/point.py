@@ -19,6 +19,7 @@ from midspan.service.cutting import wider
 from midspan.service.feeding import Absence, Feeding, Waiting
 from midspan.service.journal import Journal, RowHealth, carried
 from midspan.service.opening import Opened, checkpoint
+from midspan.service.reasons import sentence
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
@@ -105,6 +106,8 @@ class LivePoint:
     _events: list[Event] = field(default_factory=list)
     _kept_ns: int = 0
     _again_ns: int = 0
+    # Whether it was an event that a clock may have stepped.
+    _sought: bool = False
     # The calibration whose scale was estimated to be off.
     _doubted: int = 0
 
@@ -238,16 +241,22 @@ class LivePoint:
         self.phase, self._again_ns = Phase.CAPTURING_TO_CALIBRATE, self.newest_ns
         return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
 
-    def calibrated(self, number: int) -> None:
-        """A calibration came into force: the point opens anew with it."""
+    def calibrated(self, number: int, warnings: Sequence[str] = ()) -> None:
+        """A calibration came into force: the point opens anew with it. warnings: of one that was made just now."""
         self.number, self.job, self.phase = number, None, Phase.CAPTURING_TO_OPEN
         self._tell("calibrated", f"{self.name}: calibration {number} is in force.")
+        self._warn(number, warnings)
 
-    def offered(self, number: int) -> None:
-        """A calibration was made that someone has to accept."""
+    def offered(self, number: int, warnings: Sequence[str] = ()) -> None:
+        """A calibration was made that someone has to accept, with its warnings."""
         self.job, self.reason = None, "calibration_offered"
         self.phase = Phase.OFFERED if self.opened is None else Phase.RUNNING
         self._tell("calibration_offered", f"{self.name}: calibration {number} awaits acceptance.")
+        self._warn(number, warnings)
+
+    def _warn(self, number: int, warnings: Sequence[str]) -> None:
+        for text in warnings:
+            self._tell("calibration_warning", f"{self.name}: calibration {number}: {text}")
 
     def offer_refused(self) -> None:
         """What was offered is not accepted: without rows a calibration is tried again after a while."""
@@ -353,6 +362,9 @@ class LivePoint:
 
     def batch(self, *, last: bool = False) -> Batch:
         """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""
+        if self.seeks_clock and not self._sought:
+            self._tell("clock_sought", f"{self.name}: {sentence('clock')}")
+        self._sought = self.seeks_clock
         batches, self._last = [self._journal.batch(), *self._last], []
         kept: dict[str, tuple[int, Sequence[bytes]]] = {}
         if self.opened is not None:

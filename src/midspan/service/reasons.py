@@ -52,7 +52,7 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "opening": ("the point is being opened", "wait some seconds"),
     "clock": (
-        "a clock stepped; the size of the step is being estimated",
+        "a clock may have stepped; the step is being estimated",
         "wait for motion; let NTP slew the clocks of sensors and machine",
     ),
     "no_rows": ("the point gives no rows although its sources deliver data", "see its events"),

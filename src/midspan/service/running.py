@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan.engine.point import PointStatus
+from midspan.notices import notice_trees
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
@@ -313,7 +314,7 @@ class Running:
 
     def state(self, now_s: float, standing: dict[str, Any]) -> dict[str, Any]:
         """As the page's server has it; standing: as the topic `state` shows it. notice: what is prepared or waits while
-        there are rows.
+        there are rows; warnings: of the calibration that the rows are made with.
         """
         notice = standing["reason"]
         return {
@@ -321,6 +322,7 @@ class Running:
             **self.ready(now_s),
             "notice": notice,
             "notice_text": sentence(notice) if notice else "",
+            "warnings": notice_trees(() if self.live.opened is None else self.live.opened.warnings),
             **self._stage(),
         }
 
