@@ -412,8 +412,8 @@ def _slow_warnings(given: Given, estimated: NoiseCalibration, part: Displacement
         yield Notice(
             "slow-error",
             f"displacement: noise of {1e3 * part.noise_std_m:.2g} mm is that of a GNSS receiver or a total station. "
-            "Its slow errors of some mm over minutes would not show in this record, and the error band does not contain "
-            'them. Write displacement.receiver = "gnss" to put them in, or the correlation time as '
+            "Its slow errors of some mm over minutes would not show in this record, and the error band does not "
+            'contain them. Write displacement.receiver = "gnss" to put them in, or the correlation time as '
             "displacement.noise_time_s; 0 says that the sensor has no slow error.",
         )
 
