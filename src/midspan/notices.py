@@ -17,7 +17,7 @@ class Severity(StrEnum):
 _CODES = {
     Severity.NOTE: (
         "clock-corrected", "exposure", "film-turned", "frames-skipped", "frames-untimed",
-        "gain-estimated", "method-rates", "slow-error-held", "stamps-corrected", "tilt", "window-moved",
+        "gain-estimated", "method-rates", "slow-error-included", "stamps-corrected", "tilt", "window-moved",
     ),
     Severity.WARNING: (
         "acceleration-wrong", "accelerometer-line", "accelerometer-noisy", "accelerometer-resonates",

@@ -29,7 +29,7 @@ def test_command_and_report_state_both_parts_of_the_deviation(footbridge_copy, t
     said, text = capsys.readouterr(), page.read_text(encoding="utf-8")
     figures = midspan.estimate(footbridge_copy).figures()
     assert np.hypot(figures["zero_std_mm"], figures["median_own_std_mm"]) == pytest.approx(figures["median_std_mm"])
-    assert f"{figures['zero_std_mm']:.3g} mm: the zero" in said.out
+    assert f"{figures['zero_std_mm']:.3g} mm, common to all rows" in said.out
     assert f"{figures['median_own_std_mm']:.3g} mm" in said.out
     assert f"{figures['zero_std_mm']:.4g} mm" in text
     assert f"{figures['median_own_std_mm']:.4g} mm" in text

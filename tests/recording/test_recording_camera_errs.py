@@ -97,7 +97,7 @@ def test_an_accelerometer_that_warms_up_is_no_mast_and_no_noisy_frames(warms, tm
     said = " ".join(result.warnings)
     assert "mast" not in said
     assert "first frames" not in said
-    assert "warms up" in said
+    assert "warm-up" in said
     # It was 30 to 160 mm: no error of a camera is larger than what it shows.
     assert np.median(result.displacement_std_mm) < 3.0 * np.std(truth(result.time_s))
 

@@ -13,12 +13,12 @@ from repeats import slow
 FINE_HZ, LENGTH_S = 500.0, 60.0
 # What says that one cause is it, and no list of those that may be.
 CERTAIN = {
-    "play": ("play (backlash) in the displacement sensor's joint explains",),
-    "step": ("a clock that steps explains", "its clock jumped"),
-    "tone": ("(a machine above half its rate) explains",),
+    "play": ("best explanation is play (backlash) in the displacement sensor's joint",),
+    "step": ("best explanation is a clock step", "its clock jumped"),
+    "tone": ("best explanation is a vibration of the accelerometer alone",),
     "low-pass": (
         "a low-pass in the accelerometer's logger delays",
-        "a low-pass in the accelerometer's logger explains",
+        "best explanation is a low-pass in the accelerometer's logger",
     ),
     "unit": ("Check displacement.unit, accelerometer.unit",),
 }

@@ -47,7 +47,9 @@ def write(folder, seed, *, low_pass=False, drift=0.0, average_s=0.0, length_s=70
 
 def test_a_logger_that_delays_is_no_clock(tmp_path):
     write(tmp_path, 1, low_pass=True)
-    with pytest.raises(UntrustedError, match="low-pass in the accelerometer's logger delays and weakens fast motion"):
+    with pytest.raises(
+        UntrustedError, match="low-pass in the accelerometer's logger delays and attenuates fast motion"
+    ):
         midspan.estimate(tmp_path)
 
 

@@ -383,7 +383,7 @@ def test_a_result_is_compared_and_reported_by_itself(footbridge, result, tmp_pat
     assert direct.coverage_95 == pytest.approx(by_file.coverage_95, abs=1e-3)
     page = result.report(tmp_path / "report.html")
     assert page == tmp_path / "report.html"
-    assert "<th>RMSE as it is</th>" in page.read_text(encoding="utf-8")
+    assert "<th>RMSE as recorded</th>" in page.read_text(encoding="utf-8")
     with pytest.raises(UsageError, match="one axis only"):
         midspan.compare(result, footbridge / "truth.csv", axis="x")
 

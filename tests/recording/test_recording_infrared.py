@@ -219,7 +219,7 @@ def test_the_band_of_the_ranges_is_one_that_the_frames_can_show_even_with_a_fift
 
 
 def test_a_band_that_the_frames_cannot_show_is_refused():
-    with pytest.raises(UntrustedError, match=r"begins at 0\.5 Hz; frames at 2 Hz"):
+    with pytest.raises(UntrustedError, match=r"for frames at 2 Hz.*received 0\.5 Hz"):
         compared_band((0.5, 3.0), 2.0)
 
 
@@ -311,7 +311,7 @@ def test_a_printed_filter_takes_the_camera_that_the_rule_lets_measure(day, resul
 def test_a_camera_that_is_dark_in_the_window_is_calibrated_where_it_sees(day):
     night = midspan.open_recording(day, calibration={"window_s": (DUSK_S, DAWN_S + 1.0)})
     found = midspan.calibrate(night)
-    assert len([line for line in found.warnings if "it was calibrated where it sees" in line]) == 1
+    assert len([line for line in found.warnings if "the bright part from" in line]) == 1
     assert 1e3 * found.camera.scale.value_m_per_px == pytest.approx(-1.0, rel=0.02)
     # Infrared is calibrated in the window that was asked for, ten seconds of it.
     assert 1e3 * found.infrared.scale.value_m_per_px == pytest.approx(-2.0, rel=0.02)

@@ -70,7 +70,7 @@ def test_bursts_of_interference_are_left_out_before_they_lead_the_phase_away(tmp
     # Half of a cycle lost would be 1 mm. Left is a few times what the smoother makes of a frame's noise.
     assert np.sqrt(np.mean(off**2)) < 2.0 * FRAME_NOISE_MM
     assert np.mean(np.abs(off) < 1.96 * std) > 0.9
-    assert any("hold interference" in str(one) for one in result.warnings)
+    assert any("have interference" in str(one) for one in result.warnings)
 
 
 # Bursts in a record of one bin, their length (s), their power relative to the target's (dB), and whether the record can

@@ -75,10 +75,10 @@ def test_every_place_has_a_verdict_and_the_report_shows_map_and_table(site, cali
     _, tracking = calibrated
     assert all(candidate.verdict for candidate in tracking.choice.candidates)
     assert tracking.choice.candidates[0].verdict.startswith("taken: fits the accelerometer")
-    assert "together with the accelerometer" in tracking.choice.reasons[0]
+    assert "compared with the accelerometer" in tracking.choice.reasons[0]
     page = report_html(midspan.estimate(midspan.open_recording(site)))
     assert 'alt="Choice of the region"' in page
-    assert page.count("could not be followed") + page.count("moves on its own") >= 1
+    assert page.count("could not be tracked") + page.count("moves on its own") >= 1
     assert "taken: fits the accelerometer" in page
 
 

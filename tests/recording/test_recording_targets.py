@@ -222,9 +222,7 @@ def test_a_camera_that_tilts_is_named_with_what_it_makes_of_each_target(listed, 
     only(site_copy, *listed)
     with pytest.raises(midspan.UntrustedError, match="either the camera tilts") as refused:
         midspan.calibrate(midspan.open_recording(site_copy))
-    said = re.search(
-        r"displacement of near wrong by ([\d.]+) mm rms and that of wall by ([\d.]+) mm", str(refused.value)
-    )
+    said = re.search(r"displacement errors of ([\d.]+) mm rms at near and ([\d.]+) mm rms at wall", str(refused.value))
     window = tilt_px - tilt_px.mean()
     # The mean over the window is the zero's; the tilt's fast part, a tenth, goes into the structure's path.
     np.testing.assert_allclose(float(said[1]), 0.75 * np.std(window), rtol=0.25)
@@ -267,7 +265,7 @@ def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_pat
 def test_a_calibration_of_other_targets_is_refused(site_copy, result):
     listed = [{"roi": [NEAR.x + 1, NEAR.y, 48, 48]}, {"roi": [WALL.x, WALL.y, 48, 48]}]
     set_keys(site_copy, "camera", target=listed)
-    with pytest.raises(midspan.UsageError, match=r"camera\.target: the calibration was made for 4 targets"):
+    with pytest.raises(midspan.UsageError, match=r"camera\.target: the targets must be the 4 of the calibration"):
         midspan.estimate(midspan.open_recording(site_copy), result.calibration)
 
 

@@ -84,7 +84,7 @@ def test_without_a_distance_one_message_tells_what_is_needed(tmp_path, capsys):
     set_keys(other, "camera", tilt_std_mdeg=2.0)
     assert run(["estimate", str(other)]) == 2
     said = capsys.readouterr().err
-    assert "camera: must have distance_m, the metres from camera to target, or a section lens" in said
+    assert "camera: must have distance_m (m from camera to target) or a section lens" in said
     assert said.count("\n") <= 2
     append(other, LENS.format(fx=1000.0, fy=1000.0))
     assert run(["check-config", str(other / "recording.toml")]) == 0
@@ -97,7 +97,7 @@ def test_left_out_the_result_says_that_tilt_is_not_observed(folder, tmp_path, ca
     assert TILT not in printed.err
     said = json.loads((tmp_path / "r.json").read_text())["not_in_band"]
     assert [begins in line for begins, line in zip((SENSITIVITY, DELAY, TILT), said, strict=True)] == [True] * 3
-    assert "0.017 mm for each metre of distance" in said[2]
+    assert "0.017 mm per metre of distance" in said[2]
     set_keys(folder, "camera", tilt_std_mdeg=STD_MDEG, distance_m=DISTANCE_M)
     assert not any(TILT in line for line in midspan.estimate(folder).not_in_band)
     set_keys(folder, "camera", tilt_std_mdeg=None, distance_m=None)

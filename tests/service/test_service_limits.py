@@ -15,7 +15,7 @@ from midspan.sources.live.instants import SourceFault
 def test_a_payload_that_is_too_long_is_not_parsed(begin):
     payload = begin + b"1," * 10_000_000
     begun_s = time.process_time()
-    with pytest.raises(SourceFault, match=f"{len(payload)} bytes; at most {MAX_BYTES} are taken") as fault:
+    with pytest.raises(SourceFault, match=f"{len(payload)} bytes; at most {MAX_BYTES} are accepted") as fault:
         parse(payload, ACCELERATION)
     assert fault.value.code == "payload"
     # Parsing them takes seconds.

@@ -119,7 +119,7 @@ def test_the_documented_publisher_publishes(broker):
 
 
 def test_every_kind_of_event_is_in_the_documentation():
-    text = documented("## What is wrong\n", "\n## ")
+    text = documented("## Faults\n", "\n## ")
     given = {*filter(None, stream.KINDS), stream.CLOCK_SET, *EVENT_KINDS, "lost frames", "blocked", "hidden"}
     for room in ("service", "engine", "vision", "thermal"):
         for file in (Path(midspan.__file__).parent / room).rglob("*.py"):
@@ -206,7 +206,7 @@ def test_over_tls_both_sides_prove_who_they_are(mosquitto, certificate, tmp_path
 
 def test_certificates_that_are_none_or_not_there_are_said(tmp_path):
     (tmp_path / "ca.pem").write_text("no certificate")
-    with pytest.raises(UsageError, match="mqtt: ca, cert and key must be certificates"):
+    with pytest.raises(UsageError, match="mqtt: ca, cert and key must be matching certificates"):
         Broker(MqttSettings(ca="ca.pem"), "a", {}, lambda *_: None, tmp_path)
     for wrong in ({"cert": "a.pem", "ca": "ca.pem"}, {"cert": "a.pem", "key": "a.key"}):
         with pytest.raises(ValueError, match="must have"):

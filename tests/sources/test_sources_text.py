@@ -167,7 +167,7 @@ def test_a_rate_replaces_a_time_column(tmp_path: Path) -> None:
 def test_rows_written_twice_are_dropped(tmp_path: Path) -> None:
     series = read_text(tmp_path, "t,a\n0,1\n1,2\n1,2\n2,3\n")
     np.testing.assert_array_equal(series.value, [1, 2, 3])
-    assert any("1 rows written twice" in note for note in series.notes)
+    assert any("1 duplicate rows" in note for note in series.notes)
 
 
 def test_headings_that_differ_in_their_brackets_stay_apart(tmp_path: Path) -> None:

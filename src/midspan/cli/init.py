@@ -12,18 +12,18 @@ from midspan.cli.console import Console, common_options
 @click.command("init")
 @click.argument("accel", type=click.Path())
 @click.argument("file2", type=click.Path())
-@click.option("-o", "--output", type=click.Path(), help="Folder to write into; left out: that of ACCEL.")
-@click.option("--value", help="Channel along the motion; left out: the only or the upright one.")
-@click.option("--unit", help="Unit, where the file does not say.")
-@click.option("--direction", type=click.Choice(["x", "y"]), help="Image axis of the motion; left out: y.")
-@click.option("--rate-hz", type=float, help="Rate of the second file, where it has no times.")
-@click.option("--displacement-value", metavar="NAME", help="Channel of displacement in the second file.")
-@click.option("--displacement-unit", help="Its unit, where the file does not say.")
+@click.option("-o", "--output", type=click.Path(), help="Folder to write into. Default: that of ACCEL.")
+@click.option("--value", help="Channel along the motion. Default: the only or the vertical one.")
+@click.option("--unit", help="Unit of the channel, if the file has none.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Image axis of the motion. Default: y.")
+@click.option("--rate-hz", type=float, help="Rate of FILE2, if it has no times.")
+@click.option("--displacement-value", metavar="NAME", help="Displacement channel of FILE2.")
+@click.option("--displacement-unit", help="Unit of that channel, if the file has none.")
 @common_options
 def command(accel: str, file2: str, output: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Write a commented recording.toml for an accelerometer's file and a video, or a displacement sensor's table.
+    """Write a commented recording.toml for an accelerometer file and FILE2, with channels, units and rates.
 
-    Channels, units and rates are as found in the files.
+    FILE2 is a video, or the table of a displacement sensor.
     """
     from midspan.errors import UsageError
     from midspan.settings.load import RECORDING_FILE
@@ -41,7 +41,7 @@ def command(accel: str, file2: str, output: str | None, quiet: bool, as_json: bo
         if "file" in own:
             found.sections[section]["file"] = Path(os.path.relpath(own["file"], folder)).as_posix()
     write_whole(target, found.text().encode())
-    console.say(f"{target}: written. Look at it, then run `midspan estimate {folder}`.")
+    console.say(f"{target}: written. Check it, then run `midspan estimate {folder}`.")
     for key in found.needed:
-        console.say(f"  {key} is not in the files and has to be written there first.")
+        console.say(f"  {key}: not found in the files. Add it first.")
     console.document({"written": str(target), "settings": found.sections})

@@ -52,5 +52,7 @@ def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str)
     for number, target in enumerate(given_targets(camera), 1):
         if not target.region.inside(*size_px):
             key, shown = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
-            text = f"must lie inside the picture ({size_px[0]} x {size_px[1]} px); received {list(shown)}."
-            raise UsageError(f"{where}.{key}: {text} Correct it; where the camera's size changed, look at it first.")
+            text = f"must lie inside the image ({size_px[0]} x {size_px[1]} px); received {list(shown)}."
+            raise UsageError(
+                f"{where}.{key}: {text} Correct the region; if the image size changed, check the camera first."
+            )

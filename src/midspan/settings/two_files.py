@@ -168,14 +168,17 @@ def _series(found: Draft, table: Table, path: Path, request: "SeriesRequest", ch
 def _chosen(path: Path, table: Table, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Channel, tuple[str, ...]]":
     """The channel along the motion, of those that could be; with the names of the others."""
     if not found:
-        raise UsageError(f"{path}: holds no channel of {table.quantity} by name or unit. Name one with {table.value}.")
+        article = "an" if table is ACCELERATION else "a"
+        raise UsageError(
+            f"{path}: no channel is {article} {table.quantity} by name or unit. Select one with {table.value}."
+        )
     names = tuple(one.name for one in found)
     if len(found) > 1 and not choose:
         units = {one.unit for one in found}
         said = f" (all in {units.pop()})" if len(units) == 1 and found[0].unit else ""
         raise UsageError(
-            f"{path}: {len(found)} channels could be meant: {', '.join(map(repr, names))}{said}. Name the one "
-            f"along the measured motion, for example {table.value} {names[-1]!r}."
+            f"{path}: {len(found)} channels are possible: {', '.join(map(repr, names))}{said}. Select the one along "
+            f"the measured motion, for example {table.value} {names[-1]!r}."
         )
     import numpy as np
 
@@ -262,7 +265,9 @@ def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]
     if made is not None and abs(made - accelerometer_s) < BY_HAND_S:
         found.put(section, "start_s", made - camera_s, "the video's date, on the accelerometer's clock")
     else:
-        found.put(section, "start_s", accelerometer_s - camera_s, "as the accelerometer begins, whose times are dates")
+        found.put(
+            section, "start_s", accelerometer_s - camera_s, "start of the accelerometer's record, which has dates"
+        )
 
 
 def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
@@ -275,7 +280,7 @@ def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
     if found.needed:
         option = "Give --rate-hz (rate_hz), or run" if found.needed == [f"{found.second}.rate_hz"] else "Run"
         raise UsageError(
-            f"{where}: {', '.join(found.needed)} is in neither file. {option} `midspan init {accel} {second}`, and "
-            "write it into the recording.toml."
+            f"{where}: {', '.join(found.needed)} is in neither file. {option} `midspan init {accel} {second}` and "
+            "add the value to recording.toml."
         )
     return accel.parent / where, validate(found.sections, where)

@@ -82,8 +82,8 @@ def find_dialect(path: Path) -> Dialect:
     guesses = [guess for sign in _CANDIDATES if (guess := _try(lines, *sign)) is not None]
     if not guesses:
         raise DataError(
-            f"{path} holds no columns of numbers in its first {len(lines)} lines. "
-            "Expected are text columns with comma, semicolon, tab, blanks or | between them."
+            f"{path} has no columns of numbers in its first {len(lines)} lines. Text columns with comma, semicolon, "
+            "tab, blanks or | between them are expected."
         )
     best = _single_decimal_comma(lines, max(guesses, key=lambda guess: guess.score), guesses)
     row = split(lines[best.first], best.delimiter)
@@ -213,8 +213,8 @@ def is_missing_word(field: str) -> bool:
 
 # How the note begins on a file with decimal commas and commas between the columns.
 SPLIT = (
-    "the same comma seems to stand between columns and before decimals, which cannot be read; export with ';' or tab "
-    "between columns, or with a decimal point"
+    "the comma seems to separate both columns and decimals, which cannot be read; export with ';' or tab between "
+    "columns, or with a decimal point"
 )
 
 
