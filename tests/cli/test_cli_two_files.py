@@ -1,4 +1,4 @@
-"""From two files on a desk: `midspan init ACCEL VIDEO` and `midspan estimate ACCEL VIDEO`."""
+"""From two files on a desk: `midspan init ACCEL FILE2` and `midspan estimate ACCEL FILE2`."""
 
 import json
 import re
@@ -170,3 +170,63 @@ def test_a_direction_is_given_with_two_files(portrait, tmp_path, capsys):
     assert run(["estimate", *files, "--direction", "z"]) == 2
     assert run(["estimate", str(tmp_path / "new"), "--direction", "x"]) == 2
     assert "--direction: needs two files" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def receiver(tmp_path_factory):
+    """A logger's file and one of a GNSS receiver with its unit in the header and two columns that could be meant."""
+    folder = tmp_path_factory.mktemp("receiver")
+    case = replace(LIVELY, noise_m=0.2e-3)
+    write(folder, case, "displacement")
+    time, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
+    table(folder / "logger.csv", time, value)
+    height_m = case.met_m + np.random.default_rng(3).normal(0.0, case.noise_m, len(case.met_s))
+    for name, heads, columns in (
+        ("gnss.csv", "time_s,height [m],quality", (412.0 + height_m, 4.0 + 0.0 * height_m)),
+        ("two.csv", "time_s,height_up,height_east", (1e3 * height_m, 0.0 * height_m)),
+    ):
+        np.savetxt(folder / name, np.column_stack((case.met_s, *columns)), "%.6f", ",", header=heads, comments="")
+    (folder / "recording.toml").unlink()
+    return folder
+
+
+def test_a_table_is_a_displacement_sensor(receiver, tmp_path, capsys):
+    files = [str(receiver / "logger.csv"), str(receiver / "gnss.csv"), "--value", "Beschl Z"]
+    assert run(["estimate", *files, "-o", str(tmp_path / "r.csv")]) == 0
+    rows = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    error = rows["displacement_mm"] - LIVELY.from_zero_mm(rows["time_s"])
+    assert np.std(error) < 0.2
+    found = midspan.estimate(*files[:2], value="Beschl Z")
+    np.testing.assert_allclose(found.displacement_mm, rows["displacement_mm"], rtol=1e-7, atol=1e-9)
+    assert run(["init", *files, "-o", str(tmp_path / "new")]) == 0
+    (sensor,) = load_settings(tmp_path / "new").displacements
+    assert (sensor.value, sensor.unit) == ("height", "m")
+    assert "# receiver = " in (tmp_path / "new" / "recording.toml").read_text()
+    capsys.readouterr()
+    for more in (["--direction", "x"], ["--tracker", "template"]):
+        assert run(["estimate", *files, *more]) == 2
+        assert more[0] in capsys.readouterr().err
+
+
+def test_a_column_and_a_unit_that_are_not_clear_are_asked_for(receiver, tmp_path, capsys):
+    files = [str(receiver / "logger.csv"), str(receiver / "two.csv"), "--value", "Beschl Z"]
+    assert run(["estimate", *files]) == 2
+    assert "2 channels are possible: 'height_up', 'height_east'" in (said := capsys.readouterr().err)
+    assert "--displacement-value 'height_east'" in said
+    files += ["--displacement-value", "height_up"]
+    assert run(["estimate", *files]) == 2
+    assert "Give --displacement-unit" in capsys.readouterr().err
+    assert run(["init", *files, "--displacement-unit", "mm", "-o", str(tmp_path)]) == 0
+    assert load_settings(tmp_path).displacements[0].unit == "mm"
+
+
+def test_frames_without_times_take_a_rate(desk, tmp_path, capsys):
+    files = [str(desk / "logger.csv"), str(desk / "camera.npy"), "--value", "Beschl Z"]
+    assert run(["estimate", *files]) == 2
+    assert "camera.rate_hz is in neither file. Give --rate-hz (rate_hz)" in capsys.readouterr().err
+    with pytest.raises(midspan.UsageError, match="rate_hz must be above zero"):
+        midspan.estimate(*files[:2], value="Beschl Z", rate_hz=-1.0)
+    assert run(["init", *files, "--rate-hz", "10", "-o", str(tmp_path / "new")]) == 0
+    assert load_settings(tmp_path / "new").cameras[0].rate_hz == 10.0
+    found = midspan.estimate(*files[:2], value="Beschl Z", rate_hz=10.0)
+    assert abs(found.calibration.to_dict()["camera"]["scale_mm_per_px"] - LIVELY.mm_per_px) < 0.1

@@ -240,6 +240,7 @@ def test_heights_at_the_end_of_the_range_are_left_out_and_called_clipped(gnss_co
 
 
 def test_a_gnss_receiver_has_its_usual_slow_error_unless_told_otherwise(gnss_copy):
+    set_keys(gnss_copy, "displacement", noise_time_s=None)
     none = midspan.calibrate(midspan.open_recording(gnss_copy)).displacement
     set_keys(gnss_copy, "displacement", receiver="gnss")
     usual = midspan.calibrate(midspan.open_recording(gnss_copy))

@@ -398,6 +398,9 @@ def test_a_result_shows_itself_in_a_notebook_and_on_axes(result):
     assert "(s)" in axes.get_xlabel()
     drawn = axes.get_lines()[0].get_ydata()
     assert np.ptp(drawn) == pytest.approx(np.ptp(result.displacement_mm), rel=1e-3)
+    axes.figure.canvas.draw()
+    # The legend covers no curve.
+    assert axes.get_legend().get_window_extent().y0 >= axes.bbox.y1
     shown = result._repr_html_()
     assert "data:image/png;base64," in shown
     assert f"{len(result.time_s)} rows" in shown
