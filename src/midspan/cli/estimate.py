@@ -54,7 +54,10 @@ def command(recording: str, video: str | None, quiet: bool, as_json: bool, **opt
     elif options["reference"] or options["reference_unit"]:
         raise click.UsageError("--reference: goes with --method all; `midspan compare` compares one result.")
     if video is not None:
-        _of_two_files(Path(recording), Path(video), console, options)
+        from midspan.settings.two_files import in_words_of_two_files
+
+        with in_words_of_two_files(Path(recording), Path(video)):
+            _of_two_files(Path(recording), Path(video), console, options)
         return
     files = [f"--{key}" for key in ("value", "unit", "direction") if options[key]]
     if files:

@@ -58,7 +58,7 @@ from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
-from midspan.settings.two_files import draft, is_sensor_file, settings_of
+from midspan.settings.two_files import draft, in_words_of_two_files, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
 # Events of a first pass that may come of values that are wrong.
@@ -93,8 +93,10 @@ def estimate(
     if calibration is not None and not isinstance(calibration, Calibration):
         calibration = load_calibration(path_of("calibration", calibration))
     if video is not None:
-        files = draft(path_of("recording", recording), path_of("video", video), value, unit, direction)
-        return estimate(Recording(*settings_of(files)), calibration, method=method, progress=progress)
+        accel, video = path_of("recording", recording), path_of("video", video)
+        with in_words_of_two_files(accel, video):
+            files = draft(accel, video, value, unit, direction)
+            return estimate(Recording(*settings_of(files)), calibration, method=method, progress=progress)
     if value or unit or direction:
         raise UsageError(
             "value, unit, direction: go with two files, estimate(ACCEL, VIDEO); a recording names them in its settings."

@@ -1,10 +1,14 @@
 """The settings of a recording of two files, an accelerometer's and a video, as they are found in these."""
 
+import re
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from midspan.errors import UsageError
+from midspan.errors import MidspanError, UsageError
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
 from midspan.signals.acceleration import GRAVITY_M_S2
@@ -14,6 +18,7 @@ if TYPE_CHECKING:
     from midspan.records import TimeSeries
     from midspan.sources.accelerometer.channel import Channel
     from midspan.sources.accelerometer.select import SeriesRequest
+    from midspan.vision.frame_source import FrameSource
 
 # Stamps from here on (s) are dates, not seconds after a start: 2001.
 DATED_FROM_S = 1e9
@@ -23,6 +28,8 @@ UPRIGHT = 0.1
 BY_HAND_S = 60.0
 # The image axis of the motion where none is given: most structures that are filmed move up and down.
 DIRECTION = "y"
+# Keys of a recording.toml in a message.
+KEYS = re.compile(r"\b((camera|infrared|accelerometer|calibration|fusion)\.[a-z]\w+|rate_hz|max_offset_s|start_s)\b")
 
 
 @dataclass(slots=True)
@@ -71,6 +78,20 @@ def is_sensor_file(given: object) -> bool:
     return isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
 
 
+@contextmanager
+def in_words_of_two_files(accel: Path, video: Path) -> Iterator[None]:
+    """Let a refusal that names keys say where two files have them."""
+    try:
+        yield
+    except MidspanError as error:
+        text = str(error)
+        named = KEYS.search(text)
+        if named and "midspan init" not in text:
+            where = f"the recording.toml that `{shlex.join(('midspan', 'init', str(accel), str(video)))}` writes"
+            error.args = (f"{text.rstrip()} Keys as {named[0]} stand in {where}.",)
+        raise
+
+
 def draft(
     accel: Path, video: Path, value: str | None, unit: str | None, direction: str | None = None, *, choose: bool = False
 ) -> Draft:
@@ -80,7 +101,14 @@ def draft(
     of several channels, for a person to look at; else UsageError names them. Raises what reading the files does.
     """
     from midspan.sources.accelerometer.formats import list_channels
-    from midspan.sources.accelerometer.select import SeriesRequest, candidates, find_channel, read_series
+    from midspan.sources.accelerometer.select import (
+        SeriesRequest,
+        candidates,
+        find_channel,
+        read_series,
+        require_unsplit_numbers,
+    )
+    from midspan.sources.boundary import require_file
     from midspan.sources.camera.formats import is_table, is_video
 
     if is_video(accel) and is_table(video):
@@ -88,7 +116,10 @@ def draft(
             f"{accel} is a video and {video} a table of numbers. Name the accelerometer's file first, then the video."
         )
     found = Draft()
+    require_file(accel)
+    frames = _frames(video)
     channels = list_channels(accel)
+    require_unsplit_numbers(accel, channels)
     found.put("accelerometer", "file", str(accel.absolute()))
     if value is not None:
         channel, others = find_channel(accel, channels, value, "--value"), tuple[str, ...]()
@@ -97,7 +128,7 @@ def draft(
     _channel(found, channel, others, unit, channels.names)
     request = SeriesRequest("acceleration", value=channel.name, unit=unit)
     acceleration = _read(found, accel, request, choose, read_series)
-    _camera(found, video, acceleration, direction or DIRECTION)
+    _camera(found, video, frames, acceleration, direction or DIRECTION)
     return found
 
 
@@ -155,9 +186,8 @@ def _read(found: Draft, path: Path, request: "SeriesRequest", choose: bool, read
         return None
 
 
-def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direction: str) -> None:
-    """The keys of the camera."""
-    from midspan.settings.keys import described, recording_sections
+def _frames(video: Path) -> "tuple[str, FrameSource, bool]":
+    """The section of a video, its frames, and whether they have times."""
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
     from midspan.sources.thermal.formats import is_thermal, open_thermal
@@ -170,7 +200,20 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direct
         request = FrameRequest(rate_hz=rate_hz)
         return open_thermal(video, ThermalRequest(frames=request)) if thermal else open_frames(video, request)
 
-    source, timed = timed_or_counted(opened)
+    return section, *timed_or_counted(opened)
+
+
+def _camera(
+    found: Draft,
+    video: Path,
+    frames: "tuple[str, FrameSource, bool]",
+    acceleration: "TimeSeries | None",
+    direction: str,
+) -> None:
+    """The keys of the camera."""
+    from midspan.settings.keys import described, recording_sections
+
+    section, source, timed = frames
     info = source.info
     found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
     keys = recording_sections()
