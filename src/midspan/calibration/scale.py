@@ -310,7 +310,7 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         )
     static = (
         "check camera.direction, camera.roi (what is fixed to the camera shows no motion), calibration.max_offset_s, "
-        "and that no stabiliser takes the motion out of the film."
+        "that both files are of the same event, and that no stabiliser takes the motion out of the film."
     )
     cause = (
         f"The accelerometer moves and the image does not: {static} {livelier}".rstrip()

@@ -107,7 +107,9 @@ def _said(error: "click.ClickException") -> str:
     from midspan.settings.keys import recording_sections
 
     key = error.option_name.lstrip("-").replace("-", "_")
-    places = [f"[{one.name}]" for one in recording_sections() for known in one.keys if known.name == key and one.name]
+    # Of sections within others, theirs is enough.
+    sections = [one for one in recording_sections() if one.name and "." not in one.name]
+    places = [f"[{one.name}]" for one in sections if key in [known.name for known in one.keys]]
     if not places or all(one.name != "recording" for one in error.ctx.command.params):
         return error.format_message()
     return (
