@@ -157,7 +157,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (f"{DEEP * '['}{DEEP * ']'}", "at most 64 levels"),
         (f"{100_000 * '['}{100_000 * ']'}", "at most 64 levels"),
         (f'{DEEP * chr(123) + chr(34)}a": 1', "is not JSON"),
-        ('{"accelerometer": {"noise_std_m_s2": 1, "noise_std_m_s2": 2}}', "'noise_std_m_s2' stands there twice"),
+        ('{"accelerometer": {"noise_std_m_s2": 1, "noise_std_m_s2": 2}}', "'noise_std_m_s2' is there twice"),
         (f'{{"accelerometer": {{"noise_std_m_s2": {5000 * "9"}}}}}', "thousands of digits"),
         (f'{{"accelerometer": {{"noise_std_m_s2": {400 * "9"}}}}}', "at most 64 bits"),
         (
@@ -314,7 +314,7 @@ def test_sensors_without_noise_give_the_motion_itself(tmp_path: Path, noise: flo
     ("content", "reported"),
     [
         (f"{DEEP * '['}{DEEP * ']'}", "at most 64 levels"),
-        ('{"model": "pinhole", "model": "fisheye"}', "stands there twice"),
+        ('{"model": "pinhole", "model": "fisheye"}', "is there twice"),
         (
             '{"model": "pinhole", "matrix": [1e400, 8, 8, 8], "distortion": [0, 0, 0, 0], "size": [640, 480]}',
             "is no lens file",

@@ -359,10 +359,10 @@ def test_settings_are_reported_as_the_file_has_them(camera):
 @pytest.mark.parametrize(
     ("tree", "words"),
     [
-        (tree_with(camera=[TWO[0], {"file": "r.mkv"}]), ("[[camera]]", "a name of its own", "camera[2] has none")),
-        (tree_with(camera=[TWO[0], TWO[0]]), ("each sensor a name of its own", "'left'")),
+        (tree_with(camera=[TWO[0], {"file": "r.mkv"}]), ("[[camera]]", "a unique name", "camera[2] has none")),
+        (tree_with(camera=[TWO[0], TWO[0]]), ("each sensor a unique name", "'left'")),
         (tree_with(camera=TWO, radar={"file": "r.npy", "name": "left"}), ("2 have the name 'left'",)),
-        (tree_with(camera={**CAMERA, "name": "radar"}), ("camera[1]", "'radar'", "something else")),
+        (tree_with(camera={**CAMERA, "name": "radar"}), ("camera[1]", "'radar'", "is reserved")),
         (tree_with(camera=[TWO[0], {**TWO[1], "name": "a.b"}]), ("camera[2].name = 'a.b'", "letters")),
         (tree_with(camera=[TWO[0], {**TWO[1], "every": 0}]), ("camera[2].every = 0",)),
         (tree_with(camera=[TWO[0], {**TWO[1], "rio": 0}]), ("camera[2].rio", "'roi'")),
@@ -370,7 +370,7 @@ def test_settings_are_reported_as_the_file_has_them(camera):
         (tree_with(camera=[TWO[0], {"name": "right"}]), ("camera[2].file", "missing")),
         (tree_with(cameras=TWO), ("cameras", "section", "'camera'")),
         (tree_with(accelerometer=[ACCELEROMETER]), ("accelerometer: must be one section",)),
-        (tree_with(camera=[]), ("camera = []", "a list of such sections")),
+        (tree_with(camera=[]), ("camera = []", "a list of named sections")),
         (tree_with(reference=[KEYS["reference"]]), ("reference: must be one section",)),
     ],
 )

@@ -85,10 +85,10 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (('method = "lag"', 'method = "smoother"'), r"point 'quarter-span': method = 'smoother'"),
         (('source = "mqtt:bridge/acc1"', 'source = "ftp://x"'), r"accelerometer.source: must be one of mqtt:"),
         (('source = "mqtt:bridge/acc1"', ""), r"accelerometer.source: is missing"),
-        (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
-        (('unit = "g"', 'unit = "g"\ncross_values = ["ax"]'), r"accelerometer.cross_values: belongs to files"),
+        (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: is for files only"),
+        (('unit = "g"', 'unit = "g"\ncross_values = ["ax"]'), r"accelerometer.cross_values: is for files only"),
         (('direction = "y"', 'direktion = "y"'), r"camera.direktion: is not a known key"),
-        (('path = "store"', ""), r"must have path \(a folder\) or url"),
+        (('path = "store"', ""), r"must have either path \(a folder\) or url"),
         (('"river-bridge"', '"river/bridge"'), r"name = 'river/bridge': must be 1 to 64 characters other than"),
         (('"river-bridge"', '"river+"'), r"name = 'river\+': must be 1 to 64 characters"),
         (('"river-bridge"', '"a\\u0007"'), r"must be 1 to 64 characters other than \+, #, / and control"),
@@ -127,23 +127,26 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         (("mqtt:bridge/acc1", "mqtt:+/acc1"), r"accelerometer.source: must be one topic, without the wildcards"),
         (
             ("mqtt:bridge/acc1", "mqtt:midspan/v1/river-bridge/quarter-span/displacement"),
-            r"accelerometer.source: must be another topic than the site's own results, midspan/v1/river-bridge/",
+            r"accelerometer.source: must not be a topic of the site's results, midspan/v1/river-bridge/",
         ),
         (("rtsp://user:{SITE_SECRET}@127.0.0.1:8554/cam", "usb:x"), r"camera.source: must be usb: and the number"),
         (('user = "midspan"\n', ""), r"mqtt: must have user with password"),
-        (("[mqtt]", '[mqtt]\nhost = "127.0.0.1:1883"'), r"mqtt.host = '127.0.0.1:1883': must be a host alone"),
+        (("[mqtt]", '[mqtt]\nhost = "127.0.0.1:1883"'), r"mqtt.host = '127.0.0.1:1883': must be a host without port"),
         (
             ("[mqtt]", '[mqtt]\nhost = "mqtt://broker:1883"'),
-            r"must be a host alone; the port is a key of its own: host = 'broker', port = 1883",
+            r"must be a host without port; port is another key: host = 'broker', port = 1883",
         ),
-        (("[mqtt]", '[mqtt]\nhost = "[::1]:1883"'), r"must be a host alone; .*: host = '::1', port = 1883"),
-        (("[mqtt]", '[mqtt]\nhost = "mqtt://broker"'), r"mqtt.host = 'mqtt://broker': must be a host alone, as"),
+        (("[mqtt]", '[mqtt]\nhost = "[::1]:1883"'), r"must be a host without port; .*: host = '::1', port = 1883"),
+        (
+            ("[mqtt]", '[mqtt]\nhost = "mqtt://broker"'),
+            r"mqtt.host = 'mqtt://broker': must be a host without port, such as",
+        ),
         (('user = "midspan"', 'user = ""'), r"mqtt.user = ''"),
         (
             ("[mqtt]", '[service]\nlisten = "0.0.0.0:8080"\n[mqtt]'),
-            r"service: must be on loopback, as 127.0.0.1, without .*; received listen = '0.0.0.0:8080'",
+            r"service: must be a loopback address such as 127.0.0.1 without .*; received listen = '0.0.0.0:8080'",
         ),
-        (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both, a certificate and its key"),
+        (("[mqtt]", '[service]\ntls_key = "key.pem"\n[mqtt]'), r"service: must have both tls_cert and tls_key"),
         (
             (
                 "[[point]]",
@@ -188,7 +191,7 @@ def test_a_point_along_both_axes_is_two_that_share_their_camera(tmp_path, monkey
         (
             ("[[point]]", '[[point]]\nname = "quarter-span-x"\naccelerometer.source = "mqtt:p"\n'
              'displacement.source = "mqtt:q"\n[[point]]'),
-            r"2 have the name 'quarter-span-x'. One is the x axis of a point",
+            r"2 points have the name 'quarter-span-x'. One is the x axis of a point",
         ),
         (('name = "quarter-span"', f'name = "{63 * "q"}"'), r"name: must have at most 62 characters .* received 63"),
     ],
@@ -212,7 +215,7 @@ def test_a_recording_along_both_axes_has_both_accelerations(tmp_path, monkeypatc
 def test_a_certificate_that_is_missing_is_named_with_its_key(tmp_path, monkeypatch):
     text = SITE.replace("[mqtt]", '[service]\nlisten = "0.0.0.0:443"\ntls_cert = "c.pem"\ntls_key = "k.pem"\n[mqtt]')
     (tmp_path / "c.pem").touch()
-    with pytest.raises(UsageError, match=r"service.tls_key = 'k.pem': must be a file that can be read"):
+    with pytest.raises(UsageError, match=r"service.tls_key = 'k.pem': must be a readable file"):
         require_folders(loaded(tmp_path, monkeypatch, text))
 
 
@@ -231,16 +234,16 @@ def test_a_site_without_points_is_reported_so(tmp_path, monkeypatch):
 
 def test_two_points_of_one_name_are_refused(tmp_path, monkeypatch):
     point = SITE[SITE.index("[[point]]") :]
-    with pytest.raises(UsageError, match="2 have the name 'quarter-span'"):
+    with pytest.raises(UsageError, match="2 points have the name 'quarter-span'"):
         loaded(tmp_path, monkeypatch, SITE + point)
 
 
 def test_a_missing_secret_is_named(tmp_path, monkeypatch):
-    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken .* is not set"):
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} needs .* is not set"):
         loaded(tmp_path, monkeypatch, secret=None)
-    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken .* is empty"):
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} needs .* is empty"):
         loaded(tmp_path, monkeypatch, secret="")
-    with pytest.raises(UsageError, match=r"point 'quarter-span'.camera.source: \{NONE_SUCH\} is taken"):
+    with pytest.raises(UsageError, match=r"point 'quarter-span'.camera.source: \{NONE_SUCH\} needs the environment"):
         loaded(tmp_path, monkeypatch, SITE.replace("user:{SITE_SECRET}", "user:{NONE_SUCH}"))
 
 
@@ -270,7 +273,7 @@ def test_folders_that_cannot_be_made_are_named_with_their_key(tmp_path, monkeypa
     assert (tmp_path / named).stat().st_mtime_ns == touched_ns
     for place, why in (("SITE.toml", "SITE.toml is a file"), ("SITE.toml/below", "is a file"), ("/proc/x", "/proc: ")):
         site = loaded(tmp_path, monkeypatch, text.replace(f'{key} = "{named}"', f'{key} = "{place}"'))
-        with pytest.raises(UsageError, match=rf"SITE.toml: store.{key} = '{place}': must be a folder .*{why}"):
+        with pytest.raises(UsageError, match=rf"SITE.toml: store.{key} = '{place}': must be a writable folder.*{why}"):
             require_folders(site)
 
 
@@ -329,10 +332,10 @@ def test_alarms_as_documented(tmp_path, monkeypatch):
         (('to = ["night@example.org"]', ""), r"must have to with smtp"),
         (('to = ["night@example.org"]', 'to = ["night"]'), r"must be an e-mail address"),
         (("http://127.0.0.1", "ftp://127.0.0.1"), r"must have a webhook that begins with http://"),
-        (("end = 2026-12-01T16", "end = 2026-12-01T06"), r"must have an end after its begin"),
+        (("end = 2026-12-01T16", "end = 2026-12-01T06"), r"must end after it begins"),
         (('name = "deflection"', 'name = "a/b"'), r"must be 1 to 64 characters other than /"),
         (("[[notify]]", '[[point.alarm]]\nname = "deflection"\non = "std"\nlimit_mm = 1.0\n[[notify]]'),
-         r"alarm.name: must be another one for each alarm; 2 have"),
+         r"alarm.name: must be unique; 2 alarms have"),
     ],
 )  # fmt: skip
 def test_wrong_alarms_are_refused_with_the_key(tmp_path, monkeypatch, change, words):

@@ -21,27 +21,27 @@ KEYS = f"""# Keys of the settings' files
 
 {MADE}
 
-A key without a default may be left out. A number outside its range is refused.
+Keys not marked `required` may be omitted. A number outside its range is refused.
 `midspan help SECTION` prints a section, `midspan check-config FILE` the values in force.
 [Configuration](configuration.md) explains signs, clocks, and how sections work together.
 
 | file | sections |
 | --- | --- |"""
 FILES = {
-    "recording.toml": "Paths are relative to the file. Of [camera], [infrared], [radar] and [displacement] there "
-    "may be [several](configuration.md#several-sensors-of-a-kind).",
-    "SITE.toml": "Paths are relative to the file; `{NAME}` in a text is taken from the environment. [Live](live.md) "
+    "recording.toml": "Paths are relative to the file. [Several](configuration.md#several-sensors-of-a-kind) [camera], "
+    "[infrared], [radar] and [displacement] are possible.",
+    "SITE.toml": "Paths are relative to the file; `{NAME}` in a text is an environment variable. [Live](live.md) "
     "has an example.",
-    "calibration.json": "`midspan calibrate` writes it. It holds for one set-up: same camera, lens, focus, distance, "
-    "target and region; clock offsets hold for one recording unless the clocks are locked. Unknown keys are ignored; a "
-    "value that cannot be is refused. `midspan help camera.targets` and `midspan help radar.targets` have the keys of "
+    "calibration.json": "`midspan calibrate` writes it. Valid for one set-up: same camera, lens, focus, distance, "
+    "target and region; clock offsets are valid for one recording unless the clocks are locked. Unknown keys are "
+    "ignored, invalid values refused. `midspan help camera.targets` and `midspan help radar.targets` list the keys of "
     "single targets.",
 }
 COMMAND = f"""# Commands
 
 {MADE}
 
-Every command has `-h, --help`, `-q, --quiet` (print nothing but errors) and `--json` (one JSON document on standard
+Every command has `-h, --help`, `-q, --quiet` (print errors only) and `--json` (one JSON document on standard
 output). [Configuration](configuration.md#commands) has exit codes and shell completion."""
 
 

@@ -99,7 +99,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         seen: set[str] = set()
         for name, _ in pairs:
             if name in seen:
-                raise TreeError(f"must have each key once; {name[:80]!r} stands there twice. Take one away")
+                raise TreeError(f"must have each key once; {name[:80]!r} is there twice. Remove one")
             seen.add(name)
     return tree
 

@@ -102,7 +102,7 @@ def cannot_be_written(path: Path) -> Iterator[None]:
 def _new_file(path: Path) -> Iterator[NewFile]:
     folder = path.parent
     if not folder.is_dir():
-        raise UsageError(f"{path} cannot be written: the folder {folder} does not exist. Make it or choose another.")
+        raise UsageError(f"{path} cannot be written: the folder {folder} does not exist. Create it or choose another.")
     if path.is_dir():
         raise UsageError(f"{path} cannot be written: it is a folder. Give the name of a file.")
     with cannot_be_written(path):

@@ -261,7 +261,7 @@ def test_without_its_file_messages_go_out_all_the_same(tmp_path, hook):
     running.start()
     running.put(entry(1, target_of(target)))
     until(lambda: hook.came)
-    assert "cannot be kept" in lines[0]
+    assert "cannot be saved" in lines[0]
     # It can be written again: the alarm is kept late, and not sent twice.
     (tmp_path / "alarms.sqlite").rmdir()
     running.put(entry(2, target_of(target)))

@@ -230,10 +230,10 @@ def test_the_message_of_a_silent_source_names_it_and_since_when():
         watch.tick(s(at_s), {"p": Ages(0.0, age_s, source=source)}, None)
         return (watch.trees() or trees[-1:])[0]["text"]
 
-    assert text(10, 5.5, "p.camera") == f"p.camera brings nothing since {iso(s(4.5))}, for 5.5 s, limit 5 s."
+    assert text(10, 5.5, "p.camera") == f"p.camera: no data since {iso(s(4.5))}, for 5.5 s, limit 5 s."
     # It is the one that is silent longest now, and not when the alarm began.
-    assert text(30, 22.0, "p.radar") == f"p.radar brings nothing since {iso(s(8))}, for 22 s, limit 5 s."
-    assert text(31, 0.1, "p.camera") == "p.radar brought nothing: ended. It was 22 s at most."
+    assert text(30, 22.0, "p.radar") == f"p.radar: no data since {iso(s(8))}, for 22 s, limit 5 s."
+    assert text(31, 0.1, "p.camera") == "p.radar: no data: ended. Peak 22 s."
 
 
 def test_a_silence_is_listed_and_ended_without_an_open_alarm(site):
@@ -245,7 +245,7 @@ def test_a_silence_is_listed_and_ended_without_an_open_alarm(site):
     assert {key: one[key] for key in ("point", "name", "no_data", "owner", "reason")} == {
         "point": "p", "name": "a", "no_data": False, "owner": "anna", "reason": "gauge is loose",
     }  # fmt: skip
-    with pytest.raises(MidspanError, match="is no silence"):
+    with pytest.raises(MidspanError, match="is not a silence"):
         site.watch.end_silence("none", "bert", s(2))
     site.watch.end_silence(one["id"], "bert", s(2))
     assert site.watch.silences() == []
@@ -268,7 +268,7 @@ def test_a_test_goes_to_everybody(site):
 
 def test_nothing_is_done_to_an_alarm_that_is_not_open(site):
     for work in (site.watch.acknowledge, site.watch.unsilence):
-        with pytest.raises(MidspanError, match="is no open alarm"):
+        with pytest.raises(MidspanError, match="is not an open alarm"):
             work("none", "anna", s(0))
 
 

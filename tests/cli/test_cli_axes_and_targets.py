@@ -42,7 +42,7 @@ def test_estimate_tells_both_axes_and_the_report_draws_them(axes, tmp_path, caps
     assert re.search(r"mm along y, .* and by .* mm along x", said)
     page = report.read_text(encoding="utf-8")
     # Each axis has its own history, error and liveliest seconds; the second one's figures against its own reference.
-    for title in ("Displacement along x", "Error along x", "The liveliest seconds along x", "Displacement"):
+    for title in ("Displacement along x", "Error along x", "Fastest motion along x", "Displacement"):
         assert f'alt="{title}"' in page
     found = document(["compare", str(result), str(axes), "--axis", "x"], capsys)
     # A frame's noise is 0.006 mm and the zero rests on the first one: four of those.
@@ -63,6 +63,7 @@ def test_compare_refuses_an_axis_of_a_result_with_one(footbridge, tmp_path, caps
     assert "one axis only" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_calibrate_lists_every_target_and_the_report_has_their_table(targets, tmp_path, capsys):
     assert run(["calibrate", str(targets), "-o", str(tmp_path / "calibration.json")]) == 0
     said = capsys.readouterr().out

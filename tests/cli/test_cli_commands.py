@@ -238,6 +238,7 @@ def test_the_default_output_is_in_the_recording(footbridge_copy):
     assert (footbridge_copy / "result.json").is_file()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_is_one_file_that_needs_no_other(footbridge, done, tmp_path):
     pytest.importorskip("midspan.report.report")
     target = tmp_path / "bericht ü.html"

@@ -94,7 +94,7 @@ def test_spectrum_takes_displacement_only(footbridge, name, capsys):
 def test_a_spectrum_is_a_csv_and_takes_no_other_files_place(walked, footbridge_copy, capsys):
     accel = footbridge_copy / "accel.csv"
     before = accel.read_bytes()
-    for target, said in ((walked / "s.xlsx", "the suffix must be .csv"), (accel, "is no spectrum")):
+    for target, said in ((walked / "s.xlsx", "the suffix must be .csv"), (accel, "is not a spectrum")):
         assert run(["spectrum", str(walked / "result.mat"), "-o", str(target)]) == 2
         assert said in capsys.readouterr().err
     assert accel.read_bytes() == before

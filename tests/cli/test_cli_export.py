@@ -105,7 +105,7 @@ def test_matlab_gets_named_column_vectors(result: Path) -> None:
     [
         (["-o", "x.doc"], "the suffix must be one of"),
         ([], "-o: is missing"),
-        (["-o", "x.csv", "--point", "north"], "--point: is for a store"),
+        (["-o", "x.csv", "--point", "north"], "--point: needs a store"),
     ],
 )
 def test_wrong_use_is_refused_with_its_remedy(

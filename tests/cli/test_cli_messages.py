@@ -58,7 +58,7 @@ def test_a_region_beyond_the_picture_is_no_valid_setting(
     text = re.sub(r"roi = \[[^]]*\]\n", "", file.read_text())
     file.write_text(text.replace("[camera]", "[camera]\nroi = [1800, 8, 64, 64]"))
     reported = refused(["check-config", str(footbridge_copy)], capsys)
-    assert "camera.roi: must lie inside the picture" in reported
+    assert "camera.roi: must lie inside the image" in reported
     assert "received [1800, 8, 64, 64]" in reported
     # What cannot be looked at is not judged.
     (footbridge_copy / "camera.mkv").unlink()

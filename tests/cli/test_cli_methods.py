@@ -97,8 +97,8 @@ def test_two_files_are_compared_with_a_file_and_a_recording_without_reference_sa
     ("arguments", "said"),
     [
         (["--method", "all", "-o", "x.csv"], "the picture's suffix must be one of .png, .svg, .pdf"),
-        (["--method", "all", "--report", "x.html"], "--report: is of one method"),
-        (["--method", "kalman", "--reference", "x.csv"], "--reference: goes with --method all"),
+        (["--method", "all", "--report", "x.html"], "--report: needs one method"),
+        (["--method", "kalman", "--reference", "x.csv"], "--reference: needs --method all"),
     ],
 )
 def test_what_does_not_go_with_all_methods_is_refused_before_the_work(

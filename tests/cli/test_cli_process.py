@@ -48,7 +48,7 @@ def test_a_signal_in_the_middle_of_writing_cleans_up_and_says_so(number, words, 
     heeded = f"import signal; signal.signal({int(number)}, signal.SIG_DFL)"
     done = call(["simulate", "gnss", "-o", str(tmp_path / "g")], f"{heeded}\n{signal_at('fsync', number)}")
     assert done.returncode == 128 + number
-    assert done.stderr == f"midspan: {words}; nothing half-written was left.\n"
+    assert done.stderr == f"midspan: {words}; no partial files were left.\n"
     assert os.listdir(tmp_path) == []
 
 
@@ -80,7 +80,7 @@ sys.meta_path.insert(0, Finder())
 """
     done = call(["methods"], during)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "midspan: interrupted; nothing half-written was left.\n"
+    assert done.stderr == "midspan: interrupted; no partial files were left.\n"
 
 
 def test_a_signal_that_a_library_turns_into_its_own_error_is_no_defect():
@@ -97,7 +97,7 @@ sys.meta_path.insert(0, Finder())
 """
     done = call(["methods"], raising)
     assert done.returncode == 143
-    assert done.stderr == "midspan: stopped by SIGTERM; nothing half-written was left.\n"
+    assert done.stderr == "midspan: stopped by SIGTERM; no partial files were left.\n"
 
 
 @pytest.mark.parametrize("arguments", [["formats", "--json"], ["--help"], ["nonsense", "--json"]])

@@ -49,7 +49,7 @@ BAD = {
     "wrong order": (keys(iq_order="IIQQ"), 3, ("radar.iq_order = 'IIQQ'", "dB", "QQII")),
     "no such order": (keys(iq_order="QIIQ"), 2, ("radar.iq_order = 'QIIQ'", "IQIQ")),
     "saturated": (words(lambda w: np.clip(w * 60.0, -32768, 32767)), 3, ("saturated", "at most 1 %", "gain")),
-    "zeros": (words(lambda w: 0 * w), 3, ("nothing but zeros", "512 bytes")),
+    "zeros": (words(lambda w: 0 * w), 3, ("only zeros", "512 bytes")),
     "empty": (lambda folder: (folder / "adc_data.bin").write_bytes(b"") and None, 3, ("empty (0 bytes)",)),
     "no config": (keys(config=None), 2, ("radar.config", ".cfg")),
     "config is missing": (keys(config="other.cfg"), 3, ("radar.config = 'other.cfg'", "no such file")),
@@ -61,7 +61,7 @@ BAD = {
     "noise alone": (
         words(lambda w: np.random.default_rng(0).normal(0.0, 200.0, w.size)),
         4,
-        ("sees no target", "4 dB above the noise"),
+        ("detects no target", "4 dB above the noise"),
     ),
 }
 

@@ -26,7 +26,7 @@ def test_replay_takes_the_names_that_a_site_takes(footbridge, tmp_path, capsys, 
 def test_a_store_takes_no_recordings_place(footbridge_copy, tmp_path, capsys):
     before = sorted(footbridge_copy.rglob("*"))
     assert run(["replay", str(footbridge_copy), "-o", str(footbridge_copy)]) == 2
-    assert "is a recording's folder. Give a folder of its own" in capsys.readouterr().err
+    assert "is a recording's folder. Choose another folder" in capsys.readouterr().err
     assert sorted(footbridge_copy.rglob("*")) == before
     (tmp_path / "file").write_text("kept")
     assert run(["replay", str(footbridge_copy), "-o", str(tmp_path / "file")]) == 2
@@ -85,7 +85,7 @@ def test_what_a_site_names_and_is_not_there_is_said(tmp_path, capsys):
     assert code == 0
     assert [line.partition("SITE.toml: ")[2] for line in found["warnings"]] == [
         "point 'p': calibration = 'p.json': no such file yet.",
-        "point 'p': accelerometer.unit: is left out; m/s^2 is taken.",
+        "point 'p': accelerometer.unit: is missing; m/s^2 is assumed.",
         "point 'q': accelerometer.source = 'replay:bridge': no such recording yet.",
         "point 'q': camera.source = 'replay:bridge': no such recording yet.",
     ]
@@ -113,10 +113,10 @@ def test_a_unit_of_something_else_and_a_site_without_points_are_refused(tmp_path
 def test_a_folder_with_a_site_is_that_site_and_a_store_in_the_place_of_a_file_is_refused(tmp_path, capsys):
     text = SITE.replace('path = "store"', 'path = "SITE.toml"')
     code, found = checked(tmp_path, capsys, text)
-    assert (code, "store.path = 'SITE.toml': must be a folder" in found["error"]) == (2, True)
+    assert (code, "store.path = 'SITE.toml': must be a writable folder" in found["error"]) == (2, True)
     for command in ("check-config", "run"):
         assert run([command, str(tmp_path), "--json"]) == 2
-        assert "store.path = 'SITE.toml': must be a folder" in json.loads(capsys.readouterr().out)["error"]
+        assert "store.path = 'SITE.toml': must be a writable folder" in json.loads(capsys.readouterr().out)["error"]
 
 
 def test_an_empty_file_is_neither_a_recording_nor_a_site(tmp_path, capsys):

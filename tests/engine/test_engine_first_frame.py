@@ -57,7 +57,7 @@ def body_beside_the_target(stack, rng):
     [
         (lambda stack, rng: None, 0, ""),
         (shutter, 3, "the first 3 frames show a closed shutter or a cover; they were skipped"),
-        (body, 10, "the first 10 frames show something else over 40 % of a target; they were skipped"),
+        (body, 10, "the first 10 frames have 40 % of a target occluded; they were skipped"),
         (fog, 0, ""),
         (dusk, 0, ""),
         (cooling, 0, ""),
@@ -90,5 +90,5 @@ def test_a_shutter_at_the_start_and_a_body_after_it_are_both_waited_for(tmp_path
     found = begun(source, 0, None, [TARGET])
     assert next(found.frames).index == 10
     assert found.reason.startswith(
-        "the first 3 frames show a closed shutter or a cover and then 7 frames show something"
+        "the first 3 frames show a closed shutter or a cover and then 7 frames have 40 % of a target occluded"
     )

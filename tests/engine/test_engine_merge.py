@@ -400,8 +400,8 @@ def test_silence_is_reported_by_what_came():
     texts = {
         one.stream: one.record.text for one in out if isinstance(one.record, Event) and one.record.kind == "silent"
     }
-    assert "no record with a usable stamp came for" in texts["accel"]
-    assert "nothing came for" in texts["camera"]
+    assert "no record with a usable time stamp arrived for" in texts["accel"]
+    assert "nothing arrived for" in texts["camera"]
 
 
 @pytest.mark.parametrize(

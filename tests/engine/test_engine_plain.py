@@ -75,7 +75,7 @@ def test_a_stuck_value_is_left_out_until_it_changes(rate_hz, count, late_s, seed
     begun, ended = [item for item in out if isinstance(item, Event)]
     assert "while the structure moved; it is left out until it changes." in begun.text
     assert begun.time_ns == stamps(time)[left_out[0]]
-    assert f"{count} values are all {1e3 * value[first]:.6g} mm" in ended.text
+    assert f"{count} values were frozen at {1e3 * value[first]:.6g} mm" in ended.text
     assert f"{len(left_out)} were left out" in ended.text
 
 

@@ -44,7 +44,7 @@ def test_a_while_without_the_target_is_an_event_with_its_time_and_length(reason)
     assert (begun.kind, begun.time_ns) == (reason, 4_000_000_000)
     assert "from 4.000 s on" in begun.text
     assert (ended.kind, ended.time_ns) == ("seen", 9_000_000_000)
-    assert ended.text.endswith("nothing was measured for 5.0 s.")
+    assert ended.text.endswith("no measurement for 5.0 s.")
     # It is reported when it has lasted for long enough, also where it never ends; a few frames are not.
     assert [event.kind for event in events_of([""] * 40 + [reason] * 31)] == [reason]
     assert events_of([""] * 40 + [reason] * 30) == []
@@ -60,7 +60,7 @@ def test_a_few_frames_of_a_slow_camera_are_no_loss():
 def test_another_reason_that_lasts_is_reported():
     events = events_of([""] * 10 + ["lost"] * 40 + ["dark"] * 40 + [""] * 2)
     assert [(event.kind, event.time_ns / 1e9) for event in events] == [("lost", 1.0), ("dark", 5.0), ("seen", 9.0)]
-    assert events[-1].text.endswith("nothing was measured for 8.0 s.")
+    assert events[-1].text.endswith("no measurement for 8.0 s.")
 
 
 def test_at_dusk_what_goes_to_and_fro_is_one_loss():

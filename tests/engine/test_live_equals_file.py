@@ -296,7 +296,7 @@ def test_what_is_lost_and_seen_again_is_reported_when_it_happens(method, tmp_pat
     assert_same_events(outcome, result)
     reported = [(event.kind, round(event.time_ns / 1e9, 1)) for event in outcome.sensor_events]
     assert reported == [("lost", 6.0), ("dark", 10.5), ("seen", 19.0)]
-    assert outcome.sensor_events[-1].text.endswith("nothing was measured for 13.0 s.")
+    assert outcome.sensor_events[-1].text.endswith("no measurement for 13.0 s.")
     # The last frame before is of 5.9 s, and 2.5 intervals of 0.1 s make a row coasting.
     rows = [event for event in outcome.fusion_events if event.kind in ("lost", "seen")]
     assert [event.kind for event in rows] == ["lost", "seen"]

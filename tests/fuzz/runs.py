@@ -38,8 +38,8 @@ REPEATED_FILES, REPEATS, ROUNDS = 2, 2, 48
 MAX_GROWTH_BYTES = 16 * 1024
 # What is said where the system gave no more memory: such a case has asked for more than GRANTED_BYTES.
 NO_MEMORY = re.compile(
-    "not enough memory for this|needs more memory than there is|Unable to allocate|malloc of size|Insufficient memory"
-    "|Cannot allocate memory"
+    "not enough memory for this|needs more memory than is available|Unable to allocate|malloc of size"
+    "|Insufficient memory|Cannot allocate memory"
 )
 # A traceback, an error in a destructor or a warning of a library: nothing that a user should see.
 NOT_FOR_USERS = re.compile(r"Traceback \(most recent|Exception ignored|^\S+:\d+: \w*Warning", re.MULTILINE)

@@ -201,7 +201,7 @@ def test_an_outage_leaves_a_new_zero_until_the_range_tells_the_cycle() -> None:
     assert kinds == ["blocked", "seen", "new datum", "cycle"]
     texts = [event.text for one in found for event in one.events]
     assert all(text.startswith("near: the target") for text in texts)
-    assert "corrected by -3" in texts[-1]
+    assert "corrects the cycle by -3" in texts[-1]
 
 
 @pytest.mark.parametrize(("chirp", "companions"), [(SHORT, 0.3), (LONG_RANGE, 0.15)])

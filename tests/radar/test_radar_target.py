@@ -75,10 +75,10 @@ def test_noise_and_snr_of_a_target_are_those_of_the_cramer_rao_bound(targets) ->
 def test_without_a_usable_target_the_reason_is_given_and_nothing_is_returned(targets) -> None:
     with pytest.raises(UntrustedError, match=r"No fixed target .* 4\.4. m .*explains only|does not follow"):
         ranked(tuple(target for target in targets if target.objection))
-    with pytest.raises(UntrustedError, match="sees no target"):
+    with pytest.raises(UntrustedError, match="detects no target"):
         ranked(())
     vague = replace(near(targets, 1.318), conversion_factor_std=0.05)
-    with pytest.raises(UntrustedError, match=r"known to ± 5\.0 % only"):
+    with pytest.raises(UntrustedError, match=r"uncertain by ± 5\.0 %"):
         ranked((vague,))
 
 

@@ -127,7 +127,7 @@ def test_a_sensor_that_jumps_by_decimetres_in_the_window_is_refused_for_it(tmp_p
     def acceleration(time):
         return motion.acceleration(time) + rng.normal(0, 2e-3, len(time))
 
-    with pytest.raises(UntrustedError, match="the accelerometer did not feel"):
+    with pytest.raises(UntrustedError, match="the accelerometer would have shown"):
         midspan.estimate(write(tmp_path, acceleration, write_displacement(tmp_path, met, value)))
 
 
@@ -193,7 +193,7 @@ def test_a_car_that_crosses_the_wall_s_bin_spoils_a_second_and_not_the_window(tm
     assert np.max(np.abs(error) / std) < 5.0
     # Through less than a second the accelerometer alone is good to some hundredths of a millimetre.
     assert np.sqrt(np.mean(error**2)) < 0.1
-    assert not any("clocks" in line and "stepped" in line for line in result.warnings)
+    assert not any("clock" in line and "stepped" in line for line in result.warnings)
 
 
 @pytest.mark.parametrize("offset_s", [-12.4, *slow(2.3, 18.6)])

@@ -77,7 +77,7 @@ def test_a_step_of_the_clock_beyond_what_is_corrected_is_refused_and_named(late_
     folder = site.displacement(tmp_path, STAMPS, value)
     assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 4
     said = capsys.readouterr().err
-    assert "a clock that steps explains the readings best" in said
+    assert "the best explanation is a clock step" in said
     assert "Cut the recording where the clock steps" in said
 
 
@@ -94,7 +94,7 @@ def test_two_steps_of_a_clock_soon_after_each_other_are_corrected(tmp_path):
     shown = stamps + 0.2 * (stamps > 70.0) + 0.3 * (stamps > 85.0)
     result = midspan.estimate(site.displacement(tmp_path, shown, site.noisy_mm(stamps), 100.0))
     assert [event.kind for event in result.events].count("clock") == 2
-    assert all("this was corrected" in event.text for event in result.events if event.kind == "clock")
+    assert all("ms were added to its time stamps" in event.text for event in result.events if event.kind == "clock")
     held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
@@ -142,18 +142,20 @@ def test_outliers_anywhere_cost_no_more_than_the_values_that_they_replace(seed, 
         *slow(([0], "kalman"), ([0, 2, 7], "lag"), ([0, 3, 5], "kalman"), ([0, 3, 5], "lag")),
     ],
 )
-def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_may_be(wrong, method, tmp_path):
-    for seed in (41, 42, 43, 44):
-        site = Structure(seed, 4.0)
-        value = site.moved_mm(STAMPS) + site.rng.normal(0.0, 0.5, len(STAMPS))
-        value[wrong] += site.rng.uniform(-20.0, 20.0, len(wrong))
-        folder = tmp_path / f"{seed}"
-        folder.mkdir()
-        result = midspan.estimate(site.displacement(folder, STAMPS, value), method=method)
-        held(result, result.displacement_mm - site.moved_mm(result.time_s))
+@pytest.mark.parametrize("seed", [41, 42, *slow(43, 44)])
+def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_may_be(wrong, method, tmp_path, seed):
+    site = Structure(seed, 4.0)
+    value = site.moved_mm(STAMPS) + site.rng.normal(0.0, 0.5, len(STAMPS))
+    value[wrong] += site.rng.uniform(-20.0, 20.0, len(wrong))
+    folder = tmp_path / f"{seed}"
+    folder.mkdir()
+    result = midspan.estimate(site.displacement(folder, STAMPS, value), method=method)
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
-@pytest.mark.parametrize(("first", "last", "off_mm"), [(0, 6, 15.0), (0, 8, 15.0), (6, 21, 5.0), (0, 15, np.nan)])
+@pytest.mark.parametrize(
+    ("first", "last", "off_mm"), [(0, 8, 15.0), (0, 15, np.nan), *slow((0, 6, 15.0), (6, 21, 5.0))]
+)
 @pytest.mark.parametrize("seed", [51, *slow(52)])
 def test_first_values_that_are_wrong_do_not_make_the_zero_of_the_record(first, last, off_mm, seed, tmp_path):
     # nan: each of them is anywhere. All rows were off by the offset at a stated 0.1 mm.
@@ -198,7 +200,7 @@ def test_good_values_are_kept_where_the_accelerometer_is_noisy_for_a_while(seed,
     assert np.max(np.abs(result.displacement_mm - site.moved_mm(result.time_s))) < 1.5
 
 
-@pytest.mark.parametrize(("step_s", "method"), [(0.3, "smoother"), (1.0, "kalman"), (10.0, "smoother")])
+@pytest.mark.parametrize(("step_s", "method"), [(0.3, "smoother"), (1.0, "kalman"), *slow((10.0, "smoother"))])
 def test_an_accelerometers_clock_that_steps_forward_is_named_by_its_gap(step_s, method, tmp_path, capsys):
     site = Structure(26)
     folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
@@ -206,11 +208,11 @@ def test_an_accelerometers_clock_that_steps_forward_is_named_by_its_gap(step_s, 
     table(folder / "accel.csv", "time_s,accel", time_s + np.where(time_s > 30.0, step_s, 0.0), value)
     assert run(["estimate", str(folder), "--method", method, "-o", str(tmp_path / "r.csv")]) == 4
     said = capsys.readouterr().err
-    assert f"accelerometer: its stamps leave out {step_s:.4g} s" in said
-    assert "its clock stepped forward there" in said
+    assert f"accelerometer: its time stamps have a gap of {step_s:.4g} s" in said
+    assert "its clock stepped forward and no sample is missing" in said
 
 
-@pytest.mark.parametrize("gap_s", [0.3, 2.0])
+@pytest.mark.parametrize("gap_s", [0.3, *slow(2.0)])
 def test_samples_that_are_missing_are_no_step_of_a_clock(gap_s, tmp_path):
     site = Structure(27)
     folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
@@ -230,7 +232,9 @@ def test_a_causal_method_that_followed_most_of_very_many_outliers_is_refused(see
     refused = run(["estimate", str(folder), "--method", "kalman", "-o", str(tmp_path / "r.csv")]) == 4
     said = capsys.readouterr().err
     assert (
-        not refused or "of its values contradict the acceleration" in said or "the accelerometer did not feel" in said
+        not refused
+        or "of its values contradict the acceleration" in said
+        or "the accelerometer would have shown" in said
     )
     if not refused:
         result = midspan.estimate(folder, method="kalman")
@@ -247,7 +251,7 @@ def test_a_sensor_that_follows_late_is_no_low_pass_in_the_accelerometers_logger(
     with pytest.raises(midspan.UntrustedError) as refused:
         midspan.estimate(folder)
     assert "logger" not in str(refused.value)
-    assert "a displacement sensor that follows late" in str(refused.value)
+    assert "a lag of the displacement sensor" in str(refused.value)
 
 
 def test_a_sensor_that_is_frozen_from_the_start_begins_where_it_is_free(tmp_path):
@@ -283,7 +287,7 @@ def test_a_factor_that_no_fixed_target_has_is_refused(tmp_path, capsys):
     site = Structure(1)
     folder = radar(tmp_path, site, lambda t: site.moved_mm(t) / 0.9)
     assert run(["estimate", str(folder), "-o", str(tmp_path / "r.csv")]) == 4
-    assert "below 1, which a fixed target cannot have" in capsys.readouterr().err
+    assert "must be 1 or more for a fixed target" in capsys.readouterr().err
 
 
 def test_a_radar_that_the_acceleration_contradicts_is_refused_with_the_time(tmp_path, capsys):

@@ -68,7 +68,7 @@ def test_a_large_height_changes_the_level_and_nothing_else(gnss_copy, result):
     np.testing.assert_array_equal(found.estimate.status, result.estimate.status)
 
 
-@pytest.mark.parametrize(("count", "size", "seed"), [(10, 1e6, 3), (18, 50.0, 3), *slow((5, 100.0, 3), (16, 50.0, 1))])
+@pytest.mark.parametrize(("count", "size", "seed"), [(18, 50.0, 3), *slow((10, 1e6, 3), (5, 100.0, 3), (16, 50.0, 1))])
 def test_outliers_do_little(count, size, seed, gnss_copy):
     time, value = heights(gnss_copy)
     rng = np.random.default_rng(seed)
@@ -134,7 +134,7 @@ def test_too_few_numbers_are_refused_however_many_rows_there_are(gnss_copy):
         midspan.estimate(midspan.open_recording(gnss_copy))
 
 
-@pytest.mark.parametrize("estimate_offset", [False, True])
+@pytest.mark.parametrize("estimate_offset", [True, *slow(False)])
 def test_heights_of_the_wrong_sign_are_refused_with_that_reason(gnss_copy, estimate_offset):
     time, value = heights(gnss_copy)
     write_heights(gnss_copy, time, -value)
@@ -163,7 +163,7 @@ def test_frozen_heights_are_reported_and_left_out(gnss_copy, result):
     # Five equal values are not judged yet; the last of them lies at 49 s.
     assert 33.5 < begun.time_ns / 1e9 < 38.5
     assert ended.time_ns / 1e9 == pytest.approx(49.0, abs=0.1)
-    assert "20 values are all" in ended.text
+    assert "20 values were frozen at" in ended.text
     # Without heights the rows coast after 2.5 intervals, and are lost after 10 s.
     last = begun.time_ns / 1e9
     assert set(found.to_pandas().loc[last + 2.5 : 48.0, "status"].unique()) <= {"coasting", "lost"}
@@ -212,11 +212,11 @@ def test_a_window_with_too_few_values_is_refused(gnss_copy):
 def test_a_column_that_is_constant_is_said_to_be_so(gnss_copy):
     time, value = heights(gnss_copy)
     write_heights(gnss_copy, time, np.zeros_like(value))
-    with pytest.raises(DataError, match="stands at one value, 0 mm, all the time"):
+    with pytest.raises(DataError, match="all values are 0 mm"):
         midspan.calibrate(gnss_copy)
     half = np.where(time < 5.0, value, 2.0)
     write_heights(gnss_copy, time, half)
-    with pytest.raises(DataError, match="more were left out as frozen"):
+    with pytest.raises(DataError, match=r"more are frozen .* and left out"):
         midspan.calibrate(gnss_copy)
 
 
@@ -231,7 +231,7 @@ def test_heights_at_the_end_of_the_range_are_left_out_and_called_clipped(gnss_co
     set_keys(gnss_copy, "displacement", noise_std=0.1)
     found = midspan.estimate(midspan.open_recording(gnss_copy))
     assert found.calibration.displacement.high_m == pytest.approx(7e-3)
-    assert any("the end of its range (clipped)" in line for line in found.warnings)
+    assert any("values are clipped at" in line for line in found.warnings)
     assert {event.kind for event in found.events} <= {"clipped", "lost"}
     error = found.displacement_mm - 1e3 * np.interp(found.time_s, time, motion[0])
     # What is left out is bridged by the acceleration; a row in 2000 of normal errors is beyond 3.5 deviations.
@@ -244,6 +244,6 @@ def test_a_gnss_receiver_has_its_usual_slow_error_unless_told_otherwise(gnss_cop
     set_keys(gnss_copy, "displacement", receiver="gnss")
     usual = midspan.calibrate(midspan.open_recording(gnss_copy))
     assert (none.slow_std_m, usual.displacement.slow_std_m, usual.displacement.slow_time_s) == (0.0, 3e-3, 100.0)
-    assert sum("GNSS receivers usually have" in str(one) for one in usual.warnings) == 1
+    assert sum("usual for GNSS receivers" in str(one) for one in usual.warnings) == 1
     set_keys(gnss_copy, "displacement", noise_time_s=0)
     assert midspan.calibrate(midspan.open_recording(gnss_copy)).displacement.slow_std_m == 0.0

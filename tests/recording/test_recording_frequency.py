@@ -82,13 +82,13 @@ def test_an_exposure_that_was_not_declared(method, tmp_path):
     assert error_mm(result, truth) < 1.3 * error_mm(reported, truth)
 
 
-@pytest.mark.parametrize("broken", [{"exposure_s": 0.03}, {"resonance_hz": 27.0}])
+@pytest.mark.parametrize("broken", [{"resonance_hz": 27.0}, *slow({"exposure_s": 0.03})])
 def test_an_exposure_and_an_accelerometer_that_errs_alike_are_both_in_the_band(broken, tmp_path):
     # Both make 3.6 Hz 1.9 % smaller together with the acceleration; no likelihood tells them apart.
     truth = write(tmp_path, 1, **broken)
     result = held(tmp_path, truth)
     assert result.calibration.camera.exposure_s == 0.0
-    assert any("does not tell which" in line for line in result.warnings)
+    assert any("cannot distinguish these" in line for line in result.warnings)
     # The scale factor lies between what both would make it, half a per cent apart at most.
     assert abs(1e3 * result.calibration.camera.scale.value_m_per_px / SCALE_MM_PX - 1.0) < 5e-3
 

@@ -73,7 +73,9 @@ def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(s
             square.setdefault(share, []).append(np.var(error))
             reported = [line for line in result.warnings if "does not belong to this recording" in line]
             assert len(reported) == (share > 0.0)
-            assert all("the rows follow the accelerometer's as the motion tells it" in line for line in reported)
+            assert all(
+                "the rows use the accelerometer's scale as far as the motion determines it" in line for line in reported
+            )
         off_by(folder, tree, sensor, 0.0)
         itself = midspan.estimate(folder, method=method)
         own.append(np.var(itself.displacement_mm - true_mm(itself.time_s)))

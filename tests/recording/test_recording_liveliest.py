@@ -33,7 +33,7 @@ def test_a_recording_that_begins_at_rest_is_calibrated_later(sensor, tmp_path):
     found = midspan.calibrate(folder)
     if sensor == "camera":
         (said,) = [line for line in found.warnings if "liveliest" in line]
-        first_s, last_s = map(float, re.search(r"from ([\d.]+) to ([\d.]+) s", said).groups())
+        first_s, last_s = map(float, re.search(r"liveliest minute, ([\d.]+) to ([\d.]+) s", said).groups())
         assert 70.0 <= first_s < last_s <= 140.0
         assert abs(found.camera.scale.value_m_per_px * 1e3 - SCALE_MM_PER_PX) < 4e3 * np.sqrt(
             found.camera.scale.variance

@@ -14,6 +14,7 @@ from midspan.fusion.streams import KalmanSettings
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines
 from recording_edits import set_keys, write_displacement
+from repeats import slow
 
 ACCELERATION_NOISE, NOISE_M = 3e-3, 2e-5
 BRIDGE = Sines(np.array([5e-3, 2e-3, 1e-3]), np.array([0.41, 1.3, 0.07]), phase_rad=np.array([0.3, 1.0, 0.0]))
@@ -43,7 +44,7 @@ def test_the_stamps_after_a_jump_are_moved_and_it_is_reported_once():
     assert [event.kind for event in found.events] == ["clock"]
     assert abs(found.events[0].time_ns / 1e9 - 25.0) < 1.0
     assert found.warnings == (found.events[0].text,)
-    reported = re.search(r": (\S+) ± \S+ ms must be added", found.warnings[0])
+    reported = re.search(r": (\S+) ± \S+ ms were added", found.warnings[0])
     assert reported is not None
     assert float(reported[1]) == pytest.approx(-50.0, abs=5e3 * jump.std_s)
     assert "frames" not in found.warnings[0]
@@ -53,7 +54,9 @@ def test_the_stamps_after_a_jump_are_moved_and_it_is_reported_once():
     assert companions.warnings == companions.events == ()
 
 
-@pytest.mark.parametrize(("from_s", "to_s", "late_s"), [(12.0, 28.0, 0.125), (15.0, 30.0, -0.125), (25.0, 60.0, 0.25)])
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "late_s"), [(15.0, 30.0, -0.125), (25.0, 60.0, 0.25), *slow((12.0, 28.0, 0.125))]
+)
 def test_two_jumps_are_right_or_refused_but_never_silently_wrong(from_s, to_s, late_s):
     true_s = np.arange(0.5, to_s + 12.0, 0.125)
     off = (true_s >= from_s) & (true_s < to_s)
@@ -73,7 +76,7 @@ def test_a_segment_that_no_jump_explains_is_refused():
     measured, acceleration = record(true_s + np.where(off, 0.2, 0.0), true_s)
     right = replace(measured, time_ns=nanoseconds(true_s))
     _refuse_contradiction(right, acceleration, KalmanSettings(), "camera")
-    with pytest.raises(UntrustedError, match="more often than the motion tells"):
+    with pytest.raises(UntrustedError, match="more often than the motion can show"):
         _refuse_contradiction(measured, acceleration, KalmanSettings(), "camera")
 
 
@@ -100,7 +103,7 @@ def test_where_a_tone_leaves_two_jumps_their_difference_stands_in_the_band():
     found = one_clock(measured, acceleration, KalmanSettings(), "camera")
     assert len(found.levels) == 1
     assert not found.levels[0].std_m[true_s < 19.0].any()
-    assert "hardly tells" in found.warnings[0]
+    assert "fits the motion almost as well" in found.warnings[0]
 
 
 def test_a_good_clock_is_left_alone():

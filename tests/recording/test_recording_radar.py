@@ -217,7 +217,7 @@ def test_a_target_hidden_in_the_calibration_window_does_not_enter_its_noise(tmp_
     wall = Reflector(3.4, 900.0, ratio=1 / 1.27, blocked=((6.0, 9.0),))
     folder = write(tmp_path, Case((wall, PLATE), seed=6))
     calibration = midspan.calibrate(midspan.open_recording(folder))
-    assert any("longest clear part, 15" in line for line in calibration.warnings)
+    assert any("longest unobstructed part, 15" in line for line in calibration.warnings)
     target = calibration.radar.best
     assert abs(target.conversion_factor - 1.27) < 3 * target.conversion_factor_std < 0.005
     # The noise of a frame at 10 dB a sample of 64 and two receivers, with the window's loss: 8 µm.

@@ -54,7 +54,7 @@ def test_a_foreign_factor_or_clock_is_refused_by_every_method_and_the_right_one_
     recording = midspan.open_recording(wall)
     for changed, words in (
         ({"factor": 0.5}, "conversion_factor does not belong"),
-        ({"late_s": 0.1}, r"its clock is -(99\.\d|100)"),
+        ({"late_s": 0.1}, r"its clock deviates by -(99\.\d|100)"),
     ):
         with pytest.raises(midspan.UntrustedError, match=words):
             midspan.estimate(recording, given(known, wall, **changed), method=method)

@@ -70,7 +70,7 @@ def test_bursts_of_interference_are_left_out_before_they_lead_the_phase_away(tmp
     # Half of a cycle lost would be 1 mm. Left is a few times what the smoother makes of a frame's noise.
     assert np.sqrt(np.mean(off**2)) < 2.0 * FRAME_NOISE_MM
     assert np.mean(np.abs(off) < 1.96 * std) > 0.9
-    assert any("hold interference" in str(one) for one in result.warnings)
+    assert any("have interference" in str(one) for one in result.warnings)
 
 
 # Bursts in a record of one bin, their length (s), their power relative to the target's (dB), and whether the record can
@@ -78,7 +78,7 @@ def test_bursts_of_interference_are_left_out_before_they_lead_the_phase_away(tmp
 ONE_BIN = {"long": (20, 0.2, 6.0, True), "short": (100, 0.03, 6.0, False), "everywhere": (100, 0.2, 6.0, False)}
 
 
-@pytest.mark.parametrize("kind", ONE_BIN)
+@pytest.mark.parametrize("kind", ["long", "everywhere", *slow("short")])
 def test_where_only_the_target_is_stored_interference_is_left_out_or_the_record_refused(kind, tmp_path):
     bursts, burst_s, power_db, is_right = ONE_BIN[kind]
     # One bin does not show that all are spoilt; the calibration is from the time before.

@@ -65,7 +65,7 @@ def test_a_scale_that_is_right_or_nearly_so_is_not_reported_a_wrong_one_is_refus
         (text,) = judged(inputs(0, factor=factor), " along x").warnings
         reported = float(text.split("along x is ")[1].split(" ±")[0])
         assert reported == pytest.approx(factor, abs=4e-3)
-        assert "does not belong to this recording; the error band holds the" in text
+        assert "does not belong to this recording; the error band includes the" in text
     for factor in (1.3, 0.7, -1.0):
         with pytest.raises(midspan.UntrustedError, match="does not belong to this recording"):
             judged(inputs(0, factor=factor))
@@ -84,10 +84,10 @@ def test_beside_another_sensor_less_is_refused_and_the_message_names_the_sensor(
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1e-3, 1e-2])
-def test_a_quiet_record_says_nothing_of_the_scale(amplitude):
+@pytest.mark.parametrize("seed", [0, 1, *slow(2, 3, 4, 5)])
+def test_a_quiet_record_says_nothing_of_the_scale(amplitude, seed):
     # What the accelerometer's noise integrates to follows no camera: it must not be taken for a scale of nought.
-    for seed in range(6):
-        assert judged(inputs(seed, amplitude=amplitude)).warnings == []
+    assert judged(inputs(seed, amplitude=amplitude)).warnings == []
 
 
 def test_outliers_and_missing_frames_do_not_hide_or_feign_a_wrong_scale():
@@ -126,7 +126,7 @@ def test_a_clock_is_refused_where_it_moves_the_result_by_more_than_its_noise(sou
     for late_s, lines in ((0.0, 0), (1e-3, 0), (2e-3, 1)):
         assert len(judged(late(1, late_s, source=source), max_offset_s=0.2).warnings) == lines
     for late_s in (5e-3, -0.1):
-        with pytest.raises(midspan.UntrustedError, match="its clock is"):
+        with pytest.raises(midspan.UntrustedError, match="its clock deviates by"):
             judged(late(1, late_s, source=source), max_offset_s=0.2)
     # What the calibration itself does not know is in the error band, and no contradiction.
     acceleration, sensed = late(1, 5e-3, source=source)
@@ -160,7 +160,7 @@ def with_scale(known, axis, factor, file):
 
 
 @pytest.mark.parametrize(
-    ("factor", "method"), [(1.5, "kalman"), (-1.0, "smoother"), (0.7, "kalman"), (1.3, "smoother")]
+    ("factor", "method"), [(-1.0, "smoother"), (0.7, "kalman"), *slow((1.5, "kalman"), (1.3, "smoother"))]
 )
 def test_a_wrong_scale_of_the_second_axis_leaves_it_out_and_the_first_stays(site, known, tmp_path, factor, method):
     recording = midspan.open_recording(site)

@@ -105,7 +105,7 @@ def test_the_printed_forms_take_one_sensor_of_a_kind_and_name_the_sections(folde
 def test_track_follows_the_first_camera_and_tells_of_the_other(folder):
     found = track(folder, roi=Region(5, 5, 20, 20), tracker="template")
     assert len(found.track.time_ns) == 12
-    assert "Only the [left] was tracked; for [right] give its file as SOURCE." in found.warnings
+    assert "Only [left] was tracked; for [right] give its file as SOURCE." in found.warnings
 
 
 def test_a_sensor_takes_its_own_part_of_a_calibration_of_several(folder):

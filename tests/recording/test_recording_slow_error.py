@@ -67,10 +67,10 @@ def test_a_slow_error_is_estimated_and_in_the_band(lasting_s, method, tmp_path):
     assert np.mean(shares) > 0.85
 
 
-def test_white_noise_is_no_slow_error(tmp_path):
-    for seed in range(3):
-        write(tmp_path, seed, 0.0)
-        assert midspan.calibrate(tmp_path).displacement.slow_std_m == 0.0
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
+def test_white_noise_is_no_slow_error(tmp_path, seed):
+    write(tmp_path, seed, 0.0)
+    assert midspan.calibrate(tmp_path).displacement.slow_std_m == 0.0
 
 
 @pytest.mark.parametrize("seed", [0, *slow(1, 2)])

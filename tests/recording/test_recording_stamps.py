@@ -48,8 +48,8 @@ def test_rounded_stamps_and_batches_that_came_twice_cost_nothing_and_are_reporte
     assert error_mm(mended) < 1.02 * error_mm(whole)
     texts = [str(one) for one in mended.warnings if one.code == "stamps-corrected"]
     assert any("accelerometer" in text and "rounded to 10 ms" in text for text in texts)
-    assert any("displacement" in text and "50 rows written twice, or delivered twice" in text for text in texts)
+    assert any("displacement" in text and "50 duplicate rows" in text for text in texts)
     assert run(["inspect", str(folder), "--json"]) == 0
     tree = json.loads(capsys.readouterr().out)
     assert any("rounded to 10 ms" in note for note in tree["accelerometer"]["notes"])
-    assert any("50 rows written twice" in note for note in tree["displacement"]["notes"])
+    assert any("50 duplicate rows" in note for note in tree["displacement"]["notes"])

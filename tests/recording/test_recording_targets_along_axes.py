@@ -50,7 +50,7 @@ def test_a_target_that_moves_by_itself_along_one_axis_is_used_along_neither(site
     assert [target.name for target in result.cameras[0].targets] == ["near", "wall"]
     (own,) = [target for target in calibration.camera.targets if target.name == "swinging"]
     (other,) = [target for target in calibration.across.camera.targets if target.name == "swinging"]
-    assert other.reason == f"not of use along y: {own.reason}"
+    assert other.reason == f"not usable along y: {own.reason}"
     known = read_columns(site / "truth.csv")
     for value, column in ((result.displacement_mm, 1), (result.across.displacement_mm, 3)):
         error = value - np.interp(result.time_s, known[:, 0], known[:, column])

@@ -34,7 +34,7 @@ def refused(folder, error):
 def test_frames_that_last_less_than_a_second_are_no_matter_of_clocks(folder):
     np.save(folder / "infrared.npy", np.load(folder / "infrared.npy")[:4])
     text = refused(folder, DataError)
-    assert "infrared must last 1 s or more; it has 4 stamps from 0.000 s to 0.600 s" in text
+    assert "infrared must last 1 s or more; it has 4 time stamps from 0.000 s to 0.600 s" in text
     assert "clocks" not in text
 
 
@@ -42,7 +42,7 @@ def test_times_in_milliseconds_are_reported_by_their_distance(folder):
     np.savetxt(folder / "times.csv", 200.0 * np.arange(55), header="time_s", comments="")
     set_keys(folder, "infrared", times="times.csv")
     text = refused(folder, DataError)
-    assert "infrared: only 1 of its 55 frames lie within the acceleration" in text
+    assert "infrared: only 1 of its 55 frames overlap the acceleration" in text
     assert "200 s apart" in text
     assert "in s" in text
 
@@ -50,7 +50,7 @@ def test_times_in_milliseconds_are_reported_by_their_distance(folder):
 def test_a_range_without_the_target_in_it_is_refused_by_its_own_name(folder):
     set_keys(folder, "infrared", temperature_range_c=[80.0, 90.0])
     text = refused(folder, UsageError)
-    assert "infrared.temperature_range_c must be a range in °C with the target's temperatures in it" in text
+    assert "infrared.temperature_range_c must be a range in °C that contains the target's temperatures" in text
     assert "[80.0, 90.0]" in text
 
 
@@ -66,4 +66,4 @@ def test_what_was_mended_is_reported_with_what_was_tracked(folder):
     assert np.isnan(found.track.x_px[30])
     reported = " ".join(found.warnings)
     assert "infrared: 54 frames have missing values (NaN), at most 1 a frame, filled" in reported
-    assert "infrared: 1 frames (30) have more than 20 % of their values missing (NaN) and were passed over." in reported
+    assert "infrared: 1 frames (30) have more than 20 % of their values missing (NaN) and were skipped." in reported

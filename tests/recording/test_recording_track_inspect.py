@@ -137,7 +137,7 @@ def test_a_single_file_of_frames_shows_its_temperatures_size_and_number_whether_
         assert command_line(["inspect", str(tmp_path / name)]) == 0
         shown = capsys.readouterr().out
         assert "-2.00 … 31.00 °C" in shown
-        assert ("no stamps in the file" in shown) == (name != "timed.npz")
+        assert ("no time stamps in the file" in shown) == (name != "timed.npz")
 
 
 def test_pictures_of_light_are_shown_without_temperatures(tmp_path):

@@ -169,7 +169,7 @@ def test_the_second_axis_at_rest_is_tracked_only_with_a_warning(site_copy):
     np.savetxt(site_copy / "accel.csv", rows, delimiter=",", header=header, comments="", fmt="%.7f")
     found = midspan.estimate(midspan.open_recording(site_copy))
     assert not found.across.fused
-    assert any("Along x the accelerometer is not used" in line for line in found.warnings)
+    assert any("Along x the target is only tracked, without the accelerometer" in line for line in found.warnings)
     assert_right(errors(site_copy, found)["y"])
 
 

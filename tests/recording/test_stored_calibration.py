@@ -198,10 +198,10 @@ def test_several_sensors_of_a_kind_are_a_list_with_names():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda tree: tree["camera"][1].pop("name"), r"each of several \[\[camera\]\] a name of its own; camera\[2\]"),
+        (lambda tree: tree["camera"][1].pop("name"), r"each of several \[\[camera\]\] a unique name; camera\[2\]"),
         (lambda tree: tree["camera"][1].update(name="left"), "2 have the name 'left'"),
-        (lambda tree: tree["camera"][1].update(name="displacement"), "'displacement', which means something else"),
-        (lambda tree: tree["camera"][1].update(name="a b"), r"camera\[2\]\.name = 'a b': must be a word of letters"),
+        (lambda tree: tree["camera"][1].update(name="displacement"), "'displacement', which is reserved"),
+        (lambda tree: tree["camera"][1].update(name="a b"), r"camera\[2\]\.name = 'a b': must consist of letters"),
         (lambda tree: tree["camera"][1].update(noise_std_px=0), r"camera\[2\]\.noise_std_px = 0: must be from 1e-15"),
         (lambda tree: tree["camera"][1].update(direction="xy", axis="y"), r"camera\[2\]: must hold axis"),
         (lambda tree: tree.update(camera=[]), r"camera = \[\]: must be a section with keys, or a list"),

@@ -100,7 +100,7 @@ def prepared(page, name):
         page.get_by_role("button", name="Freeze").click()
     elif name == "frequencies":
         page.locator("section select").select_option("28")
-        page.get_by_role("button", name="Course of the natural frequencies").click()
+        page.get_by_role("button", name="Natural frequencies over time").click()
         page.get_by_text("Natural frequencies, one segment").wait_for(timeout=120_000)
     elif name == "settings":
         page.get_by_text("Add or remove points and sources").click()

@@ -144,7 +144,7 @@ def state():
         point("quarter-span"),
         point("midspan"),
         point("pier-3", stage="calibrating", stage_left_s=42.0, notice="calibrating",
-              notice_text="The point is being calibrated."),
+              notice_text="The point is calibrating."),
     ]  # fmt: skip
     return {
         "ready": True, "points": points, "sources": sources, "settings": None, "store": {"waiting": 0, "dropped": 0}

@@ -221,7 +221,7 @@ def test_other_addresses_than_loopback_need_tls(store_folder, options, words, ca
 
 def test_a_folder_that_is_no_store_is_not_served(tmp_path, capsys):
     assert run(["serve", str(tmp_path)]) == 3
-    assert "is no store" in capsys.readouterr().err
+    assert "is not a store" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -57,9 +57,9 @@ def test_a_source_that_is_wrong_is_said_in_a_sentence_as_text(opened, site):
         play.expect(page.locator(".summary")).to_have_attribute("data-state", "notice")
         assert page.locator("img").count() == 0
         # What begins is no fault, and not good either.
-        begins = {**point, "reason": "opening", "text": "The point is being opened.", "sources": []}
+        begins = {**point, "reason": "opening", "text": "The point is opening.", "sources": []}
         site.engine.state = state(ready=False, points=[begins, state()["points"][1]])
-        play.expect(card.locator(".words")).to_have_text("is being opened")
+        play.expect(card.locator(".words")).to_have_text("is opening")
         play.expect(card).to_have_attribute("data-state", "notice")
     finally:
         site.engine.state = state()
@@ -104,7 +104,7 @@ def test_what_others_wrote_is_text_in_every_view(opened, site):
 
 def test_a_peak_keeps_its_height_at_every_zoom_and_a_gap_is_open(opened, site):
     page = opened("point/p")
-    largest = page.locator("dl.figures div", has_text="largest").locator("dd")
+    largest = page.locator("dl.figures div", has_text="maximum").locator("dd")
     for span in ("3600", "10800", "86400", "31622400"):
         page.get_by_label("Shown").select_option(span)
         play.expect(largest).to_have_text(f"{PEAK_MM:.3f} mm")
@@ -176,14 +176,14 @@ def test_the_region_is_drawn_by_mouse_moved_by_keys_and_written_for_its_point(op
     page.mouse.down()
     page.mouse.move(box["x"] + 180 * scale, box["y"] + 150 * scale, steps=4)
     page.mouse.up()
-    play.expect(page.get_by_text("Region: 80 × 50 px at 100, 100 (not in force yet)")).to_be_visible()
+    play.expect(page.get_by_text("Region: 80 × 50 px at 100, 100 (not applied yet)")).to_be_visible()
     canvas.focus()
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("Shift+ArrowDown")
     for _ in range(30):
         page.keyboard.press("ArrowRight")
     play.expect(page.get_by_text("Region: 80 × 50 px at 240, 101")).to_be_visible()
-    page.get_by_role("button", name="Put the region in force").click()
+    page.get_by_role("button", name="Apply the region").click()
     play.expect(page.get_by_text("reload done")).to_be_visible()
     assert site.file.read_text() == SITE.replace("[10, 20, 64, 48]", "[240, 101, 80, 50]")
 
@@ -194,11 +194,11 @@ def test_wrong_settings_are_said_with_their_key_and_change_nothing(opened, site)
     area = page.get_by_label("SITE.toml")
     play.expect(area).to_have_value(SITE)
     area.fill(SITE.replace("unit =", "unt ="))
-    page.get_by_role("button", name="Save and put in force").click()
+    page.get_by_role("button", name="Save and apply").click()
     play.expect(page.get_by_role("alert")).to_contain_text("unt")
     assert site.file.read_text() == SITE
     area.fill(SITE.replace('"site"', '"bridge"'))
-    page.get_by_role("button", name="Save and put in force").click()
+    page.get_by_role("button", name="Save and apply").click()
     play.expect(page.locator(".done")).to_have_text("reload done")
     assert 'name = "bridge"' in site.file.read_text()
 
@@ -211,7 +211,7 @@ def test_an_alarm_goes_through_all_its_states(opened, site):
     # The band of 0.02 mm alone touches the limit of 4 mm.
     site.amplitude_mm = 4.01
     row = page.locator("main section", has=page.get_by_role("heading", name="Open", exact=True)).locator("tbody tr")
-    play.expect(row).to_contain_text("critical, pending: only the band touches the limit")
+    play.expect(row).to_contain_text("critical, pending: only the band exceeds the limit")
     play.expect(badge).to_have_text("1 open")
     site.amplitude_mm = 6.0
     play.expect(row.locator(".words")).to_have_text("critical, firing")
@@ -243,12 +243,12 @@ def test_an_alarm_goes_through_all_its_states(opened, site):
     play.expect(page.locator(".summary")).to_have_text("No alarm is open.")
     past = page.locator("main section", has=page.get_by_role("heading", name="Past")).locator("tbody tr")
     play.expect(past.first).to_contain_text(re.compile(r"(6\.000|5\.9\d\d) mm"))
-    audit = page.locator("main section", has=page.get_by_role("heading", name="What became")).locator("tbody tr")
+    audit = page.locator("main section", has=page.get_by_role("heading", name="History")).locator("tbody tr")
     play.expect(audit.first).to_contain_text("ended")
     for what in ("pending", "firing", "acknowledged", "silenced", "silence ended"):
         play.expect(audit.filter(has=page.get_by_role("cell", name=what, exact=True))).not_to_have_count(0)
     page.get_by_role("button", name="Send a test message").click()
-    play.expect(page.get_by_text("A test message is sent to")).to_be_visible()
+    play.expect(page.get_by_text("Test message sent to")).to_be_visible()
     play.expect(page.get_by_text(f"not delivered: {HOSTILE}")).to_be_visible()
 
 

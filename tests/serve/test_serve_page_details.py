@@ -39,10 +39,10 @@ def test_an_offer_is_shown_though_a_stream_has_ended(opened, site):
         site.engine.state = state(ready=False, points=[point, second], sources=[source])
         card = opened().locator(".card").first
         play.expect(card.locator(".why")).to_have_text("camera: The stream ended.")
-        card.get_by_role("link", name="A calibration waits").click()
+        card.get_by_role("link", name="A calibration awaits acceptance").click()
         play.expect(card.page.get_by_role("button", name="Accept")).to_be_visible()
         card.page.goto(card.page.url.replace("calibration/p", "point/p"))
-        play.expect(card.page.get_by_role("link", name="A calibration waits")).to_be_visible()
+        play.expect(card.page.get_by_role("link", name="A calibration awaits acceptance")).to_be_visible()
     finally:
         site.engine.state = state()
 
@@ -105,7 +105,7 @@ def test_a_picture_shows_where_its_region_is_now(opened, site):
         site.engine.shown = {**before, "targets": [{**target, "x_px": None, "y_px": None, "matches": None}]}
         # Of the picture that is shared.
         page.wait_for_timeout(600)
-        page.get_by_role("button", name="New picture").click()
+        page.get_by_role("button", name="New image").click()
         play.expect(page.get_by_text("Target: lost in the newest frame.")).to_be_visible()
         # A camera that ended is asked for no picture.
         asked = []
@@ -114,7 +114,7 @@ def test_a_picture_shows_where_its_region_is_now(opened, site):
         source = {**first["sources"][0], "reason": "ended", "text": "The stream ended."}
         site.engine.state = state(ready=False, points=[{**first, "sources": [source]}, second], sources=[source])
         page.wait_for_timeout(500)
-        page.get_by_role("button", name="New picture").click()
+        page.get_by_role("button", name="New image").click()
         play.expect(page.get_by_text("The stream ended.")).to_be_visible()
         assert asked == []
     finally:
@@ -146,8 +146,8 @@ def test_over_a_store_alone_nothing_is_offered_that_cannot_work(browser, tmp_pat
                     play.expect(page.get_by_role("button", name=name)).to_be_disabled()
             if view == "alarms":
                 play.expect(page.get_by_role("button", name="Send a test message")).to_be_disabled()
-                play.expect(page.get_by_text("Not known. No process measures here")).to_be_visible()
-        play.expect(page.get_by_text("No SITE.toml belongs to this store here")).to_be_visible()
+                play.expect(page.get_by_text("Not known. No measuring process is running")).to_be_visible()
+        play.expect(page.get_by_text("This store has no SITE.toml here")).to_be_visible()
         assert said == []
     finally:
         context.close()

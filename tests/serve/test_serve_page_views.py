@@ -39,7 +39,7 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
     page = opened("sources", viewport=PHONE)
     row = page.locator("tbody tr")
     for name, text in (
-        ("Rate", "20 of 30 /s"), ("Delay", "137 ms"), ("Left out", "3 late, 1 faulty, opened again 2 times"),
+        ("Rate", "20 of 30 /s"), ("Delay", "137 ms"), ("Rejected", "3 late, 1 faulty, reconnected 2 times"),
         ("Clock ± σ", "−12.3 ± 2.1 ms, 1.3 ppm"), ("Time stamps", "the camera's clock"),
     ):  # fmt: skip
         play.expect(row.locator(f"[data-name='{name}']")).to_have_text(text)
@@ -48,7 +48,7 @@ def test_a_source_shows_rates_counts_and_its_clock_and_nothing_where_a_figure_is
         assert violations(page) == []
     unknown = dict.fromkeys(("nominal_rate_hz", "delay_s", "clock_offset_s", "clock_offset_std_s", "clock_drift_ppm"))
     stated(camera={"faults": 0, "late": 0, "restarts": 0, **unknown})
-    play.expect(row.locator("[data-name='Left out']")).to_have_text("none")
+    play.expect(row.locator("[data-name='Rejected']")).to_have_text("none")
     for name in ("Delay", "Clock ± σ"):
         play.expect(row.locator(f"[data-name='{name}']")).to_be_empty()
     play.expect(row.locator("[data-name=Rate]")).to_have_text(re.compile(r"^20 /s$"))
@@ -135,7 +135,7 @@ def test_a_check_says_what_would_change_and_only_saving_writes(opened, site):
     form.get_by_label("Source").press("Enter")
     play.expect(page.get_by_text("camera of pier is in the text below.")).to_be_visible()
     page.locator("details .bar").last.get_by_role("combobox").select_option("p")
-    page.get_by_role("button", name="Remove it from the text").click()
+    page.get_by_role("button", name="Remove from the text").click()
     made = area.input_value()
     assert tomllib.loads(made)["point"] == [{
         "name": "pier", "accelerometer": {"source": "serial:/dev/c", "unit": "m/s^2"},
@@ -145,7 +145,7 @@ def test_a_check_says_what_would_change_and_only_saving_writes(opened, site):
         assert violations(page) == []
     page.get_by_role("button", name="Check", exact=True).click()
     play.expect(page.locator(".changes li")).to_have_text(
-        ["Begin: pier.", "End: p.", "Hold only once midspan run is started again: store."]
+        ["Start: pier.", "Stop: p.", "Take effect after a restart of midspan run: store."]
     )
     assert (tried, site.file.read_text()) == ([made], SITE)
     page.get_by_role("button", name="Save").click()
@@ -193,7 +193,7 @@ def test_rows_that_are_predicted_or_not_final_are_drawn_as_such(opened, site):
     until(lambda: head)
     box = page.locator(".u-over").bounding_box()
     page.mouse.move(box["x"] + box["width"] - 1, box["y"] + 50)
-    play.expect(page.get_by_text(re.compile("0.200 mm, with the band 0.004 to 0.396, not final yet"))).to_be_visible()
+    play.expect(page.get_by_text(re.compile("0.200 mm, with the band 0.004 to 0.396, preliminary"))).to_be_visible()
 
 
 def test_the_course_of_frequencies_is_asked_for_until_it_is_whole(opened, site):
@@ -210,7 +210,7 @@ def test_the_course_of_frequencies_is_asked_for_until_it_is_whole(opened, site):
                             "complete": len(asked) == 2})  # fmt: skip
 
     page.route(re.compile("/frequencies"), answer)
-    page.get_by_role("button", name="Course of the natural frequencies").click()
+    page.get_by_role("button", name="Natural frequencies over time").click()
     play.expect(page.get_by_text("2.0150 ± 0.0020 Hz, from 2.000 to 2.030, in 4 segments")).to_be_visible()
     play.expect(page.get_by_text("one segment of 20 minutes in each 3 h")).to_be_visible()
     assert len(asked) == 2
@@ -230,7 +230,7 @@ def test_an_infrared_picture_has_a_scale_of_temperatures(opened, site, stated):
     finally:
         site.engine.shown = {"low": None, "high": None, "unit": ""}
     page.wait_for_timeout(600)
-    page.get_by_role("button", name="New picture").click()
+    page.get_by_role("button", name="New image").click()
     play.expect(page.locator(".scale")).to_be_hidden()
 
 

@@ -69,7 +69,7 @@ def test_a_link_opens_the_list_and_works_no_second_time(page, browser):
     other = browser.new_context()
     stranger = other.new_page()
     stranger.goto(page.link)
-    play.expect(stranger.get_by_role("status").last).to_contain_text("was used already")
+    play.expect(stranger.get_by_role("status").last).to_contain_text("has been used")
     other.close()
 
 
@@ -83,13 +83,13 @@ def test_the_region_is_drawn_on_the_first_frame_and_written(page, folder):
     go(page, "region/0")
     canvas = page.locator(".picture canvas")
     play.expect(canvas).to_have_attribute("width", "96")
-    play.expect(page.get_by_text("Region: not chosen yet.")).to_be_visible()
+    play.expect(page.get_by_text("Region: not selected yet.")).to_be_visible()
     canvas.focus()
     page.keyboard.press("ArrowRight")
     page.keyboard.press("Alt+ArrowDown")
     page.keyboard.press("Shift+ArrowUp")
-    play.expect(page.get_by_text("Region: 64 × 72 px at 24, 15 (not in force yet)")).to_be_visible()
-    page.get_by_role("button", name="Write the region").click()
+    play.expect(page.get_by_text("Region: 64 × 72 px at 24, 15 (not applied yet)")).to_be_visible()
+    page.get_by_role("button", name="Save the region").click()
     play.expect(page.get_by_text("recording.toml is written.")).to_be_visible()
     assert "[camera]\nroi = [24, 15, 64, 72]\n" in (folder / "a bridge" / "recording.toml").read_text()
 
@@ -99,7 +99,7 @@ def test_wrong_settings_are_not_written(page, folder):
     area = page.get_by_label("recording.toml")
     play.expect(area).to_have_value(re.compile("accelerometer"))
     before = (folder / "b" / "recording.toml").read_text()
-    page.get_by_role("button", name="Check and write").click()
+    page.get_by_role("button", name="Check and save").click()
     play.expect(page.get_by_role("alert")).to_contain_text("img src")
     assert (folder / "b" / "recording.toml").read_text() == before
     assert page.locator("img").count() == 0
@@ -116,9 +116,9 @@ def test_it_is_estimated_and_the_result_shown_compared_and_saved(page, folder, t
     play.expect(page.get_by_text(re.compile(r"^Done in \d+ s\. midspan estimate"))).to_be_visible(timeout=120_000)
     assert (folder / "a bridge" / "result.csv").exists()
     play.expect(page.locator("tr", has_text="RMSE").first).to_contain_text("inside ±1.96 σ")
-    play.expect(page.get_by_text("the accelerometer's own tolerance")).to_be_visible()
+    play.expect(page.get_by_text("accelerometer sensitivity: an error of 1 %")).to_be_visible()
     frame = page.locator(".chart")
-    largest = page.locator("dl.figures div", has_text="largest").locator("dd")
+    largest = page.locator("dl.figures div", has_text="maximum").locator("dd")
     whole = largest.inner_text()
     assert re.fullmatch(r"−?\d+\.\d{3} mm", whole)
     frame.focus()
@@ -132,7 +132,7 @@ def test_it_is_estimated_and_the_result_shown_compared_and_saved(page, folder, t
     play.expect(largest).to_have_text(re.compile(r"^−?0\.0\d\d mm$"))
     page.get_by_label("as csv").select_option("mat")
     with page.expect_download() as saved:
-        page.get_by_role("button", name="Save every row").click()
+        page.get_by_role("button", name="Save all rows").click()
     assert saved.value.suggested_filename == "a bridge.mat"
     assert saved.value.path().stat().st_size > 10_000
     page.get_by_role("button", name="Calibrate").click()

@@ -53,13 +53,13 @@ def test_a_source_is_paused_with_a_reason(operator, engine):
 
 @pytest.mark.parametrize("path", ["points/p/calibrate", "points/p/calibrations/2/accept"])
 def test_what_the_engine_refuses_is_said(operator, engine, path):
-    engine.refuse = "p: is being calibrated or opened already; the command is left out."
+    engine.refuse = "p: is already being calibrated or opened; the command is ignored."
     try:
         answer = operator.post(f"/api/v1/{path}")
     finally:
         engine.refuse = ""
     assert answer.status_code == 409
-    assert answer.json()["detail"] == "p: is being calibrated or opened already; the command is left out."
+    assert answer.json()["detail"] == "p: is already being calibrated or opened; the command is ignored."
     assert operator.post("/api/v1/points/p/calibrations/77/accept").status_code == 404
 
 

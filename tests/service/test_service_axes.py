@@ -138,7 +138,7 @@ def test_a_calibration_without_the_axis_is_refused(folder):
     points = points_of(folder, 'calibration = "one.json"')
     store = open_store(folder / "store")
     assert number_in_force(points[0].live, store, folder) == 1
-    with pytest.raises(DataError, match=r"one.json: has no scale factor along x: it moved too little, or had no"):
+    with pytest.raises(DataError, match=r"one.json: has no scale factor along x: too little motion, or no"):
         number_in_force(points[1].live, store, folder)
     store.close()
 

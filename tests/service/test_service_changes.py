@@ -87,8 +87,8 @@ def test_changes_are_those_of_what_measures(tmp_path):
     # Captured recordings in another folder are other ones.
     moved = load_site(write(tmp_path, HEAD + 'captures = "elsewhere"\n' + serial("a")))
     assert Changes.between(site_of(tmp_path, serial("a")), moved) == Changes(changed=("a",))
-    assert Changes(("c",), ("a", "b"), ()).text == "c: begins. a, b: begins anew. The other points go on."
-    assert Changes().text == "All points go on."
+    assert Changes(("c",), ("a", "b"), ()).text == "c: starts. a, b: restarts. The other points continue."
+    assert Changes().text == "All points continue."
 
 
 def write(folder, text):
@@ -227,7 +227,7 @@ def test_what_a_site_names_is_read_before_anything_ends(tmp_path):
     with pytest.raises(DataError, match="nowhere"):
         checked(site_of(tmp_path, replayed), ["a"])
     beyond = filmed("a", more='calibration = "one.json"').replace("direction", "roi = [130, 0, 64, 64]\ndirection")
-    with pytest.raises(UsageError, match=r"a': camera.roi: must lie inside the picture \(160 x 120 px\)"):
+    with pytest.raises(UsageError, match=r"a': camera.roi: must lie inside the image \(160 x 120 px\)"):
         checked(site_of(tmp_path, beyond), ["a"], {"usb:97": (160, 120)})
     with pytest.raises(UsageError, match="mqtt: ca, cert and key"):
         checked(site_of(tmp_path, '[mqtt]\nca = "missing.pem"\n' + serial("a")), [])

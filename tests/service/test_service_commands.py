@@ -100,11 +100,11 @@ def test_a_pause_is_no_fault_and_outlasts_a_restart(service, tmp_path):
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        ({"command": "calibrate", "point": "nobody"}, "is no point"),
-        ({"command": "pause", "source": "p", "reason": "x"}, "is no source"),
-        ({"command": "pause", "source": "p.camera", "reason": "x"}, "is no source"),
-        ({"command": "picture", "source": "p.displacement"}, "has no picture"),
-        ({"command": "format", "point": "p"}, "is no command"),
+        ({"command": "calibrate", "point": "nobody"}, "is not a point"),
+        ({"command": "pause", "source": "p", "reason": "x"}, "is not a source"),
+        ({"command": "pause", "source": "p.camera", "reason": "x"}, "is not a source"),
+        ({"command": "picture", "source": "p.displacement"}, "is not a camera"),
+        ({"command": "format", "point": "p"}, "is not a command"),
     ],
 )
 def test_what_is_not_there_is_said(service, head, words):
@@ -116,7 +116,7 @@ def test_a_calibration_is_asked_for_once(service):
     assert "records 60 s" in asked(service, "calibrate", point="p")
     service._points[0].live.phase = Phase.CALIBRATING
     service._points[0].live.job = object()
-    with pytest.raises(MidspanError, match="is being calibrated"):
+    with pytest.raises(MidspanError, match="is already being calibrated"):
         asked(service, "calibrate", point="p")
 
 

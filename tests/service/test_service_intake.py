@@ -116,7 +116,7 @@ def test_doubled_blocks_are_dropped_and_lost_ones_reported(site):
     # One came twice; what changed places is the engine's to judge.
     assert (stream.records, stream.faults) == (6, 1)
     assert [text for _, kind, text in events if kind == "lost_records"] == [
-        "accelerometer: blocks were lost on their way: 3."
+        "accelerometer: blocks lost in transmission: 3."
     ]
     # A sender that was started again counts from 0.
     intake.payload("a/acc", pack(block(120)))
@@ -136,7 +136,7 @@ def test_lost_blocks_are_one_event_a_minute_with_their_sum(site, monkeypatch):
         monkeypatch.setattr(time, "time", lambda at_s=now_s + 0.2 * number: at_s)
         intake.payload("a/acc", pack(block(number)))
     reported = [text for _, kind, text in events if kind == "lost_records"]
-    assert reported == [f"accelerometer: blocks were lost on their way: {n}." for n in (1, 150)]
+    assert reported == [f"accelerometer: blocks lost in transmission: {n}." for n in (1, 150)]
     assert first.streams["accelerometer"].lost == 48
 
 
@@ -250,4 +250,4 @@ def test_what_came_while_a_point_was_begun_is_its_own_and_what_is_dropped_is_cou
     assert (stream.records, len(first.early), stream.restarts) == (10, 0, 0)
     lost = [text for name, kind, text in events if (name, kind) == ("a", "lost_records")]
     assert len(lost) == 1
-    assert "4 were dropped" in lost[0]
+    assert "4 records were dropped" in lost[0]

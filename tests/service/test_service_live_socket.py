@@ -34,7 +34,7 @@ def test_a_reader_gets_the_newest_state_rows_and_answers(tmp_path):
             writer.write(packed({"command": command, "id": command}))
             found.append(await read_frame(reader))
         writer.close()
-        with pytest.raises(UsageError, match="another `midspan run` is on this store"):
+        with pytest.raises(UsageError, match="another `midspan run` uses this store"):
             await LiveSocket(tmp_path, answered).start()
         await server.stop()
         assert not (tmp_path / SOCKET_FILE).exists()

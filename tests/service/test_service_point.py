@@ -159,7 +159,7 @@ def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_pa
     point = live_point(tmp_path, "manual")
     _, at_s = running(point)
     assert "records 20 s for a new calibration" in point.calibrate()
-    assert "is being calibrated or opened already" in point.calibrate()
+    assert "is already being calibrated or opened" in point.calibrate()
     at_s = pushed(point, at_s, at_s + 40)
     assert point.job.kind == "calibrate"
     assert point.phase is Phase.CALIBRATING
@@ -193,7 +193,7 @@ def test_a_scale_that_has_changed_since_asks_for_a_new_calibration_once(tmp_path
     (event,) = said
     # with a displacement whose unit is right the accelerometer measures 1/1.06 of it.
     percent, std = re.search(
-        r"accelerometer: .* a scale ([-+][\d.]+) ± ([\d.]+) % off calibration 1", event.text
+        r"accelerometer: .* a scale ([-+][\d.]+) ± ([\d.]+) % different from calibration 1", event.text
     ).groups()
     assert abs(float(percent) - 100.0 * (1.0 / 1.06 - 1.0)) < 4.0 * float(std) + 0.1
     assert point.job.kind == "calibrate"

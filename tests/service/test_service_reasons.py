@@ -33,12 +33,12 @@ def test_every_code_of_the_table_is_given_out_somewhere():
 
 def test_the_documentation_has_the_same_codes():
     text = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
-    section = text.split("## What is wrong\n", 1)[1].split("### Events", 1)[0]
+    section = text.split("## Faults\n", 1)[1].split("### Events", 1)[0]
     rows = "".join(line.split("|")[2] for line in section.splitlines() if line.startswith("| "))
     assert set(re.findall(r"`(\w+)`", rows)) == set(REASONS)
 
 
 def test_a_sentence_says_what_and_what_to_do():
     assert sentence("refused") == (
-        "The connection is refused: nothing listens there: check the address and that the camera is on."
+        "The connection was refused: nothing listens at this address: check the address, and that the camera is on."
     )

@@ -313,7 +313,7 @@ def test_a_damaged_checkpoint_lets_its_point_open_anew(tmp_path):
     store.close()
     asyncio.run(asyncio.wait_for(service.run(0.2), 120.0))
     assert service.begun
-    assert [line for line in lines if "checkpoint" in line and "is damaged; the point starts anew" in line]
+    assert [line for line in lines if "checkpoint" in line and "is damaged; the point restarts" in line]
 
 
 def test_every_command_is_answered_at_once(tmp_path):
@@ -339,8 +339,8 @@ def test_every_command_is_answered_at_once(tmp_path):
     asked = {
         "p/cmd/calibrate": ("p/event", "p: records 60 s for a new calibration."),
         "p/cmd/accept": ("p/event", "p: no calibration 7 is offered."),
-        "p/cmd/nonsense": ("p/event", "p: cmd/nonsense is no command. Commands: calibrate, accept."),
-        "q/cmd/calibrate": ("q/event", "q: is no point of this site. Points: p."),
+        "p/cmd/nonsense": ("p/event", "p: cmd/nonsense is not a command. Commands: calibrate, accept."),
+        "q/cmd/calibrate": ("q/event", "q: is not a point of this site. Points: p."),
     }
     for place, (topic, text) in asked.items():
         assert asyncio.run(commanded(place, b"7")) == (topic, "command", text)

@@ -222,7 +222,7 @@ def test_two_points_on_a_radar_share_its_port(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("ours", "theirs", "words"),
     [
-        ("serial:/dev/x@9600", "serial:/dev/x", "serial:/dev/x must be used in one way"),
+        ("serial:/dev/x@9600", "serial:/dev/x", "serial:/dev/x is opened once and needs the same settings"),
         ("serial:/dev/x", "serial:/dev/x@115200", ""),
     ],
 )

@@ -17,7 +17,7 @@ FILE = Path("some.file")
         (ValueError("bad magic"), "bad magic"),
         (OSError(13, "Permission denied"), "Permission denied"),
         (RecursionError("maximum recursion depth exceeded"), "nested too deeply"),
-        (MemoryError(), "more memory than there is"),
+        (MemoryError(), "more memory than is available"),
         (RuntimeError("first line\nsecond line"), "first line"),
         (NotImplementedError(), "NotImplementedError"),
     ],

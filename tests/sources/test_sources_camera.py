@@ -219,7 +219,7 @@ def test_a_frame_that_does_not_decode_is_passed_over_and_counted(tmp_path: Path,
     for frame in found:
         np.testing.assert_array_equal(frame.pixels, expected[frame.index])
         assert frame.time_ns == frame.index * 100_000_000
-    assert "1 frames are damaged and were passed over: frame 9" in source.info.damage
+    assert "1 frames are damaged and were skipped: frame 9" in source.info.damage
 
 
 def test_a_long_video_is_read_with_bounded_memory(tmp_path: Path) -> None:

@@ -147,7 +147,7 @@ REFUSED = {
         lambda f: written(f, "bomb.png", png_of(2_000_000, 2_000_000)), ("bomb.png", "available memory")
     ),
     "BMP with a side that is too long": Damaged(
-        lambda f: written(f, "long.bmp", bmp_of(3_000_000, 10)), ("long.bmp", "its header declares what no picture has")
+        lambda f: written(f, "long.bmp", bmp_of(3_000_000, 10)), ("long.bmp", "its header declares an impossible image")
     ),
     "BMP that declares a huge picture": Damaged(
         lambda f: written(f, "bomb.bmp", bmp_of(2_000_000_000, 2_000_000_000)), ("bomb.bmp", "available memory")
@@ -158,7 +158,7 @@ REFUSED = {
     "TIFF whose pages lead back": Damaged(
         lambda f: written(f, "loop.tif", tiff(3, loop=True)), ("loop.tif", "from page 3 back to page 1")
     ),
-    "codec that is not known": Damaged(unknown_codec, ("tag.mp4", "codec that is not known")),
+    "codec that is not known": Damaged(unknown_codec, ("tag.mp4", "its codec is unknown")),
     "script named as a video": Damaged(script, ("script.mp4", "script or playlist")),
     "playlist named as a video": Damaged(playlist, ("playlist.mp4",)),
     "pipe": Damaged(pipe, ("pipe.mkv", "it is a pipe")),
@@ -201,9 +201,9 @@ def test_slices_whose_checksum_is_wrong_cost_their_frames_and_that_is_reported(
         np.testing.assert_array_equal(frame.pixels, frames[frame.index])
         assert frame.time_ns == frame.index * 100_000_000
     assert run(["inspect", str(path)]) == 0
-    assert "3 frames are damaged and were passed over: frame 0, 7, 11" in capsys.readouterr().out
+    assert "3 frames are damaged and were skipped: frame 0, 7, 11" in capsys.readouterr().out
     assert run(["track", str(path), "-o", str(tmp_path / "o.csv"), "--roi", "30,16,32,32"]) == 0
-    assert "3 frames are damaged and were passed over: frame 0, 7, 11" in capsys.readouterr().err
+    assert "3 frames are damaged and were skipped: frame 0, 7, 11" in capsys.readouterr().err
     rows = (tmp_path / "o.csv").read_text().splitlines()[1:]
     assert not {"0.7", "1.1"} & {row.split(",")[0] for row in rows if not row.endswith(",lost")}
 
@@ -218,7 +218,7 @@ def test_what_a_damaged_slice_taught_the_decoder_is_not_used_up_to_the_next_key_
     assert [frame.index for frame in found] == [k for k in range(24) if not 7 <= k < 12]
     for frame in found:
         np.testing.assert_array_equal(frame.pixels, frames[frame.index])
-    assert source.info.damage == ("5 frames are damaged and were passed over: frame 7, 8, 9, 10, 11",)
+    assert source.info.damage == ("5 frames are damaged and were skipped: frame 7, 8, 9, 10, 11",)
 
 
 def test_the_log_of_the_decoder_is_as_it_was_after_reading(tmp_path: Path) -> None:
@@ -238,9 +238,9 @@ def test_frames_that_build_on_a_damaged_one_are_reported(tmp_path: Path) -> None
     source = open_frames(path, FrameRequest())
     list(source.frames())
     assert source.info.damage == (
-        "1 frames are damaged and were passed over: frame 3",
+        "1 frames are damaged and were skipped: frame 3",
         # Frames 4 to 11; frame 12 is a key frame.
-        "8 frames behind damaged ones, up to the next key frame, build on them and can be wrong in part",
+        "8 frames after damaged ones, up to the next key frame, may be partly wrong",
     )
 
 

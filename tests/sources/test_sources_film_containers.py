@@ -122,13 +122,13 @@ def sony(path: Path) -> Path:
 @pytest.mark.parametrize(
     ("film", "settings", "true_hz", "words"),
     [
-        ("slow.mp4", {}, 240.0, "taken at 240 Hz and is played at 30 Hz; the times are those of taking"),
-        ("slow.mkv", {}, 240.0, "taken at 240 Hz and is played at 30 Hz; the times are those of taking"),
-        ("sony.mp4", {}, 100.0, "taken at 100 Hz and is played at 25 Hz; the times are those of taking"),
-        ("lapse.mp4", {}, 2.0, "taken at 2 Hz and is played at 30 Hz; the times are those of taking"),
+        ("slow.mp4", {}, 240.0, "capture at 240 Hz and playback at 30 Hz; the capture times at 240 Hz are used"),
+        ("slow.mkv", {}, 240.0, "capture at 240 Hz and playback at 30 Hz; the capture times at 240 Hz are used"),
+        ("sony.mp4", {}, 100.0, "capture at 100 Hz and playback at 25 Hz; the capture times at 100 Hz are used"),
+        ("lapse.mp4", {}, 2.0, "capture at 2 Hz and playback at 30 Hz; the capture times at 2 Hz are used"),
         ("slow.mp4", {"rate_hz": 120.0}, 120.0, "the times are at rate_hz = 120 Hz as set"),
         # In poor light a phone takes fewer frames than it declares: which one it is only the user can tell.
-        ("dim.mp4", {}, 30.0, "the times are those of playing. If they are 2 times too long, give rate_hz = 60"),
+        ("dim.mp4", {}, 30.0, "the playback times are used. If they are 2 times too long, give rate_hz = 60"),
         ("dim.mp4", {"rate_hz": 60.0}, 60.0, "the times are at rate_hz = 60 Hz as set"),
     ],
 )
@@ -164,7 +164,7 @@ def test_a_file_of_times_wins_over_what_the_container_declares(tmp_path: Path) -
 def test_inspect_and_track_say_that_a_film_is_slow_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = slow(tmp_path / "a.mp4", 240.0)
     assert run(["inspect", str(path)]) == 0
-    assert "taken at 240 Hz and is played at 30 Hz" in capsys.readouterr().out
+    assert "capture at 240 Hz and playback at 30 Hz" in capsys.readouterr().out
     track = tmp_path / "t.csv"
     assert run(["track", str(path), "--roi", "12,20,40,20", "--tracker", "template", "-o", str(track), "--json"]) == 0
     notices = json.loads(capsys.readouterr().out)["notices"]

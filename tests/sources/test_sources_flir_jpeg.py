@@ -114,7 +114,9 @@ def dji_jpeg(path: Path, maker: bytes = b"DJI", count_bytes: int = 2 * 160 * 120
 @pytest.mark.parametrize("pattern", ["", "*.jpg", "a.jpg"])
 def test_a_thermal_jpeg_of_dji_is_named_in_its_refusal(tmp_path: Path, pattern: str) -> None:
     dji_jpeg(tmp_path / "a.jpg")
-    with pytest.raises(DataError, match=r"a\.jpg: a thermal JPEG of DJI\. Its 16-bit counts are there"):
+    with pytest.raises(
+        DataError, match=r"a\.jpg: a thermal JPEG of DJI\. Only DJI's Thermal SDK converts its 16-bit counts"
+    ):
         open_thermal(tmp_path / pattern, AT_5)
 
 

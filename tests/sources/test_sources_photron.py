@@ -68,7 +68,7 @@ def test_a_truncated_file_gives_the_frames_it_holds_and_says_so(tmp_path: Path) 
     truth = np.zeros((5, 4, 8))
     source = open_frames(written(tmp_path, truth, 8, count=9), FrameRequest())
     assert source.info.frame_count == 5
-    assert "promises 9" in source.info.damage[0]
+    assert "declares 9" in source.info.damage[0]
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,7 @@ def test_one_damaged_packet_count_loses_that_packet_and_is_a_warning(tmp_path: P
     (tmp_path / "adc.bin").write_bytes(with_count(datagrams, number, count))
     source = open_radar(tmp_path / "adc.bin", RadarRequest(settings(tmp_path), "IIQQ"))
     frames = list(source.frames())
-    assert f"radar: 1 of {len(datagrams)} packets in adc.bin have a damaged count" in source.info.warnings[0]
+    assert f"radar: 1 of {len(datagrams)} packets in adc.bin have a damaged byte counter" in source.info.warnings[0]
     frame_bytes = WORDS.nbytes // 40
     first, last = number * 1456 // frame_bytes, ((number + 1) * 1456 - 1) // frame_bytes
     hurt = {frame.index for frame in frames if not frame.valid.all()}
@@ -192,7 +192,7 @@ def test_a_capture_of_which_next_to_nothing_was_received_is_refused(tmp_path: Pa
     datagrams = list(packets(WORDS))
     moved = [d[:4] + (10**12 + 1456 * k).to_bytes(6, "little") + d[10:] for k, d in enumerate(datagrams)]
     (tmp_path / "adc.bin").write_bytes(b"".join(datagrams[:15] + moved[15:]))
-    with pytest.raises(DataError, match=r"were never received; at most 90 % may be"):
+    with pytest.raises(DataError, match=r"were not received; at most 90 % may be missing"):
         open_radar(tmp_path / "adc.bin", RadarRequest(settings(tmp_path), "IIQQ"))
 
 
@@ -223,7 +223,7 @@ def test_settings_of_a_radar_that_no_radar_has_are_named(tmp_path: Path, old: st
     [
         (900 * "[" + 900 * "]", "at most 64 levels"),
         (100_000 * "[" + 100_000 * "]", "at most 64 levels"),
-        ('{"mmWaveDevices": [], "mmWaveDevices": []}', "stands there twice"),
+        ('{"mmWaveDevices": [], "mmWaveDevices": []}', "is there twice"),
         ('{"configUsed": "radar.json"}', "names this file itself"),
         ('{"mmWaveDevices": ' + 5000 * "9" + "}", "thousands of digits"),
         ("7", "lacks settings of mmWave Studio"),
@@ -283,11 +283,11 @@ def test_a_declared_size_beyond_memory_is_refused_before_it_is_allocated(tmp_pat
 @pytest.mark.parametrize(
     ("companions", "reported"),
     [
-        ({"rate_hz": 1e-300}, "says nothing of its rate"),
-        ({"rate_hz": np.inf}, "says nothing of its rate"),
+        ({"rate_hz": 1e-300}, "must state its rate"),
+        ({"rate_hz": np.inf}, "must state its rate"),
         ({"time_s": np.linspace(1e300, 2e300, 60)}, "the frames' times must be from"),
         ({"time_s": np.linspace(0.0, 1e-9, 60)}, "increase by 1 ns"),
-        ({"rate_hz": 100.0, "wavelength_m": 0.0}, "says nothing of the carrier"),
+        ({"rate_hz": 100.0, "wavelength_m": 0.0}, "does not state the carrier"),
         ({"rate_hz": np.array([1.0, 2.0])}, r"slow\.h5 cannot be read as radar data"),
     ],
 )

@@ -63,7 +63,7 @@ def test_a_target_at_a_quarter_of_the_range_itself_leaves_the_pairing_open_and_t
     decision = decide_order(found, order, said=True)
     assert decision.order == order
     assert not decision.certain
-    assert "cannot tell whether" in decision.text
+    assert "cannot show whether" in decision.text
 
 
 def test_ghosts_are_one_of_what_the_wrong_pairing_makes_and_none_of_the_right_one() -> None:

@@ -82,7 +82,7 @@ def test_batches_that_were_delivered_twice_are_dropped(tmp_path: Path, seed: int
     series = series_of(tmp_path / "a.csv", time_s[rows], value[rows])
     np.testing.assert_allclose(series.time_ns * 1e-9, time_s, atol=1e-9)
     np.testing.assert_allclose(series.value, value, atol=1e-6)
-    assert f"{len(rows) - 1000} rows written twice, or delivered twice, were dropped" in series.notices[0]
+    assert f"{len(rows) - 1000} duplicate rows were dropped" in series.notices[0]
 
 
 def test_rows_that_go_back_and_say_something_else_are_refused(tmp_path: Path) -> None:

@@ -173,7 +173,7 @@ def test_a_last_line_of_words_is_no_heading(tmp_path: Path) -> None:
 def test_halves_of_numbers_are_refused_whichever_is_named(tmp_path: Path) -> None:
     rows = "".join(f"0,{5 * k:03d},1,{k:06d}\n" for k in range(20))
     for value in (None, "column_4"):
-        with pytest.raises(UsageError, match="same comma seems to stand between columns and before decimals"):
+        with pytest.raises(UsageError, match="comma seems to separate both columns and decimals"):
             read_text(tmp_path, f"Temps (s),Voie 3 (Z)\ns,g\n{rows}", value=value)
     # Decimal points show that the columns are whole, whatever the heading lacks.
     rows = "".join(f"{k / 200:.3f},1.0,0,1\n" for k in range(20))
@@ -216,7 +216,7 @@ def test_a_rate_replaces_a_time_column(tmp_path: Path) -> None:
 def test_rows_written_twice_are_dropped(tmp_path: Path) -> None:
     series = read_text(tmp_path, "t,a\n0,1\n1,2\n1,2\n2,3\n")
     np.testing.assert_array_equal(series.value, [1, 2, 3])
-    assert any("1 rows written twice" in note for note in series.notes)
+    assert any("1 duplicate rows" in note for note in series.notes)
 
 
 def test_headings_that_differ_in_their_brackets_stay_apart(tmp_path: Path) -> None:

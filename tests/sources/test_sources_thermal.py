@@ -79,7 +79,7 @@ def test_frames_behind_bytes_that_are_none_are_found_again_and_that_is_reported(
     assert source.times_ns().tolist() == [1_000_000_000, 1_066_000_000, 1_099_000_000]
     np.testing.assert_allclose(list(source.frames())[1].pixels, scene(2), atol=HALF_COUNT_K)
     assert source.info.damage == (
-        f"{len(frames[1])} bytes of a.seq before frame 1 are no whole frame and were passed over",
+        f"{len(frames[1])} bytes of a.seq before frame 1 are not a complete frame and were skipped",
     )
 
 
@@ -119,9 +119,7 @@ def test_a_calibration_of_zeros_is_refused_with_a_remedy(tmp_path: Path) -> None
     place = whole.index(b"Model 7") - 0xD4
     whole[place + 0x58 : place + 0x64] = bytes(12)
     (tmp_path / "a.seq").write_bytes(whole)
-    with pytest.raises(
-        DataError, match=r"frame 0 has a record of the camera's calibration that cannot be right.*Export"
-    ):
+    with pytest.raises(DataError, match=r"frame 0 has an invalid record of the camera's calibration.*Export"):
         open_thermal(tmp_path / "a.seq")
 
 

@@ -143,7 +143,7 @@ def test_days_that_are_too_old_are_removed_whole(store_at):
 
 
 def test_reading_needs_a_store_and_a_known_version(tmp_path):
-    with pytest.raises(DataError, match="is no store"):
+    with pytest.raises(DataError, match="is not a store"):
         open_store(tmp_path, read_only=True)
     open_store(tmp_path).close()
     with sqlite3.connect(tmp_path / "site.sqlite") as file:

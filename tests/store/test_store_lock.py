@@ -115,8 +115,8 @@ def test_an_address_in_use_is_refused_before_the_store_is_made(tmp_path, capsys)
         (tmp_path / "SITE.toml").write_text(SITE.format(broker=free_port(), web=port))
         assert run(["run", str(tmp_path / "SITE.toml"), "--for", "5"]) == 2
     reported = capsys.readouterr().err
-    assert f"SITE.toml: service.listen: 127.0.0.1:{port} cannot be listened on (Address already in use)" in reported
-    assert "write another address or port" in reported
+    assert f"SITE.toml: service.listen: cannot listen on 127.0.0.1:{port} (Address already in use)" in reported
+    assert "set another address or port" in reported
     assert not (tmp_path / "store").exists()
 
 

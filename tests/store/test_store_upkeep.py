@@ -94,7 +94,7 @@ def test_a_log_that_a_power_cut_left_is_mended(written):
         upkeep.repair(str(written))
     store.close()
     log.write_bytes(data[:-100])
-    assert "no whole record" in upkeep.check(str(written)).faults[0].text
+    assert "an incomplete record" in upkeep.check(str(written)).faults[0].text
     assert upkeep.repair(str(written))
     assert upkeep.check(str(written)).faults == ()
     equals_seconds(kept(written), 33)
@@ -132,17 +132,17 @@ def test_a_copy_that_is_made_while_a_store_is_written_is_whole(written, tmp_path
         assert second(store.checkpoint("p")[0]).time_ns[-1] <= store.newest_ns("p", "rows")
         store.close()
     assert not list(tmp_path.glob("*.part*"))
-    with pytest.raises(UsageError, match="is there already"):
+    with pytest.raises(UsageError, match="already exists"):
         upkeep.backup(str(written), copies[0])
 
 
 def test_what_is_no_store_in_a_folder_is_said(tmp_path, capsys):
-    with pytest.raises(DataError, match="is no store"):
+    with pytest.raises(DataError, match="is not a store"):
         upkeep.check(str(tmp_path))
     assert run(["store", "postgresql://nobody@host/db", "backup", str(tmp_path / "x")]) == 2
     assert "pg_dump" in capsys.readouterr().err
     assert run(["store", str(tmp_path), "backup"]) == 2
-    assert "FILE: is missing with backup" in capsys.readouterr().err
+    assert "FILE: is missing; backup needs one" in capsys.readouterr().err
 
 
 def test_figures_of_a_mended_store_are_those_of_its_rows(written):

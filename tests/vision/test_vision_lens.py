@@ -202,7 +202,7 @@ def test_places_beyond_the_model_are_lost_not_nonsense():
     # Near the limit the variance grows without bound.
     near = corrected(track([0.0, 54.0], [0.0, 0.0]), region, limited).variance_x_px2
     assert near[1] > 10.0 * near[0]
-    with pytest.raises(UsageError, match="lens model does not hold"):
+    with pytest.raises(UsageError, match="lens model is not valid"):
         check_lens(limited, RIM, 1920, 1080)
 
 
@@ -367,7 +367,7 @@ def test_boards_that_all_face_the_camera_are_refused(pinhole_scene):
 
 
 def test_corners_that_fit_no_lens_are_refused(pinhole_scene):
-    with pytest.raises(UntrustedError, match=r"px rms; above 1 px"):
+    with pytest.raises(UntrustedError, match=r"px rms; at most 1 px"):
         calibrate_lens(noisy(pinhole_scene, 12, 13, std=2.0), Board(), SIZE)
 
 
@@ -383,7 +383,7 @@ def test_one_wrong_view_is_left_out_and_reported(pinhole_scene):
 def test_boards_in_the_middle_only_are_reported(pinhole_scene):
     views = [view for view in noisy(pinhole_scene, 40, 16) if np.abs(view - (319.5, 239.5)).max() < 215][:12]
     fit = calibrate_lens(views, Board(), SIZE)
-    assert any("rim is not covered" in line for line in fit.warnings)
+    assert any("edge is not covered" in line for line in fit.warnings)
     assert fit.lens.covered_px < 300.0
 
 

@@ -37,7 +37,7 @@ def test_a_wall_that_fades_and_comes_back_inverted_is_found_where_it_was(tracker
     target = KeyFrameTracker(frames[0], REGION, KeyFrameSettings(tracker=tracker, heat=True))
     rows = [target.push(frame) for frame in frames]
     events = [event.text for row in rows for event in row.events]
-    assert any("changed places" in text for text in events)
+    assert any("are inverted" in text for text in events)
     error = np.array([(row.x_px, row.y_px) for row in rows]) - moved
     seen = np.isfinite(error[:, 0])
     # Less than noise in the picture: nobody could tell where it is. Else it is tracked.

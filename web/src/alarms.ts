@@ -10,8 +10,8 @@ export const QUANTITY: Record<string, string> = {
   drift: "drift of the daily mean",
   velocity: "velocity",
   std: "standard deviation",
-  silent: "age of a source's newest block",
-  disk: "used part of the disk",
+  silent: "age of a source's newest data",
+  disk: "used share of the disk",
   no_data: "age of the newest row",
 };
 
@@ -24,7 +24,7 @@ export function urgency(alarm: AlarmBody): "wrong" | "notice" | "unknown" {
 /** State and level of an alarm. */
 export function stateWords(alarm: AlarmBody): string {
   const states: Record<string, string> = {
-    pending: alarm.reason === "band" ? "pending: only the band touches the limit" : "pending",
+    pending: alarm.reason === "band" ? "pending: only the band exceeds the limit" : "pending",
     acknowledged: `acknowledged by ${alarm.acknowledged_by}`,
   };
   return `${alarm.level}, ${states[alarm.state] ?? alarm.state}${alarm.silence ? ", silenced" : ""}`;

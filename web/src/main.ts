@@ -167,7 +167,7 @@ function showConnection(site: SiteState): void {
   const since = duration((performance.now() - Math.max(site.answered, site.live.heard)) / 1000);
   say(
     connection,
-    cut && site.health ? `No connection to the server. What is shown is ${since} old; it is tried again.` : "",
+    cut && site.health ? `No connection to the server. The values shown are ${since} old; reconnecting.` : "",
   );
 }
 
@@ -199,7 +199,7 @@ async function start(): Promise<void> {
       // What whenOver was called for is on the page already.
       if (error instanceof Refused && error.status === 401) return;
       mark(connection, "cut");
-      say(connection, `${sentenceOf(error)} It is tried again.`);
+      say(connection, `${sentenceOf(error)} Retrying.`);
       await new Promise((resolve) => window.setTimeout(resolve, 2000));
     }
   }

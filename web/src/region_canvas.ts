@@ -8,7 +8,7 @@ import { between, holds, inside, MIN_PX, type Region } from "./region.ts";
 const STEP_PX = 8;
 
 export const HOW_TO_DRAW =
-  "Draw or drag the region; keys: arrows move, Shift and arrows by one pixel, Alt and arrows size it.";
+  "Draw or drag the region. Keys: arrows move it, with Shift by one pixel; Alt and arrows resize it.";
 
 export class RegionCanvas {
   canvas: HTMLCanvasElement;
@@ -71,9 +71,9 @@ export class RegionCanvas {
   }
 
   get text(): string {
-    if (!this.region) return "Region: not chosen yet.";
+    if (!this.region) return "Region: not selected yet.";
     const { x, y, width, height } = this.region;
-    return `Region: ${width} × ${height} px at ${x}, ${y}${this.changed ? " (not in force yet)" : ""}`;
+    return `Region: ${width} × ${height} px at ${x}, ${y}${this.changed ? " (not applied yet)" : ""}`;
   }
 
   #set(region: Region): void {

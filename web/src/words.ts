@@ -54,10 +54,10 @@ export function day(ms: number): string {
 /** How a point is measured, as a sentence's subject needs it. */
 export const STATUS_WORDS: Record<string, string> = {
   tracking: "measured",
-  coasting: "predicted: the camera or radar gives nothing at present",
+  coasting: "predicted: no camera or radar measurement at present",
   lost: "lost",
-  warming: "begins",
-  calibrating: "calibrates",
+  warming: "starting",
+  calibrating: "calibrating",
 };
 
 /** The zone that all times of the page are in. */

@@ -121,7 +121,7 @@ class Book:
         try:
             return [Alarm(**json.loads(tree)) for (tree,) in rows]
         except (TypeError, ValueError) as error:
-            raise DataError(f"{self._database.file}: holds an alarm that cannot be read ({error}).") from None
+            raise DataError(f"{self._database.file}: contains an unreadable alarm ({error}).") from None
 
     def kept(self) -> dict[str, Any]:
         """The trees by their keys."""

@@ -71,7 +71,7 @@ class Delivery(threading.Thread):
         try:
             self._queue.put_nowait(entry)
         except queue.Full:
-            self._say(f"alarms: {MAX_WAITING} changes wait to be kept; the newest is lost.")
+            self._say(f"alarms: {MAX_WAITING} unsaved changes; the newest is discarded.")
 
     def run(self) -> None:
         """Keep one after another until `stop`, and then what waits."""
@@ -135,13 +135,13 @@ class Delivery(threading.Thread):
 
     def _failed(self, error: Exception) -> None:
         if not self.fault:
-            self._say(f"alarms: what happens cannot be kept ({error}); messages go out all the same.")
+            self._say(f"alarms: changes cannot be saved ({error}); notifications are still sent.")
         self.fault = str(error)
 
     def _done(self, message: Message, why: str) -> None:
         """A sender delivered a message, or gave it up."""
         if why:
-            self._say(f"alarms: a message to {message.target} is given up: {why}.")
+            self._say(f"alarms: notification to {message.target} abandoned: {why}.")
             text = f"{message.target}: {why}"
             self.put(Entry(audit=[Audit(time.time_ns(), str(message.tree["id"]), "given up", "", text)]))
         if self.book is None or not message.number:

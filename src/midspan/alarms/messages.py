@@ -31,19 +31,19 @@ def sentence_of(alarm: Alarm) -> str:
     if alarm.on == "silent":
         source = alarm.source or f"{alarm.point}: a source"
         if alarm.state == "ended":
-            return f"{source} brought nothing: ended. It was {alarm.peak:.4g} s at most."
+            return f"{source}: no data: ended. Peak {alarm.peak:.4g} s."
         since_ns = alarm.silent_ns or alarm.since_ns
-        return f"{source} brings nothing since {iso(since_ns)}, for {alarm.value:.4g} s, limit {alarm.limit:.4g} s."
+        return f"{source}: no data since {iso(since_ns)}, for {alarm.value:.4g} s, limit {alarm.limit:.4g} s."
     unit, band = alarm.unit, BAND * alarm.std
     value = f"{alarm.value:.4g} {unit}" + (f" ± {band:.2g} {unit}" if band else "")
     what = f"{alarm.point}: {NAMES[alarm.on]} {value}, limit {alarm.limit:.4g} {unit}"
     if alarm.state == "ended":
-        return f"{what}: ended. It was {alarm.peak:.4g} {unit} at most."
+        return f"{what}: ended. Peak {alarm.peak:.4g} {unit}."
     if alarm.reason == "band":
-        return f"{what}: only the band touches the limit."
+        return f"{what}: only the band exceeds the limit."
     if alarm.reason == "no_data":
         return f"{alarm.point}: no rows for {alarm.value:.4g} s, limit {alarm.limit:.4g} s."
-    return f"{what}: exceeded{' for certain' if band else ''}, since {iso(alarm.since_ns)}."
+    return f"{what}: exceeded{' by the whole band' if band else ''}, since {iso(alarm.since_ns)}."
 
 
 def tree_of(alarm: Alarm, silence: Tree | None = None) -> Tree:

@@ -52,7 +52,7 @@ class Sender(threading.Thread):
         """Queue a message; of too many the oldest is given up."""
         self._waiting.append(message)
         if len(self._waiting) > MAX_WAITING:
-            self._done(self._waiting.popleft(), f"more than {MAX_WAITING} messages waited")
+            self._done(self._waiting.popleft(), f"more than {MAX_WAITING} messages were queued")
         self._some.set()
 
     def change(self, deliver: Deliver) -> None:
@@ -146,7 +146,9 @@ class Mailer:
                     server.starttls(context=context)
                     server.ehlo()
                 elif self.settings.user is not None:
-                    raise smtplib.SMTPNotSupportedError("the server has no TLS, and the password would go readable")
+                    raise smtplib.SMTPNotSupportedError(
+                        "the server has no TLS; the password would be sent in clear text"
+                    )
             if self.settings.user is not None:
                 secret = self.settings.password.get_secret_value() if self.settings.password else ""
                 server.login(self.settings.user, secret)

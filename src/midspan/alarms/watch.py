@@ -198,7 +198,7 @@ class Watch:
         self._silences[one.rule.key] = tree
         audit = Audit(now_ns, number, "silenced", who, f"until {iso(until_ns)}: {reason}")
         self._note(audit, one, {SILENCE + one.rule.key: tree})
-        return f"{one.rule.point}: {one.rule.name} is silent until {iso(until_ns)}."
+        return f"{one.rule.point}: {one.rule.name} is silenced until {iso(until_ns)}."
 
     def unsilence(self, number: str, who: str, now_ns: int) -> str:
         """End a silence."""
@@ -216,7 +216,7 @@ class Watch:
         """End a silence by its own id. Raises MidspanError where there is none."""
         key = next((key for key in self._silences if silence_id(key) == number), None)
         if key is None:
-            raise MidspanError(f"{number}: is no silence. GET /api/v1/alarms/silences lists them.")
+            raise MidspanError(f"{number}: is not a silence. GET /api/v1/alarms/silences lists them.")
         self._unsilenced(key, now_ns, who)
         return f"{key}: is no longer silent."
 
@@ -229,13 +229,13 @@ class Watch:
         messages = [Message(target, now_ns, "test/alarm", tree) for target in targets]
         audit = [Audit(now_ns, "test", "test", who, ", ".join(targets))]
         self._put(Entry(audit=audit, messages=messages), [tree])
-        return f"A test message is sent to {', '.join(targets) or 'nobody: there is no [[notify]]'}."
+        return f"Test message sent to {', '.join(targets) or 'nobody: there is no [[notify]]'}."
 
     def _open(self, number: str) -> Watched:
         for one in self._watched.values():
             if one.state.alarm is not None and one.state.alarm.id == number:
                 return one
-        raise MidspanError(f"{number}: is no open alarm. GET /api/v1/alarms lists them.")
+        raise MidspanError(f"{number}: is not an open alarm. GET /api/v1/alarms lists them.")
 
     # Changes
 

@@ -41,9 +41,9 @@ def refuse_forward_step(prepared: PreparedAcceleration, time_ns: Nanoseconds, va
         without_gap = _fit(replace(prepared, time_ns=moved), rows, first, last)
         if without_gap.likelihood - as_stamped.likelihood > least_lead(len(rows)):
             raise UntrustedError(
-                f"accelerometer: its stamps leave out {gap_ns / NANOSECONDS:.4g} s at {shown(begin)}, but {sensor} "
-                "fits it far better without that gap: its clock stepped forward there, and no sample is missing. Take "
-                "the step out of its time column, or cut the recording there."
+                f"accelerometer: its time stamps have a gap of {gap_ns / NANOSECONDS:.4g} s at {shown(begin)}, but "
+                f"{sensor} fits far better without it: its clock stepped forward and no sample is missing. Subtract "
+                "the step from its time column, or cut the recording there."
             )
 
 

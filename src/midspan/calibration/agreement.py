@@ -72,11 +72,11 @@ class Misfit:
         if self.factor <= 1.0:
             return []
         text = (
-            f"{sensor}: what it and the accelerometer differ by is no white noise: near {self.frequency_hz:.2g} Hz it "
-            f"is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of that. "
-            "Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was not "
-            "declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor, a machine "
-            "above half the accelerometer's rate, play in a joint, a clock that steps. Check these."
+            f"{sensor}: its difference from the accelerometer is not white noise: near {self.frequency_hz:.2g} Hz it "
+            f"is {self.factor:.2g} times the mean, and the error band is wider by the square root of that. Likely "
+            "causes: cross motion on an inclined axis, an undeclared exposure or low-pass, tilt of the structure, a "
+            "soft mounting, slow errors of the sensor, a machine above the accelerometer's Nyquist frequency, play in "
+            "a joint, a clock step. Check these."
         )
         return [Notice("misfit", text)]
 

@@ -57,14 +57,14 @@ MAX_LEFT = 0.3
 class Cause(StrEnum):
     """What two sensors may differ by, in words."""
 
-    UNIT = "a unit, sign or sensitivity that is not the declared one"
-    CLOCK = "a clock that is off"
-    STEP = "a clock that steps"
+    UNIT = "a wrong unit, sign or sensitivity"
+    CLOCK = "a clock offset"
+    STEP = "a clock step"
     LOW_PASS = "a low-pass in the accelerometer's logger"
-    SLOW_SENSOR = "a displacement sensor that follows late"
-    RESONANCE = "an accelerometer on a mounting that resonates (a railing, a bracket)"
+    SLOW_SENSOR = "a lag of the displacement sensor"
+    RESONANCE = "a resonating accelerometer mount (railing, bracket)"
     PLAY = "play (backlash) in the displacement sensor's joint"
-    TONE = "a vibration that only the accelerometer has, or that it aliases (a machine above half its rate)"
+    TONE = "a vibration of the accelerometer alone, or aliased (a machine above its Nyquist frequency)"
 
 
 def _listed(*without: Cause) -> str:
@@ -293,7 +293,7 @@ REMEDIES = {
     Cause.CLOCK: "Correct its time column or displacement.start_s, or set displacement.estimate_offset = true.",
     Cause.STEP: "Cut the recording where the clock steps, or correct the time column.",
     Cause.LOW_PASS: "Use a logger whose low-pass lies far above the motion.",
-    Cause.SLOW_SENSOR: "Use a sensor that follows the motion, or declare what it averages over: exposure_s.",
+    Cause.SLOW_SENSOR: "Use a faster sensor, or declare its averaging time: exposure_s.",
     Cause.RESONANCE: "Mount the accelerometer on the structure itself.",
     Cause.PLAY: "Tighten the sensor's rod, wire or joint.",
     Cause.TONE: "Use a logger with an anti-alias filter, or mount the accelerometer away from the machine.",
@@ -303,12 +303,12 @@ REMEDIES = {
 def disagreement(cause: Explained | None, measured: str) -> str:
     """The sentence on sensors that differ: what was measured, and the cause that explains it or all that may."""
     if cause is None:
-        return f"{measured}. None of the causes compared stands out: {_listed()}. Check both sensors for these."
+        return f"{measured}. No single cause stands out among: {_listed()}. Check both sensors for these."
     if cause.cause is Cause.UNIT:
         return f"{measured}. {REMEDIES[Cause.UNIT]}"
     return (
-        f"{measured}; but of the causes compared {cause.cause.value} explains the readings best, and leaves "
-        f"{100 * cause.left:.2g} % of the difference. {REMEDIES[cause.cause]}"
+        f"{measured}; the best explanation is {cause.cause.value}, which leaves {100 * cause.left:.2g} % of the "
+        f"difference. {REMEDIES[cause.cause]}"
     )
 
 
@@ -319,7 +319,7 @@ def cause_of_lateness(pair: Pair, offset_s: float) -> str:
         # Late readings need a negative offset, which a logger's low-pass does not make.
         excluded = (Cause.SLOW_SENSOR, Cause.PLAY) if offset_s > 0.0 else (Cause.LOW_PASS,)
         others = _listed(Cause.CLOCK, Cause.UNIT, Cause.RESONANCE, Cause.TONE, *excluded)
-        return f"Its readings do not tell a clock from {others}. "
+        return f"The readings cannot distinguish a clock offset from {others}. "
     return likelier_than_offset(found)
 
 
@@ -327,7 +327,4 @@ def likelier_than_offset(found: Explained) -> str:
     """A sentence on a cause that explains readings which are late better than a constant offset; empty for that."""
     if found.cause is Cause.CLOCK:
         return ""
-    return (
-        f"Of the causes compared {found.cause.value} explains the readings best, not a constant offset. "
-        f"{REMEDIES[found.cause]} "
-    )
+    return f"The best explanation is {found.cause.value}, not a constant clock offset. {REMEDIES[found.cause]} "

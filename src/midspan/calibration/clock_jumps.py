@@ -380,10 +380,9 @@ def jumps_text(jumps: Sequence[ClockJump]) -> tuple[Notice, ...]:
     return tuple(
         Notice(
             "clock-corrected",
-            f"The frames' clock jumps in the calibration window: {1e3 * jump.late_s:+.3g} ms must be added to the "
-            f"stamps from frame {jump.row} of the window on, as where frames were lost or the clock was set. The "
-            "calibration counts with it; give each frame a time stamp, or choose a calibration.window_s without the "
-            "jump.",
+            f"The frames' clock jumps in the calibration window: the calibration adds {1e3 * jump.late_s:+.3g} ms to "
+            f"the time stamps from frame {jump.row} of the window on. Frames were lost or the clock was set: give "
+            "each frame a time stamp, or choose a calibration.window_s without the jump.",
         )
         for jump in jumps
     )

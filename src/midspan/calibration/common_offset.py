@@ -49,8 +49,8 @@ def one_offset(fits: Sequence[Fitted]) -> list[Fitted]:
                 continue
             if contradicts(one):
                 reasons[k] = (
-                    f"its clock offset would be {1e3 * one.search.offset.value_s:+.1f} ms, the others' is "
-                    f"{1e3 * middle_s:+.1f} ms: what it shows does not move with the structure."
+                    f"its clock offset would be {1e3 * one.search.offset.value_s:+.1f} ms, that of the others is "
+                    f"{1e3 * middle_s:+.1f} ms: it does not move with the structure."
                 )
             else:
                 found[k] = _at_offset(one, offset)

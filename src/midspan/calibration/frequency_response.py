@@ -203,18 +203,18 @@ class FrequencyResponse:
     def texts(self, motion_hz: float) -> Iterator[Notice]:
         """A sentence for each kind that was found, or is open; motion_hz: middle frequency of the motion."""
         square = (2.0 * np.pi * motion_hz) ** 2
-        falls = "camera: fast motion comes out smaller than slow motion, as with an exposure or a read-out of rows of"
+        falls = "camera: fast motion is attenuated, as by an exposure or rolling-shutter read-out of"
         open_text = (
-            "the motion does not tell which: the scale factor lies between the two, and the error band holds both"
+            "the motion cannot distinguish these: the scale factor lies between both, and the error band includes both"
         )
         if Kind.EXPOSURE in self.known:
             yield Notice(
                 "exposure",
-                f"{falls} {1e3 * self.exposure_s:.2g} ms, which was not declared. It is taken off; declare exposure_s "
-                "or readout_s (rolling shutter)."
+                f"{falls} {1e3 * self.exposure_s:.2g} ms that was not declared. It is corrected; declare exposure_s "
+                "or readout_s."
                 + (
-                    " The error band holds that it may be an accelerometer whose mounting resonates near "
-                    f"{RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz instead."
+                    " The error band includes the alternative, an accelerometer mount that resonates near "
+                    f"{RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz."
                     if self.other_m > 0.0
                     else ""
                 ),
@@ -222,42 +222,42 @@ class FrequencyResponse:
         if self.open_s > 0.0:
             yield Notice(
                 "exposure",
-                f"{falls} {1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs "
-                f"with its motion or its mounting resonates, and {open_text}; declare exposure_s or readout_s.",
+                f"{falls} {1e3 * self.open_s:.2g} ms that was not declared, or by an accelerometer that errs with "
+                f"its motion or whose mount resonates; {open_text}. Declare exposure_s or readout_s.",
             )
         if self.open_resonance_hz > 0.0:
             yield Notice(
                 "accelerometer-resonates",
-                "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
-                f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and {open_text}. "
-                "Mount it on the structure itself.",
+                "accelerometer: it amplifies fast motion, as on a bracket that resonates near "
+                f"{self.open_resonance_hz:.2g} Hz, or the camera attenuates it; {open_text}. Mount the accelerometer "
+                "on the structure itself.",
             )
         if Kind.LEAN in self.known:
             yield Notice(
                 "tilt",
-                f"accelerometer: it seems to tilt by {1e3 * self.slope:.2g} mrad for each metre that it moves, as "
-                "on a tower that leans, so that gravity reaches it. The scale factor is without it.",
+                f"accelerometer: it tilts by {1e3 * self.slope:.2g} mrad per metre of motion, as on a leaning tower, "
+                "and measures part of gravity. The scale factor is corrected.",
             )
         if Kind.DROOP in self.known:
             yield Notice(
                 "logger-low-pass",
-                f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} "
-                "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider. "
-                "Set the logger's low-pass far above the motion.",
+                f"accelerometer: motion of {motion_hz:.2g} Hz is attenuated by {100.0 * self.droop_s2 * square:.2g} "
+                "%, as by a logger's low-pass. The scale factor is corrected; the error band is wider. Set the "
+                "logger's low-pass far above the motion.",
             )
         if Kind.RESONANCE in self.known:
             yield Notice(
                 "accelerometer-resonates",
-                f"accelerometer: it feels motion of {motion_hz:.2g} Hz by {100.0 * self.resonance_s2 * square:.2g} "
-                "% too strongly and slower motion less so, as on a bracket or railing that resonates near "
-                f"{1.0 / (2.0 * np.pi * np.sqrt(self.resonance_s2)):.2g} Hz. The scale factor is without it; the "
-                "error band holds it. Mount it on the structure itself.",
+                f"accelerometer: motion of {motion_hz:.2g} Hz is amplified by "
+                f"{100.0 * self.resonance_s2 * square:.2g} %, as on a bracket or railing that resonates near "
+                f"{1.0 / (2.0 * np.pi * np.sqrt(self.resonance_s2)):.2g} Hz. The scale factor is corrected; the "
+                "error band includes the effect. Mount the accelerometer on the structure itself.",
             )
         if Kind.LAG in self.known and Kind.RESONANCE not in self.known:
             yield Notice(
                 "logger-low-pass",
-                f"accelerometer: its delay changes with frequency, by {-1e3 * self.lag_s3 * square:+.2g} ms from 0 to "
-                f"{motion_hz:.2g} Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the "
+                f"accelerometer: its delay varies with frequency, by {-1e3 * self.lag_s3 * square:+.2g} ms from 0 to "
+                f"{motion_hz:.2g} Hz, as with a logger's low-pass. The clock offset is that of slow motion; the "
                 "error band is wider. Set the logger's low-pass far above the motion.",
             )
 

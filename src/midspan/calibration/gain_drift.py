@@ -68,8 +68,8 @@ def gain_drift(pair: Pair, fit: Fit) -> float:
 def drift_text(sensor: str, most: float) -> list[Notice]:
     """A sentence on a scale factor that changes, by so much (relative)."""
     text = (
-        f"{sensor}: the scale factor between it and the accelerometer changes by {100.0 * most:.2g} % in the "
-        "course of the record, as where an accelerometer warms up. The error band holds its mean size; rows at the "
-        "begin may lie farther off. Let the accelerometer run for some minutes before."
+        f"{sensor}: its scale factor relative to the accelerometer changes by {100.0 * most:.2g} % during the record, "
+        "as during accelerometer warm-up. The error band includes the mean change; the first rows may be worse. Let "
+        "the accelerometer warm up for some minutes before recording."
     )
     return [Notice("gain-drifts", text)] if most > 0.0 else []

@@ -219,17 +219,17 @@ def _weighted_median(values: Floats, weight: Floats) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-_TAKEN_OUT = "It is taken out of the acceleration; live it is not, and the band is wider for it."
-_LEFT_IN = "Where the structure moves there too it is not taken out, and the band holds it as noise."
+_TAKEN_OUT = "It is removed from the acceleration (not live, where the band is wider)."
+_LEFT_IN = "It is not removed where the structure moves at the same frequency; the band includes it as noise."
 
 
 def lines_text(lines: tuple[Line, ...], sensor: str) -> Notice:
     """The sentence on lines that were taken out."""
     listed = ", ".join(f"{line.middle_hz:.3g} Hz ({rounded(1e3 * line.std_m_s2)} mm/s² rms)" for line in lines)
     text = (
-        f"accelerometer: a narrow line at {listed} that the {sensor} does not show: a machine near a multiple of its "
-        "rate and no anti-alias filter, a part of the mounting that vibrates, or motion across an inclined axis. "
-        f"{_TAKEN_OUT if all(line.taken_out for line in lines) else _LEFT_IN} Use a logger with an anti-alias filter; "
-        "check mounting and axis."
+        f"accelerometer: a narrow line at {listed} that the {sensor} does not show: a machine near a multiple of the "
+        "sample rate without an anti-alias filter, a vibrating part of the mounting, or cross motion on an inclined "
+        f"axis. {_TAKEN_OUT if all(line.taken_out for line in lines) else _LEFT_IN} Use a logger with an anti-alias "
+        "filter; check mounting and axis."
     )
     return Notice("accelerometer-line", text)

@@ -96,9 +96,8 @@ def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str
         return OneClock(measured, tuple(reported), uneven_s=uneven_s)
     skew_std = float(np.sqrt(course.covariance[1, 1]))
     text = (
-        f"{sensor}: its clock leaves the calibrated offset by {1e3 * late[0]:+.2f} ms at the start and "
-        f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * skew_std:.1f} ppm); "
-        "this was corrected."
+        f"{sensor}: its clock deviates from the calibrated offset by {1e3 * late[0]:+.2f} ms at the start and "
+        f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * skew_std:.1f} ppm); corrected."
     )
     return OneClock(
         course.corrected(measured), (Notice("clock-corrected", text), *reported), course=course, uneven_s=uneven_s
@@ -115,9 +114,9 @@ def _uneven(course: ClockCourse, sensor: str, time_ns: Nanoseconds) -> tuple[lis
     known = np.isfinite(left)
     uneven_s = np.interp(time_ns, course.time_ns[known], left[known])
     text = (
-        f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
-        f"{1e3 * left[worst]:+.2f} ms relative to a straight line; the error band holds what that makes. Check for "
-        "lost frames, or split the recording there."
+        f"{sensor}: its clock drift is not linear: around {course.time_ns[worst] / NANOSECONDS:.0f} s it deviates by "
+        f"{1e3 * left[worst]:+.2f} ms from a straight line; the error band includes it. Check for lost frames, or "
+        "split the recording there."
     )
     return [Notice("clock-differs", text)], uneven_s
 
@@ -168,10 +167,10 @@ def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalma
         return
     begin = int(found.time_ns[worst])
     raise UntrustedError(
-        f"{sensor}: its clock jumps, or frames are lost, more often than the motion tells: after the jumps that were "
-        f"found {100 * share[worst]:.0f} % of the measurements from {shown(begin)} to "
-        f"{shown(begin + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for each "
-        "frame, or cut the recording where its clock is set. Readings that are frozen look the same: leave them out."
+        f"{sensor}: its clock jumps, or frames are lost, more often than the motion can show: after correction "
+        f"{100 * share[worst]:.0f} % of the measurements from {shown(begin)} to "
+        f"{shown(begin + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for "
+        "each frame, or cut the recording where the clock is set. Frozen readings look the same: leave them out."
     )
 
 
@@ -254,14 +253,14 @@ def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
     whole = whole and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
     were, lost = "was" if abs(frames) == 1 else "were", "lost" if frames > 0 else "doubled"
     what = f", as if {abs(frames)} of its frames {were} {lost}" if whole else ""
-    jumped = "jumped" if jump.last - jump.first <= MAX_BETWEEN else "went off (a step or a drift)"
+    jumped = "jumped" if jump.last - jump.first <= MAX_BETWEEN else "changed (a step or a drift)"
     text = (
         f"{sensor}: its clock {jumped} between {shown(begin)} and {shown(end)}: {1e3 * jump.late_s:+.2f} ± "
-        f"{1e3 * jump.std_s:.2g} ms must be added to its stamps from there on{what}; this was corrected."
+        f"{1e3 * jump.std_s:.2g} ms were added to its time stamps from there on{what}."
     )
     if jump.rival_s is not None:
         text += (
-            f" The motion hardly tells that it was not {1e3 * jump.rival_s:+.1f} ms; the error band holds the "
-            "difference."
+            f" A correction of {1e3 * jump.rival_s:+.1f} ms fits the motion almost as well; the error band includes "
+            "the difference."
         )
     return Event(at_ns, "clock", text)

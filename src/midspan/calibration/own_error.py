@@ -110,21 +110,19 @@ class OwnError:
         """A sentence on it; std_m: its standard deviation, m."""
         if self.beyond_readings:
             return (
-                f"accelerometer: it and the {sensor} drift apart by more than the {sensor} shows in all, as where the "
-                f"accelerometer's bias drifts (it warms up). The error band holds all that is shown, "
-                f"{rounded(1e3 * std_m)} mm rms; let it warm up before recording."
+                f"accelerometer: it drifts from the {sensor} by more than all motion that the {sensor} shows, as with "
+                f"a bias drift during warm-up. The error band includes all of that motion, {rounded(1e3 * std_m)} mm "
+                "rms. Let the accelerometer warm up before recording."
             )
-        size = f"by {rounded(1e3 * std_m)} mm rms besides its noise"
-        course = f"errs slowly, {size}, over {rounded(self.time_s)} s, as through hot air or with autofocus that hunts"
+        size = f"{rounded(1e3 * std_m)} mm rms besides its noise"
+        course = f"has a slow error of {size} over {rounded(self.time_s)} s, as from hot air or autofocus"
         if self.sways:
-            course = f"sways {size}, at {rounded(self.hertz)} Hz, as on a mast or bracket that nods"
+            course = f"vibrates by {size} at {rounded(self.hertz)} Hz, as on a mast or bracket"
         if self.alone and self.taken:
-            return (
-                f"{sensor}: it {course}. The accelerometer feels none of it, and tells what of it is no displacement."
-            )
+            return f"{sensor}: it {course}. The accelerometer does not show it and separates it from the displacement."
         return (
-            f"{sensor}: it {course}, or the accelerometer shows what is none. Nothing tells which, and the error band "
-            "holds all of it; a second target, a gyroscope on the camera or a look at the mast would tell."
+            f"{sensor}: it {course}, or the accelerometer has an error of this size. The data cannot show which; the "
+            "error band includes all of it. A second target or a gyroscope on the camera would show it."
         )
 
 

@@ -175,10 +175,10 @@ def strange_noise(pair: Pair, fit: Fit, sensor: str, causes: str) -> list[Notice
         for density in (pair.input_noise(fit.input_density).density, most_density(pair))
     )
     text = (
-        f"accelerometer: it and the {sensor} differ as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where "
-        f"fast parts of its readings have {1e3 * own:.2g} mm/s² at most; the band takes it for its noise. Nothing "
-        "tells which of the two errs. On the accelerometer's part it may be a bias that drifts (1/f noise), cross "
-        "motion that an inclined axis picks up, a mounting that vibrates, clipped crests, or a low-pass in the logger, "
-        f"which hides its fast noise; on the {sensor}'s part {causes}. Check these."
+        f"accelerometer: its difference from the {sensor} corresponds to accelerometer noise of {1e3 * implied:.2g} "
+        f"mm/s² per sample, but the fast part of its readings has at most {1e3 * own:.2g} mm/s²; the band uses the "
+        "larger value. The data cannot show which sensor errs. Possible accelerometer causes: bias drift (1/f noise), "
+        "cross motion on an inclined axis, a vibrating mounting, clipped peaks, or a logger's low-pass, which hides "
+        f"fast noise. Possible {sensor} causes: {causes}. Check these."
     )
     return [Notice("accelerometer-noisy", text)]

@@ -41,28 +41,28 @@ WITHIN = 1.5
 # What the relative standard deviation of a camera's scale factor is made of: each part in words, and what lessens it.
 PARTS = {
     "motion": (
-        "little motion for the noise",
-        "More motion in calibration.window_s, or a longer one, would sharpen it.",
+        "too little motion for the noise",
+        "Choose a calibration.window_s with more motion, or a longer one.",
     ),
     "compression": (
-        "the compression of the video",
-        "Record raw or lossless, or move by more pixels: nearer, or with a longer lens.",
+        "video compression",
+        "Record raw or lossless, or with more pixels per mm: nearer, or with a longer lens.",
     ),
     "pattern": (
-        "the thermal camera's fixed pattern, which may draw translations to zero",
-        "More contrast or motion in the picture would lessen it.",
+        "the thermal camera's fixed pattern, which may bias translations towards zero",
+        "Choose a target with more contrast or motion in the image.",
     ),
     "response": (
-        "an exposure or a logger's low-pass, which weakens fast motion",
+        "an exposure or a logger's low-pass, which attenuates fast motion",
         "Declare camera.exposure_s, and set the low-pass far above the motion.",
     ),
     "misfit": (
-        "a difference of the two sensors that is no white noise",
-        "Look for cross motion, tilt, and a mounting that is not stiff.",
+        "a difference of the two sensors that is not white noise",
+        "Check for cross motion, tilt and a soft mounting.",
     ),
     "printed": (
-        "what the printed steps (calibration.literal) are apart from the likelihood",
-        "Leave literal out, or track with less noise: mismatches draw the printed fit to zero.",
+        "the difference of the printed steps (calibration.literal) from the likelihood",
+        "Leave literal out, or track with less noise: mismatches bias the printed fit towards zero.",
     ),
     "gain": (
         "the accelerometer's sensitivity (accelerometer.scale_std)",
@@ -86,16 +86,14 @@ SLOW_ALIAS_HZ = 0.05
 START_FRAMES, START_NOISE = 16, 2.5
 # What decides between two offsets that fit alike where nothing is said of the clocks.
 OPEN_CLOCKS = (
-    "where nothing is said of the clocks, as they do when the motion is nearly a single tone. State "
-    "calibration.max_offset_s where the clocks are known to be no farther apart (with two files: in the recording.toml "
-    "that `midspan init` writes)"
+    "without a limit on the clock offset, as with nearly a single tone. Set calibration.max_offset_s to the largest "
+    "possible offset (with two files: in the recording.toml that `midspan init` writes)"
 )
 # Causes of every disagreement that show in no figure.
 NOT_SHOWN = (
-    "Frames that are lost or doubled while only a rate is given look the same: give each frame a time stamp. So do "
-    "a wrong camera.rate_hz, as of a slow-motion file, "
-    "cross motion that an inclined accelerometer picks up, a camera or bracket that vibrates, a low-pass in the "
-    "accelerometer's logger, and an accelerometer that errs with its motion (loose, clipped)."
+    "Other causes look the same: lost or doubled frames without time stamps (give each frame one), a wrong "
+    "camera.rate_hz (slow-motion video), cross motion on an inclined axis, a vibrating camera or bracket, a low-pass "
+    "in the accelerometer's logger, a loose or clipped accelerometer."
 )
 
 
@@ -104,16 +102,15 @@ def of_no_camera(scale_m_per_px: float) -> str:
     if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
         return ""
     return (
-        "Check camera.direction first (with two files: --direction): no camera that looks at a structure has more "
-        f"than {1e3 * LARGEST_M_PER_PX:g} mm/px, as this would be, so that the motion is likely along the other image "
-        "axis. "
+        f"Check camera.direction first (with two files: --direction): more than {1e3 * LARGEST_M_PER_PX:g} mm/px, as "
+        "here, is implausible; the motion is probably along the other image axis. "
     )
 
 
 def too_vague(scale_m_per_px: float, relative_std: float) -> str:
     """What is refused for its standard deviation, without a figure that no camera can have."""
-    figure = f"{1e3 * scale_m_per_px:.4g} mm/px " if abs(scale_m_per_px) <= LARGEST_M_PER_PX else "known to "
-    return f"it would be {figure}± {100 * relative_std:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out"
+    figure = f"{1e3 * scale_m_per_px:.4g} mm/px " if abs(scale_m_per_px) <= LARGEST_M_PER_PX else "an uncertainty of "
+    return f"{figure}± {100 * relative_std:.2g} %; at most ± {100 * REFUSED_ABOVE:g} % is accepted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,10 +283,9 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
     if seen > CLEARLY_MOVING * noise and gain < MIN_GAIN:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
-            "Check camera.direction, accelerometer.value, that both files are of the same event, and that the region "
-            "shows something fixed "
-            "where the camera is on the structure, or the structure at the accelerometer where it is on a tripod; "
-            f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. "
+            "Check camera.direction, accelerometer.value, that both files are of the same event, and the region: a "
+            "fixed target for a camera on the structure, the structure at the accelerometer for a camera on a tripod. "
+            "If the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. "
             f"{_slow_samples(pair)}{NOT_SHOWN}"
         )
     would_be = too_vague(1.0 / fit.ratio, relative)
@@ -302,15 +298,14 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         # What moves for certain, and otherwise, contradicts.
         contradicts = seen > CLEARLY_MOVING * noise
         raise (NoAgreementError if contradicts else UntrustedError)(
-            f"No agreement between image and accelerometer {figures}: both move, but not alike enough for a scale "
-            f"factor: {would_be}. {first}Check camera.direction, camera.roi, "
-            "accelerometer.value, and that both files are of the same event; where the clocks may differ by more, "
-            f"raise calibration.max_offset_s or set camera.start_s. {'' if contradicts else livelier}"
-            f"{_slow_samples(pair)}{NOT_SHOWN}"
+            f"No agreement between image and accelerometer {figures}: both move, but too differently for a scale "
+            f"factor: {would_be}. {first}Check camera.direction, camera.roi, accelerometer.value, and that both files "
+            "are of the same event; if the clocks may differ by more, raise calibration.max_offset_s or set "
+            f"camera.start_s. {'' if contradicts else livelier}{_slow_samples(pair)}{NOT_SHOWN}"
         )
     static = (
-        "check camera.direction, camera.roi (what is fixed to the camera shows no motion), calibration.max_offset_s, "
-        "that both files are of the same event, and that no stabiliser takes the motion out of the film."
+        "check camera.direction, camera.roi (an object fixed to the camera shows no motion), "
+        "calibration.max_offset_s, that both files are of the same event, and that no stabiliser removes the motion."
     )
     cause = (
         f"The accelerometer moves and the image does not: {static} {livelier}".rstrip()
@@ -326,8 +321,9 @@ def _slow_samples(pair: Pair) -> str:
     if pair.sample_rate_hz > pair.rate_hz:
         return ""
     return (
-        f"The accelerometer has {pair.sample_rate_hz:.3g} samples a second, fewer than the camera's {pair.rate_hz:.3g} "
-        "frames: check whether its times are in ms (they are read as s), and whether its file was thinned out. "
+        f"The accelerometer has {pair.sample_rate_hz:.3g} samples per second, fewer than the camera's "
+        f"{pair.rate_hz:.3g} frames: check whether its times are in ms (they are read as s) and whether its file was "
+        "decimated. "
     )
 
 
@@ -369,13 +365,13 @@ def _refuse_better(
         if not accepted:
             return
         raise UntrustedError(
-            f"What fits best within ±{max_offset_s:g} s is not what image and accelerometer agree in best: that lies "
-            f"at a clock offset of {offset_s:+.3g} s, and is not to be trusted either. {error}"
+            f"Image and accelerometer agree better at a clock offset of {offset_s:+.3g} s than anywhere within "
+            f"±{max_offset_s:g} s, but that fit is not trustworthy either. {error}"
         ) from None
     raise NoAgreementError(
         f"No agreement between image and accelerometer within ±{max_offset_s:g} s: their clocks seem to differ by "
-        f"{offset_s:+.3g} s, where they agree. Add it to camera.start_s or to the frames' times, or raise "
-        "calibration.max_offset_s, which excludes it.",
+        f"{offset_s:+.3g} s. Add this to camera.start_s or to the frames' time stamps, or raise "
+        "calibration.max_offset_s above it.",
         offset_s,
     )
 
@@ -385,16 +381,16 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
     moved, left = float(np.std(rows[:, 1])), float(np.sqrt(fit.noise))
     if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
         raise NoAgreementError(
-            f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "
-            f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s; else check camera.direction, camera.roi and rate_hz. "
+            f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms remain "
+            f"unexplained; the noise of a frame is {usual:.2g} px. If the clocks may differ by more, raise "
+            "calibration.max_offset_s or set camera.start_s; else check camera.direction, camera.roi and rate_hz. "
             f"{_slow_samples(pair)}{NOT_SHOWN}"
         )
     if needed := noise_needed(pair, fit):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {needed} and noise of about "
             f"{1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². Check that both files are of the same event, "
-            "camera.direction, camera.roi and accelerometer.unit; where the clocks may differ by more, raise "
+            "camera.direction, camera.roi and accelerometer.unit; if the clocks may differ by more, raise "
             f"calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
         )
 
@@ -406,8 +402,8 @@ def noise_needed(pair: Pair, fit: Fit) -> str:
     if implied <= measured and (implied <= IMPLIED_SHARE * measured or implied <= IMPLIED_NOISE * own):
         return ""
     return (
-        f"their difference would need accelerometer noise of {1e3 * implied:.3g} mm/s² per sample where the signal "
-        f"has {1e3 * measured:.3g} mm/s² rms"
+        f"their difference implies accelerometer noise of {1e3 * implied:.3g} mm/s² per sample, but the signal has "
+        f"{1e3 * measured:.3g} mm/s² rms"
     )
 
 
@@ -452,7 +448,7 @@ def uncertain_scale(sensor: str, relative_std: float, parts: Mapping[str, float]
     largest = max(parts, key=lambda part: parts[part])
     cause, remedy = PARTS[largest]
     text = (
-        f"{sensor}: the scale factor is known to ± {100 * relative_std:.1f} % only (one standard deviation); the "
+        f"{sensor}: the scale factor is uncertain by ± {100 * relative_std:.1f} % (one standard deviation); the "
         f"largest part, ± {100 * parts[largest]:.1f} %, comes from {cause}. {remedy}"
     )
     return [Notice("scale-uncertain", text)]
@@ -465,8 +461,8 @@ def alias_in_words(pair: Pair) -> str:
     if tone < 0.5 * pair.rate_hz or alias > SLOW_ALIAS_HZ:
         return ""
     return (
-        f"The motion's main tone of {tone:.3g} Hz shows as {alias:.2g} Hz at {pair.rate_hz:.4g} measurements a second, "
-        "no faster than drift, which hides it: record at a rate of which the tone is no multiple. "
+        f"The motion's main tone of {tone:.3g} Hz is aliased to {alias:.2g} Hz at {pair.rate_hz:.4g} measurements per "
+        "second, too slow to separate from drift: record at a rate of which the tone is no multiple. "
     )
 
 
@@ -477,7 +473,7 @@ def is_ambiguous(search: OffsetSearch) -> bool:
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     if search.runner_up is not None and is_ambiguous(search):
-        within = f"within ±{max_offset_s:g} s, as they do when the motion is nearly a single tone, or when a tone's "
+        within = f"within ±{max_offset_s:g} s, as with nearly a single tone, or with a tone whose "
         smaller = "alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them"
         raise UntrustedError(_alike_text(search.fit, search.runner_up, f"{within}{smaller}"))
 
@@ -485,20 +481,18 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
 def _alike_text(fit: Fit, other: Fit, where: str) -> str:
     return (
         f"The clock offset is ambiguous: {fit.offset_s:+.4f} s (scale factor {1e3 / fit.ratio:.4g} mm/px) and "
-        f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost alike {where}, or calibrate on a time "
-        "with changing motion."
+        f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost equally well {where}, or calibrate on a "
+        "time with changing motion."
     )
 
 
 def _warnings(search: OffsetSearch, usable: int) -> Iterator[Notice]:
     std = float(np.sqrt(search.offset.variance))
     if std > 2e-3:
-        text = f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation). "
-        text += "More motion with changing frequency in calibration.window_s would sharpen it."
+        text = f"The clock offset is uncertain by ± {1e3 * std:.1f} ms (one standard deviation). "
+        text += "Choose a calibration.window_s with more motion of changing frequency."
         yield Notice("clock-uncertain", text)
     left_out = usable - int(np.count_nonzero(np.isfinite(search.pair.rows[:, 2])))
     if left_out > 0.05 * usable:
-        text = f"{left_out} of {usable} frames were left out of the calibration as outliers. See whether something "
-        yield Notice(
-            "outliers", f"{text}passes before the target; choose camera.roi or calibration.window_s without it."
-        )
+        text = f"{left_out} of {usable} frames were left out of the calibration as outliers. Check whether something "
+        yield Notice("outliers", f"{text}occludes the target; choose camera.roi or calibration.window_s without it.")

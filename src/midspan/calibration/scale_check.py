@@ -38,9 +38,7 @@ SCALED = {
     Source.RADAR: "conversion_factor",
     Source.DISPLACEMENT: "scale, or the unit,",
 }
-FOLLOWED = (
-    "the rows follow the accelerometer's as the motion tells it, and the error band holds what it does not tell yet"
-)
+FOLLOWED = "the rows use the accelerometer's scale as far as the motion determines it; the error band includes the rest"
 CLOCKED = (Source.RADAR, Source.DISPLACEMENT)
 
 
@@ -127,7 +125,7 @@ def _scale_warnings(
         "this recording"
     )
     if off <= max(refused, least):
-        held = FOLLOWED if followed else f"the error band holds the {100.0 * off:.2g} %"
+        held = FOLLOWED if followed else f"the error band includes the {100.0 * off:.2g} %"
         return [Notice("calibration-foreign", f"{text}; {held}. Calibrate this recording.")]
     turned = " The sign is reversed." if abs(scale.value + 1.0) < max(refused, least) else ""
     raise UntrustedError(f"{text}.{turned} Calibrate this recording.")
@@ -138,10 +136,9 @@ def _clock_warnings(scale: ApparentScale, known: Sensed) -> list[Notice]:
     if not abs(scale.late_s) > CERTAIN * std or scale.moved_m <= CLOCK_REPORTED * scale.noise_m:
         return []
     text = (
-        f"{known.sensor}: its clock is {1e3 * scale.late_s:+.3g} ± {1e3 * std:.2g} ms off relative to the "
-        f"accelerometer's with the calibration's time_offset_s, which is {1e3 * scale.moved_m:.2g} mm of displacement "
-        f"(rms; its noise is {1e3 * scale.noise_m:.2g} mm): it does not belong to this recording. Calibrate this "
-        "recording."
+        f"{known.sensor}: with the calibration's time_offset_s its clock deviates by {1e3 * scale.late_s:+.3g} ± "
+        f"{1e3 * std:.2g} ms from the accelerometer's, {1e3 * scale.moved_m:.2g} mm of displacement (rms; noise "
+        f"{1e3 * scale.noise_m:.2g} mm): the offset does not belong to this recording. Calibrate this recording."
     )
     if scale.moved_m > CLOCK_REFUSED * scale.noise_m:
         raise UntrustedError(text)

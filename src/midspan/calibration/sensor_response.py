@@ -177,14 +177,10 @@ class LowPass:
         """What it does, in words."""
         later = [f"{1e3 * self.late_s:.2g} ms later"] if self.late_s > 0.0 else []
         weaker = [f"{100.0 * self.lost:.2g} % weaker"] if self.lost > 0.0 else []
-        doubt = (
-            ""
-            if self.stands_out
-            else " (likelier than a clock offset, not clearly distinguished from a clock that steps)"
-        )
+        doubt = "" if self.stands_out else " (more likely than a clock offset; a clock step is not excluded)"
         return (
-            "a low-pass in the accelerometer's logger delays and weakens fast motion: that of "
-            f"{self.frequency_hz:.2g} Hz comes {' and '.join((*later, *weaker))} than slow motion{doubt}"
+            f"a low-pass in the accelerometer's logger delays and attenuates fast motion: at {self.frequency_hz:.2g} "
+            f"Hz it is {' and '.join((*later, *weaker))} than slow motion{doubt}"
         )
 
 

@@ -91,9 +91,8 @@ def _with_slow_error(pair: Pair, fit: Fit, time_s: float | None) -> SlowError:
 
 def _clocks_differ(offset: TimeOffset) -> UntrustedError:
     return UntrustedError(
-        f"displacement: its clock differs from the accelerometer's by {offset.value_s:+.4f} s, too much to learn "
-        "its scale on one clock. Set displacement.estimate_offset = true to have the offset estimated and applied, "
-        "or correct its time column."
+        f"displacement: its clock differs from the accelerometer's by {offset.value_s:+.4f} s, too much to estimate "
+        "its scale with a common clock. Set displacement.estimate_offset = true, or correct its time column."
     )
 
 
@@ -108,9 +107,9 @@ def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) ->
         factor = 1.0 / even.ratio
         if relative > REFUSED_ABOVE:
             raise UntrustedError(
-                f"displacement: its clock runs apart from the accelerometer's by about {1e6 * rate:+.0f} ppm, which "
-                f"leaves its scale of {factor:.4g} uncertain by {100 * relative:.2g} %; at most ± "
-                f"{100 * REFUSED_ABOVE:g} % is given out. Correct its time column, or learn the scale on a shorter "
+                f"displacement: its clock drifts by about {1e6 * rate:+.0f} ppm relative to the accelerometer's, "
+                f"which makes its scale of {factor:.4g} uncertain by {100 * relative:.2g} %; at most ± "
+                f"{100 * REFUSED_ABOVE:g} % is accepted. Correct its time column, or estimate the scale on a shorter "
                 "recording."
             )
     return NoiseCalibration(
@@ -139,7 +138,7 @@ def _objection(pair: Pair, fit: Fit) -> str:
     if needed := noise_needed(pair, fit):
         return (
             f"no agreement between the displacement and the accelerometer: {needed}. Check that both measure the same "
-            "axis and event; where the clocks may differ by more, raise calibration.max_offset_s, with "
+            "axis and event; if the clocks may differ by more, raise calibration.max_offset_s, with "
             "displacement.estimate_offset = true."
         )
     return ""
@@ -151,24 +150,23 @@ def _too_vague(pair: Pair, factor: float, relative: float) -> str:
     figures = f"({1e3 * seen:.3g} mm rms as read, acceleration {1e3 * shaken:.3g} mm/s² rms)"
     if seen == 0.0:
         return (
-            f"its readings, without outliers, never change {figures}, which tells no scale. Record livelier motion, or "
-            "use a sensor of finer steps than the motion."
+            f"its readings without outliers are constant {figures} and determine no scale. Record more motion, or use "
+            "a sensor of finer resolution."
         )
     return (
-        f"the motion does not tell the sensor's scale {figures}: it would be "
-        f"{factor:.4g} ± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. "
-        f"{alias_in_words(pair)}Record livelier motion, check that both sensors measure the same axis and event, "
-        "or leave estimate_scale out and set displacement.unit."
+        f"the motion does not determine the sensor's scale {figures}: {factor:.4g} ± {100 * relative:.2g} %; at most "
+        f"± {100 * REFUSED_ABOVE:g} % is accepted. {alias_in_words(pair)}Record more motion, check that both sensors "
+        "measure the same axis and event, or leave estimate_scale out and set displacement.unit."
     )
 
 
 def unexplained_text(offset_s: float, max_offset_s: float) -> str:
     """What to tell where the best clock offset leaves motion."""
     return (
-        f"displacement: at the best clock offset within ±{max_offset_s:g} s, {offset_s:+.4f} s, what is left of its "
-        "difference from the accelerometer is no noise but motion. Where the clocks may differ by more, raise "
-        "calibration.max_offset_s or set displacement.start_s; else check that both measure the same axis and event "
-        "and that its clock keeps time."
+        f"displacement: at the best clock offset within ±{max_offset_s:g} s, {offset_s:+.4f} s, its remaining "
+        "difference from the accelerometer is motion, not noise. If the clocks may differ by more, raise "
+        "calibration.max_offset_s or set displacement.start_s; else check that both measure the same axis and event, "
+        "and check its clock."
     )
 
 
@@ -177,7 +175,7 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
     if other is not None and is_ambiguous(search):
         raise UntrustedError(
             f"displacement: clock offset and scale together are ambiguous: {fit.offset_s:+.4f} s with a scale of "
-            f"{1.0 / fit.ratio:.4g} and {other.offset_s:+.4f} s with {1.0 / other.ratio:.4g} fit almost alike within "
-            f"±{max_offset_s:g} s, as they do when the motion is nearly a single tone. Set a smaller "
-            "calibration.max_offset_s that excludes one of them, or learn only one of the two."
+            f"{1.0 / fit.ratio:.4g} and {other.offset_s:+.4f} s with {1.0 / other.ratio:.4g} fit almost equally well "
+            f"within ±{max_offset_s:g} s, as with nearly a single tone. Set a smaller calibration.max_offset_s that "
+            "excludes one of them, or estimate only one of the two."
         )

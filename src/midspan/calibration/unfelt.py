@@ -74,12 +74,11 @@ def _refuse_windows(
         first, last = (int(time_ns[one]) for one in (windows[k].start, windows[k].stop - 1))
         raise UntrustedError(
             f"From {shown(first)} to {shown(last)} the displacement moves by {1e3 * np.sqrt(differs[k]):.3g} mm rms "
-            "that the accelerometer did not feel and would have shown: it shows "
-            f"{1e3 * np.sqrt(felt[k]):.2g} mm there and {1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. A sensor "
-            "jumps, as a GNSS receiver does between fixed and float solutions, or a radar under interference, or its "
-            "clock or stamps do: leave such values out of the file. Or the accelerometer drifts, as it does while it "
-            "warms up, or does not measure slow motion (a piezoelectric one, a logger with a high-pass): use one that "
-            "measures down to 0 Hz."
+            f"that the accelerometer would have shown: it shows {1e3 * np.sqrt(felt[k]):.2g} mm there and "
+            f"{1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. Either the sensor jumps (a GNSS receiver between "
+            "fixed and float solutions, a radar under interference) or its clock does: leave these values out of the "
+            "file. Or the accelerometer drifts (warm-up) or does not measure slow motion (piezoelectric, a logger's "
+            "high-pass): use one that measures down to 0 Hz."
         )
 
 
@@ -98,10 +97,10 @@ def refuse_steps_unseen(steps_ns: Sequence[int], unseen_ns: Nanoseconds, sensor:
     for step_ns in steps_ns:
         if np.any(np.abs(unseen_ns - step_ns) < NEAR_NS):
             raise UntrustedError(
-                f"{sensor}: at {shown(step_ns)} its clock seems to step, while its target is not seen in frames within "
-                f"{NEAR_NS / NANOSECONDS:g} s of that: a lost cycle, interference or something else in the bin looks "
-                "the same. Give a time stamp for each frame, leave frames with interference out of the file, or store "
-                "the bins of all ranges, 16 or more, which tell interference from the target."
+                f"{sensor}: its clock seems to step at {shown(step_ns)}, but its target is not visible in frames "
+                f"within {NEAR_NS / NANOSECONDS:g} s of that: a lost cycle, interference or another reflector in the "
+                "bin looks the same. Give a time stamp for each frame, leave frames with interference out of the "
+                "file, or store the bins of all ranges (16 or more), which separate interference from the target."
             )
 
 
@@ -115,8 +114,8 @@ def refuse_contradicted(events: Sequence[Event], targets: int, sensor: str) -> N
     if found and len({event.text for event in found}) >= targets:
         raise UntrustedError(
             f"{sensor}: at {shown(found[0].time_ns)} its phase and the acceleration contradict each other, and no "
-            "other target tells which is right: its clock steps or frames are lost, it moves on its own, or the "
-            "accelerometer was knocked. Cut the recording there, and calibrate (calibration.window_s) on a part "
+            "other target shows which is right: its clock steps, frames are lost, the target moves on its own, or the "
+            "accelerometer was knocked. Cut the recording there and calibrate (calibration.window_s) on a part "
             "without it; give each frame a time stamp, or use a second target."
         )
 
@@ -151,11 +150,11 @@ def refuse_lost_cycles(
         uncertain = float(np.mean(variance) - np.min(variance))
         if differs > chance * (noise + relative_std**2 * felt + missed + uncertain):
             raise UntrustedError(
-                f"From {shown(int(time_ns[0]))} to {shown(int(time_ns[-1]))} the radar loses its target, and its "
-                f"displacement differs from the acceleration by {1e3 * np.sqrt(differs):.3g} mm rms; the "
-                f"accelerometer's noise makes {1e3 * np.sqrt(noise):.2g} mm there. A cycle was lost, or something "
-                "else in the bin was taken for the target (interference, something that moves): leave such frames out "
-                "of the file, or store the bins of all ranges, 16 or more, which tell interference from the target."
+                f"From {shown(int(time_ns[0]))} to {shown(int(time_ns[-1]))} the radar loses its target, and the "
+                f"displacement differs from the acceleration by {1e3 * np.sqrt(differs):.3g} mm rms (accelerometer "
+                f"noise: {1e3 * np.sqrt(noise):.2g} mm). A cycle was lost, or interference or a moving object was "
+                "taken for the target: leave these frames out of the file, or store the bins of all ranges (16 or "
+                "more), which separate interference from the target."
             )
 
 
@@ -166,9 +165,9 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
     supported = float(np.mean(rows.status == Status.TRACKING))
     if supported < MIN_SUPPORTED:
         raise UntrustedError(
-            f"Only {100 * supported:.0f} % of the rows rest on a measurement (the least is {100 * MIN_SUPPORTED:.0f} "
-            "%): the radar does not see its target, or something else in the bin hides it, and the accelerometer alone "
-            "leads astray. Aim the radar at a target that nothing hides, or cut the recording where it is lost."
+            f"Only {100 * supported:.0f} % of the rows have a measurement; at least {100 * MIN_SUPPORTED:.0f} % are "
+            "needed: the radar's target is occluded or masked by another reflector in its bin, and the accelerometer "
+            "alone drifts. Aim the radar at an unobstructed target, or cut the recording where it is lost."
         )
     wide, (length_s, unknowns) = float(np.quantile(rows.variance_m2, 1.0 - MAX_WIDE)), LOOKS[1]
     windows = _windows(rows.time_ns, length_s, unknowns)
@@ -177,10 +176,9 @@ def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
     felt, _, missed = np.mean(_powers(prepared, rows.time_ns, rows.displacement_m, windows, unknowns), axis=1)
     if wide > np.log(1.0 / CHANCE) * (felt + missed):
         raise UntrustedError(
-            f"In {100 * MAX_WIDE:.0f} % of the rows the displacement is known to ± {1e3 * np.sqrt(wide):.3g} mm only "
-            f"or worse (one standard deviation), and all that the accelerometer shows in {length_s:g} s is "
-            f"{1e3 * np.sqrt(felt):.2g} mm rms: the radar loses its target too often. Leave frames with interference "
-            "out of the file, or aim the radar at a target that nothing hides."
+            f"In {100 * MAX_WIDE:.0f} % of the rows σ is {1e3 * np.sqrt(wide):.3g} mm or more, but the accelerometer "
+            f"shows only {1e3 * np.sqrt(felt):.2g} mm rms in {length_s:g} s: the radar loses its target too often. "
+            "Leave frames with interference out of the file, or aim the radar at an unobstructed target."
         )
 
 

@@ -18,10 +18,10 @@ NEEDS_SCOPE = ("add-user", "add-token")
 @click.option("--scope", type=click.Choice(["read", "operate", "admin"]), help="What a new user or token may do.")
 @common_options
 def command(store: str, action: str, name: str | None, scope: str | None, quiet: bool, as_json: bool) -> None:
-    """Users and tokens of a store's page: add them, remove them, list them.
+    """Add, list and remove users and tokens of a store's page.
 
-    read: look at everything. operate: also calibrate, accept, pause, acknowledge. admin: also change SITE.toml. A
-    password or token is printed once.
+    read: view everything. operate: also calibrate, accept, pause, acknowledge. admin: also change SITE.toml. A
+    password or token is printed only once.
     """
     from midspan.errors import DataError
     from midspan.serve.access import ACCESS_FILE, Access
@@ -31,14 +31,14 @@ def command(store: str, action: str, name: str | None, scope: str | None, quiet:
     console = Console(quiet, as_json)
     if (action == "list") != (name is None):
         raise click.UsageError(
-            "NAME: is left out with list." if action == "list" else f"NAME: is missing with {action}."
+            "NAME: must not be given with list." if action == "list" else f"NAME: is missing; {action} needs one."
         )
     if (action in NEEDS_SCOPE) != (scope is not None):
-        needs = "is missing" if action in NEEDS_SCOPE else "is left out"
+        needs = "is missing" if action in NEEDS_SCOPE else "must not be given"
         raise click.UsageError(f"--scope: {needs} with {action}.")
     folder = place_of(store)
     if not is_store(store) and not (folder / ACCESS_FILE).is_file():
-        raise DataError(f"{store}: is no store. `midspan run` and `midspan replay` make one.")
+        raise DataError(f"{store}: is not a store. `midspan run` and `midspan replay` create one.")
     access = Access(folder)
     if action == "list":
         logins = [{"name": one.name, "kind": one.kind, "scope": one.scope} for one in access.logins()]
@@ -57,7 +57,7 @@ def announce_admin(where: str, console: Console) -> None:
     password = None if console.quiet else made_admin(Access(place_of(where)))
     if password is None:
         return
-    console.say(f"admin: password: {password} (user admin; it is shown this once)")
+    console.say(f"admin: password: {password} (user admin; shown only once)")
     if console.as_json:
         click.echo(json.dumps({"name": "admin", "scope": "admin", "password": password}), err=True)
 
@@ -66,7 +66,7 @@ def _done(access: Any, console: Console, action: str, name: str, scope: str | No
     """Carry out an action; what it made."""
     if action == "remove":
         access.remove(name)
-        console.say(f"{name}: has no access any more.")
+        console.say(f"{name}: access removed.")
         return {"name": name, "removed": True}
     if action == "add-token":
         made = {"token": access.add_token(name, scope)}
@@ -74,6 +74,6 @@ def _done(access: Any, console: Console, action: str, name: str, scope: str | No
         made = {"password": access.add_user(name, scope) if action == "add-user" else access.set_password(name)}
     (kind, secret), *_ = made.items()
     console.say(f"{name}: {kind}: {secret}")
-    console.say("It is shown this once.")
+    console.say("It is shown only once.")
     scopes = {one.name: one.scope for one in access.logins()}
     return {"name": name, "scope": scopes[name], **made}

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 @click.command("calibrate")
 @click.argument("recording", type=click.Path())
-@click.option("-o", "--output", type=click.Path(), help="File to write; left out: calibration.json in the recording.")
-@click.option("--tracker", help="Tracker, over the recording's own.")
-@click.option("--literal", is_flag=True, help="Scale factors and clock offset as printed.")
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it.")
+@click.option("-o", "--output", type=click.Path(), help="File to write. Default: calibration.json in the recording.")
+@click.option("--tracker", help="Tracker; overrides the recording's.")
+@click.option("--literal", is_flag=True, help="Scale factors and clock offset as printed in the papers.")
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Tracker, calibration and keys of one paper.")
 @common_options
 def command(recording: str, output: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
@@ -54,14 +54,14 @@ def describe(console: Console, calibration: "Calibration") -> None:
                 if math.isfinite(factor) and math.isfinite(found.conversion_factor_std):
                     words.append(f"factor {factor:.4g} ± {found.conversion_factor_std:.2g}")
                     words.append(f"coherence {found.coherence:.4f}")
-                words.append("used" if item.used else f"left out: {item.reason}")
+                words.append("used" if item.used else f"not used: {item.reason}")
                 rows.append((f"{name} target {found.place}", ", ".join(words)))
         elif isinstance(sensor, CameraCalibration) and len(sensor.targets) > 1:
             for target in sensor.targets:
                 value, scale = "no scale factor", target.scale
                 if scale is not None:
                     value = f"{1e3 * scale.value_m_per_px:.5g} ± {1e3 * math.sqrt(scale.variance):.2g} mm/px"
-                rows.append((f"{name} target {target.name}", value if target.used else f"{value}, left out"))
+                rows.append((f"{name} target {target.name}", value if target.used else f"{value}, not used"))
     camera = None if calibration.across is None else calibration.across.first_camera
     if camera is not None:
         how = "with its own acceleration" if camera.fused else "tracked only"

@@ -23,7 +23,7 @@ MAX_COLUMN = 24
 @click.argument("file", type=click.Path())
 @common_options
 def command(file: str, quiet: bool, as_json: bool) -> None:
-    """Validate a recording.toml or a SITE.toml (or the folder that holds it) without running it."""
+    """Validate a recording.toml or a SITE.toml (or its folder) without running it."""
     from midspan.settings.keys import recording_sections
     from midspan.settings.load import load_settings, settings_file
     from midspan.settings.site import is_site
@@ -178,7 +178,7 @@ def _units(plan: "PointPlan", where: str) -> list[str]:
     for name, quantity, section in _channels(plan.recording):
         if not plan.sources[name].startswith("replay:"):
             if section.unit is None:
-                lines.append(f"{name}.unit: is left out; {SI_UNITS[quantity]} is taken.")
+                lines.append(f"{name}.unit: is missing; {SI_UNITS[quantity]} is assumed.")
             else:
                 _check_unit(section, quantity, f"{where}: {name}")
     return lines

@@ -13,17 +13,18 @@ ALIGNMENTS = ("none", "zero", "zero+lag")
 @click.command("compare")
 @click.argument("result", type=click.Path())
 @click.argument("reference", type=click.Path())
-@click.option("--unit", help="Unit of the reference, where its file does not say.")
-@click.option("--axis", type=click.Choice(["x", "y"]), help="Axis of a result that has both; left out: the main one.")
+@click.option("--unit", help="Unit of the reference, if its file has none.")
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a two-axis result. Default: the main one.")
 @click.option(
-    "--align", type=click.Choice(ALIGNMENTS), default=ALIGNMENTS[0], help="Which of the three is the headline."
+    "--align", type=click.Choice(ALIGNMENTS), default=ALIGNMENTS[0], help="Which of the three errors is reported first."
 )
 @common_options
 def command(result: str, reference: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Compare a result with a reference over their common time span.
 
     REFERENCE is a file with time and displacement, or a recording with [reference], on the accelerometer's clock. The
-    error is result minus reference: as they are, without its mean (another zero), and without lag (another clock).
+    error is result minus reference: as recorded, with its mean (another zero) removed, and with the lag (another
+    clock) removed as well.
     """
     from midspan.evaluate.result_file import compare as compare_results
 
@@ -48,7 +49,7 @@ def show(console: Console, figures: dict[str, Any]) -> None:
     worst = f"{number(figures['largest_error_mm'], 'mm')} at {figures['largest_error_at_s']:.3f} s"
     console.table(
         [
-            ("compared", f"{figures['count']} instants from {figures['start_s']:.3f} to {figures['end_s']:.3f} s"),
+            ("compared", f"{figures['count']} samples from {figures['start_s']:.3f} to {figures['end_s']:.3f} s"),
             ("RMSE", f"{number(figures['rmse_mm'], 'mm')} ({extent} of the peak-to-peak){inside(figures)}"),
             ("bias", number(figures["bias_mm"], "mm")),
             ("largest error", worst),
@@ -57,9 +58,9 @@ def show(console: Console, figures: dict[str, Any]) -> None:
             *(
                 (label, f"RMSE {number(found['rmse_mm'], 'mm')}{inside(found)}")
                 for label, key in (
-                    ("as they are", "plain"),
-                    ("zero taken off", "without_zero"),
-                    ("zero and lag taken off", "without_zero_and_lag"),
+                    ("as recorded", "plain"),
+                    ("zero removed", "without_zero"),
+                    ("zero and lag removed", "without_zero_and_lag"),
                 )
                 if (found := figures[key]) is not None
             ),

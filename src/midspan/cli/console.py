@@ -29,7 +29,7 @@ MAX_WARNINGS = 3
 def common_options(function: Command) -> Command:
     """Add --quiet and --json to a command; they arrive as `quiet` and `as_json`."""
     function = click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output.")(function)
-    return click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and JSON).")(function)
+    return click.option("-q", "--quiet", is_flag=True, help="Print errors only (and JSON).")(function)
 
 
 class Console:
@@ -75,7 +75,7 @@ class Console:
         listed = worst_first(lines)
         self.warn(listed[:MAX_WARNINGS])
         if len(listed) > MAX_WARNINGS and not self.quiet:
-            click.echo(f"and {len(listed) - MAX_WARNINGS} more: --verbose, or the report", err=True)
+            click.echo(f"and {len(listed) - MAX_WARNINGS} more: see --verbose or the report", err=True)
 
     def document(self, tree: dict[str, Any]) -> None:
         """Print the JSON document where it was asked for; numbers that are not finite become null."""
@@ -183,10 +183,10 @@ class Commands(click.Group):
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="midspan", message="midspan %(version)s")
 def commands() -> None:
-    """Displacement of bridges and buildings in millimetres, from an accelerometer and a camera that sit on them.
+    """Displacement of bridges and buildings in millimetres, from an accelerometer and a camera or another sensor.
 
     Start with `midspan demo`; then `midspan estimate RECORDING`, where RECORDING is a folder with recording.toml.
 
     Exit codes: 0 done; 2 wrong use or settings; 3 unreadable or unusable data; 4 refused, the result could not be
-    trusted. 130, 143 and 129: stopped by Ctrl-C, SIGTERM or SIGHUP; 141: nobody reads the output any more.
+    trusted. 130, 143 and 129: stopped by Ctrl-C, SIGTERM or SIGHUP; 141: standard output was closed.
     """

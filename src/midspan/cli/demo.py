@@ -11,7 +11,9 @@ SCENARIO = "footbridge"
 
 @click.command("demo")
 @click.option("-o", "--output", type=click.Path(), default="midspan-demo", show_default=True, help="Folder to write.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another minute.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the random motion and noise."
+)
 @common_options
 def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     """A complete run: simulate, inspect, calibrate, estimate, compare with the truth, report. Under a minute."""
@@ -38,7 +40,7 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     console.say(f"   written to {place}\n\n2. inspect")
     recording = open_recording(place)
     inspect.show(console, inspect_recording(recording, progress=console.progress))
-    console.say("\n3. calibrate: nothing was measured beforehand, the clocks differ, the target's size is unknown")
+    console.say("\n3. calibrate: scale factor, clock offset and noise are unknown")
     calibration, tracking = calibrate_and_track(recording, console.progress)
     console.done()
     calibration.save(place)
@@ -53,6 +55,6 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     compare.show(console, figures)
     bound = least_error_mm(result)
     ratio = figures["rmse_mm"] / bound
-    console.say(f"\nError {figures['rmse_mm']:.4f} mm rms: {ratio:.2f} times the least that the sensors' noise allows")
-    console.say(f"({bound:.4f} mm). Look at {folder / 'report.html'}.")
+    console.say(f"\nError {figures['rmse_mm']:.4f} mm rms: {ratio:.2f} times the lower bound from sensor noise")
+    console.say(f"({bound:.4f} mm). Open {folder / 'report.html'}.")
     console.document({**figures, "bound_mm": bound, "ratio_to_bound": ratio, "folder": str(folder)})

@@ -22,37 +22,43 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path())
 @click.argument("video", type=click.Path(), required=False)
 @click.option("--value", help="Two files: channel along the motion.")
-@click.option("--unit", help="Two files: its unit, where the file does not say.")
-@click.option("--direction", type=click.Choice(["x", "y"]), help="Two files: image axis of the motion; left out: y.")
+@click.option("--unit", help="Two files: unit of the channel, if the file has none.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Two files: image axis of the motion. Default: y.")
 @click.option(
-    "-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration to use; left out: calibrate."
+    "-c",
+    "--calibration",
+    "calibration_file",
+    type=click.Path(),
+    help="Calibration to use. Default: calibrate this recording.",
 )
-@click.option("-o", "--output", type=click.Path(), help="Result; the suffix is the format; left out: result.csv.")
-@click.option("--method", help="Method, over the recording's own; `all`: table and picture (methods.png) of all.")
-@click.option("--reference", type=click.Path(), help="With --method all: file of the true displacement.")
-@click.option("--reference-unit", help="Its unit, where the file does not say.")
-@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed.")
+@click.option("-o", "--output", type=click.Path(), help="Result; the suffix selects the format. Default: result.csv.")
+@click.option("--method", help="Method; overrides the recording's. `all`: compare all in a table and methods.png.")
+@click.option("--reference", type=click.Path(), help="With --method all: file of the reference displacement.")
+@click.option("--reference-unit", help="Unit of the reference, if its file has none.")
+@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed in the papers.")
 @click.option(
-    "--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it; see `midspan methods --papers`."
+    "--paper",
+    type=click.Choice(PAPER_KEYS),
+    help="Tracker, calibration, method and keys of one paper; see `midspan methods --papers`.",
 )
-@click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
+@click.option("--tracker", help="Tracker; overrides the recording's. See `midspan methods`.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
-@click.option("-v", "--verbose", is_flag=True, help="All figures, all warnings, and what no band contains.")
-@click.option("--point", help="Of a store: point whose raw records are computed again.")
-@click.option("--from", "begin", help="Of a store: first instant, ISO 8601 or seconds since 1970.")
-@click.option("--to", "end", help="Of a store: last instant.")
+@click.option("-v", "--verbose", is_flag=True, help="Print all figures, all warnings and the errors outside the band.")
+@click.option("--point", help="Store: point to recompute from its raw records.")
+@click.option("--from", "begin", help="Store: first instant, ISO 8601 or seconds since 1970.")
+@click.option("--to", "end", help="Store: last instant.")
 @common_options
 def command(recording: str, video: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation.
 
-    RECORDING is a folder with recording.toml, or a store; or the accelerometer's file, with VIDEO after it.
+    RECORDING is a folder with recording.toml, a store, or an accelerometer file followed by VIDEO.
     """
     console = Console(quiet, as_json)
     options["every"] = options["method"] == ALL
     if options["every"]:
         options["method"] = None
     elif options["reference"] or options["reference_unit"]:
-        raise click.UsageError("--reference: goes with --method all; `midspan compare` compares one result.")
+        raise click.UsageError("--reference: needs --method all. For one result use `midspan compare`.")
     if video is not None:
         from midspan.settings.two_files import in_words_of_two_files
 
@@ -61,7 +67,7 @@ def command(recording: str, video: str | None, quiet: bool, as_json: bool, **opt
         return
     files = [f"--{key}" for key in ("value", "unit", "direction") if options[key]]
     if files:
-        raise click.UsageError(f"{files[0]}: goes with two files, ACCEL VIDEO; a recording names it in its settings.")
+        raise click.UsageError(f"{files[0]}: needs two files, ACCEL VIDEO. For a recording set it in recording.toml.")
     from midspan.store.store import is_store
 
     if is_store(recording):
@@ -70,7 +76,7 @@ def command(recording: str, video: str | None, quiet: bool, as_json: bool, **opt
         return
     given = [name for key, name in (("point", "--point"), ("begin", "--from"), ("end", "--to")) if options[key]]
     if given:
-        raise click.UsageError(f"{given[0]}: is for a store; {recording} is none.")
+        raise click.UsageError(f"{given[0]}: needs a store; {recording} is not a store.")
     _of_recording(recording, console, options)
 
 
@@ -112,7 +118,7 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
     from midspan.settings.two_files import draft, settings_of
 
     if options["point"] or options["begin"] or options["end"]:
-        raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
+        raise click.UsageError("--point, --from and --to: need a store; received two files.")
     found = draft(accel, video, options["value"], options["unit"], options["direction"])
     tree = found.sections
     tree["fusion"] = {"literal": bool(options["literal"])}
@@ -178,7 +184,7 @@ def open_with(
     if paper is not None:
         given = {"--tracker": tracker, "--method": method}
         if chosen_too := [name for name, value in given.items() if value is not None]:
-            raise click.UsageError(f"--paper sets tracker and method; leave {' and '.join(chosen_too)} out.")
+            raise click.UsageError(f"--paper sets tracker and method; remove {' and '.join(chosen_too)}.")
         return as_in_paper(paper, recording)
     chosen: dict[str, Any] = {} if tracker is None else {"tracker": option("--tracker", tracker, TRACKERS)}
     if method is not None:
@@ -205,7 +211,7 @@ def as_in_paper(key: str, recording: str) -> "Recording":
     paper, plain = next(one for one in PAPERS if one.key == key), open_recording(recording)
     if not any(plain.has(kind) for kind in paper.sensors):
         needed = " or ".join(f"[{kind}]" for kind in paper.sensors)
-        raise click.UsageError(f"--paper {key}: {plain.file} has no {needed}, which this paper measures with.")
+        raise click.UsageError(f"--paper {key}: {plain.file} has no {needed}, which this paper needs.")
     tracked = {"tracker": paper.tracker} if paper.tracker else {}
     sections = {name: paper.of_section(name) | tracked for name in CAMERAS if plain.has(name)}
     fusion = {"method": paper.method, "literal": True, **paper.of_section("fusion")}
@@ -258,8 +264,8 @@ def show(console: Console, result: "Result", written: list[str], verbose: bool =
 
 def _first_rows(result: "Result", f: dict[str, Any], written: list[str]) -> list[tuple[str, str]]:
     """The rows that everybody needs."""
-    more = "; report and --verbose list what it does not contain" if result.not_in_band else ""
-    sigma = f"{f['median_std_mm']:.3g} mm (median), the zero's part {f['zero_std_mm']:.3g} mm{more}"
+    more = "; --verbose lists the errors outside the band" if result.not_in_band else ""
+    sigma = f"{f['median_std_mm']:.3g} mm (median), zero {f['zero_std_mm']:.3g} mm{more}"
     return [
         ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method}), {_statuses(f)}"),
         ("standard deviation", sigma),
@@ -273,10 +279,10 @@ def _all_rows(result: "Result", f: dict[str, Any], written: list[str]) -> list[t
     return [
         ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
         *_extent(f),
-        ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
-        ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
+        ("standard deviation of the zero", f"{f['zero_std_mm']:.3g} mm, common to all rows"),
+        ("standard deviation without zero", f"{f['median_own_std_mm']:.3g} mm"),
         *([] if result.across is None else _extent(result.across.figures(), result.across.axis)),
-        *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
+        *([("delay", f"{f['delay_s']:.3g} s of later data for each row")] if f["delay_s"] else []),
         ("status", _statuses(f)),
         *([("source", ", ".join(sources))] if len(sources) > 1 else []),
         *(("not in the band" if k == 0 else "", f"{line}") for k, line in enumerate(result.not_in_band)),
@@ -301,7 +307,7 @@ def compare_methods(opened: "Recording", console: Console, options: dict[str, An
     from midspan.settings.stored.calibration import load_calibration
 
     if options["report"]:
-        raise click.UsageError("--report: is of one method. Name it with --method, or leave --report out.")
+        raise click.UsageError("--report: needs one method. Select it with --method, or remove --report.")
     target = check_picture(options["output"] or opened.folder / "methods.png", "-o", opened)
     given = None if options["reference"] is None else Path(options["reference"])
     reference = reference_of(opened, given, options["reference_unit"])
@@ -314,7 +320,7 @@ def compare_methods(opened: "Recording", console: Console, options: dict[str, An
         if run.refused:
             console.say(f"  {run.name}: refused. {run.refused}")
     if reference is None:
-        console.say("No reference: --reference FILE, or [reference] in the recording, gives errors and coverage.")
+        console.say("No reference: errors and coverage need --reference FILE or [reference] in recording.toml.")
     console.say(f"{target}: written.")
     console.document({"methods": [run.to_dict() for run in runs], "written": str(target)})
 

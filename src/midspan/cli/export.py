@@ -13,18 +13,18 @@ if TYPE_CHECKING:
 
 @click.command("export")
 @click.argument("store")
-@click.option("--point", help="Name of the point, where there are several.")
+@click.option("--point", help="Point; needed if the store has several.")
 @click.option("--from", "begin", help="First instant, ISO 8601 (UTC) or seconds since 1970.")
-@click.option("--to", "end", help="Last instant; left out: the newest row.")
+@click.option("--to", "end", help="Last instant. Default: the newest row.")
 @click.option(
     "-o",
     "--output",
     type=click.Path(),
-    help="File; the suffix is the format; left out: POINT.csv.",
+    help="File to write; the suffix selects the format. Default: POINT.csv.",
 )
 @common_options
 def command(store: str, quiet: bool, as_json: bool, **options: str | None) -> None:
-    """Write rows of a store in the columns and formats of a result, or a result or track in another format.
+    """Export rows of a store as a result file, or convert a result or track to another format.
 
     STORE is a store, or a file that `midspan estimate` or `midspan track` wrote.
     """
@@ -46,9 +46,9 @@ def _of_file(path: str, options: dict[str, str | None]) -> "tuple[str, Path, Res
 
     given = [name for key, name in (("point", "--point"), ("begin", "--from"), ("end", "--to")) if options[key]]
     if given:
-        raise click.UsageError(f"{given[0]}: is for a store; {path} is a file.")
+        raise click.UsageError(f"{given[0]}: needs a store; {path} is a file.")
     if options["output"] is None:
-        raise click.UsageError("-o: is missing. Name the file to write; its suffix chooses the format.")
+        raise click.UsageError("-o: is missing. Name the file to write; its suffix selects the format.")
     return path, _target(options["output"]), read_table(Path(path))
 
 

@@ -8,7 +8,7 @@ from midspan.cli.console import Console, common_options
 @click.command("formats")
 @common_options
 def command(quiet: bool, as_json: bool) -> None:
-    """What can be read and written."""
+    """File formats that midspan reads and writes."""
     from midspan.sinks.write import FORMATS as WRITTEN
     from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
     from midspan.sources.camera.formats import FORMATS as CAMERAS

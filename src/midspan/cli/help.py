@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def command(topic: str | None, quiet: bool, as_json: bool) -> None:
     """Explain a command, a section of the settings' files or a key: `estimate`, `camera.lens`, `fusion.lag_s`.
 
-    Without TOPIC the commands and sections are listed.
+    Without TOPIC it lists commands and sections.
     """
     from midspan.checks import option
     from midspan.settings.keys import calibration_sections, recording_sections, site_sections

@@ -15,11 +15,13 @@ if TYPE_CHECKING:
 
 @click.command("inspect")
 @click.argument("recording", type=click.Path())
-@click.option("--all-frames", is_flag=True, help="Look at more than the first 600 frames.")
-@click.option("--picture", type=click.Path(), help="Draw first frame, regions to track and motion (.png .svg .pdf).")
+@click.option("--all-frames", is_flag=True, help="Check all frames, not only the first 600.")
+@click.option(
+    "--picture", type=click.Path(), help="Draw the first frame, candidate regions and motion (.png .svg .pdf)."
+)
 @common_options
 def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
-    """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
+    """Check a recording or a single file: streams, rates, gaps, clipping, frozen frames, overlap, units."""
     from midspan.cli.targets import check_picture
     from midspan.recording.inspect import inspect_recording
     from midspan.recording.streams.recording import open_recording
@@ -77,7 +79,7 @@ def _picture(console: Console, target: Path, source: "Path | Recording") -> dict
         found = look_at_recording(source, console.progress)
     console.done()
     draw_first_look(found, target)
-    console.say("\nplaces to track:")
+    console.say("\ncandidate regions:")
     rows = []
     for number, place in enumerate(found.places, start=1):
         r, score = place.region, f"{place.predicted_std_px:.4f} px"
@@ -100,7 +102,7 @@ def show(console: Console, tree: dict[str, Any]) -> None:
         if overlap["overlapping"]:
             console.say(f"\noverlap of {names}: {overlap['duration_s']:.3f} s from {overlap['start']}")
         else:
-            console.say(f"\n{names} do not overlap in time; bring the clocks together with start_s.")
+            console.say(f"\n{names} do not overlap in time. Correct start_s.")
 
 
 def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None:
@@ -118,7 +120,7 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
         digits = _digits(low, high, 4)
         rows += [
             ("channel", f"{branch['channel']} in {branch['unit']}, {branch['samples']} samples"),
-            ("values", f"{_values(low, high, unit, 4)}, mean {mean:.{digits}g}, rms about it {std:.4g}"),
+            ("values", f"{_values(low, high, unit, 4)}, mean {mean:.{digits}g}, rms about the mean {std:.4g}"),
             ("missing, frozen, clipped", f"{branch['missing_samples']}, {branch['frozen_samples']}, "
                                          f"{branch['clipped_samples']} samples"),
         ]  # fmt: skip
@@ -128,14 +130,14 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
         warmth = []
         if "coldest_c" in branch:
             warmth = [("temperatures", f"{branch['coldest_c']:.2f} … {branch['warmest_c']:.2f} °C")]
-        lossless = {True: "lossless", False: "lossy", None: "lossless or not is unknown"}[branch["lossless"]]
+        lossless = {True: "lossless", False: "lossy", None: "compression unknown"}[branch["lossless"]]
         rows += [
-            ("picture", f"{branch['width']} × {branch['height']} px, {branch['bit_depth']} bit, "
+            ("image", f"{branch['width']} × {branch['height']} px, {branch['bit_depth']} bit, "
                         f"{branch['codec']}, {lossless}"),
             ("frames", f"{branch['frames_used']} used of {branch['frames_in_file'] or 'an unknown number'}"),
             *warmth,
             ("frozen, dark, saturated", f"{branch['frozen_frames']}, {branch['dark_frames']}, "
-                                        f"{branch['saturated_frames']} of the {branch['frames_looked_at']} looked at"),
+                                        f"{branch['saturated_frames']} of {branch['frames_looked_at']} checked"),
         ]  # fmt: skip
     rows += [("found", note) for note in branch["notes"]]
     rows += [("warning", line) for line in branch.get("warnings", ())]
@@ -145,7 +147,7 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
 def _times(branch: dict[str, Any]) -> list[tuple[str, str]]:
     """When a stream runs, and its gaps; a single frame has no rate, and a file may have no stamps."""
     if branch["start"] is None:
-        return [("time", "no stamps in the file: rate_hz or times must be given")]
+        return [("time", "no time stamps in the file: set rate_hz or times")]
     if branch["rate_hz"] is None:
         return [("time", branch["start"])]
     gaps = branch["gaps"]
@@ -174,7 +176,7 @@ def _radar(branch: dict[str, Any]) -> list[tuple[str, str]]:
                       f"{chirp['samples']} samples at {chirp['sample_rate_hz'] / 1e6:.4g} MHz "
                       f"({chirp['bandwidth_hz'] / 1e9:.4g} GHz), {chirp['bits']} bit {form} {branch['iq_order']}")
         )  # fmt: skip
-    rows.append(("frames with holes", f"{branch['frames_with_holes']} of the {branch['frames_looked_at']} looked at"))
+    rows.append(("frames with holes", f"{branch['frames_with_holes']} of {branch['frames_looked_at']} checked"))
     for peak in branch["peaks"]:
         place = "" if peak["range_m"] is None or peak["range_m"] != peak["range_m"] else f" at {peak['range_m']:.3f} m"
         rows.append(("peak", f"{peak['level_db']:.0f} dB{place} (bin {peak['bin']:.2f})"))

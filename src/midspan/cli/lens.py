@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     default=9,
     show_default=True,
     type=click.IntRange(min=3),
-    help="Inner corners along the board, where four squares meet.",
+    help="Inner corners along the board (where four squares meet).",
 )
 @click.option("--rows", default=6, show_default=True, type=click.IntRange(min=3), help="Inner corners across it.")
 @click.option("--square-mm", default=25.0, show_default=True, type=float, help="Side of a square, mm.")
 @click.option("--model", default="pinhole", show_default=True, help="pinhole, or fisheye for very wide lenses.")
-@click.option("--every", type=click.IntRange(min=1), help="Use every n-th; left out: at most 150.")
-@click.option("--picture", type=click.Path(), help="Draw coverage, misfits and correction.")
+@click.option("--every", type=click.IntRange(min=1), help="Use every n-th image. Default: at most 150 images.")
+@click.option("--picture", type=click.Path(), help="Draw coverage, residuals and correction.")
 @common_options
 def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Calibrate a camera's lens from pictures of a checkerboard, for [camera.lens].
+    """Calibrate a camera's lens from images of a checkerboard, for [camera.lens].
 
     IMAGES is a folder, glob or video, taken in the mode of the recording: same size, focus and zoom, stabiliser off.
     """
@@ -70,7 +70,9 @@ def _targets(images: str, output: str, picture: str | None) -> tuple[Path, Path 
     # A drawing inside the folder of pictures would be taken for one of them the next time.
     folder = Path(images) if Path(images).is_dir() else Path(images).parent
     if drawn is not None and drawn.absolute().parent.resolve() == folder.resolve() and not Path(images).is_file():
-        raise click.UsageError(f"--picture {picture}: must not be written among the pictures. Choose another folder.")
+        raise click.UsageError(
+            f"--picture {picture}: must lie outside the folder of the images. Choose another folder."
+        )
     if Path(images).resolve() in {path.resolve() for path in (target, drawn) if path}:
         raise click.UsageError(f"{images}: would be overwritten. Choose another name.")
     return target, drawn
@@ -79,14 +81,14 @@ def _targets(images: str, output: str, picture: str | None) -> tuple[Path, Path 
 def _describe(console: Console, found: "CalibratedLens") -> None:
     fit, lens = found.fit, found.fit.lens
     fx, fy, cx, cy = lens.matrix
-    rim = f"known to ± {100 * fit.rim_std:.2g} %" if math.isfinite(fit.rim_std) else "not reached by the model"
+    rim = f"± {100 * fit.rim_std:.2g} %" if math.isfinite(fit.rim_std) else "outside the model"
     console.table(
         [
-            ("pictures", f"{found.pictures}, the board found in {found.found}, {fit.boards} different views used"),
-            ("misfit", f"{fit.rms_px:.3f} px rms between found and fitted corners"),
+            ("images", f"{found.pictures}, board found in {found.found}, {fit.boards} distinct views used"),
+            ("misfit", f"{fit.rms_px:.3f} px rms from detected to fitted corners"),
             ("focal length", f"{fx:.1f}, {fy:.1f} px ± {100 * fit.focal_std:.2g} %"),
             ("principal point", f"{cx:.1f}, {cy:.1f} px of {lens.size[0]} × {lens.size[1]}"),
             ("distortion", f"{', '.join(f'{k:.4g}' for k in lens.distortion)} ({lens.model})"),
-            ("coverage", f"{100 * fit.coverage:.0f} % of the picture; scale at its corners {rim}"),
+            ("coverage", f"{100 * fit.coverage:.0f} % of the image; scale at its corners {rim}"),
         ]
     )

@@ -11,29 +11,29 @@ if TYPE_CHECKING:
 
 # Name → module and the line of the overview. The module is imported when its command runs, which keeps `--help` quick.
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("demo", "A complete run on a recording that it makes itself; under a minute."),
-    "simulate": ("simulate", "Write a recording folder with its truth; --list names the scenarios."),
-    "init": ("init", "Write a recording.toml for an accelerometer's file and a video."),
-    "inspect": ("inspect", "What is in a recording or a file: streams, rates, gaps, units, overlap."),
-    "calibrate": ("calibrate", "Scale factor, clock offset and noise, written to calibration.json."),
+    "demo": ("demo", "A complete run on a simulated recording; under a minute."),
+    "simulate": ("simulate", "Simulate a recording with known truth; --list shows the scenarios."),
+    "init": ("init", "Write a recording.toml for an accelerometer file and a video."),
+    "inspect": ("inspect", "Check a recording or a file: streams, rates, gaps, units, overlap."),
+    "calibrate": ("calibrate", "Estimate scale factor, clock offset and noise; write calibration.json."),
     "estimate": (
         "estimate",
-        "The main job: displacement in mm at the accelerometer's rate, of a recording or two files.",
+        "Displacement in mm at the accelerometer's rate, from a recording or two files.",
     ),
     "track": ("track", "Camera alone: translation of a target in pixels, frame by frame."),
-    "lens": ("lens", "A camera's lens from pictures of a checkerboard, for [camera.lens]."),
-    "compare": ("compare", "A result against a reference: RMSE, bias, correlation, lag."),
+    "lens": ("lens", "Calibrate a lens from checkerboard images, for [camera.lens]."),
+    "compare": ("compare", "Compare a result with a reference: RMSE, bias, correlation, lag."),
     "spectrum": ("spectrum", "Natural frequencies of a result, with damping and standard deviations."),
-    "open": ("open", "The page over recordings: look, draw the region, calibrate, estimate, compare, export."),
-    "run": ("run", "Live: sources to estimates to store, page and MQTT."),
-    "serve": ("serve", "The page and the REST interface over a store."),
+    "open": ("open", "Recordings in the browser: inspect, draw the region, calibrate, estimate, compare, export."),
+    "run": ("run", "Run a live site: from sources to store, page and MQTT."),
+    "serve": ("serve", "Serve the page and the REST interface of a store."),
     "access": ("access", "Users and tokens of a store's page."),
-    "store": ("store", "Look through a store, mend it, save it while it runs."),
-    "replay": ("replay", "Play a recording through a live point into a store."),
-    "export": ("export", "Rows of a store as a result file, or a result in another format."),
-    "formats": ("formats", "What can be read and written."),
+    "store": ("store", "Check, repair or back up a store."),
+    "replay": ("replay", "Replay a recording through a live point into a store."),
+    "export": ("export", "Export rows of a store, or convert a result to another format."),
+    "formats": ("formats", "File formats that midspan reads and writes."),
     "methods": ("methods", "Trackers and fusion methods, and when to use each."),
-    "papers": ("papers", "The papers' experiments repeated in simulation: their figures next to ours."),
+    "papers": ("papers", "Repeat the papers' experiments in simulation and compare the figures."),
     "check-config": ("check_config", "Validate a recording.toml or a SITE.toml without running it."),
     "help": ("help", "Explain a command, a section of the settings' files, or a key."),
 }
@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
 
         code = supervised(lambda: run(given))
     except KeyboardInterrupt:
-        sys.stderr.write("midspan: interrupted; nothing half-written was left.\n")
+        sys.stderr.write("midspan: interrupted; no partial files were left.\n")
         code = 130
     sys.exit(code)
 
@@ -67,7 +67,7 @@ def run(arguments: list[str]) -> int:
     try:
         os.getcwd()
     except FileNotFoundError:
-        text = 'the current folder no longer exists; it was replaced or removed. Change into it anew: `cd "$PWD"`.'
+        text = 'the current folder no longer exists; it was replaced or removed. Enter it again: `cd "$PWD"`.'
         return _explain(arguments, text, 2, None)
     # An argument that, as a path, holds a name that no file can have.
     names = ((given, os.fsencode(name)) for given in arguments for name in given.split("/"))
@@ -85,7 +85,7 @@ def run(arguments: list[str]) -> int:
     except MidspanError as error:
         return _explain(arguments, str(error), error.exit_code, None)
     except (KeyboardInterrupt, click.Abort):
-        click.echo("midspan: interrupted; nothing half-written was left.", err=True)
+        click.echo("midspan: interrupted; no partial files were left.", err=True)
         return 130
     except MemoryError:
         return _explain(arguments, "not enough memory for this. Use a shorter recording.", 3, None)

@@ -6,10 +6,10 @@ from midspan.cli.console import Console, common_options
 
 
 @click.command("methods")
-@click.option("--papers", is_flag=True, help="The papers: tracker, method, options and command of each.")
+@click.option("--papers", is_flag=True, help="List the papers: tracker, method, options and command of each.")
 @common_options
 def command(papers: bool, quiet: bool, as_json: bool) -> None:
-    """Trackers and fusion methods, and when to use each; or the papers that they are from."""
+    """List trackers and fusion methods with their use, or the papers behind them."""
     from midspan.fusion.methods import DEFAULT_METHOD, METHODS
     from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 
@@ -23,7 +23,7 @@ def command(papers: bool, quiet: bool, as_json: bool) -> None:
         console.say(f"{title} (default: {default}):")
         console.table(table.items())
         console.say()
-    console.say("`midspan methods --papers` says which paper is which; `midspan estimate --method all` compares them.")
+    console.say("`midspan methods --papers` lists the papers; `midspan estimate --method all` compares the methods.")
     console.document(
         {
             "trackers": trackers,
@@ -51,7 +51,7 @@ def _show_papers(console: Console) -> None:
         )
         console.say()
     console.say(
-        "Without --literal a method has the guards of midspan: outliers, gaps, bias, a band that holds the errors."
+        "Without --literal midspan also handles outliers, gaps and bias, and states a band that contains the errors."
     )
     console.document(
         {

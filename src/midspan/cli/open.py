@@ -18,14 +18,16 @@ REDIRECT = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" cont
 
 @click.command("open")
 @click.argument("recording")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1; left out: a free one.")
-@click.option("--no-browser", is_flag=True, help="Print the link alone.")
-@click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1. Default: a free one.")
+@click.option("--no-browser", is_flag=True, help="Only print the link.")
+@click.option(
+    "--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds to run. Default: until stopped."
+)
 @common_options
 def command(recording: str, port: int, no_browser: bool, for_s: float | None, quiet: bool, as_json: bool) -> None:
-    """The page over a recording, or over a folder of them: look, draw the region, calibrate, estimate, compare, export.
+    """Open recordings in the browser: inspect, draw the region, calibrate, estimate, compare, export.
 
-    This machine alone is served, by the printed link, which works once; Enter prints another, Ctrl-C ends.
+    Only this machine can connect, by the printed link, which works once. Enter prints another, Ctrl-C stops.
     """
     import asyncio
     from tempfile import TemporaryDirectory
@@ -39,7 +41,7 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
 
     console = Console(quiet, as_json)
     if not PAGE.is_dir():
-        console.warn(["The page is not built: `make page` builds it."])
+        console.warn(["The page is not built. Run `make page`."])
     files = [file.absolute() for file in recordings_at(Path(recording))]
     more_descriptors()
 
@@ -55,7 +57,7 @@ def command(recording: str, port: int, no_browser: bool, for_s: float | None, qu
             def ready() -> None:
                 address = link()
                 console.document({"recordings": [str(file.parent) for file in files], "address": address})
-                console.say(f"page: {address}\nThis link works once; Enter prints another, Ctrl-C ends.")
+                console.say(f"page: {address}\nThis link works once. Enter prints another, Ctrl-C stops.")
                 sys.stdout.flush()
                 if not no_browser:
                     _browse(link(), folder, console)
@@ -82,7 +84,7 @@ def _browse(address: str, folder: Path, console: Console) -> None:
 
     def begin() -> None:
         if not webbrowser.open(file.as_uri()):
-            console.say("There is no browser here: open the link in one.")
+            console.say("No browser found. Open the link in one.")
 
     # A browser of a terminal lasts until it is left.
     threading.Thread(target=begin, daemon=True).start()

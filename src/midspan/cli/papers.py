@@ -20,13 +20,13 @@ LATENCY_S = 30.0
 
 
 @click.command("papers")
-@click.option("--only", type=click.Choice(sorted(paper.key for paper in PAPERS)), help="One paper; left out: all.")
+@click.option("--only", type=click.Choice(sorted(paper.key for paper in PAPERS)), help="One paper. Default: all.")
 @click.option("--quick", is_flag=True, help="One seed, short records: two minutes.")
-@click.option("--seeds", type=click.IntRange(min=1), help="Draws of everything random.  [default: 3; 1 with --quick]")
+@click.option("--seeds", type=click.IntRange(min=1), help="Number of random seeds.  [default: 3; 1 with --quick]")
 @click.option("--report", type=click.Path(), help="Also write a page with the figures (.html, .md).")
 @common_options
 def command(only: str | None, quick: bool, seeds: int | None, report: str | None, quiet: bool, as_json: bool) -> None:
-    """Repeat the papers' experiments in simulation: what they print, as printed here, our default, their claims.
+    """Repeat the papers' experiments in simulation: published figures, printed method, our default, claims.
 
     Each claim is an inequality of measured numbers, judged on the mean of the seeds.
     """
@@ -91,11 +91,11 @@ def _report_file(report: str | None) -> Path | None:
         raise click.UsageError(f"--report must end in .html or .md; received {report!r}. Give one of these endings.")
     if not path.parent.is_dir():
         raise click.UsageError(
-            f"--report {report}: the folder {path.parent} does not exist. Make it or choose another."
+            f"--report {report}: the folder {path.parent} does not exist. Create it or choose another."
         )
     pictures = path.parent / "images"
     if path.is_dir() or not os.access(path.parent, os.W_OK):
-        raise click.UsageError(f"--report {report}: cannot be written there. Choose another file or folder.")
+        raise click.UsageError(f"--report {report}: is not writable. Choose another file or folder.")
     if path.suffix == ".md" and pictures.exists() and not pictures.is_dir():
         raise click.UsageError(
             f"--report {report}: the figures need a folder {pictures}, which is a file. Move it away."
@@ -120,6 +120,6 @@ def _counted(rows: "list[Row]") -> str:
     verdicts = ", ".join(f"{sum(row.verdict is verdict for row in rows)} {verdict.value}" for verdict in Verdict)
     compared = [row for row in rows if row.compared]
     return (
-        f"{verdicts}; our default errs more than a method as printed in {sum(row.worse for row in compared)} of "
-        f"{len(compared)} rows"
+        f"{verdicts}; our default has a larger error than the printed method in {sum(row.worse for row in compared)} "
+        f"of {len(compared)} rows"
     )

@@ -55,7 +55,7 @@ def supervised(command: "Callable[[], int]") -> int:
     except Stopped as stopped:
         _use(before, signal.SIG_IGN)
         name = "interrupted" if stopped.number == signal.SIGINT else f"stopped by {signal.Signals(stopped.number).name}"
-        _say(f"midspan: {name}; nothing half-written was left.")
+        _say(f"midspan: {name}; no partial files were left.")
         code = _BY_SIGNAL + stopped.number
     except OutputError as failed:
         broken = failed.error.errno == errno.EPIPE

@@ -12,17 +12,29 @@ from midspan.papers.published import PAPER_KEYS
 
 @click.command("replay")
 @click.argument("recording", type=click.Path())
-@click.option("-o", "--output", "store", required=True, help="Store: a folder, or postgresql://…; made where missing.")
-@click.option("--point", help="Name of the point; left out: the recording's name.")
-@click.option("--speed", type=click.FloatRange(0.0, 1e6, min_open=True), help="Times real time; left out: no waiting.")
-@click.option("-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration; left out: calibrate.")
-@click.option("--method", help="Any method but smoother.  [default: kalman]")
-@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed.")
-@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Everything as one paper has it.")
-@click.option("--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="End after this many s of it.")
+@click.option("-o", "--output", "store", required=True, help="Store: a folder or postgresql://…; created if missing.")
+@click.option("--point", help="Name of the point. Default: the recording's name.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.0, 1e6, min_open=True),
+    help="Speed relative to real time. Default: as fast as possible.",
+)
+@click.option(
+    "-c",
+    "--calibration",
+    "calibration_file",
+    type=click.Path(),
+    help="Calibration to use. Default: calibrate this recording.",
+)
+@click.option("--method", help="Method other than smoother.  [default: kalman]")
+@click.option("--literal", is_flag=True, help="Method, calibration and tracker as printed in the papers.")
+@click.option("--paper", type=click.Choice(PAPER_KEYS), help="Tracker, calibration, method and keys of one paper.")
+@click.option(
+    "--for", "length_s", type=click.FloatRange(0.0, min_open=True), help="Stop after this many s of the recording."
+)
 @common_options
 def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Play a recording through a live point into a store: the rows are those of `estimate` with the same method."""
+    """Replay a recording through a live point into a store; the rows equal those of `estimate` with the same method."""
     console = Console(quiet, as_json)
     from midspan.checks import option
     from midspan.cli.estimate import open_with

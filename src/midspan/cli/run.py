@@ -9,11 +9,13 @@ from midspan.cli.process import stop_by_signals
 
 @click.command("run")
 @click.argument("site", type=click.Path())
-@click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")
-@click.option("--serve/--no-serve", default=True, help="Whether page and interface are served, on [service] listen.")
+@click.option(
+    "--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds to run. Default: until stopped."
+)
+@click.option("--serve/--no-serve", default=True, help="Serve page and REST interface on [service] listen.")
 @common_options
 def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: bool) -> None:
-    """Run a live site, a SITE.toml or the folder that holds it: sources to estimates to the store, the page and MQTT.
+    """Run a live site (SITE.toml or its folder): estimate from live sources; write to store, page and MQTT.
 
     The first start makes the user `admin` and prints its password once (not with --quiet).
     """
@@ -48,5 +50,5 @@ def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: b
         # A crash of the interpreter says where every thread was.
         faulthandler.enable(sys.__stderr__)
     last = asyncio.run(main())
-    say("stopped; everything that came is kept.")
+    say("stopped; all received data are stored.")
     console.document(last)

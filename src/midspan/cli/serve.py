@@ -11,15 +11,19 @@ from midspan.cli.process import stop_by_signals
 
 @click.command("serve")
 @click.argument("store")
-@click.option("--listen", default="127.0.0.1:8080", show_default=True, help="HOST:PORT; other hosts need TLS.")
-@click.option("--tls-cert", type=click.Path(exists=True, dir_okay=False), help="Certificate (PEM), with its chain.")
+@click.option(
+    "--listen", default="127.0.0.1:8080", show_default=True, help="HOST:PORT; an address other than loopback needs TLS."
+)
+@click.option("--tls-cert", type=click.Path(exists=True, dir_okay=False), help="Certificate (PEM) with its chain.")
 @click.option("--tls-key", type=click.Path(exists=True, dir_okay=False), help="Its key (PEM).")
-@click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")
+@click.option(
+    "--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds to run. Default: until stopped."
+)
 @common_options
 def command(
     store: str, listen: str, tls_cert: str | None, tls_key: str | None, for_s: float | None, quiet: bool, as_json: bool
 ) -> None:
-    """Serve page and REST interface over a store: what is kept, and what `midspan run` measures there now.
+    """Serve the page and the REST interface of a store: stored rows, and live rows of a running `midspan run`.
 
     The first start makes the user `admin` and prints its password once (not with --quiet).
     """
@@ -34,7 +38,7 @@ def command(
     console = Console(quiet, as_json)
     require_service(listen, tls_cert, tls_key, "--listen")
     if not is_store(store):
-        raise DataError(f"{store}: is no store. `midspan run` and `midspan replay` make one.")
+        raise DataError(f"{store}: is not a store. `midspan run` and `midspan replay` create one.")
     paths = [None if one is None else Path(one) for one in (tls_cert, tls_key)]
     settings = ServeSettings(store, None, paths[0], paths[1])
     more_descriptors()

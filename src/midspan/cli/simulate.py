@@ -14,9 +14,9 @@ from midspan.cli.console import Console, common_options
     "breaks",
     multiple=True,
     metavar="NAME[,NAME…]",
-    help="Break the model on purpose, as --list names; the truth stays.",
+    help="Violate the model in a way that --list names; the truth is unchanged.",
 )
-@click.option("--list", "listed", is_flag=True, help="Name the scenarios and breaks.")
+@click.option("--list", "listed", is_flag=True, help="List scenarios and breaks.")
 @common_options
 def command(
     scenario: str | None,
@@ -55,6 +55,6 @@ def command(
     console.done()
     console.say(f"{folder}: {names[scenario]}")
     if free := chosen_here(scenario):
-        console.say(f"The paper does not print, and is chosen here: {free}.")
+        console.say(f"Not printed in the paper, chosen here: {free}.")
     document = {"folder": str(folder), "scenario": scenario, "seed": seed}
     console.document(document | ({"broken": wanted} if wanted else {}))

@@ -12,14 +12,14 @@ _HEADER = "frequency_hz,density_mm2_hz"
 
 @click.command("spectrum")
 @click.argument("result", type=click.Path())
-@click.option("--axis", type=click.Choice(["x", "y"]), help="Axis of a result that has both.")
-@click.option("--unit", help="Unit, where the file does not say.")
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a two-axis result.")
+@click.option("--unit", help="Unit, if the file has none.")
 @click.option("-o", "--output", type=click.Path(), help="Write frequency and density as CSV.")
 @common_options
 def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> None:
-    """The spectrum of a displacement: natural frequencies with damping and their standard deviations.
+    """Natural frequencies of a displacement, with damping and standard deviations.
 
-    Each peak beyond chance is fitted as an oscillator under white force by Whittle's likelihood.
+    Each significant peak is fitted by Whittle's likelihood as an oscillator driven by white noise.
     """
     from midspan.evaluate.result_file import read_result
     from midspan.evaluate.spectrum import spectrum
@@ -30,12 +30,12 @@ def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> N
     found = spectrum(read_result(result, options["unit"], options["axis"]).series)
     for mode in found.modes:
         damping = f"damping {100 * mode.damping:6.2f} ± {100 * mode.damping_std:.2f} %"
-        known = damping if math.isfinite(mode.damping) else "a tone, or no single mode"
+        known = damping if math.isfinite(mode.damping) else "a tone or several modes"
         console.say(
             f"  {mode.frequency_hz:9.4f} ± {mode.frequency_std_hz:.4f} Hz   {known:25}   {mode.rms_mm:.3g} mm rms"
         )
     if not found.modes:
-        console.say("No peak stands out of the spectrum beyond chance.")
+        console.say("The spectrum has no significant peak.")
     written = None
     if target:
         lines = [_HEADER]
@@ -52,5 +52,5 @@ def _target(output: str) -> Path:
     if path.suffix.lower() != ".csv":
         raise click.UsageError(f"-o {path}: the suffix must be .csv.")
     if path.is_file() and not path.read_bytes().startswith(_HEADER.encode()):
-        raise click.UsageError(f"-o {path}: is no spectrum and is not overwritten. Choose another name.")
+        raise click.UsageError(f"-o {path}: is not a spectrum and is not overwritten. Choose another name.")
     return path

@@ -15,17 +15,17 @@ ACTIONS = ("check", "repair", "backup")
 @click.argument("target", metavar="[FILE]", required=False, type=click.Path())
 @common_options
 def command(store: str, action: str, target: str | None, quiet: bool, as_json: bool) -> None:
-    """Look through a store, mend it, or save it while it is written.
+    """Check, repair or back up a store; backup works while it is written.
 
-    check: all pages, chunks, logs and checkpoints; exit code 3 where something is damaged. repair: what can be read
-    is put in place of what is damaged; no process may write the store meanwhile. backup: a copy as the folder FILE,
-    which is a store as well, or as FILE.tar.
+    check: all pages, chunks, logs and checkpoints; exit code 3 if anything is damaged. repair: replace
+    damaged files by their readable parts; stop `midspan run` first. backup: a copy as the folder FILE, which is a
+    store as well, or as FILE.tar.
     """
     from midspan.store import upkeep
 
     if (action == "backup") != (target is not None):
         raise click.UsageError(
-            "FILE: is missing with backup." if target is None else f"FILE: is left out with {action}."
+            "FILE: is missing; backup needs one." if target is None else f"FILE: must not be given with {action}."
         )
     console = Console(quiet, as_json)
     if action == "check":
@@ -37,7 +37,7 @@ def command(store: str, action: str, target: str | None, quiet: bool, as_json: b
         console.table([*((name, str(number)) for name, number in numbers.items()), ("faults", str(len(faults)))])
         console.document({**numbers, "faults": faults})
         if faults:
-            console.say("`midspan store STORE repair` mends what can be mended.")
+            console.say("`midspan store STORE repair` repairs what is readable.")
             raise click.exceptions.Exit(3)
     elif action == "repair":
         done = upkeep.repair(store)

@@ -36,7 +36,7 @@ def check_result(output: str | Path, *recordings: Recording, option: str = "-o")
     for target in written:
         _refuse_kept(f"{option} {output}", target, owners, calibrations)
     known = _keys(partner(path)) >= _METADATA and not _keys(partner(path)) >= _LENS if pair else _is_marked(path)
-    kind = f"not a result (one has a {partner(path).name} of midspan's)" if pair else "no file of midspan's"
+    kind = f"not a midspan result (which has a {partner(path).name})" if pair else "no file of midspan's"
     for target in written:
         _refuse_foreign(f"{option} {output}", target, kind, known=known)
     return path
@@ -48,7 +48,7 @@ def require_place(option: str, path: Path, suffixes: tuple[str, ...], what: str)
         raise click.UsageError(f"{option} {path}: the {what}'s suffix must be one of {', '.join(suffixes)}.")
     folder = path.absolute().parent
     if not folder.is_dir():
-        raise click.UsageError(f"{option} {path}: the folder {folder} does not exist; make it first.")
+        raise click.UsageError(f"{option} {path}: the folder {folder} does not exist. Create it first.")
 
 
 def check_picture(output: str | Path, option: str, *recordings: Recording) -> Path:
@@ -76,7 +76,7 @@ def check_store(where: str) -> None:
     """Refuse a store in the place of anything else: in a recording's own folder, or of a file."""
     path = Path(where)
     if not is_address(where) and (path / RECORDING_FILE).is_file():
-        raise click.UsageError(f"-o {where}: is a recording's folder. Give a folder of its own for the store.")
+        raise click.UsageError(f"-o {where}: is a recording's folder. Choose another folder for the store.")
     if not is_address(where) and path.exists() and not path.is_dir():
         raise click.UsageError(f"-o {where}: is a file. Give a folder for the store.")
 

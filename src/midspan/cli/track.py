@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 
 @click.command("track")
 @click.argument("source", type=click.Path())
-@click.option("--roi", type=RegionType(), help="Region of interest, px; left out: the recording's, else chosen.")
+@click.option(
+    "--roi", type=RegionType(), help="Region of interest, px. Default: the recording's, else selected automatically."
+)
 @click.option("--tracker", help="Tracker; see `midspan methods`.")
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
-@click.option("--rate-hz", type=float, help="Frames a second, where there are no stamps.")
+@click.option("--rate-hz", type=float, help="Frame rate, Hz, if the file has no time stamps.")
 @click.option("--start-s", type=float, default=0.0, help="Time of the first frame, s.")
-@click.option("-o", "--output", required=True, type=click.Path(), help="Table to write; the suffix is the format.")
+@click.option("-o", "--output", required=True, type=click.Path(), help="Table to write; the suffix selects the format.")
 @common_options
 def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Translation of a target in pixels (x right, y down) for each frame: camera alone, no accelerometer needed.
@@ -41,7 +43,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     if Path(source).name == RECORDING_FILE or (Path(source) / RECORDING_FILE).is_file():
         check_result(output, open_recording(source))
         if options["rate_hz"] is not None or options["start_s"]:
-            raise click.UsageError("--rate-hz and --start-s: a recording says these itself, in [camera].")
+            raise click.UsageError("--rate-hz and --start-s: for a recording set these keys in [camera].")
     else:
         check_result(output)
     if options["rate_hz"] is not None:

@@ -33,7 +33,7 @@ from midspan.signals.health import (
 
 # Samples already given out that are still looked at: a run counts as reached gently by the five steps before it.
 CONTEXT = 6
-SPIKE_TEXT = "samples far beyond all others and their neighbours are left out."
+SPIKE_TEXT = "spike samples, neighbours included, are left out."
 
 
 @dataclass(frozen=True, slots=True)

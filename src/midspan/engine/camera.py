@@ -78,7 +78,7 @@ class TargetChain:
         try:
             self._core.restore(state.core.tobytes())
         except ValueError as error:
-            raise DataError(f"A target's state must be one of this program; received {error}.") from None
+            raise DataError(f"A target's state must come from this version of midspan; received {error}.") from None
         self.tracker.restore(state.tracker)
 
     def restart(self, tracker: Any) -> None:

@@ -98,7 +98,7 @@ def from_bytes(data: bytes, kind: type[State]) -> State:
     """
     start = len(MAGIC) + HEAD.size + DIGEST_BYTES
     if len(data) < start or not data.startswith(MAGIC):
-        raise _refuse(f"{len(data)} bytes that do not begin as one")
+        raise _refuse(f"{len(data)} bytes without the header of a checkpoint")
     head = data[len(MAGIC) : len(MAGIC) + HEAD.size]
     version, length = HEAD.unpack(head)
     if version != VERSION:
@@ -130,7 +130,9 @@ def _digest(head: bytes, rest: bytes) -> bytes:
 
 
 def _refuse(received: str) -> DataError:
-    return DataError(f"A checkpoint must be a whole one of this program; received {received}. Start without it.")
+    return DataError(
+        f"A checkpoint must be complete and come from this version of midspan; received {received}. Start without it."
+    )
 
 
 def _order(array: NDArray[Any]) -> Any:

@@ -55,7 +55,7 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
         return Begun(skipped, reason, _closing(source.frames(first + skipped, last)))
     for skipped, frame in enumerate(islice(chain((opening,), frames), MAX_SKIPPED)):
         if not _core.is_dark(np.asarray(frame.pixels), 1):
-            reported = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
+            reported = f"the first {skipped} frames are dark and were skipped; the zero is at the first bright frame"
             return Begun(skipped, reported if skipped else "", _closing(chain((frame,), frames)))
     return Begun(0, "", _closing(source.frames(first, last)))
 
@@ -84,11 +84,11 @@ def _unusable_temperatures(
         reported.append(f"the first {closed} frames show a closed shutter or a cover")
     if covered:
         which = "then" if reported else "the first"
-        reported.append(f"{which} {covered} frames show something else over {100.0 * share:.0f} % of a target")
+        reported.append(f"{which} {covered} frames have {100.0 * share:.0f} % of a target occluded")
     text = " and ".join(reported)
     return (
         closed + covered,
-        f"{text}; they were skipped, and the zero is at the first frame after them" if reported else "",
+        f"{text}; they were skipped; the zero is at the next frame" if reported else "",
     )
 
 

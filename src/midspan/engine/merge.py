@@ -151,8 +151,10 @@ class Merge:
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
             silent, stream.heard_ns, stream.out = out and not stream.out, heard_ns, out
             if silent:
-                came = "nothing came" if stream.fault in (GOOD, LATE) else "no record with a usable stamp came"
-                text = f"{came} for {silent_ns / NANOSECONDS:.3g} s; the others no longer wait."
+                came = (
+                    "nothing arrived" if stream.fault in (GOOD, LATE) else "no record with a usable time stamp arrived"
+                )
+                text = f"{came} for {silent_ns / NANOSECONDS:.3g} s; the other streams no longer wait."
                 self._tell(number, "silent", f"{stream.name}: {text}")
 
     def _arrive(self, number: int, arrival: Arrival) -> None:
@@ -161,7 +163,7 @@ class Merge:
         lost = 0 if stream.sequence is None else max(arrival.sequence - stream.sequence - 1, 0)
         if lost:
             stream.lost += lost
-            self._tell(number, "lost", f"{stream.name}: {lost} records were lost on their way.")
+            self._tell(number, "lost", f"{stream.name}: {lost} records were lost in transmission.")
         stream.sequence = arrival.sequence
         if isinstance(record, Event):
             self._tell(number, record.kind, record.text)
@@ -273,7 +275,7 @@ class Merge:
         """Note a stream's newest stamp, and how many records of it are used; one that was out is back."""
         stream = self._streams[number]
         if stream.out:
-            self._tell(number, "returned", f"{stream.name}: records come again.")
+            self._tell(number, "returned", f"{stream.name}: records arrive again.")
         stream.newest_ns, stream.heard_ns, stream.out, stream.fault = newest_ns, self._now_ns, False, fault
         stream.used, stream.elsewhere, stream.pause_ns = stream.used + used, None, 0
 
@@ -282,16 +284,16 @@ class Merge:
         if code == AHEAD:
             ahead_s = (time_ns - (self._streams[0].newest_ns or 0)) / NANOSECONDS
             first = "those before" if number == 0 else f"those of {self._streams[0].name}"
-            return f"stamps are {ahead_s:.3g} s ahead of {first}; records are left out. Check its clock."
+            return f"time stamps are {ahead_s:.3g} s ahead of {first}; the records are left out. Check its clock."
         if code == LATE:
             late_s = ((self._released_ns or 0) - time_ns) / NANOSECONDS
-            return f"a record came {late_s:.3g} s after its time was given out; it is left out."
+            return f"a record arrived {late_s:.3g} s after the rows of its time were output; it is left out."
         if code == DOUBLED:
-            return "a stamp came twice; the second record is left out."
+            return "two records have the same time stamp; the second is left out."
         if code == IMPOSSIBLE:
-            return f"a stamp of {time_ns} ns is no time; the record is left out."
-        until = "until it is newer than all before or shows that the clock was set"
-        return f"time runs backwards by {(newest_ns - time_ns) / NANOSECONDS:.3g} s; each record is left out {until}."
+            return f"a time stamp of {time_ns} ns is outside the valid range; the record is left out."
+        until = "until they are newer than all before or show that the clock was set"
+        return f"time runs backwards by {(newest_ns - time_ns) / NANOSECONDS:.3g} s; records are left out {until}."
 
     def _tell(self, number: int, kind: str, text: str) -> None:
         """Put an event behind what waits in its stream."""

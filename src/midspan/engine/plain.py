@@ -143,7 +143,7 @@ class PlainChain:
         held = at_limits(value, known.low_m, known.high_m)
         begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
         self.state = replace(state, clipped=bool(held[-1]))
-        text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."
+        text = f"{known.name}: clipped at {{:.6g}} mm, the end of its range; these values are left out."
         ends = [Event(int(time_ns[k]), "clipped", text.format(1e3 * value[k])) for k in begins]
         time_ns, value = time_ns[~held], value[~held]
         used, found = self._moving(time_ns, value) if len(value) else (held[:0], [])
@@ -170,7 +170,7 @@ class PlainChain:
             start, stop = int(edges[k]), int(edges[k + 1])
             if fresh[start]:
                 if run.stuck:
-                    text = f"{run.count} values are all {1e3 * run.value:.6g} mm while the structure moved"
+                    text = f"{run.count} values were frozen at {1e3 * run.value:.6g} mm while the structure moved"
                     text = f"{self.settings.name}: {text}; {run.left_out} were left out."
                     events.append(Event(int(run.time_ns[-1]), "released", text))
                 run = EqualRun(float(value[start]), time_ns[:0], 0, MIN_EQUAL, int(time_ns[start]))
@@ -195,7 +195,9 @@ class PlainChain:
         if not newly:
             return run, []
         begun_ns = int(time_ns[-left_out])
-        text = f"the value has been {1e3 * run.value:.6g} mm for {(begun_ns - run.since_ns) / NANOSECONDS:.3g} s"
+        text = (
+            f"the value has been frozen at {1e3 * run.value:.6g} mm for {(begun_ns - run.since_ns) / NANOSECONDS:.3g} s"
+        )
         text = f"{text} while the structure moved; it is left out until it changes."
         return run, [Event(begun_ns, "frozen", f"{self.settings.name}: {text}")]
 

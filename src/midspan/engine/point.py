@@ -75,14 +75,14 @@ class Support:
                 if code == Status.TRACKING:
                     if now.reported:
                         lasting_s = (time_ns - now.since_ns) / NANOSECONDS
-                        text = f"the acceleration alone carried them for {lasting_s:.1f} s."
+                        text = f"for {lasting_s:.1f} s they were predicted from the acceleration alone."
                         events.append(Event(time_ns, "seen", f"Measurements support the rows again; {text}"))
                     now = Support(Status.TRACKING)
                     continue
                 alone = now.status in (Status.COASTING, Status.LOST)
                 now = Support(Status(code), now.since_ns if alone else time_ns, now.reported)
                 if code == Status.LOST and not now.reported:
-                    text = f"from {shown(now.since_ns)} on: the acceleration alone carries them."
+                    text = f"from {shown(now.since_ns)} on: they are predicted from the acceleration alone."
                     events.append(Event(now.since_ns, "lost", f"No measurement supports the rows {text}"))
                     now = replace(now, reported=True)
             out.append(replace(rows, events=(*rows.events, *events)) if events else rows)

@@ -256,7 +256,7 @@ class _Follower:
         if state.unseen_ns < 0:
             state.unseen_ns = time_ns
         if not state.reported and time_ns - state.unseen_ns >= MIN_REPORTED_S * NANOSECONDS:
-            text = "no frame arrives that is whole and free of interference" if kind == "lost frames" else "is not seen"
+            text = "no complete frame without interference arrives" if kind == "lost frames" else "not visible"
             state.reported, events = True, (Event(state.unseen_ns, kind, f"{self.name}: {text} from here on."),)
         sure = state.first is None and base[1] < UNSURE_RAD2
         common = state.lost_rad2 + state.doubt_rad2
@@ -268,7 +268,7 @@ class _Follower:
         state = self.state
         if state.reported:
             lasting_s = (time_ns - state.unseen_ns) / NANOSECONDS
-            events.insert(0, Event(time_ns, "seen", f"{self.name}: is seen again after {lasting_s:.1f} s."))
+            events.insert(0, Event(time_ns, "seen", f"{self.name}: visible again after {lasting_s:.1f} s."))
         state.unseen_ns, state.reported = -1, False
         white = seen.variance_rad2 + self.white_rad2
         common = state.lost_rad2 + state.doubt_rad2 + self._own_motion(time_ns)
@@ -342,8 +342,8 @@ class _Follower:
             state.astray_ns = time_ns
         lost = 0.0 if base[1] < UNSURE_RAD2 else base[1]
         if refuted and not state.refuted:
-            text = "the accelerometer does not explain its phase; it is unwrapped without it from here on."
-            events.append(Event(time_ns, "contradiction", f"{self.name}: {text} Cycles may be lost unseen."))
+            text = "its phase contradicts the accelerometer and is unwrapped without it from here on."
+            events.append(Event(time_ns, "contradiction", f"{self.name}: {text} Cycle slips may go undetected."))
             # Before the estimator was found wrong, its predictions may have led the phase to another cycle.
             if state.astray_ns >= 0 and time_ns - state.astray_ns < MEMORY * self.item.period_s * NANOSECONDS:
                 lost = state.given_rad2
@@ -351,9 +351,9 @@ class _Follower:
             state.refuted = refuted
         if lost > 0.0 and state.before is None:
             known_mm = 1e3 * math.sqrt(lost) / (TURN * self.cycles_per_m)
-            text = f"The displacement is predicted to ± {known_mm:.3g} mm there (one standard deviation)."
+            text = f"The prediction has a standard deviation of {known_mm:.3g} mm there."
             events.append(
-                Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one. {text}")
+                Event(time_ns, "new datum", f"{self.name}: its phase cycle was lost; a new datum starts. {text}")
             )
         if lost > 0.0:
             self._doubt(lost)
@@ -367,8 +367,8 @@ class _Follower:
             state.gap = state.gap.met(seen.place_bin * self.cycles_per_bin - phase / TURN, phase)
             if state.before is not None and (cycles := self._verified(state.before)) is not None:
                 phase += TURN * cycles
-                text = "was right" if cycles == 0 else f"is corrected by {cycles:+d}"
-                events.append(Event(time_ns, "cycle", f"{self.name}: by its range the cycle after the outage {text}."))
+                text = f"corrects the cycle by {cycles:+d}" if cycles else "confirms the cycle"
+                events.append(Event(time_ns, "cycle", f"{self.name}: its range {text} after the outage."))
         return self._measured(time_ns, phase, seen, events)
 
     def _follow(self, time_ns: int, phase_rad: float, own: PhasePrediction) -> None:

@@ -39,7 +39,7 @@ EVENT_CODES = {
 # A target that is seen in a smaller share of the frames is reported.
 MIN_SEEN = 0.9
 # What to do where nothing was measured.
-SEEN = "Keep the target in sight, in the light, from the first to the last frame."
+SEEN = "Keep the target visible and lit in all frames."
 # Events of the radar that are warnings as well.
 REPORTED = ("new datum", "contradiction")
 
@@ -52,7 +52,7 @@ def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
         of_kind = [event for event in events if event.kind == kind]
         texts = _clock_texts(of_kind) if kind == "clock" else [event.text for event in of_kind]
         if len(texts) > MAX_WARNED:
-            texts[MAX_WARNED:] = [f"{len(texts) - MAX_WARNED} more such segments stand in the events."]
+            texts[MAX_WARNED:] = [f"The events list {len(texts) - MAX_WARNED} more."]
         found += [Notice(EVENT_CODES[kind], text) for text in texts]
     return found
 
@@ -67,10 +67,10 @@ def _clock_texts(events: Sequence[Event]) -> list[str]:
             continue
         name, steps_ns = sensor or "a sensor", [event.time_ns for event in steps]
         found.append(
-            f"The clocks of {name} and of the accelerometer run unevenly relative to each other: from "
-            f"{shown(min(steps_ns))} to {shown(max(steps_ns))} the time stamps were corrected {len(steps_ns)} times, "
-            "as where readings are stamped when they arrive (a delay that varies) or a clock is regulated over a "
-            "network. Take the stamps of the sensor's own clock. The events have each correction."
+            f"The clock of {name} runs unevenly relative to the accelerometer's: its time stamps were corrected "
+            f"{len(steps_ns)} times from {shown(min(steps_ns))} to {shown(max(steps_ns))}. Likely causes: time stamps "
+            "at arrival with a varying delay, or a clock set over a network. Use the sensor's own time stamps. The "
+            "events list each correction."
         )
     return found
 
@@ -85,8 +85,8 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Noti
     found = []
     rejected = rejected_share(innovation)
     if rejected > NOTABLE_REJECTED:
-        text = f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers. See the innovations in "
-        text += "the report: something passes before the target, or it moves on its own."
+        text = f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers. Check the innovations in "
+        text += "the report: the target was occluded or moves on its own."
         found.append(Notice("outliers", text))
     for status in (Status.COASTING, Status.LOST):
         own = rows.status == status
@@ -94,8 +94,8 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Noti
         if own.any() and (status is Status.LOST or held > NOTABLE_VARIANCE):
             share, widest = 100.0 * float(np.mean(own)), 1.96e3 * float(np.sqrt(np.max(rows.variance_m2[own])))
             text = (
-                f"{share:.2g} % of the rows{along} are {status.word}: no measurement supports them; they are known to "
-                f"± {widest:.3g} mm at worst (95 %). Keep the target in sight; the report shows when it was not."
+                f"{share:.2g} % of the rows{along} are {status.word} (no measurement): their 95 % band is up to ± "
+                f"{widest:.3g} mm. Keep the target visible; the report shows when it was not."
             )
             found.append(Notice(status.word, text))
     return found
@@ -114,8 +114,8 @@ def unmeasured_ends(
     ended = min(max(int(one[-1]) for one in stamps), int(sampled_ns[-1]))
     late_s, early_s = (first - begun) / NANOSECONDS, (ended - last) / NANOSECONDS
     span = f"{shown(begun)} to {shown(first)}"
-    late = [Notice("lost", f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late. {SEEN}")]
-    text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early. {SEEN}"
+    late = [Notice("lost", f"No measurement from {span}; the result begins {late_s:.1f} s late. {SEEN}")]
+    text = f"The target was lost from {shown(last)} to the end; the result ends {early_s:.1f} s early. {SEEN}"
     return (late if late_s > 1.0 else []) + ([Notice("lost", text)] if early_s > 1.0 else [])
 
 
@@ -124,14 +124,14 @@ def radar_warnings(log: RadarLog, of_source: Sequence[Notice]) -> list[Notice]:
     found = [*of_source]
     if log.lost:
         text = (
-            f"radar: {log.lost} frames ({100.0 * log.lost / log.frames:.2g} %) never arrived or hold interference: "
-            "more power in all range bins than usual. Check the network, and for other radars nearby."
+            f"radar: {log.lost} frames ({100.0 * log.lost / log.frames:.2g} %) are missing or have interference "
+            "(raised power in all range bins). Check the network and for other radars nearby."
         )
         found.append(Notice("radar-data", text))
     for item, used in zip(log.targets, log.used, strict=True):
         if used < MIN_SEEN * log.frames:
             share = 100.0 * used / log.frames
-            text = f"radar: the target {item.target.place} was seen in {share:.3g} % of frames only. "
-            text += "Aim at a target that nothing hides."
+            text = f"radar: the target {item.target.place} was visible in only {share:.3g} % of the frames. "
+            text += "Aim at an unobstructed target."
             found.append(Notice("radar-target", text))
     return found

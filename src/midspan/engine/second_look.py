@@ -48,8 +48,8 @@ def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
 def left_out_event(name: str, stamps: Nanoseconds) -> Event:
     """The event of a sensor's values at some stamps (k,) that are left out."""
     text = (
-        f"{name}: {len(stamps)} of its values, {shown(int(stamps[0]))} to {shown(int(stamps[-1]))}, contradict the "
-        "acceleration and the rest of its values, and are left out. It was stuck, or something passed in front of it."
+        f"{name}: {len(stamps)} values from {shown(int(stamps[0]))} to {shown(int(stamps[-1]))} contradict the "
+        "acceleration and its other values; they are left out. The sensor was stuck or occluded."
     )
     return Event(int(stamps[0]), "rejected", text)
 

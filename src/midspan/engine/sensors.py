@@ -45,10 +45,11 @@ MAX_STD_PX = 100.0
 # ones are what a codec or a shutter leaves out.
 LOST_S, LOST_INTERVALS = 3.0, 5.0
 TEXTS = {
-    "dark": "it is dark from {} on; nothing is measured with this camera.",
-    "frozen": "the picture does not change (frozen) from {} on; nothing is measured with this camera.",
-    "lost": "the target is lost from {} on; nothing is measured with this camera. Look at what stands in front of it, "
-    "and at its region.",
+    "dark": "dark from {} on; this camera measures nothing.",
+    "frozen": "frozen image from {} on; this camera measures nothing.",
+    "lost": (
+        "the target is lost from {} on; this camera measures nothing. Check for an obstruction and check its region."
+    ),
 }
 # Of a translation along an image axis: value, its variance and that of its reference.
 ALONG = {
@@ -124,7 +125,7 @@ class Unseen:
                 return replace(self, last_ns=time_ns, again_ns=time_ns), events
             if self.reported and self.since_ns is not None and self.again_ns is not None:
                 lasting_s = (self.again_ns - self.since_ns) / NANOSECONDS
-                text = f"{name}: the target is seen again; nothing was measured for {lasting_s:.1f} s."
+                text = f"{name}: the target is visible again; no measurement for {lasting_s:.1f} s."
                 events.append(Event(self.again_ns, "seen", text))
             return Unseen(time_ns), events
         reason, now = max(reasons), replace(self, last_ns=time_ns, again_ns=None)

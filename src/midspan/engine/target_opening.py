@@ -313,6 +313,6 @@ def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None
     low, high = np.percentile(celsius, (1.0, 99.0))
     raise refuse(
         "infrared.temperature_range_c",
-        f"a range in °C with the target's temperatures in it; in the first frame used they are {low:.4g} to {high:.4g}",
+        f"a range in °C that contains the target's temperatures, {low:.4g} to {high:.4g} in the first frame used",
         [levels.low_c, levels.high_c],
     )

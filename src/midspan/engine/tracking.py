@@ -166,8 +166,8 @@ class TargetTracking:
         """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy"."""
         found, chain = list[Notice](), self.chain
         if chain.frozen_frames:
-            text = f"{chain.frozen_frames} frames repeat the picture before them, or a part of it; they were not used. "
-            text += "Check the camera and its recorder; a converted or slow-motion film repeats frames, too."
+            text = f"{chain.frozen_frames} frames repeat the previous image or part of it and were not used. "
+            text += "Check camera and recorder; converted and slow-motion videos also repeat frames."
             found.append(Notice("frozen", f"camera: {text}"))
         if (picture := chain.picture) is not None:
             found += picture_warnings(picture, axes)
@@ -179,9 +179,9 @@ def light_warnings(light: LightReport) -> list[Notice]:
     if light.notable_ns is None:
         return []
     text = (
-        f"camera: from {shown(light.notable_ns)} on light has changed the target against its reference frame; its "
-        f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), which "
-        'the band holds. Take camera.reference = "key-frames".'
+        f"camera: from {shown(light.notable_ns)} on the light on the target differs from the reference frame; shading "
+        f"may shift the result by up to {math.sqrt(light.largest_px2):.2g} px (σ, included in the error band). Set "
+        'camera.reference = "key-frames".'
     )
     return [Notice("light-changed", text)]
 
@@ -345,9 +345,9 @@ class CameraTracking:
         if info.lossless is False and not compressed:
             # The codec may have lost what the frames themselves do not show.
             text = (
-                f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
-                "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
-                "Record raw or lossless where you can."
+                f"camera: the video is compressed ({info.codec}). Compression freezes parts of the image: motion of a "
+                "few hundredths of a pixel may be lost and the scale factor may be wrong by 1 % or more. Record raw "
+                "or lossless video."
             )
             compressed = [Notice(COMPRESSED, text)]
         return found + compressed
@@ -437,7 +437,7 @@ class StoredTracking(CameraTracking):
 
     def push(self, frame: Frame, predictions: object = None) -> tuple[PixelTranslation, ...]:
         """There is nothing to track with."""
-        raise DataError("A track holds what was found in frames; new frames cannot be tracked with it.")
+        raise DataError("A track contains results, not images; new frames cannot be tracked with it.")
 
     def take(self) -> None:
         """There are no further frames."""

@@ -335,14 +335,14 @@ def _explained(both: _Pair, agreements: tuple[Agreement, Agreement, Agreement | 
     contained_mm = 0.0 if both.band is None else 1.96e3 * both.band.zero_std_m
     if zero.rmse_mm < MOSTLY * plain.rmse_mm and abs(zero.zero_mm) > contained_mm:
         found.append(
-            f"The reference has another zero: the displacement is {zero.zero_mm:+.4g} mm from it on average. Without "
-            f"that the RMSE is {zero.rmse_mm:.4g} mm{_inside(zero)} (--align zero)."
+            f"The reference has another zero: the displacement is {zero.zero_mm:+.4g} mm from it on average. With "
+            f"aligned zeros the RMSE is {zero.rmse_mm:.4g} mm{_inside(zero)} (--align zero)."
         )
     if late is not None and late.rmse_mm < MOSTLY * zero.rmse_mm:
         which = "late" if late.late_s > 0 else "early"
         found.append(
-            f"The reference has another clock: the displacement is {1e3 * abs(late.late_s):.4g} ms {which}. Without "
-            f"that and without the zero the RMSE is {late.rmse_mm:.4g} mm{_inside(late)} (--align zero+lag)."
+            f"The reference has another clock: the displacement is {1e3 * abs(late.late_s):.4g} ms {which}. With "
+            f"aligned zero and lag the RMSE is {late.rmse_mm:.4g} mm{_inside(late)} (--align zero+lag)."
         )
     return tuple(found)
 
@@ -365,14 +365,14 @@ def _notes(estimate: TimeSeries, splines: Piecewise, error: Floats) -> tuple[str
     step = step_of(estimate.time_ns)
     if splines.step_s > 2.0 * step:
         found.append(
-            f"The reference has {1 / splines.step_s:.4g} values a second, the result {1 / step:.4g}: between its "
-            "values it is interpolated, which misses motion faster than about a quarter of its rate."
+            f"The reference has {1 / splines.step_s:.4g} values per second, the result {1 / step:.4g}: it is "
+            "interpolated and misses motion above about a quarter of its rate."
         )
     if len(splines.splines) > 1:
         count = len(splines.splines) - 1
         found.append(f"The reference has {count} {'gap' if count == 1 else 'gaps'}; nothing is compared there.")
     if len(error) < 0.5 * len(estimate.value):
-        found.append(f"Only {100 * len(error) / len(estimate.value):.3g} % of the result lie where the reference does.")
+        found.append(f"Only {100 * len(error) / len(estimate.value):.3g} % of the result overlaps the reference.")
     return tuple(found)
 
 

@@ -122,7 +122,7 @@ def read_reference(path: str | Path, unit: str | None = None, axis: str | None =
     if not recording.has("reference"):
         raise DataError(f"{recording.file}: has no [reference]. Add one, or name the reference's file itself.")
     if unit is not None:
-        raise UsageError(f"unit = {unit!r} goes with a file; {recording.file} names its own as reference.unit.")
+        raise UsageError(f"unit = {unit!r} applies to a file; for {recording.file} set reference.unit.")
     if axis is None or axis == recording.axis or not recording.axis:
         return recording.reference
     across = recording.reference_across

@@ -79,8 +79,8 @@ def spectrum(series: TimeSeries, *, max_modes: int = 6) -> Spectrum:
     segment = int(min(SEGMENT_S * rate_hz, len(value) / SEGMENTS))
     if segment < 2 * MIN_ORDINATES:
         raise DataError(
-            f"The displacement has {len(value)} rows, of which {SEGMENTS} segments of {2 * MIN_ORDINATES} or more are "
-            "needed for a spectrum. Give a longer record."
+            f"A spectrum needs {SEGMENTS} segments of {2 * MIN_ORDINATES} rows or more; the displacement has "
+            f"{len(value)} rows. Give a longer record."
         )
     frequency, density = welch(1e3 * value, rate_hz, segment)
     width_hz = rate_hz / segment
@@ -109,7 +109,7 @@ def _even(series: TimeSeries) -> tuple[float, Floats]:
     step_ns = float(np.median(np.diff(series.time_ns)))
     known = np.isfinite(series.value)
     if not known.any():
-        raise DataError("The displacement has no number. Check its column.")
+        raise DataError("The displacement has no numeric value. Check its column.")
     at_ns = np.arange(series.time_ns[0], series.time_ns[-1] + 1, step_ns)
     return NANOSECONDS / step_ns, np.interp(at_ns, series.time_ns[known], series.value[known])
 

@@ -25,40 +25,39 @@ OutputArrays = tuple[RowArrays | None, Sequence[InnovationArrays], Sequence[Repo
 
 # Of each code of a report the event's kind and text.
 TEXTS = (
-    ("late", "Measurements of {sensor} came too late and are left out."),
+    ("late", "Measurements of {sensor} arrived too late and are left out."),
     ("overflow", "More than {max_waiting} measurements wait for samples of acceleration; the oldest are left out."),
     (
         "rejected",
-        "{count} measurements in a row ({name}) were rejected over {lasting_s:.2f} s, the first {size_mm:.2f} mm off: "
-        "they contradict the other sensors. Something may have stood in front of the target, or the tracker held on to "
-        "something else.",
+        "{count} consecutive measurements of {name} were rejected over {lasting_s:.2f} s (first innovation "
+        "{size_mm:.2f} mm): they contradict the other sensors. The target may have been occluded, or the tracker "
+        "followed something else.",
     ),
     (
         "rejected",
-        "A measurement of {name} lies {off} off and is left out: nothing moves so fast. Check the sensor and its "
-        "connection.",
+        "A measurement of {name} differs from the prediction by {off}, faster than any real motion; it is left out. "
+        "Check the sensor and its connection.",
     ),
     (
         "level_shift",
-        "The zero of {name} shifted by {off}; the displacement keeps its own. Check whether the target or the sensor "
-        "has moved.",
+        "The zero of {name} shifted by {off}; the displacement keeps its zero. Check whether the target or the "
+        "sensor has moved.",
     ),
-    ("level_shift", "The zero of {name} went back to where it was before its shift."),
+    ("level_shift", "The zero of {name} returned to its value before the shift."),
     (
         "acceleration",
-        "The predicted displacement was off by {off} where {name} measured: the acceleration was wrong, and its band "
-        "is widened there. Check the accelerometer's range and mounting.",
+        "The prediction differed from {name} by {off}: the acceleration was wrong, and the band is wider there. "
+        "Check the accelerometer's range and mounting.",
     ),
     (
         "reacquired",
-        "The predicted displacement had been led away: {name} measured {off} off, and the estimator started anew from "
-        "it.",
+        "The prediction had drifted: {name} differed by {off}, and the estimator restarted from it.",
     ),
-    ("noise", "The noise of {name} rose suddenly: a measurement lies {off} off, and its variance is raised."),
+    ("noise", "The noise of {name} rose suddenly: a measurement differs by {off}; its variance is raised."),
     (
         "clock",
-        "The clocks of {sensor} and of the accelerometer have stepped against each other: from here on {moved} are "
-        "added to the time stamps of {sensor}, so that they fit the acceleration. Find out what set a clock.",
+        "The clock of {sensor} stepped relative to the accelerometer's: {moved} are added to its time stamps from "
+        "here on. Find out what set a clock.",
     ),
 )
 EVENT_KINDS = frozenset(kind for kind, _ in TEXTS)

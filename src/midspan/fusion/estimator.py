@@ -180,6 +180,6 @@ def restore(core: _core.Estimator | _core.PrintedFilter, state: State) -> None:
         core.restore(state.tobytes())
     except ValueError as error:
         raise DataError(
-            f"A state must be a whole one of this program and of the same settings; received one that is not "
-            f"({error}). Start without it."
+            "A state must be complete and come from this version of midspan with the same settings; received one that "
+            f"is not ({error}). Start without it."
         ) from None

@@ -56,23 +56,23 @@ class Method:
 
 METHODS: dict[str, Method] = {
     "smoother": Method(
-        "offline default: uses measurements before and after each sample; half the error of `kalman`",
+        "default for files: uses measurements before and after each sample; half the error of `kalman`",
         Pass.SMOOTHED,
         title="Kalman smoother over the whole record",
     ),
     "kalman": Method(
-        "causal: uses only what came before each sample; for real time and for control",
+        "causal: uses only earlier measurements; for real time and control",
         Pass.CAUSAL,
         title="causal Kalman filter",
     ),
     "lag": Method(
-        "live with a short delay (fusion.lag_s): nearly the smoother's error from half a second on",
+        "live with a short delay (fusion.lag_s): nearly the smoother's error from 0.5 s on",
         Pass.LAGGED,
         title="Kalman smoother with a fixed lag",
     ),
     "adaptive-kalman": Method(
-        "causal, estimates the displacement's noise all the time: for light or weather that changes; "
-        "with fusion.literal the adaptive multi-rate Kalman filter (AMKF paper) exactly as published",
+        "causal, adapts the displacement's noise: for changing light or weather; with fusion.literal the adaptive "
+        "multi-rate Kalman filter (AMKF paper) as published",
         Pass.CAUSAL,
         "midspan.papers.printed.adaptive:AdaptiveRows",
         literal=True,
@@ -82,15 +82,15 @@ METHODS: dict[str, Method] = {
         title="adaptive multirate Kalman filter",
     ),
     "fir": Method(
-        "two FIR branches with a delay of seconds (Lee and others 2010; radar paper), as published: to compare with "
-        "it, where no motion is above the Nyquist frequency of the displacement",
+        "two FIR branches with a delay of seconds (Lee and others 2010; radar paper), as published, for comparison; "
+        "all motion must lie below the Nyquist frequency of the displacement",
         Pass.LAGGED,
         on_series="midspan.papers.printed.fir:fir",
         literal=True,
         title="regularised FIR filters of Lee",
     ),
     "two-stage-fir": Method(
-        "the same after aliased motion is subtracted (two-stage paper), as published: to compare with it",
+        "`fir` after subtracting aliased motion (two-stage paper), as published, for comparison",
         Pass.LAGGED,
         on_series="midspan.papers.printed.two_stage:two_stage_fir",
         literal=True,

@@ -32,8 +32,8 @@ from midspan.signals.health import Mask
 MAX_HELD = 65536
 # Of a record that no row of the method is in.
 NO_ROWS = (
-    "the method has no row of its own here: what it needs around a row is longer than the record, or never without a "
-    "gap. The rows are the estimator's."
+    "the method gives no row here: its window is longer than the record or than any part without a gap. The estimator "
+    "supplies these rows."
 )
 # Before every stamp.
 FIRST_NS = np.iinfo(np.int64).min

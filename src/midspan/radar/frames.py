@@ -46,8 +46,8 @@ def even_places(time_ns: Nanoseconds) -> NDArray[np.int64]:
     # The frames fill one in a hundred places or more; a short record has 100 000 at most.
     if wanted > 100 * len(time_ns) + 100_000:
         raise DataError(
-            f"radar: the {len(time_ns)} frames looked at are usually {usual / NANOSECONDS:.3g} s apart, but lie in "
-            f"{np.sum(steps) / NANOSECONDS:.3g} s. Check the times in radar.file, or give radar.rate_hz."
+            f"radar: the usual interval of the {len(time_ns)} frames checked is {usual / NANOSECONDS:.3g} s, but they "
+            f"span {np.sum(steps) / NANOSECONDS:.3g} s. Check the times in radar.file, or give radar.rate_hz."
         )
     whole = np.maximum(np.rint(steps / usual), 1.0).astype(np.int64)
     return np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(whole)))

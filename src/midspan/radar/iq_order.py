@@ -105,11 +105,11 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
     order = claimed if pair is None or claimed in pair else next(o for o in pair if o[0] == claimed[0])
     figures = f"energy of the nearer over the farther half of the range: {evidence.reported()}"
     if pair is None and (other := _as_clear(evidence, order)):
-        text = f"The samples cannot tell whether the I/Q order is {order} or {other} ({figures}): the targets lie at a"
-        text += f" quarter of the range, where both look alike but for the sign of the motion. Taken is {order}."
+        text = f"The samples cannot show whether the I/Q order is {order} or {other} ({figures}): the targets lie at a"
+        text += f" quarter of the range, where only the sign of the motion differs. {order} is used."
         return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {other!r}.")
     if evidence.halves_db[order] >= MIN_DB:
-        return OrderDecision(order, True, f"I/Q order {order}, as the sign of the beat energy has it ({figures})")
+        return OrderDecision(order, True, f"I/Q order {order} by the sign of the beat energy ({figures})")
     source = "the settings" if said else "the capture software's default"
     if not said and evidence.proves(swapped(order)):
         other = swapped(order)
@@ -117,7 +117,7 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
         return OrderDecision(other, False, f"{text} If it is wrong, set radar.iq_order = {order!r}.")
     text = (
         f"The sign of the beat energy cannot decide the I/Q order ({figures}): either all strong targets lie beyond "
-        f"half of the range, or I and Q are swapped. Taken is {order} of {source}."
+        f"half of the range, or I and Q are swapped. {order} of {source} is used."
     )
     return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {swapped(order)!r}.")
 

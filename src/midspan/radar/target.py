@@ -155,7 +155,7 @@ class Target:
         if abs(self.conversion_factor) > MAX_FACTOR:
             return f"its conversion factor {self.conversion_factor:.3g} is beyond ±{MAX_FACTOR:g}"
         if self.relative_std > MAX_RELATIVE_STD:
-            return f"its conversion factor is known to ± {100 * self.relative_std:.1f} % only"
+            return f"its conversion factor is uncertain by ± {100 * self.relative_std:.1f} %"
         return ""
 
 
@@ -357,7 +357,7 @@ def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
 
 def _no_target(targets: tuple[Target, ...]) -> str:
     if not targets:
-        return "The radar sees no target: no peak of the range profile stands 4 dB above the noise. Check its aim."
+        return "The radar detects no target: no peak of the range profile is 4 dB above the noise. Check its aim."
     worst = sorted(targets, key=lambda target: -target.amplitude)[:3]
     reported = "; ".join(f"{target.place} ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
     return (

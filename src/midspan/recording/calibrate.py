@@ -60,8 +60,8 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
     except MidspanError:
         return None
     text = (
-        "The first minute does not tell the calibration; it was made in the liveliest one, from "
-        f"{span[0]:.6g} to {span[1]:.6g} s. calibration.window_s chooses another."
+        f"The first minute did not determine the calibration; the liveliest minute, {span[0]:.6g} to {span[1]:.6g} s, "
+        "was used. Set calibration.window_s for another."
     )
     return replace(found, warnings=(*found.warnings, Notice("window-moved", text))), tracking
 
@@ -167,8 +167,8 @@ def _white_noise(recording: Recording | None, estimated: float, warnings: list[N
     if given is None or estimated <= 2.0 * given:
         return estimated if given is None else given
     text = (
-        f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were {estimated:.2g} "
-        "m/s²; the larger one is used. Check the region, the mounting and the axes."
+        f"accelerometer.noise_std = {given:g} m/s² is too small: the difference of the two sensors corresponds to "
+        f"{estimated:.2g} m/s², which is used. Check region, mounting and axes."
     )
     warnings.append(Notice("accelerometer-noisy", text))
     return estimated

@@ -75,8 +75,8 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
             raise
         offset_s = error.clock_offset_s
     text = (
-        f"{recording.sensor}: it begins {offset_s:+.3g} s later than its times say, by the motion itself; a clock "
-        f"offset beyond ±{recording.max_offset_s:g} s was looked for as calibration.max_offset_s is left out."
+        f"{recording.sensor}: its clock offset is {offset_s:+.3g} s by the motion; offsets beyond "
+        f"±{recording.max_offset_s:g} s were searched because calibration.max_offset_s is not set."
     )
     found = _calibrated_near(recording.later(offset_s), progress)
     return replace(found, warnings=(Notice("clock-corrected", text), *found.warnings))
@@ -117,9 +117,8 @@ def _in_best_range(
         surface = best_range(frames, view_of(view), seen, parts[0], divisions)
     except UntrustedError as error:
         reported = (
-            f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
-            f"for grey levels: it sees °C as they are, and may lose the target. {error} Or give "
-            "infrared.temperature_range_c."
+            f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which needs "
+            f"grey levels; it uses °C directly and may lose the target. {error} Or set infrared.temperature_range_c."
         )
         return tracking, (replace(parts[0], warnings=(*parts[0].warnings, Notice("thermal", reported))), *parts[1:])
     tracking.close()

@@ -319,10 +319,10 @@ def refuse_unsettled(first: FirstPass, found: Found) -> None:
         share = len(wrong.crowd) / max(len(first.series[0][name].time_ns), 1)
         if share and events:
             raise UntrustedError(
-                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and "
-                f"without them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may "
-                "follow something else at times, or its zero may step: cut the recording to a part in which it follows "
-                "the structure."
+                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and its other values; without "
+                f"them the sensors still contradict each other at {shown(events[0].time_ns)}. The sensor may measure "
+                "something else at times, or its zero may step. Cut the recording to a part in which it follows the "
+                "structure."
             )
 
 
@@ -335,9 +335,9 @@ def refuse_followed(first: FirstPass, wrong: Mapping[str, WrongValues]) -> None:
         accepted = [one.time_ns[one.verdict != REJECTED] for one in map(first.outcome.innovation, channels.tolist())]
         if share > MANY_LEFT_OUT and np.mean(np.isin(stamps, np.concatenate(accepted))) > MOST:
             raise UntrustedError(
-                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and the others, and this "
-                "method, which does not know what follows, has taken most of them for right. Use the method smoother, "
-                "or cut the recording to a part in which the sensor follows the structure."
+                f"{name}: {100 * share:.0f} % of its values contradict the acceleration and its other values, and "
+                "this causal method accepted most of them. Use the method smoother, or cut the recording to a part in "
+                "which the sensor follows the structure."
             )
 
 
@@ -544,8 +544,9 @@ def refuse_run_away(rows: Estimate, series: SensorSeries) -> None:
     span_m = float(np.ptp(value)) if len(value) else np.inf
     if np.median(np.abs(rows.displacement_m - np.median(value if len(value) else 0.0))) > span_m:
         raise UntrustedError(
-            f"{series.sensor}: its values span {1e3 * span_m:.3g} mm, and most rows lie farther away: its values and "
-            "the acceleration contradict each other from the start. Cut the recording to a part in which they agree."
+            f"{series.sensor}: its values span {1e3 * span_m:.3g} mm, but most rows lie outside this range: its "
+            "values and the acceleration contradict each other from the start. Cut the recording to a part in which "
+            "they agree."
         )
 
 

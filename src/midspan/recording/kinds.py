@@ -66,7 +66,7 @@ def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
         raise DataError(
             f"radar: {max(used.stop - used.start, 0)} frames lie in the calibration window (those within "
             f"calibration.max_offset_s of the accelerometer's ends are left out); at least {MIN_FRAMES} are needed. "
-            "Widen calibration.window_s or bring the clocks together with radar.start_s."
+            "Widen calibration.window_s or correct the clock offset with radar.start_s."
         )
     most = MAX_VALUES // max(source.info.channels * source.info.bins, 1)
     if used.stop - used.start > most:
@@ -78,7 +78,7 @@ def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
     frames = collected(blocks, used.stop - used.start, progress, "reading the radar's calibration window")
     holes = float(np.mean(~frames.valid.all(axis=1)))
     if holes > WARNED_LOST:
-        text = f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets)."
+        text = f"radar: {100 * holes:.2g} % of the frames in the calibration window have lost packets."
         reported.append(Notice("radar-data", text))
     return opened(frames, prepared, ends, recording.max_offset_s, reported)
 

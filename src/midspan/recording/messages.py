@@ -18,7 +18,7 @@ MAX_REJECTED = 0.5
 def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]:
     """What to tell of a camera that the recording has and the calibration that was given has not."""
     text = (
-        "[{0}] is left out of the result: the calibration that was given has no {0} part. Run `midspan calibrate` on a "
+        "[{0}] is left out of the result: the given calibration has no {0} part. Run `midspan calibrate` on a "
         "recording with both cameras."
     )
     missing = [view.sensor for view in recording.cameras if calibration.of_sensor(view.own, view.companions) is None]
@@ -51,8 +51,8 @@ def require_same_sensors(recording: Recording, calibration: Calibration) -> None
             )
         if view.axis != known.direction:
             raise UsageError(
-                f"{recording.file}: the main axis is {view.axis!r}: the calibration's is {known.direction!r}. "
-                "Calibrate again."
+                f"{recording.file}: the main axis must be {known.direction!r}, as in the calibration; received "
+                f"{view.axis!r}. Calibrate again."
             )
 
 
@@ -63,9 +63,9 @@ def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
         return
     looked_at = dict.fromkeys(KINDS[view.kind].to_check.format(view.sensor) for view in recording.views)
     raise UntrustedError(
-        f"{100 * share:.0f} % of the measurements contradict the acceleration; at most {100 * MAX_REJECTED:g} % may. "
-        "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure the same "
-        f"motion. Calibrate this recording, and look at {' and '.join(looked_at)}."
+        f"{100 * share:.0f} % of the measurements contradict the acceleration (at most {100 * MAX_REJECTED:g} % "
+        "allowed). The scale factor, clock offset or direction belongs to another recording, or the sensors measure "
+        f"different motions. Calibrate this recording and check {' and '.join(looked_at)}."
     )
 
 

@@ -18,8 +18,8 @@ from midspan.settings.plausible import target_distance_m
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 
-SENSITIVITY = "the accelerometer's own tolerance"
-DELAY = "the delay of the accelerometer's logger"
+SENSITIVITY = "accelerometer sensitivity"
+DELAY = "delay of the accelerometer's logger"
 TILT = "tilt not observed"
 SLOW_ERROR = "a slow error"
 # Farther from where it was, m, a structure is not, as the estimator takes it: a step as large has no limit that counts.
@@ -43,8 +43,8 @@ def _sensitivity(settings: RecordingSettings, calibration: Calibration, rows: Es
     if own.estimate_scale and any(not one.estimate_scale for one in settings.displacements):
         # A sensor in metres tells the gain.
         return []
-    size = f"each 1 % of its sensitivity is {_mm(0.01 * float(np.std(rows.displacement_m)))} rms"
-    return [f"{SENSITIVITY}: {size} (accelerometer.scale_std puts it in)"]
+    size = f"an error of 1 % is {_mm(0.01 * float(np.std(rows.displacement_m)))} rms"
+    return [f"{SENSITIVITY}: {size} (accelerometer.scale_std includes it)"]
 
 
 def _logger_delay(settings: RecordingSettings, calibration: Calibration, rows: Estimate) -> list[str]:
@@ -54,7 +54,7 @@ def _logger_delay(settings: RecordingSettings, calibration: Calibration, rows: E
     if not shown and len(known) == len(settings.sensors):
         return []
     size = _mm(1e-3 * float(np.sqrt(np.mean(np.square(rows.velocity_m_s)))))
-    return [f"{DELAY} (its anti-alias filter), which looks like a clock offset: each millisecond is {size} rms"]
+    return [f"{DELAY} (anti-alias filter), indistinguishable from a clock offset: 1 ms is {size} rms"]
 
 
 def _tilt(settings: RecordingSettings, calibration: Calibration) -> list[str]:
@@ -66,11 +66,10 @@ def _tilt(settings: RecordingSettings, calibration: Calibration) -> list[str]:
             continue
         distance_m = target_distance_m(camera, own[sensor.name]) if sensor.name in own else camera.distance_m
         turned = _mm(math.radians(1e-3) * (distance_m or 1.0))
-        size = f"{turned}, at {distance_m:.3g} m" if distance_m else f"{turned} for each metre of distance"
+        size = f"{turned} at {distance_m:.3g} m" if distance_m else f"{turned} per metre of distance"
         found.setdefault(size, []).append(sensor.name)
     return [
-        f"{', '.join(names)}: {TILT}, each millidegree is {size} (tilt_std_mdeg puts it in)"
-        for size, names in found.items()
+        f"{', '.join(names)}: {TILT}; 1 mdeg is {size} (tilt_std_mdeg includes it)" for size, names in found.items()
     ]
 
 
@@ -85,8 +84,8 @@ def _slow_errors(calibration: Calibration) -> list[str]:
             in_gap = f"below {_mm(one.unseen_gap_m)}" if one.unseen_gap_m < NEAR_M else "of any size"
             step += f" ({in_gap} in its longest gap)"
         found.append(
-            f"{name}: {SLOW_ERROR} (GNSS multipath, a total station's air) {size} in {DRIFT_S:g} s, or a step of its "
-            f"zero {step}, would not show (displacement.noise_time_s puts the error in; 0: it has none)"
+            f"{name}: {SLOW_ERROR} (GNSS multipath, refraction at a total station) {size} in {DRIFT_S:g} s, or a zero "
+            f"step {step}, cannot be detected (displacement.noise_time_s includes the slow error; 0: none)"
         )
     return found
 

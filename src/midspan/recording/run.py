@@ -43,8 +43,8 @@ JOINED = 512
 T = TypeVar("T")
 
 NOTHING_SEEN = (
-    "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "
-    "stands in front of the radar."
+    "radar: no frame shows any calibrated target. Calibrate again, or check radar.file and for an obstruction in "
+    "front of the radar."
 )
 
 

@@ -65,7 +65,7 @@ def _moved(motion: Motion) -> str:
     rows, along = motion.rows, f" along {motion.axis}" if motion.axis else ""
     measured = np.flatnonzero(rows.status != Status.LOST)
     if not len(measured):
-        return f"no row{along} rests on a measurement"
+        return f"no measurement supports any row{along}"
     value, std = 1e3 * rows.displacement_m[measured], 1e3 * np.sqrt(rows.variance_m2[measured])
     low, high = int(np.argmin(value)), int(np.argmax(value))
     ends = f"from {_with_band(value[low], std[low])} to {_with_band(value[high], std[high])} mm (95 % band)"
@@ -75,7 +75,7 @@ def _moved(motion: Motion) -> str:
     # The zero's error is common to the rows: what they differ by is compared with their own part of the band.
     own_mm = math.sqrt(max(float(np.median(std)) ** 2 - (1e3 * motion.zero_std_m) ** 2, 0.0))
     if float(np.std(value)) < own_mm:
-        return f"no motion{along} is certain: the rows differ by less than their standard deviation, {ends}"
+        return f"no significant motion{along}: the rows differ by less than their standard deviation, {ends}"
     return (
         f"the structure moved by {_digits(value[high] - value[low], BAND * max(std[low], std[high]))} mm{along}, {ends}"
     )

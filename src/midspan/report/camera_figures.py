@@ -225,7 +225,7 @@ def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
             "markeredgecolor": Colour.BLACK,
         }
         axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
-    axes.set_ylabel("log-likelihood below the best scanned")
+    axes.set_ylabel("log-likelihood relative to the best")
     legend(axes, 2)
 
 

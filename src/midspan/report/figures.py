@@ -66,12 +66,12 @@ def error(material: Material) -> Picture:
     axes = figure.subplots()
     s = 1e3 * Band(np.sqrt(material.result.estimate.variance_m2), material.result.zero_std_m).without_zero
     band = envelope(material.t, -BAND * s, BAND * s)
-    label = "±1.96 σ claimed, the zero's part taken off"
+    label = "stated ±1.96 σ without the zero"
     axes.fill_between(band.t, band.low, band.high, color=Colour.SKY, alpha=0.45, linewidth=0, label=label)
     error_mm = found.error_mm - found.bias_mm
     drawn = envelope(material.clock.at(found.time_ns), error_mm, error_mm)
     draw_line(
-        axes, drawn, Colour.VERMILLION, f"result − reference, its mean {found.bias_mm:.3g} mm taken off", linewidth=0.8
+        axes, drawn, Colour.VERMILLION, f"result − reference, mean of {found.bias_mm:.3g} mm removed", linewidth=0.8
     )
     axes.axhline(0.0, color=Colour.BLACK, linewidth=0.8, linestyle="--")
     _shade(axes, material)
@@ -347,7 +347,7 @@ def _met(axes: "Axes", material: Material, found: Innovation) -> None:
             axes, t[rejected], value[rejected], marker="x", markersize=5, color=Colour.VERMILLION, label="rejected"
         )
     if beyond:
-        text = f"{beyond} beyond ±{limit / usual:.2g} median σ, at the border"
+        text = f"{beyond} beyond ±{limit / usual:.2g} median σ, drawn at the border"
         axes.text(0.995, 0.98, text, transform=axes.transAxes, ha="right", va="top", fontsize=8)
     axes.set_ylim(-limit, limit)
     _finish(axes, material, "measured − predicted (mm)")

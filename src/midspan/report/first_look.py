@@ -80,7 +80,7 @@ class FirstLook:
 def verdict(place: Candidate) -> str:
     """Why a place was taken or not."""
     return place.verdict or (
-        "moves like most of the image" if place.fixed else "moves otherwise than most of the image"
+        "moves like most of the image" if place.fixed else "moves differently from most of the image"
     )
 
 
@@ -218,9 +218,9 @@ def _list(axes: "Axes", found: FirstLook) -> None:
     for note in found.notes:
         lines += ["", *textwrap.wrap(note, 62)]
     if not lines:
-        lines = ["No place was found."]
+        lines = ["No region was found."]
     axes.text(0.0, 1.0, "\n".join(lines), va="top", ha="left", fontsize=7, transform=axes.transAxes)
-    axes.set_title("solid: tracked; dashed: tried; red: given", fontsize=9, loc="left")
+    axes.set_title("solid: selected; dashed: candidate; red: given", fontsize=9, loc="left")
 
 
 def _draw_strip(axes: "Axes", found: FirstLook) -> None:
@@ -229,9 +229,7 @@ def _draw_strip(axes: "Axes", found: FirstLook) -> None:
     axes.grid(False)
     axes.set_xlabel("time from the first frame (s)")
     axes.set_ylabel(f"{found.axis} in the region (px)")
-    axes.set_title(
-        "one line of the image through the middle of the region, frame by frame: motion bends it", fontsize=9
-    )
+    axes.set_title("one image line through the centre of the region, frame by frame; motion bends the line", fontsize=9)
 
 
 def _listed(region: Region) -> list[int]:

@@ -153,9 +153,9 @@ def chart_of(material: Material) -> tuple[dict[str, str], str]:
         "lines": lines,
         "status": packing.add(status, 1.0),
     }
-    which = "every row" if main["every"] else "the extremes of short segments"
+    which = "every row" if main["every"] else "minimum and maximum of short segments"
     quantum = packing.columns[main["value"]].quantum
-    return packing.attributes(layout), f"The page holds {which}, to {quantum:g} mm."
+    return packing.attributes(layout), f"The page contains {which}, rounded to {quantum:g} mm."
 
 
 def _reference(packing: Packing, fine: float) -> list[dict[str, Any]]:

@@ -37,7 +37,7 @@ def _coverage(axes: "Axes", fit: LensFit, picture: NDArray[Any]) -> None:
     )
     axes.plot(*fit.lens.matrix[2:], "+", color=Colour.VERMILLION, markersize=12)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="x, px", ylabel="y, px")
-    axes.set_title(f"{fit.boards} boards, misfit {fit.rms_px:.2f} px rms (arrows: {LONGER:g} times longer)")
+    axes.set_title(f"{fit.boards} boards, misfit {fit.rms_px:.2f} px rms (arrows {LONGER:g} times longer)")
     axes.grid(visible=False)
 
 
@@ -55,6 +55,6 @@ def _correction(axes: "Axes", fit: LensFit) -> None:
     axes.plot(share * length, np.einsum("i,nij,j->n", across, slope, across), color=Colour.GREY, label="across it")
     if fit.lens.covered_px is not None:
         axes.axvline(fit.lens.covered_px, color=Colour.VERMILLION, linestyle="--", label="covered by boards")
-    axes.set(xlabel="distance from the principal point, px", ylabel="ideal px a px of the picture")
+    axes.set(xlabel="distance from the principal point, px", ylabel="ideal px per image px")
     axes.set_title("Local scale of the correction")
     axes.legend()

@@ -56,6 +56,6 @@ def notebook_html(result: Result) -> str:
     rows = [("displacement", result.summary()), *result.calibration.summary()]
     listed = list[str](worst_first(result.warnings))
     if len(listed) > MAX_WARNINGS:
-        listed[MAX_WARNINGS:] = [f"and {len(listed) - MAX_WARNINGS} more: result.warnings, or the report"]
+        listed[MAX_WARNINGS:] = [f"and {len(listed) - MAX_WARNINGS} more: see result.warnings or the report"]
     picture_html = f'<img src="data:image/png;base64,{data}"/>'
     return f"<p><b>{escape(result.verdict)}</b></p>{picture_html}{table(result.name, rows, listed)}"

@@ -29,8 +29,8 @@ def verdict(material: Material) -> str:
     if found is not None:
         # The zeros may differ by definition; a scale, a sign or a clock that is wrong shows without them.
         share = found.without_zero.coverage_95
-        inside = "" if share is None else f", {tables.percent(share)} of it inside the band"
-        text += f" The reference differs by {found.without_zero.rmse_mm:.2g} mm rms besides its zero{inside}."
+        inside = "" if share is None else f", {tables.percent(share)} inside the band"
+        text += f" Error against the reference without its zero: {found.without_zero.rmse_mm:.2g} mm rms{inside}."
     return page.paragraph(text, f"verdict{coloured}")
 
 
@@ -64,7 +64,7 @@ def events(material: Material) -> str:
         when = f"at {rows[0][0]} s" if len(rows) == 1 else f"from {rows[0][0]} to {rows[-1][0]} s"
         pieces.append(page.collapsible(f"{kind}: {len(rows)}, {when}", page.table(rows, header), "events"))
     whole = page.table(tables.events(material, found), header)
-    pieces.append(page.collapsible(f"all {len(found)} in the order of time", whole, "events"))
+    pieces.append(page.collapsible(f"all {len(found)} in order of time", whole, "events"))
     return page.section("events", title, *pieces, closed=True)
 
 
@@ -75,14 +75,13 @@ def displacement(material: Material) -> str:
 
 def _history(material: Material, along: str = "", before: str = "") -> str:
     """The time history with how to read it; along: the axis in its title."""
-    caption = (
-        "The line is the estimate, the light area its band of ±1.96 standard deviations: 95 % of the truth should "
-        "lie inside. σ, one of them, is drawn below. "
-    )
+    caption = "Line: estimate. Light area: band of ±1.96 σ, which should contain 95 % of the truth. Below: σ. "
     if material.comparison is not None:
-        caption += "The wide line underneath is the reference. "
+        caption += "Wide line: reference. "
     if np.any(material.result.estimate.status != Status.TRACKING):
-        caption += "Orange shading: coasting, from the accelerometer alone; red shading: no measurement for long. "
+        caption += (
+            "Orange: coasting on the accelerometer alone. Red: no measurement for more than 10 s or 10 intervals. "
+        )
     attributes, kept = chart_of(material)
     text = f"{before}{caption}{_moved(material)}{kept}"
     return page.figure(figures.history(material), f"Displacement{along}", text, attributes)
@@ -92,13 +91,13 @@ def band(material: Material) -> str:
     """What the standard deviations are made of, and what they cannot contain."""
     pieces = [page.table(tables.band(material))]
     if material.result.not_in_band:
-        pieces += [page.paragraph("What the band cannot contain:"), page.bullets(material.result.not_in_band, "plain")]
+        pieces += [page.paragraph("Errors outside the band:"), page.bullets(material.result.not_in_band, "plain")]
     return page.section("band", "What the band contains", *pieces, closed=True)
 
 
 def closer(material: Material) -> str:
     """Error against the reference, and the liveliest seconds."""
-    title = "The liveliest seconds" if material.comparison is None else "Error against the reference"
+    title = "Fastest motion" if material.comparison is None else "Error against the reference"
     return page.section("closer", title, *_closer(material), closed=True)
 
 
@@ -107,24 +106,23 @@ def _closer(material: Material, along: str = "") -> list[str]:
     pieces = []
     if material.comparison is not None:
         caption = (
-            "What is left after the reference is taken away, counted from its mean: the two zeros may differ, and the "
-            "legend says by how much. An honest band holds 95 % of it; a slope is a drift; error that looks like the "
-            "motion is a wrong scale or clock."
+            "Result minus reference with the mean removed, because the two zeros may differ (legend: the mean). A "
+            "correct band contains 95 % of it. A slope is drift; an error that resembles the motion is a wrong scale "
+            "or clock."
         )
         pieces = [page.table(tables.comparison(material.comparison))]
         pieces.append(page.figure(figures.error(material), f"Error{along or ' against the reference'}", caption))
     caption = (
-        "The segment with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
-        "deviations, moved to the result's zero: most bars should touch the line. Below, the same minus the "
-        "displacement, so that the band can be seen."
+        "The segment with the largest velocity. Points: the sensors' measurements with ±1.96 σ, shifted to the "
+        "result's zero; most bars should touch the line. Below: the same minus the displacement, to show the band."
     )
-    return [*pieces, page.figure(figures.zoom(material), f"The liveliest seconds{along}", caption)]
+    return [*pieces, page.figure(figures.zoom(material), f"Fastest motion{along}", caption)]
 
 
 def _moved(material: Material) -> str:
     if material.reference_moved_mm == 0.0:
         return ""
-    return f"The reference is drawn moved by {material.reference_moved_mm:+.4g} mm, the mean difference of the zeros. "
+    return f"The reference is shifted by {material.reference_moved_mm:+.4g} mm, the mean difference of the zeros. "
 
 
 def second_axis(material: Material) -> str:
@@ -135,13 +133,13 @@ def second_axis(material: Material) -> str:
     axis, camera = second.result.axis, second.result.calibration.first_camera
     assert camera is not None
     how = (
-        "It has its own column of acceleration and was fused in the same way."
+        "This axis has its own accelerometer column and was fused in the same way."
         if camera.fused
-        else "It has no accelerometer: the camera alone was smoothed, so the band opens between frames. Positive is "
-        f"where the structure moves {'to the right' if axis == 'x' else 'down'} in the image."
+        else "This axis has no accelerometer: only the camera was smoothed, and the band widens between frames. "
+        f"Positive: the structure moves {'to the right' if axis == 'x' else 'down'} in the image."
     )
     along = f" along {axis}"
-    note = page.paragraph(f"The axis {axis} of the image; all else on this page is along {material.result.axis}. {how}")
+    note = page.paragraph(f"Image axis {axis}; the rest of this page is along {material.result.axis}. {how}")
     calibrated = page.table(tables.calibrated(second.result.calibration))
     pieces = [note, _history(second, along, "As above, along this axis. "), *_closer(second, along), calibrated]
     return page.section("second-axis", f"Displacement along {axis}", *pieces, closed=True)
@@ -151,24 +149,24 @@ def spectra(material: Material) -> str:
     """Natural frequencies, spectra and coherence."""
     modes = figures.natural_frequencies(material)
     caption = (
-        "Amplitude densities by Welch's method. Peaks are natural frequencies, or what drives the structure steadily; "
-        "the floor of a sensor alone is its noise, which fusion lowers. Above its alias-free band, which is shaded, a "
-        "sensor alone shows nothing, and faster motion appears in it at wrong frequencies."
+        "Amplitude spectral densities (Welch). Peaks are natural frequencies or steady excitation; the floor of a "
+        "single sensor is its noise, which fusion lowers. Shaded: beyond the alias-free band of a sensor, where its "
+        "spectrum shows aliased motion only."
     )
     if material.acceleration is not None and material.measured:
         caption += (
-            " Below: coherence of the sensor's own measurements with the acceleration, 1 where both measure the same "
-            "motion; dashed: what unrelated records stay below in 95 % of the frequencies."
+            " Below: coherence of the sensor's measurements with the acceleration, 1 where both measure the same "
+            "motion; dashed: 95 % limit of unrelated records."
         )
     pieces = [page.figure(figures.spectra(material, modes), "Spectra", caption)]
     if modes:
         how = (
-            "Each peak is fitted as an oscillator with white force by the likelihood of the periodogram (Whittle "
-            "1953); ± is a standard deviation."
+            "Each peak is fitted as an oscillator driven by white noise, by the likelihood of the periodogram "
+            "(Whittle 1953); ± is one standard deviation."
         )
         pieces += [page.table(tables.modes(modes), tables.MODES_HEADER), page.paragraph(how, "note")]
     else:
-        pieces.append(page.paragraph("No peak stands out beyond chance, or the record is too short for one.", "note"))
+        pieces.append(page.paragraph("No peak is significant, or the record is too short.", "note"))
     return page.section("spectra", "Natural frequencies and spectra", *pieces, closed=True)
 
 
@@ -184,16 +182,17 @@ def calibration(material: Material) -> str:
             continue
         share = camera_figures.explained(diagnostics)
         caption = (
-            "Left: translation in the image against the motion that the acceleration predicts, both passed through the "
-            "same filter, one point a frame. The slope is the inverse of the scale factor; a thin straight cloud is a "
-            f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how "
-            "much less likely other clock offsets are; one clear peak is needed, the runner-up is the next best."
+            "Left: translation in the image against the motion predicted from the acceleration, both through the "
+            "same filter, one point per frame. The slope is the inverse scale factor; a thin straight cloud is a "
+            f"good calibration (the acceleration explains {tables.percent(share)} of the variance). Right: "
+            "log-likelihood of other clock offsets relative to the best; one clear peak is needed. Runner-up: the "
+            "second best offset."
         )
         if camera.diagnostics is None:
             here = diagnostics.scale
             caption += (
-                f" The calibration came from a file, with {1e3 * camera.scale.value_m_per_px:.6g} mm/px: this is what "
-                f"the recording itself shows, {1e3 * here.value_m_per_px:.6g} ± {1e3 * here.variance**0.5:.2g} mm/px."
+                f" Scale factor in the calibration file: {1e3 * camera.scale.value_m_per_px:.6g} mm/px; estimated "
+                f"from this recording: {1e3 * here.value_m_per_px:.6g} ± {1e3 * here.variance**0.5:.2g} mm/px."
             )
         title = "Scale factor and clock offset" + ("" if sensor == first else f" of the {sensor}")
         pieces.append(page.figure(camera_figures.scale(diagnostics, sensor), title, caption))
@@ -206,14 +205,16 @@ def _no_figures(found: Calibration) -> str:
     """Why there is no figure of what a calibration rests on, in a sentence."""
     if found.first_camera is not None:
         return (
-            "The calibration came from a file, which holds its values and not the measurements behind them, and this "
-            "recording cannot show them. A report of the recording that was calibrated draws these."
+            "The calibration file contains values, not the measurements behind them, and this recording does not "
+            "determine them. See the report of the calibrated recording."
         )
     if found.radar is not None and found.displacement is None:
-        return "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."
+        return "The radar section shows the data behind its conversion factor and clock offset."
     if found.displacement is not None and found.displacement.scale_std > 0.0:
-        return "Scale, noise levels and clock offset of the displacement sensor come from the accelerometer."
-    return "The unit of the displacement sensor is known, so that only noise levels and clock offset were estimated."
+        return (
+            "Scale, noise levels and clock offset of the displacement sensor were estimated against the accelerometer."
+        )
+    return "The unit of the displacement sensor is given; only noise levels and clock offset were estimated."
 
 
 def innovations(material: Material) -> str:
@@ -222,13 +223,13 @@ def innovations(material: Material) -> str:
     if not any(len(own.time_ns) for _, own in found):
         return ""
     caption = (
-        "Each measurement minus what the filter expected just before it. About 95 % should lie between the lines, "
-        "without a pattern; the histogram should follow the normal curve. Wider: noise is underestimated or the target "
-        "moves on its own. Crosses were rejected as outliers. What lies beyond the axis is drawn at its border and "
-        "counted in the corner. After a gap more is expected and allowed."
+        "Each measurement minus the filter's prediction. About 95 % should lie between the lines, without a pattern; "
+        "the histogram should follow the normal curve. Wider: the noise is underestimated or the target moves. "
+        "Crosses: rejected outliers. Points beyond the axis are drawn at its border and counted in the corner. After "
+        "a gap the lines are wider."
     )
     if len(found) > 1:
-        caption += " A row for each sensor: of one more is expected than of another."
+        caption += " One row per sensor; their expected deviations differ."
     drawn = page.figure(figures.innovations(material), "Innovations", caption)
     return page.section("innovations", "Innovations", drawn, closed=True)
 
@@ -244,19 +245,18 @@ def _one_radar(material: Material, name: str, found: RadarCalibration, trace: Ra
     pieces = []
     if found.diagnostics is not None:
         caption = (
-            "Mean power of the calibration window over range. Dots: targets in use with their rank; crosses: peaks "
-            "that were not used, for the reasons below."
+            "Mean power in the calibration window over range. Dots: targets in use with their rank; crosses: unused "
+            "peaks (reasons below)."
         )
         pieces.append(page.figure(radar_figures.profile(found, found.diagnostics), "Range profile", caption))
-    caption = "Coherence is the share of a target's acceleration that the accelerometer explains; clutter "
-    caption += "the amplitude of something else in its bin, as a share of its own."
+    caption = "Coherence: share of a target's acceleration that the accelerometer explains. Clutter: "
+    caption += "amplitude of other reflectors in its bin, relative to its own."
     pieces += [page.table(tables.radar_targets(found), tables.RADAR_HEADER), page.paragraph(caption, "note")]
     if found.diagnostics is not None:
         caption = (
-            f"The best target, {found.best.place}, in the window. Left: its phasors turn about the cross "
-            "as the range changes; what is static in the bin moves the cross away from zero and is taken out. "
-            "Right: amplitude over phase; flat is right, a wave is what is static, a wide band other things that "
-            "move."
+            f"The best target, {found.best.place}, in the window. Left: its phasors turn about the cross as the "
+            "range changes; static clutter moves the cross away from zero and is subtracted. Right: amplitude over "
+            "phase. Flat: correct; a wave: static clutter remains; a wide band: moving clutter."
         )
         pieces.append(page.figure(radar_figures.circle(found, found.diagnostics), "Circle of the phasors", caption))
     if trace is not None:
@@ -270,17 +270,17 @@ def _radar_phase(material: Material, trace: RadarTrace) -> str:
     if trace.excerpt is not None:
         beyond = trace.speed_m_s > trace.limit_speed_m_s
         caption = (
-            "The fastest seconds of the best target. Points: the phase as measured, within a cycle; blue: unwrapped "
-            "with the accelerometer, as used; orange: unwrapped plainly from here on. Below, the speed of the range, "
-            f"which reached {1e3 * trace.speed_m_s:.3g} mm/s, {'beyond' if beyond else 'below'} the "
-            f"{1e3 * trace.limit_speed_m_s:.3g} mm/s from which plain unwrapping fails."
+            "The fastest seconds of the best target. Points: measured (wrapped) phase; blue: unwrapped with the "
+            "accelerometer, as used; orange: plain unwrapping from here on. Below: the range rate, at most "
+            f"{1e3 * trace.speed_m_s:.3g} mm/s, {'beyond' if beyond else 'below'} the limit of plain unwrapping, "
+            f"{1e3 * trace.limit_speed_m_s:.3g} mm/s."
         )
         drawn = radar_figures.phase(trace, material.clock)
         pieces.append(page.figure(drawn, "Phase, measured and unwrapped", caption))
     caption = (
-        "Above, the unwrapped phase of the best target; dotted lines: the cycle had to be found anew after an outage. "
-        "Below, the amplitude of each target over that of the calibration, with the limits (dashed) outside which a "
-        "frame is blocked; orange ground: not used."
+        "Above: the unwrapped phase of the best target; dotted lines: the cycle was resolved again after an outage. "
+        "Below: the amplitude of each target relative to the calibration; frames outside the dashed limits are "
+        "blocked; orange: not used."
     )
     pieces.append(page.figure(radar_figures.amplitudes(trace, material.clock), "Targets over the record", caption))
     return "".join(pieces)
@@ -300,7 +300,7 @@ def footer(material: Material) -> str:
     lines = (
         f"To cite: “displacement estimated with midspan {__version__}, method {material.result.method}, calibration of "
         f"{material.result.calibration.created}”, together with the settings above, which make the result repeatable.",
-        f"Lengths in mm, times in s from {first:.3f} s of the accelerometer's clock on, frequencies in Hz.",
+        f"Lengths in mm, times in s after {first:.3f} s on the accelerometer's clock, frequencies in Hz.",
     )
     written = page.verbatim(json.dumps(tables.named_only(json.loads(text)), indent=2))
     return page.collapsible("Settings, calibration and events as JSON", written) + page.footer(lines)
@@ -315,8 +315,8 @@ def _one(material: Material, found: CameraResult) -> str:
     """Frame, region, path, choice and quality of the tracking."""
     learned = found.calibrations[0]
     caption = (
-        "The first frame used with the region of interest; below, the region enlarged, and the target's translation in "
-        "the image since then (dot: start). The path should be long in the measured direction "
+        "The first frame used, with the region of interest; below: the region enlarged, and the target's translation "
+        "in the image since that frame (dot: start). The path should be long in the measured direction "
         f"({learned.direction}) and short across it."
     )
     if found.source is Source.INFRARED:
@@ -327,13 +327,15 @@ def _one(material: Material, found: CameraResult) -> str:
     pieces.append(_choice(material, found))
     active = found.targets[0].active_pixels
     if active is not None:
-        caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."
+        caption = (
+            "Active pixels, whose phase gives the translation along x (left) and y (right), tinted over the region."
+        )
         drawn = camera_figures.active_pixels(active, found.reference)
         pieces.append(page.figure(drawn, "Active pixels", caption))
     caption = (
-        "Quality, how well the target of the first frame is found again, from 0 (not at all) to 1 (as it was), and the "
-        "standard deviation of each frame's translation. Drops show fog, glare, something in front of the target or "
-        "blur; these measurements count for less."
+        "Quality, the agreement with the first frame's target, from 0 (none) to 1 (identical), and the standard "
+        "deviation of each frame's translation. Drops indicate fog, glare, occlusion or blur; these measurements get "
+        "less weight."
     )
     pieces.append(page.figure(camera_figures.tracker(found, material.clock), "Tracking", caption))
     return page.section(found.sensor, found.sensor.capitalize(), *pieces, closed=True)
@@ -343,18 +345,20 @@ def _choice(material: Material, found: CameraResult) -> str:
     if found.choice is None:
         own = material.section_of(found)
         where = (
-            "the settings" if own.roi is not None or own.target else "the calibration file, without how it was chosen"
+            "the settings"
+            if own.roi is not None or own.target
+            else "the calibration file, which does not state the selection"
         )
         return page.paragraph(f"The region was given by {where}.", "note")
     caption = (
-        "Numbered boxes were tracked for some seconds. Red: selected. Solid: fits the accelerometer or, where that "
-        "does not decide, moves like most of the image. Dashed: does not, or was not compared with the accelerometer; "
-        "the table below says why."
+        "Numbered boxes were tracked for some seconds. Red: selected. Solid: agrees with the accelerometer or, if "
+        "that does not decide, with most of the image. Dashed: disagrees, or was not compared with the "
+        "accelerometer; the table below gives the reason."
     )
     if camera_figures.has_map(found.choice):
         caption += (
-            " Right: the standard deviation with which a region centred there could be tracked; darker is better, grey "
-            "was ruled out or lies too near the border."
+            " Right: expected standard deviation of a region centred at each pixel; darker is better, grey is "
+            "excluded or too near the border."
         )
     drawn = camera_figures.choice(found.choice, found.reference)
     return "".join(
@@ -371,21 +375,22 @@ def cameras(material: Material) -> str:
     if not infrared_figures.worth_showing(material):
         return ""
     caption = (
-        "Matches or quality of each camera's best target (zero: lost), marked below where its reference frame changed, "
-        "its shutter closed or something stood in front. Then the standard deviations of single frames and of the "
-        "result, what the reference frames may be off by included, with the same marks (the colour at their left tells "
-        "whose), and the source of each row."
+        "Matches or quality of each camera's best target (zero: lost); marks below: new reference frame, closed "
+        "shutter, occlusion. Then the standard deviations of single frames and of the result, including the error of "
+        "the reference frames, with the same marks (the colour at their left names the camera), and the source of "
+        "each row."
     )
     if len(material.result.cameras) > 1:
-        caption += " The ground has the colour of the rows' source; dashed: the other camera measures from there on."
+        caption += " Background colour: source of the rows; dashed: switch to the other camera."
     pieces = [page.figure(infrared_figures.over_time(material), "Cameras over the record", caption)]
     for camera in material.result.cameras:
         surface = camera.range_surface
         if surface is not None:
             caption = (
-                f"Error of the {camera.sensor} translation against the accelerometer, by the two limits of the "
-                f"temperatures shown. Square: the range chosen, {surface.best.low_c:.2f} to {surface.best.high_c:.2f} "
-                "°C. A flat floor is usual: many ranges are as good. “lost”: the target was, in too many frames."
+                f"Error of the {camera.sensor} translation against the accelerometer, over the two limits of the "
+                f"temperature range. Square: the selected range, {surface.best.low_c:.2f} to "
+                f"{surface.best.high_c:.2f} °C. A flat minimum is usual: many ranges are equally good. “lost”: the "
+                "target was lost in too many frames."
             )
             pieces.append(page.figure(infrared_figures.surface(surface), "Temperature range", caption))
     return page.section("cameras", "Cameras over the record", *pieces, closed=True)

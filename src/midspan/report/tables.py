@@ -40,7 +40,7 @@ def summary(material: Material) -> list[Card]:
     value, std = material.result.displacement_mm, material.result.displacement_std_mm
     high, low = int(value.argmax()), int(value.argmin())
     shares = (f"{percent(f['status']['coasting'])} coasting", f"{percent(f['status']['lost'])} lost")
-    zero = f"of it common to all rows, the zero: ± {BAND * f['zero_std_mm']:.3g} mm"
+    zero = f"of which the zero, common to all rows: ± {BAND * f['zero_std_mm']:.3g} mm"
     return [
         ("Maximum", f"{value[high]:+.4g} mm", f"± {BAND * std[high]:.3g} mm, at {material.t[high]:.3f} s"),
         ("Minimum", f"{value[low]:+.4g} mm", f"± {BAND * std[low]:.3g} mm, at {material.t[low]:.3f} s"),
@@ -56,8 +56,8 @@ def band(material: Material) -> list[Row]:
     return [
         ("standard deviation σ", f"{f['median_std_mm']:.4g} mm (median)"),
         ("σ, largest", f"{float(np.max(material.result.displacement_std_mm)):.4g} mm"),
-        ("of it, common to all rows", f"{f['zero_std_mm']:.4g} mm: the zero"),
-        ("of it, each row's own", f"{f['median_own_std_mm']:.4g} mm (median)"),
+        ("σ of the zero", f"{f['zero_std_mm']:.4g} mm, common to all rows"),
+        ("σ without zero", f"{f['median_own_std_mm']:.4g} mm (median)"),
     ]
 
 
@@ -78,7 +78,7 @@ def _peak(material: Material) -> list[Row]:
     if felt is None or not np.isfinite(felt.value).any():
         return []
     peak = float(np.nanmax(np.abs(felt.value - material.result.calibration.bias_m_s2)))
-    return [("largest acceleration, without its bias", f"{peak / GRAVITY_M_S2:.3g} g")]
+    return [("peak acceleration without bias", f"{peak / GRAVITY_M_S2:.3g} g")]
 
 
 def _sensor_cards(material: Material) -> list[Card]:
@@ -89,7 +89,7 @@ def _sensor_cards(material: Material) -> list[Card]:
             value, std = 1e3 * sensor.scale.value_m_per_px, 1e3 * math.sqrt(sensor.scale.variance)
             more, settings = f"σ is {100 * std / abs(value):.2g} %", known.get(name)
             expected = expected_m_per_px(settings, sensor) if isinstance(settings, CameraSettings) else None
-            more += "" if expected is None else f"; by its optics {1e3 * expected:.3g} mm/px"
+            more += "" if expected is None else f"; from the optics {1e3 * expected:.3g} mm/px"
             rows.append((f"Scale of the {name}", with_std(value, std, "mm/px"), more))
         if math.isfinite(sensor.offset.variance):
             rows.append((f"Clock of the {name}", offset_words(sensor.offset), "σ; added to its time stamps"))
@@ -105,9 +105,9 @@ def with_std(value: float, std: float, unit: str) -> str:
 def agreements(found: Comparison) -> list[tuple[str, Agreement]]:
     """Each way of comparing, as `midspan compare` has them."""
     ways = (
-        ("as it is", found.plain),
-        ("zero taken off", found.without_zero),
-        ("zero and lag taken off", found.without_zero_and_lag),
+        ("as recorded", found.plain),
+        ("zero removed", found.without_zero),
+        ("zero and lag removed", found.without_zero_and_lag),
     )
     return [(label, one) for label, one in ways if one is not None]
 
@@ -149,7 +149,7 @@ def figures(material: Material) -> list[Row]:
         rows.append(("rejected as outliers", str(int(np.count_nonzero(innovation.verdict == REJECTED)))))
         if len(normalised):
             rows.append(
-                ("mean squared innovation / σ²", f"{float(np.mean(normalised**2)):.3g} (1 when noise is right)")
+                ("mean squared innovation / σ²", f"{float(np.mean(normalised**2)):.3g} (1 if the noise is correct)")
             )
     return rows
 
@@ -166,7 +166,7 @@ def comparison(found: Comparison) -> list[Row]:
     rows = [("compared", f"{found.count} rows from {found.start_s:.3f} to {found.end_s:.3f} s")]
     for label, one in agreements(found):
         share = one.coverage_95
-        covered = "" if share is None else f"; {percent(share)} inside ±{BAND} σ (95 % is honest)"
+        covered = "" if share is None else f"; {percent(share)} inside ±{BAND} σ (95 % expected)"
         of_it = (
             "" if (part := one.normalised_rmse_percent) is None else f", {part:.2g} % of the reference's peak to peak"
         )
@@ -191,7 +191,7 @@ def modes(found: Sequence[Mode]) -> list[tuple[str, ...]]:
             with_std(mode.frequency_hz, mode.frequency_std_hz, "Hz"),
             with_std(100 * mode.damping, 100 * mode.damping_std, "%")
             if math.isfinite(mode.damping)
-            else "a tone, or no single mode",
+            else "a tone or several modes",
             f"{mode.rms_mm:.3g} mm",
         )
         for mode in found
@@ -210,10 +210,10 @@ def calibrated(found: Calibration) -> list[Row]:
         label = "accelerometer: the sensors' axis along cross_values"
         rows.append((label, f"{parts} ({axis.angle_deg:.2g}° off its own)"))
     bias_std = f" ± {1e3 * found.bias_std_m_s2:.2g}" if math.isfinite(found.bias_std_m_s2) else ""
-    with_motion = f"{motion_s:.2g} s times its mean square" if motion_s else "none found"
+    with_motion = f"{motion_s:.2g} s times the mean square of the acceleration" if motion_s else "none found"
     rows += [
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
-        ("accelerometer: noise with the motion", with_motion),
+        ("accelerometer: noise proportional to the motion", with_motion),
         ("accelerometer: bias", f"{1e3 * found.bias_m_s2:.4g}{bias_std} mm/s²"),
     ]
     usual = found.usual
@@ -286,7 +286,7 @@ def candidates(choice: RegionChoice) -> list[tuple[str, ...]]:
             _place(found.region),
             f"{found.predicted_std_px:.2g}",
             f"{found.disagreement_px:.2g}" if math.isfinite(found.disagreement_px) else "",
-            found.verdict + ("; a part of it is static" if partly_static(found, choice) else ""),
+            found.verdict + ("; partly static" if partly_static(found, choice) else ""),
         )
         for number, found in enumerate(choice.candidates, start=1)
     ]

@@ -41,10 +41,10 @@ class AlarmBody(BaseModel):
     state: str = Field(description="pending, firing, acknowledged or ended")
     level: str = Field(description="warning or critical")
     on: str = Field(description="displacement, drift, velocity, std, silent, disk or no_data")
-    reason: str = Field(description="limit; band: only the band touches the limit; no_data: there are no rows")
+    reason: str = Field(description="limit; band: only the band exceeds the limit; no_data: there are no rows")
     value: float
     value_std: float = Field(description="standard deviation of the value, 0 where it has none")
-    peak: float = Field(description="the value that was furthest from zero")
+    peak: float = Field(description="peak value, the one farthest from zero")
     limit: float
     unit: str
     time: str = Field(description="of the newest change, ISO 8601 UTC")
@@ -60,7 +60,7 @@ class SilenceListed(BaseModel):
     id: str
     point: str
     name: str = Field(description="of the rule")
-    no_data: bool = Field(description="whether it is that of rows that do not come (no_data_s)")
+    no_data: bool = Field(description="true for the alarm of missing rows (no_data_s)")
     until: str
     owner: str
     reason: str
@@ -161,7 +161,7 @@ async def require_alarm(serving: Serving, number: str) -> None:
     """Raises Problem for what is no alarm's id, or that of one that ended."""
     found = next((one for one in await known(serving) if one["id"] == number), None)
     if found is None:
-        raise Problem(404, f"{number}: is no alarm. GET /api/v1/alarms lists them.")
+        raise Problem(404, f"{number}: is not an alarm. GET /api/v1/alarms lists them.")
     if found["state"] not in OPEN:
         raise Problem(409, f"{number}: has ended.")
 
@@ -214,7 +214,7 @@ async def silences(serving: Shared) -> list[Any]:
 async def end_silence(number: str, login: Operator, serving: Shared) -> Done:
     """End a silence, also one of a rule without an open alarm."""
     if number not in [one["id"] for one in await silences(serving)]:
-        raise Problem(404, f"{number}: is no silence. GET /api/v1/alarms/silences lists them.")
+        raise Problem(404, f"{number}: is not a silence. GET /api/v1/alarms/silences lists them.")
     answer, _ = await serving.link.ask("end_silence", silence=number, who=login.name)
     return Done(text=str(answer["text"]))
 

@@ -31,8 +31,8 @@ class Standing(BaseModel):
     ready: bool
     points: list[dict[str, Any]]
     sources: list[dict[str, Any]]
-    has_settings: bool = Field(description="whether a SITE.toml belongs to the store here")
-    settings: dict[str, Any] | None = Field(None, description="text, file and key of what is wrong with SITE.toml")
+    has_settings: bool = Field(description="whether the store has a SITE.toml here")
+    settings: dict[str, Any] | None = Field(None, description="text, file and key of an error in SITE.toml")
 
 
 def application(serving: Serving) -> Any:

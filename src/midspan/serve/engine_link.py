@@ -63,14 +63,14 @@ class EngineLink:
             self._writer = None
             for answer in self._answers.values():
                 if not answer.done():
-                    answer.set_exception(AwayError("The measuring process ended before it answered. Try again."))
+                    answer.set_exception(AwayError("The measuring process ended before answering. Try again."))
             self._answers.clear()
             await asyncio.sleep(AGAIN_S)
 
     async def ask(self, command: str, **values: Any) -> tuple[Tree, bytes]:
         """Send a command; its answer. Raises AwayError, and MidspanError for what the engine refuses."""
         if self._writer is None:
-            raise AwayError("No process measures here now. Start `midspan run`, then try again.")
+            raise AwayError("No measuring process is running. Start `midspan run`, then try again.")
         self._count += 1
         number = self._count
         answer = self._answers[number] = asyncio.get_running_loop().create_future()

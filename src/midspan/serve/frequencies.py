@@ -53,7 +53,7 @@ class FrequenciesBody(BaseModel):
     time: list[int] = Field(description="the begin of each segment, ns UTC")
     modes: list[ModeCourse]
     complete: bool
-    reason: str = Field(description="why there are no modes; empty where there are")
+    reason: str = Field(description="reason why there are no modes, else empty")
 
 
 routes = APIRouter(prefix="/points", tags=["points"])
@@ -116,7 +116,7 @@ def course(segments: list[Segment]) -> Tree:
     kept = [one for one in segments if one is not None]
     times = [begin_ns for begin_ns, _ in kept]
     if not kept:
-        text = f"There are no rows of {SEGMENT_S // 120} minutes or more without a break in that time."
+        text = f"The time range has no uninterrupted rows of {SEGMENT_S // 120} minutes or more."
         return {"time": [], "modes": [], "reason": text}
     groups = [one for one in grouped([modes for _, modes in kept]) if len(one) >= MIN_SHARE * len(kept)]
     keys = ("frequency_hz", "frequency_std_hz", "rms_mm")
@@ -127,7 +127,7 @@ def course(segments: list[Segment]) -> Tree:
     return {
         "time": times,
         "modes": modes,
-        "reason": "" if modes else "No frequency stands out in half of the segments.",
+        "reason": "" if modes else "No frequency is significant in half of the segments.",
     }
 
 

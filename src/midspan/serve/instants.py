@@ -24,7 +24,7 @@ From = Annotated[
         examples=["2026-11-22T10:00:00Z"],
     ),
 ]  # fmt: skip
-To = Annotated[str | None, Query(pattern=PATTERN, description="end, which is not part of it; left out: now")]
+To = Annotated[str | None, Query(pattern=PATTERN, description="end (exclusive); default: now")]
 
 
 def instant_ns(text: str, name: str) -> int:

@@ -34,7 +34,7 @@ async def live(socket: WebSocket, serving: Shared) -> None:
         login_of(socket)
         points, after = await wanted(serving, socket)
         if serving.live.viewers >= MAX_VIEWERS:
-            raise Problem(503, f"There are {MAX_VIEWERS} viewers. Try again later.")
+            raise Problem(503, f"The limit of {MAX_VIEWERS} viewers is reached. Try again later.")
     except Problem as problem:
         await socket.send_denial_response(answer(problem.status_code, problem.detail, problem.headers))
         return
@@ -63,7 +63,7 @@ async def wanted(serving: Serving, socket: WebSocket) -> tuple[frozenset[str] | 
         return None, None if after is None else int(after)
     names = named.split(",")
     if len(names) > MAX_NAMED:
-        raise Problem(422, f"points: must name at most {MAX_NAMED}; these are {len(names)}.")
+        raise Problem(422, f"points: must name at most {MAX_NAMED}; received {len(names)}.")
     points = frozenset(names)
     for point in points:
         await serving.require_point(point)

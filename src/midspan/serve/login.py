@@ -36,7 +36,7 @@ class Session(BaseModel):
     user: str
     scope: Scope
     csrf: str
-    serves: Literal["site", "recordings"] = Field("site", description="what the page is over")
+    serves: Literal["site", "recordings"] = Field("site", description="what the page serves")
 
 
 class Gate(Protocol):
@@ -87,7 +87,7 @@ def require(scope: Scope) -> Any:
     ) -> Login:
         login, session = login_of(request)
         if session and request.method in CHANGING and request.headers.get(CSRF_HEADER) != csrf_of(session):
-            raise Problem(403, f"{CSRF_HEADER}: must be the `csrf` that the login answered. Send it with changes.")
+            raise Problem(403, f"{CSRF_HEADER}: must be the `csrf` value of the login. Send it with every change.")
         if not login.may(scope):
             raise Problem(403, f"This needs the scope {scope}; {login.name} has {login.scope}.")
         return login
@@ -123,7 +123,7 @@ async def begin(credentials: Credentials, request: Request, response: Response, 
     session = serving.access.begin_session(user)
     found = serving.access.of_session(session)
     if found is None:
-        raise Problem(401, "The user was removed meanwhile.", headers={"WWW-Authenticate": "Bearer"})
+        raise Problem(401, "The user has been removed.", headers={"WWW-Authenticate": "Bearer"})
     response.set_cookie(
         COOKIE, session, max_age=round(SESSION_S), httponly=True, samesite="strict", secure=serving.secure, path="/"
     )

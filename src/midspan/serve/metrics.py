@@ -10,9 +10,9 @@ from midspan.serve.serving import Serving
 COUNTS = {
     "records": "Records that came.",
     "faults": "Records that could not be used.",
-    "skipped": "Frames that were skipped because the engine did not keep up.",
-    "late": "Values and frames that were left out: too late, out of order or doubled.",
-    "restarts": "How often the source was opened again.",
+    "skipped": "Frames skipped because the engine was too slow.",
+    "late": "Rejected values and frames: late, out of order or repeated.",
+    "restarts": "Number of reconnections to the source.",
 }
 LABELS = ["point", "source"]
 
@@ -32,9 +32,13 @@ class _Figures:
         ready = serving.standing()["ready"]
         yield GaugeMetricFamily("midspan_ready", "1 where /readyz answers 200.", float(ready))
         silent_s = serving.link.silent_s
-        yield GaugeMetricFamily("midspan_engine_age_seconds", "Since the engine was heard.", min(silent_s, 1e9))
+        yield GaugeMetricFamily(
+            "midspan_engine_age_seconds", "Time since the last message of the engine.", min(silent_s, 1e9)
+        )
         yield GaugeMetricFamily("midspan_viewers", "Viewers of live rows.", float(serving.live.viewers))
-        yield CounterMetricFamily("midspan_viewers_dropped", "Viewers that did not keep up.", serving.live.dropped)
+        yield CounterMetricFamily(
+            "midspan_viewers_dropped", "Viewers disconnected because they were too slow.", serving.live.dropped
+        )
         if state:
             yield from _of_points(state["points"])
             store = state.get("store", {})
@@ -52,7 +56,9 @@ def _of_points(points: list[dict[str, Any]]) -> Iterator[Any]:
         key: CounterMetricFamily(f"midspan_source_{key}", text, labels=LABELS) for key, text in COUNTS.items()
     }
     age = GaugeMetricFamily("midspan_source_age_seconds", "Time since the newest record.", labels=LABELS)
-    delay = GaugeMetricFamily("midspan_source_delay_seconds", "From a record's newest stamp to it.", labels=LABELS)
+    delay = GaugeMetricFamily(
+        "midspan_source_delay_seconds", "Delay of records after their newest time stamp.", labels=LABELS
+    )
     of_a_point = f"{', '.join(f'{one.value} {one.name.lower()}' for one in PointStatus)}."
     status = GaugeMetricFamily("midspan_point_status", of_a_point, labels=["point"])
     row_age = GaugeMetricFamily("midspan_point_rows_age_seconds", "Time since the newest row.", labels=["point"])

@@ -49,18 +49,18 @@ class PointState(BaseModel):
 
     name: str
     status: str | None = Field(description="tracking, coasting, lost, warming or calibrating; null without any row")
-    reason: str = Field(description="a reason code; empty where all is well")
+    reason: str = Field(description="reason code; empty: no fault")
     text: str
     displacement_mm: float | None
     displacement_std_mm: float | None
     time: str | None = Field(description="of the newest row, ISO 8601 UTC")
     age_s: float | None
-    notice: str = Field("", description="a reason code of what is prepared, or waits, also while there are no rows")
-    since: str | None = Field(None, description="when status and reason became so, as far as this server saw it")
+    notice: str = Field("", description="reason code of a pending step, also without rows")
+    since: str | None = Field(None, description="time of the last change of status or reason that this server saw")
     calibration: int | None = None
-    stage: str = Field("", description="capturing, calibrating or opening; empty where nothing is prepared")
-    stage_left_s: float | None = Field(None, description="how long that still takes, s; null where it is not known")
-    latency_s: float | None = Field(None, description="how much later than its stamp a row comes, mean, s")
+    stage: str = Field("", description="capturing, calibrating or opening, else empty")
+    stage_left_s: float | None = Field(None, description="remaining time of the stage, s; null: unknown")
+    latency_s: float | None = Field(None, description="mean delay of rows after their time stamp, s")
 
 
 class Series(BaseModel):
@@ -109,8 +109,8 @@ class CalibrationBody(BaseModel):
     time: str
     state: str
     calibration: dict[str, Any]
-    rows: list[Span] = Field([], description="the newest 50 spans of rows that were made with it")
-    refusal: Refusal | None = Field(None, description="of one that somebody refused within 400 days")
+    rows: list[Span] = Field([], description="the newest 50 spans of rows made with it")
+    refusal: Refusal | None = Field(None, description="refusal, if a user refused it within 400 days")
 
 
 class SpectrumBody(BaseModel):
@@ -166,7 +166,7 @@ async def series(
         if format == "arrow":
             raise Problem(422, "format: must be json with buckets; arrow is for rows. Leave one of them out.")
         if span[1] - span[0] < buckets:
-            raise Problem(422, "buckets: must be at least 1 ns long. Ask for fewer.")
+            raise Problem(422, "buckets: must be at least 1 ns long. Request fewer.")
         length_s = (span[1] - span[0]) / NANOSECONDS
         # Of months there are least and largest values of blocks, which are few.
         worker = serving.long if QUICK_S < length_s <= reading.SECONDS_S else serving.quick
@@ -186,7 +186,7 @@ async def export(name: str, serving: Shared, begin: From = None, to: To = None, 
     await serving.require_point(name)
     span = span_ns(begin, to)
     if serving.exporting.locked():
-        raise Problem(503, "Another file is being made. Try again in some seconds.", headers={"Retry-After": "5"})
+        raise Problem(503, "Another export is running. Try again in some seconds.", headers={"Retry-After": "5"})
     async with serving.exporting:
         folder = tempfile.TemporaryDirectory(prefix="midspan-export-")
         file = Path(folder.name) / f"{name}.{format}"

@@ -14,16 +14,16 @@ from midspan.serve.engine_link import AwayError
 from midspan.store.database import StoreFault
 
 TITLES = {
-    400: "The request is not as HTTP has it",
+    400: "The request is not valid HTTP",
     401: "A login is needed",
     403: "Not allowed",
     404: "Not found",
     405: "No such method here",
-    409: "Not possible as things stand",
+    409: "Not possible in the current state",
     412: "Changed meanwhile",
     413: "Too large",
     414: "Too long an address",
-    415: "Another type of content is needed",
+    415: "Unsupported content type",
     422: "Wrong arguments",
     428: "If-Match is needed",
     429: "Too many requests",
@@ -41,8 +41,8 @@ class ProblemBody(BaseModel):
     status: int
     detail: str
     code: str = ""
-    file: str | None = Field(None, description="of wrong settings: the file")
-    key: str | None = Field(None, description="of wrong settings: the key")
+    file: str | None = Field(None, description="file of wrong settings")
+    key: str | None = Field(None, description="key of wrong settings")
 
 
 class Problem(HTTPException):
@@ -93,7 +93,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     async def of_defect(_: Request, error: Exception) -> JSONResponse:
-        return answer(500, f"This is a defect of midspan ({type(error).__name__}); its log says more.")
+        return answer(500, f"This is a defect of midspan ({type(error).__name__}); see its log.")
 
 
 def allowed(request: Request) -> str:

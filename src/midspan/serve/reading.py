@@ -44,7 +44,7 @@ MAX_SPANS = 50
 def opened(where: str) -> Iterator[Store]:
     """A store that is read alone. Raises StoreFault where there is none, or none that can be reached."""
     if not is_store(where):
-        raise StoreFault("store_unavailable", "The store is not there yet: nothing was measured so far.")
+        raise StoreFault("store_unavailable", "The store does not exist yet: nothing has been measured.")
     with closing(open_store(where, read_only=True)) as store:
         yield store
 
@@ -138,8 +138,8 @@ def _rows(where: str, point: str, first_ns: int, end_ns: int) -> tuple[Nanosecon
         count = store.count(point, rows_stream(), first_ns, end_ns - 1)
         if count > MAX_ROWS:
             raise DataError(
-                f"from, to: must span at most {MAX_ROWS} rows; these are {count}. Ask for buckets=2000, for a shorter "
-                "time, or for /export, which has every row."
+                f"from, to: must span at most {MAX_ROWS} rows; received {count}. Request buckets=2000, a shorter "
+                "time, or /export, which has every row."
             )
         try:
             table = stored_table(store, point, first_ns, end_ns - 1)
@@ -258,8 +258,8 @@ def export(where: str, point: str, span: tuple[int, int], file: str) -> None:
         count = store.count(point, rows_stream(), span[0], span[1] - 1)
         if count > MAX_FILE_ROWS:
             raise DataError(
-                f"from, to: must span at most {MAX_FILE_ROWS} rows; these are {count}. Ask for parts, or call "
-                "`midspan export`, or set `archive` for whole days."
+                f"from, to: must span at most {MAX_FILE_ROWS} rows; received {count}. Request parts, run `midspan "
+                "export`, or set `archive` for whole days."
             )
         table = stored_table(store, point, span[0], span[1] - 1)
     write_result(Path(file), table)

@@ -59,12 +59,12 @@ class Worker:
             future = asyncio.get_running_loop().run_in_executor(self._executor, call)
             return await asyncio.wait_for(future, longest_s)
         except TimeoutError:
-            text = f"This lasted longer than {longest_s:g} s. Ask for a shorter time."
+            text = f"The request took longer than {longest_s:g} s. Request a shorter time."
             raise Problem(503, text, headers=RETRY) from None
         except BrokenProcessPool:
             # Ended from outside, as where memory runs out.
             self._executor = None
-            raise Problem(503, "The worker ended. Try again, for a shorter time.", headers=RETRY) from None
+            raise Problem(503, "The worker process ended. Request a shorter time.", headers=RETRY) from None
         finally:
             self._waiting -= 1
 
@@ -184,7 +184,7 @@ class Serving:
         """Raises Problem for a name that is no point's."""
         if name in await self.points() or await self.quick.run(reading.has_point, self.where, name):
             return
-        raise Problem(404, f"{name}: is no point of this site. GET /api/v1/points names them.")
+        raise Problem(404, f"{name}: is not a point of this site. GET /api/v1/points lists them.")
 
     async def newest(self, name: str) -> Tree:
         """A point's newest row: one that came, else one that is kept; empty without any."""

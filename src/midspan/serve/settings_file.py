@@ -51,7 +51,7 @@ def tag_of(content: bytes) -> str:
 async def text_of(request: Request, if_match: str | None) -> bytes:
     """The new text of a file of settings. Raises Problem."""
     if if_match is None:
-        raise Problem(428, "If-Match: send the ETag of the settings that the change was made from.")
+        raise Problem(428, "If-Match: must be the ETag of the settings that you changed. Send it.")
     kind = request.headers.get("content-type", "text/plain").partition(";")[0].strip().lower()
     if kind not in ("text/plain", "application/toml"):
         raise Problem(415, "Content-Type: must be text/plain or application/toml.")
@@ -65,7 +65,7 @@ def require_unchanged(file: Path, if_match: str | None) -> None:
     """Raises Problem 412 where a file is another one than what a change was made from."""
     before = tag_of(file.read_bytes())
     if (if_match or "").strip() not in (before, "*"):
-        text = "Somebody else changed the settings meanwhile. GET them again, and change those."
+        text = "Another user changed the settings meanwhile. GET them again and repeat your change."
         raise Problem(412, text, headers={"ETag": before})
 
 
@@ -101,7 +101,7 @@ async def tried(serving: Serving, file: Path, content: bytes) -> SettingsDone:
         try:
             answer, _ = await serving.link.ask("reload", trial=str(trial))
         except AwayError:
-            text = "Not written. They hold once `midspan run` is started."
+            text = "Not saved. The settings take effect when `midspan run` is started."
             return SettingsDone(text=text, restart=[], **changes.to_dict())
     return done(answer)
 
@@ -137,7 +137,7 @@ def file_of(serving: Serving) -> Path:
     """The site's file. Raises Problem where there is none."""
     file = serving.settings_file
     if file is None or not file.is_file():
-        raise Problem(404, "No SITE.toml belongs to this store here: no `midspan run` has begun on it.")
+        raise Problem(404, "This store has no SITE.toml here: no `midspan run` was started on it.")
     return file
 
 
@@ -160,7 +160,7 @@ async def change(
     response: Response,
     serving: Shared,
     if_match: Annotated[str | None, Header(max_length=200)] = None,
-    dry_run: Annotated[bool, Query(description="only say what would happen")] = False,
+    dry_run: Annotated[bool, Query(description="report the effect without saving")] = False,
 ) -> SettingsDone:
     """Check new settings and put them in force; the points that they leave as they are lose no row."""
     content = await text_of(request, if_match)
@@ -177,5 +177,5 @@ async def change(
     except AwayError:
         # One that is busy with the change before takes them up next.
         when = "the measuring process answers" if serving.link.is_connected else "`midspan run` is started"
-        return found.model_copy(update={"text": f"Written. They hold once {when}."})
+        return found.model_copy(update={"text": f"Saved. The settings take effect when {when}."})
     return done(answer)

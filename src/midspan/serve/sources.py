@@ -24,7 +24,7 @@ class SourceState(BaseModel):
     name: str
     point: str
     source: str
-    reason: str = Field(description="a reason code; empty where all is well")
+    reason: str = Field(description="reason code; empty: no fault")
     text: str
     age_s: float | None
     records: int
@@ -32,16 +32,17 @@ class SourceState(BaseModel):
     skipped: int
     stamps: str
     address: str
-    rate_hz: float | None = Field(None, description="frames, or values, a second, by the newest stamps")
-    nominal_rate_hz: float | None = Field(None, description="the same as the recording has it that the point runs with")
-    delay_s: float | None = Field(None, description="how much later than its stamp a record comes, mean, s")
-    late: int | None = Field(None, description="values and frames left out: too late, out of order or doubled")
-    restarts: int | None = Field(None, description="how often the source was opened again")
+    rate_hz: float | None = Field(None, description="frames or values per second, from the newest time stamps")
+    nominal_rate_hz: float | None = Field(None, description="rate in the calibration recording of the point")
+    delay_s: float | None = Field(None, description="mean delay of records after their time stamp, s")
+    late: int | None = Field(None, description="rejected values and frames: late, out of order or repeated")
+    restarts: int | None = Field(None, description="number of reconnections to the source")
     clock_offset_s: float | None = Field(
-        None, description="added to its stamps for the accelerometer's clock: as calibrated and as estimated since, s"
+        None,
+        description="clock offset, added to its stamps to get the accelerometer's clock: calibrated, then tracked, s",
     )
-    clock_offset_std_s: float | None = Field(None, description="standard deviation of that, s")
-    clock_drift_ppm: float | None = Field(None, description="how fast the offset changes, as estimated, ppm")
+    clock_offset_std_s: float | None = Field(None, description="standard deviation of the clock offset, s")
+    clock_drift_ppm: float | None = Field(None, description="estimated clock drift, ppm")
 
 
 class Pause(BaseModel):
@@ -102,7 +103,7 @@ def require_source(serving: Serving, name: str) -> Tree:
     """The newest state of a stream. Raises Problem for a name that is no source's."""
     found = next((one for one in known(serving) if one["name"] == name), None)
     if found is None:
-        raise Problem(404, f"{name}: is no source of this site. GET /api/v1/sources names them, as POINT.KIND.")
+        raise Problem(404, f"{name}: is not a source of this site. GET /api/v1/sources lists them as POINT.KIND.")
     return found
 
 

@@ -26,7 +26,7 @@ KEPT_S, MAX_KEPT_BYTES = 60.0, 16_000_000
 MAX_WAITING_BYTES = 8_000_000
 # Rows of a message, and of all messages of a time, at most: a point that was opened gives minutes of rows at once.
 MAX_ROWS, MAX_SENT = 1000, 20_000
-STALLED = "what waited for this viewer was not taken; connect again with after= the newest sequence"
+STALLED = "the viewer was too slow; reconnect with after= the newest sequence"
 # Why a viewer is dropped, as a websocket's close code: try again later.
 TRY_AGAIN = 1013
 

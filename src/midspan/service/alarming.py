@@ -116,7 +116,7 @@ class Alarming:
             try:
                 self._watch.restore(book.alarms(now_ns - 86_400 * NANOSECONDS), book.kept(), now_ns)
             except MidspanError as error:
-                self._say(f"alarms: what was kept cannot be read ({error}); they begin anew.")
+                self._say(f"alarms: the stored alarms cannot be read ({error}); the list starts empty.")
         self.delivery.start()
         self._begun_s, self._is_open = time.time(), True
 
@@ -169,7 +169,7 @@ class Alarming:
         except Exception as error:
             if not self._is_faulty:
                 self._is_faulty = True
-                self._say(f"alarms: a defect of midspan ({type(error).__name__}: {error}); rows go on.")
+                self._say(f"alarms: a defect of midspan ({type(error).__name__}: {error}); rows continue.")
 
     def _put(self, entry: Entry, trees: Sequence[Tree]) -> None:
         self.delivery.put(entry)

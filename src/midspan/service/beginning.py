@@ -28,10 +28,10 @@ def begin(one: Running, store: Store, folder: Path, say: Callable[[str], None]) 
         return
     try:
         if _resume(one, store, kept[1]):
-            say(f"{one.name}: goes on from its checkpoint.")
+            say(f"{one.name}: continues from its checkpoint.")
     except (MidspanError, ValueError, KeyError, OSError) as error:
         one.live.drop()
-        say(f"{one.name}: its checkpoint cannot be used ({error}); it opens anew.")
+        say(f"{one.name}: the checkpoint cannot be used ({error}); the point reopens.")
 
 
 def _resume(one: Running, store: Store, kept: bytes) -> bool:

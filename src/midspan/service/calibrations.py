@@ -132,5 +132,5 @@ async def _ran(program: str, *arguments: str) -> tuple[int | None, bytes]:
         await process.wait()
         if isinstance(ended, asyncio.CancelledError):
             raise
-        raise DataError(f"The work lasted longer than {LONGEST_S:g} s.") from None
+        raise DataError(f"The calibration took longer than {LONGEST_S:g} s.") from None
     return process.returncode, printed

@@ -222,7 +222,7 @@ class CameraProcess:
             self._run_once()
             if self._ending.is_set():
                 return
-            self._failed(SourceFault("process_ended", "the camera's process ended; it is started again"))
+            self._failed(SourceFault("process_ended", "the camera's process ended and is restarted"))
             self._ending.wait(self._pauses.next_s())
 
     def _failed(self, fault: SourceFault) -> None:

@@ -39,9 +39,9 @@ class Changes:
     @property
     def text(self) -> str:
         """What becomes of the points, in sentences."""
-        said = [("begins", self.added), ("begins anew", self.changed), ("ends", self.removed)]
+        said = [("starts", self.added), ("restarts", self.changed), ("stops", self.removed)]
         lines = [f"{', '.join(names)}: {what}." for what, names in said if names]
-        return " ".join([*lines, "The other points go on." if lines else "All points go on."])
+        return " ".join([*lines, "The other points continue." if lines else "All points continue."])
 
     def to_dict(self) -> dict[str, Any]:
         """As the interface has it."""

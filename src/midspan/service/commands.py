@@ -65,7 +65,7 @@ class Commands:
         command = self._table.get(name)
         if command is None:
             listed = ", ".join([*self._table, *self._alarms])
-            raise MidspanError(f"{name}: is no command. Commands: {listed}.")
+            raise MidspanError(f"{name}: is not a command. Commands: {listed}.")
         return await command(head)
 
     async def _calibrate(self, head: Tree) -> Answer:
@@ -79,14 +79,14 @@ class Commands:
     async def _accept(self, head: Tree) -> Answer:
         one, number = self._point(head), int(head["number"])
         if await self._with_store(accepted, one.live, str(number)) is None:
-            raise MidspanError(f"{one.name}: calibration {number} is not offered; only such a one can be accepted.")
+            raise MidspanError(f"{one.name}: calibration {number} is not offered; only an offered one can be accepted.")
         one.live.calibrated(number)
         return {"text": f"{one.name}: calibration {number} is in force."}, b""
 
     async def _refuse(self, head: Tree) -> Answer:
         one, number = self._point(head), int(head["number"])
         if not await self._with_store(refused, one.live, number):
-            raise MidspanError(f"{one.name}: calibration {number} is not offered; only such a one can be refused.")
+            raise MidspanError(f"{one.name}: calibration {number} is not offered; only an offered one can be refused.")
         who, reason = str(head.get("who", "")), str(head.get("reason", ""))[:200]
         by, why = f" by {who}" if who else "", f": {reason}" if reason else "."
         text = f"{one.name}: calibration {number} is refused{by}{why}"
@@ -119,9 +119,9 @@ class Commands:
         one, stream = self._stream(head)
         feed = one.cameras.get(stream.sensor)
         if feed is None:
-            raise MidspanError(f"{head['source']}: has no picture; only cameras have.")
+            raise MidspanError(f"{head['source']}: is not a camera, and only cameras have images.")
         if stream.reason and not stream.paused:
-            raise MidspanError(f"{head['source']}: brings no picture. {stream.text or sentence(stream.reason)}")
+            raise MidspanError(f"{head['source']}: delivers no image. {stream.text or sentence(stream.reason)}")
         loop = asyncio.get_running_loop()
         coming: asyncio.Future[Picture] = loop.create_future()
 
@@ -132,7 +132,7 @@ class Commands:
         try:
             picture = await asyncio.wait_for(coming, PICTURE_S)
         except TimeoutError:
-            raise MidspanError(f"{head['source']}: no frame came within {PICTURE_S:g} s.") from None
+            raise MidspanError(f"{head['source']}: received no frame within {PICTURE_S:g} s.") from None
         rows, columns = picture.shape
         found = {"time_ns": picture.time_ns, "width": columns, "height": rows, "now_s": time.time()}
         shown = {**shown_range(picture, one.scales.get(stream.sensor)), "targets": tracked(one.live, stream.sensor)}
@@ -142,9 +142,9 @@ class Commands:
         one, stream = self._stream(head)
         info, frame = one.live.radars.get(stream.sensor), one.profiles.get(stream.sensor)
         if info is None:
-            raise MidspanError(f"{head['source']}: has no range profile; only radars have.")
+            raise MidspanError(f"{head['source']}: is not a radar, and only radars have range profiles.")
         if frame is None:
-            raise MidspanError(f"{head['source']}: no frame came yet. {stream.text or sentence('starting')}")
+            raise MidspanError(f"{head['source']}: received no frame yet. {stream.text or sentence('starting')}")
         sensor = None if one.live.opened is None else one.live.opened.point.sensors.get(stream.sensor)
         targets = [followed.target for followed in sensor.chain.targets] if isinstance(sensor, RadarSensor) else []
         return profile_of(frame, info.range_m, targets), b""
@@ -218,4 +218,4 @@ def profile_of(frame: RangeFrame, range_m: Floats, targets: Sequence[Target]) ->
 
 
 def _no(key: str, head: Tree) -> Any:
-    raise MidspanError(f"{head.get(key)}: is no {key} of this site.")
+    raise MidspanError(f"{head.get(key)}: is not a {key} of this site.")

@@ -190,7 +190,7 @@ class Feeding:
                 arrival = self.waiting.popleft()
             except OSError as error:
                 newest_ns = max(self.opened.newest_ns.values(), default=0)
-                self._refuse(Event(newest_ns, "damaged", f"A frame that waited cannot be read: {error}."))
+                self._refuse(Event(newest_ns, "damaged", f"A buffered frame cannot be read: {error}."))
                 continue
             try:
                 if arrival.newest_ns > self._from_ns.get(arrival.stream, -(2**62)):

@@ -120,7 +120,7 @@ class Intake:
             one.beginning = False
             for name, stream in one.streams.items():
                 if lost := stream.lost_to_say(time.time()):
-                    text = f"{name}: more came than can wait while the point was being begun; {lost} were dropped."
+                    text = f"{name}: the buffer was full while the point started; {lost} records were dropped."
                     self._tell(one, "lost_records", text)
             for _, take in one.early:
                 take()
@@ -194,11 +194,11 @@ class Intake:
         if not stream.is_new(block):
             return
         if lost := stream.lost_to_say(time.time()):
-            self._tell(one, "lost_records", f"{name}: blocks were lost on their way: {lost}.")
+            self._tell(one, "lost_records", f"{name}: blocks lost in transmission: {lost}.")
         if len(block.values) and not np.isfinite(block.values).any():
             self._refused(one, name, SourceFault("no_values", sentence("no_values")))
         elif stream.dt_ns and block.dt_ns != stream.dt_ns:
-            text = f"{name}: values come every {block.dt_ns / 1e6:g} ms now, every {stream.dt_ns / 1e6:g} ms before."
+            text = f"{name}: the sample interval is now {block.dt_ns / 1e6:g} ms, before {stream.dt_ns / 1e6:g} ms."
             self._tell(one, "rate", text)
         stream.dt_ns = block.dt_ns
         value = in_si(block.values, one.factors[name])[:, None]
@@ -208,7 +208,7 @@ class Intake:
         """Whether stamps are of the future, which is a fault."""
         ahead_s = (newest_ns - time.time_ns()) / NANOSECONDS
         if ahead_s > AHEAD_S:
-            text = f"stamps are {ahead_s:.6g} s ahead of this machine's clock; set both by NTP"
+            text = f"time stamps are {ahead_s:.6g} s ahead of this machine's clock; synchronise both by NTP"
             self._refused(one, name, SourceFault("clock_ahead", text))
         return ahead_s > AHEAD_S
 
@@ -229,8 +229,8 @@ class Intake:
         if stream.stamps not in ("", item.kind.value):
             # What a calibration took for the clock's offset changes by some hundredths of a second.
             text = (
-                f"{name}: frames are dated by {item.kind.value} now (± {1e3 * item.kind.std_s:g} ms), "
-                f"by {stream.stamps} before."
+                f"{name}: the time stamps of frames are now those of the {item.kind.value} (± "
+                f"{1e3 * item.kind.std_s:g} ms), before of the {stream.stamps}."
             )
             self._tell(one, "stamps", text)
         stream.stamps = item.kind.value
@@ -304,7 +304,7 @@ class Intake:
                     await asyncio.sleep(left_s)
                 for one, name in users:
                     self._give(self._heard, one, name, Arrival(name, 0, record))
-            reason, text = "ended", "the recording that is replayed has ended"
+            reason, text = "ended", "the replayed recording has ended"
         except MidspanError as error:
             reason, text = "damaged", str(error)
         for one, name in users:

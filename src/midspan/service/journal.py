@@ -305,7 +305,7 @@ class Journal:
             self._recent.pop(0)
 
     def _mark(self, rows: Estimate) -> None:
-        text = f"The displacement counts from a new zero from here on: {self._new_datum}"
+        text = f"The displacement has a new zero from here on: {self._new_datum}"
         self._tell([Event(int(rows.time_ns[0]), NEW_DATUM, text)])
         self._new_datum = ""
 

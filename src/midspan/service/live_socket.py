@@ -44,14 +44,14 @@ async def read_frame(reader: asyncio.StreamReader) -> tuple[Tree, bytes]:
     """The next frame. Raises DataError for what is none, IncompleteReadError at the end."""
     (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
     if not 0 < length <= MAX_FRAME_BYTES:
-        raise DataError(f"A frame of {length} bytes came over the local socket; at most {MAX_FRAME_BYTES} are taken.")
+        raise DataError(f"The local socket received a frame of {length} bytes; the limit is {MAX_FRAME_BYTES}.")
     text, _, body = (await reader.readexactly(length)).partition(b"\n")
     try:
         head = json.loads(text)
     except ValueError:
         head = None
     if not isinstance(head, dict):
-        raise DataError("What came over the local socket is no frame.")
+        raise DataError("The local socket received an invalid frame.")
     return head, body
 
 
@@ -141,8 +141,8 @@ class LiveSocket:
         self._lock = lock_file(self._folder / LOCK_FILE)
         if self._lock is None:
             raise UsageError(
-                f"{self._folder}: another `midspan run` is on this store. Stop that one first, or put the points of "
-                "both into one SITE.toml, or give each a store of its own."
+                f"{self._folder}: another `midspan run` uses this store. Stop it, put the points of both into one "
+                "SITE.toml, or use two stores."
             )
         with suppress(FileNotFoundError):
             (self._folder / SOCKET_FILE).unlink()

@@ -49,8 +49,8 @@ def tls_context(settings: MqttSettings, folder: Path) -> ssl.SSLContext | None:
             context.load_cert_chain(folder / settings.cert, None if settings.key is None else folder / settings.key)
     except (OSError, ValueError) as error:
         raise UsageError(
-            f"mqtt: ca, cert and key must be certificates and a key as PEM that fit each other; received "
-            f"{settings.ca!r}, {settings.cert!r}, {settings.key!r} ({error}). Write others."
+            f"mqtt: ca, cert and key must be matching certificates and key in PEM format; received {settings.ca!r}, "
+            f"{settings.cert!r}, {settings.key!r} ({error}). Correct them."
         ) from None
     return context
 

@@ -234,7 +234,7 @@ class LivePoint:
     def calibrate(self) -> str:
         """Begin a new calibration, or say why not; the rows go on with the one in force until another is accepted."""
         if not self.can_calibrate:
-            return f"{self.name}: is being calibrated or opened already; the command is left out."
+            return f"{self.name}: is already being calibrated or opened; the command is ignored."
         self.phase, self._again_ns = Phase.CAPTURING_TO_CALIBRATE, self.newest_ns
         return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
 
@@ -247,7 +247,7 @@ class LivePoint:
         """A calibration was made that someone has to accept."""
         self.job, self.reason = None, "calibration_offered"
         self.phase = Phase.OFFERED if self.opened is None else Phase.RUNNING
-        self._tell("calibration_offered", f"{self.name}: calibration {number} waits to be accepted.")
+        self._tell("calibration_offered", f"{self.name}: calibration {number} awaits acceptance.")
 
     def offer_refused(self) -> None:
         """What was offered is not accepted: without rows a calibration is tried again after a while."""
@@ -286,7 +286,7 @@ class LivePoint:
         if self._feeding is None:
             self._feeding, self.phase = fed, Phase.RUNNING
             if self.follows and not found.has_own_zero:
-                found.journal.announce_new_datum("the state that held the one before could not be used.")
+                found.journal.announce_new_datum("the saved state with the previous zero could not be used.")
         else:
             self._next, self.phase = fed, Phase.CHANGING_OVER
         fed.catch_up()
@@ -320,9 +320,12 @@ class LivePoint:
         newer.journal.continue_after(-(2**62) if last_ns is None else last_ns, zero)
         if zero is not None:
             moved, number = f"{1e3 * zero.offset_m:+.3g} ± {1e3 * zero.variance_m2**0.5:.2g}", newer.journal.calibration
-            self._tell("zero", f"{self.name}: calibration {number} gives the rows; the zero is kept by {moved} mm.")
+            self._tell(
+                "zero",
+                f"{self.name}: rows now use calibration {number}; their zero was shifted by {moved} mm to match.",
+            )
         elif not newer.has_own_zero:
-            newer.journal.announce_new_datum("too few rows with measurements were common with the opening before.")
+            newer.journal.announce_new_datum("too few measured rows overlap with the previous ones.")
         self._unpublished = older.journal.fresh()
         self._last.append(older.journal.batch())
         self._feeding, self._next = self._next, None
@@ -367,8 +370,8 @@ class LivePoint:
     def _doubt(self, found: Opened) -> None:
         """Calibrate anew, once, where the motion shows that a scale has changed."""
         off = [
-            f"{sensor}: the motion shows a scale {100 * error:+.2g} ± {100 * std:.1g} % off calibration {self.number}; "
-            "the band holds it, and a new calibration is made."
+            f"{sensor}: the motion shows a scale {100 * error:+.2g} ± {100 * std:.1g} % different from calibration "
+            f"{self.number}; the band includes it, and a new calibration starts."
             for sensor, (error, std) in found.point.scale_errors().items()
             if abs(error) > max(SCALE_OFF, SCALE_SURE * std)
         ]

@@ -130,8 +130,8 @@ def _require_new(store: Store, name: str, recording: Recording) -> None:
     newest_ns = store.newest_ns(name, "rows")
     if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
         raise UsageError(
-            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
-            "another name (--point), or another store (-o)."
+            f"The store already has rows of point {name!r} at the recording's time and keeps them. Give another name "
+            "(--point), or another store (-o)."
         )
 
 

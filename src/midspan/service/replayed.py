@@ -89,4 +89,4 @@ def film(address: str) -> Iterator[Stamped]:
             # What was due before the process ran is past, as with any camera.
             continue
         yield Stamped(replace(frame, time_ns=stamp), StampKind.SENDER)
-    raise SourceFault("ended", "the recording that is replayed has ended")
+    raise SourceFault("ended", "the replayed recording has ended")

@@ -152,7 +152,7 @@ class Service:
                 await asyncio.to_thread(work)
             except StoreFault as fault:
                 if not self._keeper.reason:
-                    self._say(f"store: {fault} It is tried again every second.")
+                    self._say(f"store: {fault} midspan retries every second.")
                 self._keeper.reason, self._keeper.text = fault.code, str(fault)
             else:
                 self._keeper.reason = self._keeper.text = ""
@@ -403,14 +403,14 @@ class Service:
         one = next((point for point in self._points if point.name == name), None)
         if one is None:
             listed = ", ".join(point.name for point in self._points)
-            text = f"{name}: is no point of this site. Points: {listed}."
+            text = f"{name}: is not a point of this site. Points: {listed}."
             self._publish_event(name, Event(time.time_ns(), "command", text))
         elif command == "calibrate":
             self._event(one, "command", one.live.calibrate())
         elif command == "accept":
             self._begin(self._accept(one, wanted))
         else:
-            self._event(one, "command", f"{name}: cmd/{command} is no command. Commands: {', '.join(COMMANDS)}.")
+            self._event(one, "command", f"{name}: cmd/{command} is not a command. Commands: {', '.join(COMMANDS)}.")
 
     async def _accept(self, one: Running, wanted: str) -> None:
         number = await asyncio.to_thread(self._with_store, accepted, one.live, wanted)
@@ -470,7 +470,7 @@ class Service:
             # Store and broker that are away, or back, are an event of every point.
             for name, (reason, _) in self._shared().items():
                 if reason != self._away.get(name, "") and reason != "starting":
-                    text = f"{name}: {sentence(reason) if reason else 'is there again.'}"
+                    text = f"{name}: {sentence(reason) if reason else 'is available again.'}"
                     for one in self._points:
                         self._event(one, reason or "returned", text)
                     self._away[name] = reason
@@ -491,7 +491,7 @@ class Service:
                     for place in archive(store, self.site.file.parent / folder, time.time_ns()):
                         self._say(f"archive: {place.parent.name}, {place.name}.")
         except (MidspanError, OSError) as error:
-            self._say(f"archive: {error}; it is tried again in an hour.")
+            self._say(f"archive: {error}; midspan retries in an hour.")
             return
         self._old_ns = round((time.time() - DAY_S * self.site.settings.store.keep_days) * NANOSECONDS)
 

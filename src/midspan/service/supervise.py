@@ -113,8 +113,8 @@ def listening(listen: str, where: str) -> socket.socket:
                 continue
             why = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
             raise UsageError(
-                f"{where}: {listen} cannot be listened on ({why}). Stop the program that "
-                "listens there, or write another address or port."
+                f"{where}: cannot listen on {listen} ({why}). Stop the program that uses it, or set another address "
+                "or port."
             ) from None
 
 
@@ -222,7 +222,7 @@ class Supervisor:
     async def _run_site(self, site: Site, for_s: float | None) -> Tree:
         fault = self.settings.fault
         if fault is not None:
-            self._say(f"settings: {fault.text} The settings that were in force before hold.")
+            self._say(f"settings: {fault.text} The previous settings stay in force.")
         self._service = self._service or self._service_of(site)
         self._socket.publish({"kind": "hello", "site": site.name, "site_file": str(self.settings.file)})
         try:
@@ -235,7 +235,7 @@ class Supervisor:
     async def _idle(self, for_s: float | None) -> Tree:
         """Nothing runs: the server shows why, and takes better settings."""
         fault = self.settings.fault
-        self._say(f"settings: {fault.text if fault else ''} Nothing is measured until they are corrected.")
+        self._say(f"settings: {fault.text if fault else ''} midspan does not measure until they are corrected.")
         self._socket.publish({"kind": "hello", "site": "", "site_file": str(self.settings.file)})
         notify("READY=1")
         waiting = [asyncio.create_task(one.wait()) for one in (self._stop, self._again)]
@@ -279,7 +279,7 @@ class Supervisor:
             trial = head.get("trial")
             return await (self._reload() if trial is None else self._tried(Path(str(trial)))), b""
         if self._service is None:
-            raise MidspanError(f"Nothing is measured at present. {sentence('settings')}")
+            raise MidspanError(f"midspan does not measure at present. {sentence('settings')}")
         return await self._service.command(head)
 
     async def _tried(self, file: Path) -> Tree:
@@ -305,7 +305,7 @@ class Supervisor:
             self._again.set()
             if service is not None:
                 service.stop()
-            return {"text": "Written. The measuring begins anew with them.", "restart": [], **changes.to_dict()}
+            return {"text": "Saved. Measuring restarts with the new settings.", "restart": [], **changes.to_dict()}
         try:
             changes = await service.take(new.site)
         except (UsageError, DataError) as error:
@@ -343,13 +343,13 @@ class Supervisor:
                 code = await process.wait()
             finally:
                 await _ended(process)
-            self._say(f"page: its server ended with code {code}; it is started again.")
+            self._say(f"page: the server ended with code {code} and is restarted.")
             await asyncio.sleep(SERVER_AGAIN_S)
 
 
 def _needs_restart(sections: Sequence[str]) -> str:
     named = " and ".join(f"[{key}]" for key in sections)
-    return f"Changes of {named} need `midspan run` to be started again; nothing else comes into force before."
+    return f"Changes of {named} need a restart of `midspan run`; until then none of the changes takes effect."
 
 
 async def _ended(process: asyncio.subprocess.Process) -> None:

@@ -35,44 +35,42 @@ def _is_a_name(value: str) -> str:
 class AlarmSettings(Section):
     """One alarm of a point: what it watches, the limit, and what has to hold before it fires and ends."""
 
-    name: Annotated[str, AfterValidator(_is_a_name)] = Field(
-        description="the alarm's name, another one for each of the point"
-    )
+    name: Annotated[str, AfterValidator(_is_a_name)] = Field(description="name of the alarm, unique within its point")
     on: Quantity = Field(
-        description="quantity that is watched; drift: of the daily mean; silent: no block of a source; disk: "
-        "the store's"
+        description="monitored quantity; drift: of the daily mean; silent: no data from a source; disk: usage of the "
+        "store's disk"
     )
-    limit_mm: Length | None = Field(None, description="limit of the size of displacement, drift or std")
+    limit_mm: Length | None = Field(None, description="limit of |displacement|, |drift| or std")
     span_m: Annotated[float, IsNumber, limited(1e-3, 1e5, "m")] | None = Field(
-        None, description="span that a displacement is compared with, with span_over instead of limit_mm"
+        None, description="span length; with span_over it replaces limit_mm"
     )
     span_over: Annotated[float, IsNumber, limited(1.0, 1e6)] | None = Field(
-        None, description="limit as a part of the span: 800 is span_m / 800; larger fires earlier"
+        None, description="limit as a fraction of the span: 800 is span_m / 800; larger fires earlier"
     )
-    limit_mm_s: Speed | None = Field(None, description="limit of the size of velocity")
+    limit_mm_s: Speed | None = Field(None, description="limit of |velocity|")
     limit_percent: Annotated[float, IsNumber, limited(1.0, 100.0, "%")] | None = Field(
-        None, description="how much of the store's disk may be used"
+        None, description="limit of the used share of the store's disk"
     )
     level: Literal["warning", "critical"] = Field("warning", description="how serious it is")
     delay_s: Delay = Field(
         0.0,
-        description="how long the limit is exceeded before it fires; of silent: time since the source's newest block",
+        description="time above the limit before the alarm fires; silent: age of the source's newest data",
     )
     hysteresis_mm: Annotated[float, IsNumber, limited(0.0, 1e6, "mm")] = Field(
-        0.0, description="how far below the limit it ends; more keeps it from flickering"
+        0.0, description="hysteresis: distance below the limit at which the alarm ends; more prevents chatter"
     )
     hysteresis_mm_s: Annotated[float, IsNumber, limited(0.0, 1e7, "mm/s")] = Field(
-        0.0, description="the same of a velocity"
+        0.0, description="hysteresis of velocity"
     )
     hysteresis_percent: Annotated[float, IsNumber, limited(0.0, 100.0, "%")] = Field(
-        0.0, description="the same of the disk"
+        0.0, description="hysteresis of disk usage"
     )
-    keep_firing_s: Delay = Field(10.0, description="how long the value stays below before the alarm ends")
+    keep_firing_s: Delay = Field(10.0, description="time below the limit before the alarm ends")
     no_data_s: Annotated[float, IsNumber, limited(0.1, 604_800.0, "s")] | None = Field(
-        None, description="without rows for this long it fires as no_data, with an id of its own; left out: never"
+        None, description="time without rows before a separate alarm no_data fires; default: never"
     )
     repeat_s: Annotated[float, IsNumber, limited(1.0, 604_800.0, "s")] = Field(
-        3600.0, description="how often it is notified again until it is acknowledged"
+        3600.0, description="interval of reminders until the alarm is acknowledged"
     )
 
     @model_validator(mode="after")
@@ -144,20 +142,20 @@ class NotifySettings(Section):
         None, description="http(s) address to which each change is sent by POST, as JSON"
     )
     secret: Annotated[SecretStr, Form("text")] | None = Field(
-        None, description='key of the body\'s HMAC-SHA256; write "{NAME}"; left out: not signed'
+        None, description='key of the HMAC-SHA256 signature; write "{NAME}"; default: not signed'
     )
     smtp: Annotated[str, AfterValidator(_is_a_server), Form("HOST:PORT")] | None = Field(
-        None, description="host and port of a mail server, instead of webhook; 465 is TLS at once"
+        None, description="host and port of a mail server, instead of webhook; port 465: TLS from the start"
     )
     to: Annotated[tuple[Mail, ...], Form("list of addresses")] = Field((), description="addresses that get mail")
     sender: Mail = Field("midspan@localhost", description="whom mail is from")
-    user: str | None = Field(None, description="user of the mail server; left out: none")
+    user: str | None = Field(None, description="user of the mail server; default: none")
     password: Annotated[SecretStr, Form("text")] | None = Field(None, description='its password; write "{NAME}"')
 
     @model_validator(mode="after")
     def _is_one(self) -> "NotifySettings":
         if (self.webhook is None) == (self.smtp is None):
-            raise ValueError("must have webhook or smtp, one of them")
+            raise ValueError("must have either webhook or smtp")
         if self.webhook is not None:
             _require_http(self.webhook.get_secret_value())
         if self.smtp is not None and not self.to:
@@ -178,13 +176,13 @@ class MaintenanceSettings(Section):
     end: Annotated[datetime, Form("time")] = Field(description="end, UTC without a zone")
     reason: str = Field("", description="what is done then")
     points: Annotated[tuple[str, ...], Form("list of names")] = Field(
-        (), description="points whose messages are silent; left out: all"
+        (), description="points whose notifications are muted; default: all"
     )
 
     @model_validator(mode="after")
     def _is_a_time(self) -> "MaintenanceSettings":
         if _utc(self.end) <= _utc(self.begin):
-            raise ValueError("must have an end after its begin")
+            raise ValueError("must end after it begins")
         return self
 
     def covers(self, point: str, time_s: float) -> bool:

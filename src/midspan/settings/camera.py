@@ -54,33 +54,31 @@ class TargetSettings(Section):
     roi: Annotated[tuple[int, int, int, int], AfterValidator(region_is_positive), ROI] = Field(
         description="x, y of the upper left corner, width, height"
     )
-    name: SensorName | None = Field(
-        None, description="what reports, warnings and columns call it; left out: its number"
-    )
+    name: SensorName | None = Field(None, description="name in reports, warnings and columns; default: its number")
 
 
 class LensSettings(Section):
     """The camera's lens in OpenCV's models: a file that `midspan lens` wrote, or the numbers themselves."""
 
-    file: FileName | None = Field(None, description="lens.json that `midspan lens` wrote, instead of all other keys")
+    file: FileName | None = Field(None, description="lens.json from `midspan lens`, instead of all other keys")
     model: Annotated[str, known(LENS_MODELS, "lens model")] = Field(
         "pinhole", description="OpenCV's camera model; fisheye is for more than about 120°"
     )
     matrix: Annotated[tuple[FiniteNumber, ...] | None, AfterValidator(has_four), Form("4 numbers, px")] = Field(
-        None, description="fx, fy, cx, cy; the middle of the first pixel is 0, 0"
+        None, description="fx, fy, cx, cy; the centre of the first pixel is 0, 0"
     )
     distortion: Annotated[tuple[FiniteNumber, ...] | None, Form("4, 5, 8 or 12 numbers")] = Field(
         None, description="pinhole: k1, k2, p1, p2 and k3 … k6, s1 … s4 in OpenCV's order; fisheye: k1 … k4"
     )
     size: Annotated[tuple[int, int] | None, Form("2 whole numbers, px")] = Field(
-        None, description="width and height of the frames it was calibrated for, those of the recording"
+        None, description="width and height of the calibration images; must equal those of the recording"
     )
 
     @model_validator(mode="after")
     def _is_whole(self) -> "LensSettings":
         given = [name for name in ("model", "matrix", "distortion", "size") if name in self.model_fields_set]
         if self.file is not None and given:
-            raise ValueError(f"must have file or the numbers, not both; take file or {', '.join(given)} out")
+            raise ValueError(f"must have either file or the numbers; remove {', '.join(given)}")
         if self.file is None and (missing := {"matrix", "distortion", "size"} - set(given)):
             raise ValueError(f"must have file, or matrix, distortion and size; missing: {', '.join(sorted(missing))}")
         if self.file is None:
@@ -99,73 +97,73 @@ class LensSettings(Section):
 class CameraSettings(Section):
     """A camera: on the structure, looking at fixed surroundings, or on a tripod, looking at the structure."""
 
-    name: SensorName | None = Field(None, description="what it is called; needed where there are several of a kind")
+    name: SensorName | None = Field(None, description="name of the sensor; needed if there are several of a kind")
     file: FileName = Field(
         description="video, folder or glob of images, multi-page TIFF, .npy or .npz stack, or table of a track"
     )
     times: FileName | None = Field(
-        None, description="file with a column time_s, one row a frame of the file; over all other times"
+        None, description="file with a column time_s, one row per frame; overrides all other times"
     )
     rate_hz: Rate | None = Field(
-        None, description="frames a second, where the file has no stamps; also over a declared slow-motion rate"
+        None, description="frame rate, if the file has no time stamps; overrides a declared slow-motion rate"
     )
     start_s: Time = Field(
-        0.0, description="added to the container's stamps, or with rate_hz time of the first frame; not used with times"
+        0.0,
+        description="added to the container's time stamps; with rate_hz: time of the first frame; ignored with times",
     )
     every: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
         1, description="use every n-th frame; higher is faster and noisier"
     )
     roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(region_is_positive), ROI] = Field(
-        None, description="x, y of the upper left corner, width, height of the textured target; left out: chosen"
+        None,
+        description="x, y of the upper left corner, width, height of the textured target; default: automatic",
     )
     target: tuple[TargetSettings, ...] = Field((), description="several targets instead of roi, each with its own roi")
     automatic_targets: Annotated[int, IsNumber, Field(ge=1, le=6)] = Field(
-        1, description="how many targets are chosen where none is given; more is steadier and slower"
+        1, description="number of targets to select if none is given; more is more robust and slower"
     )
     direction: Literal["x", "y", "xy"] = Field(
         "y", description="image axis of the measured motion: x right, y down, or both"
     )
     exposure_s: Duration | None = Field(
         None,
-        description="exposure time, whose averaging is corrected; left out: estimated where visible, else in the "
-        "scale's σ",
+        description="exposure time, whose averaging is corrected; default: estimated if observable, else included in "
+        "the scale's σ",
     )
-    readout_s: Duration = Field(
-        0.0, description="rolling shutter: time from first to last row; more dates lower rows later"
-    )
+    readout_s: Duration = Field(0.0, description="rolling shutter: readout time from first to last row")
     scale_mm_per_px: Annotated[float, IsNumber, limited(-1e6, 1e6, "mm/px")] | None = Field(
         None,
-        description="displacement for one pixel, signed, where known beforehand (one target, one axis); left out: "
-        "calibrated",
+        description="displacement per pixel, signed, if known (one target, one axis); default: calibrated",
     )
     scale_std_mm_per_px: Annotated[float, IsNumber, limited(0.0, 1e6, "mm/px")] = Field(
         0.0, description="standard deviation of scale_mm_per_px; more widens the band in proportion to the displacement"
     )
     tilt_std_mdeg: Annotated[float, IsNumber, limited(0.0, 1e5, "mdeg")] = Field(
         0.0,
-        description="standard deviation of the camera's own tilt; widens the band, times the distance; 0: not in it",
+        description="standard deviation of the camera's tilt; times distance_m it widens the band; 0: not included",
     )
     distance_m: Annotated[float, IsNumber, limited(1e-3, 1e6, "m")] | None = Field(
-        None, description="from camera to the (farthest) target, for tilt_std_mdeg and the check of the scale factor"
+        None,
+        description="distance to the (farthest) target, for tilt_std_mdeg and the check of the scale factor",
     )
     focal_length_mm: Annotated[float, IsNumber, limited(1e-2, 1e5, "mm")] | None = Field(
-        None, description="of the lens; with pixel_pitch_um and distance_m an implausible scale factor is a warning"
+        None, description="focal length; with pixel_pitch_um and distance_m it checks the scale factor"
     )
     pixel_pitch_um: Annotated[float, IsNumber, limited(1e-2, 1e3, "µm")] | None = Field(
-        None, description="from pixel to pixel on the image sensor, at the video's resolution"
+        None, description="pixel pitch on the image sensor at the video's resolution"
     )
     tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(
-        DEFAULT_TRACKER, description="how the target is found; see `midspan methods`"
+        DEFAULT_TRACKER, description="tracking method; see `midspan methods`"
     )
     tracker_settings: Annotated[dict[str, Any], Form("table")] = Field(
         default_factory=dict,
-        description="settings of that tracker by name, in docs/trackers.md; another --tracker leaves them unused",
+        description="settings of this tracker (docs/trackers.md); ignored with another --tracker",
     )
-    lens: LensSettings | None = Field(None, description="the lens's distortion; left out: none is corrected")
+    lens: LensSettings | None = Field(None, description="lens distortion; default: not corrected")
     reference: Literal["first", "key-frames", "updating"] | None = Field(
         None,
-        description="frame that each one is compared with: first, several overlapping, or replaced as published; "
-        "left out: first",
+        description="reference frame: the first, several overlapping key frames, or replaced as published; default: "
+        "first",
     )
     reference_settings: Annotated[dict[str, Any], Form("table")] = Field(
         default_factory=dict,
@@ -184,7 +182,7 @@ class CameraSettings(Section):
         if self.roi is not None and self.target:
             raise ValueError("must have roi for one target or [[camera.target]] for several, not both")
         if self.automatic_targets > 1 and (self.roi is not None or self.target):
-            raise ValueError("must leave automatic_targets out where roi or [[camera.target]] says what to track")
+            raise ValueError("must not have automatic_targets together with roi or [[camera.target]]")
         if len(set(names)) < len(names):
             raise ValueError(f"must give each [[camera.target]] its own name; received {', '.join(names)}")
         if len(set(rois)) < len(rois):
@@ -201,8 +199,8 @@ class CameraSettings(Section):
             raise ValueError('must have one target and direction = "x" or "y" together with scale_mm_per_px')
         if self.tilt_std_mdeg > 0.0 and self.distance_m is None and self.lens is None:
             raise ValueError(
-                "must have distance_m, the metres from camera to target, or a section lens with the focal length, "
-                "together with tilt_std_mdeg: what a tilt makes of the displacement grows with the distance"
+                "must have distance_m (m from camera to target) or a section lens together with tilt_std_mdeg: the "
+                "error of a tilt is proportional to the distance"
             )
         if self.tracker_settings:
             with _in_words_of("tracker_settings", self.tracker_settings):
@@ -241,29 +239,30 @@ class InfraredSettings(CameraSettings):
     )
     reference: Literal["first", "key-frames", "updating"] | None = Field(
         None,
-        description="frame that each one is compared with: first, several overlapping, or replaced as published; "
-        "left out: several",
+        description="reference frame: the first, several overlapping key frames, or replaced as published; default: "
+        "key-frames",
     )
     temperature_range_c: Annotated[
         tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, °C")
     ] = Field(
         None,
-        description="low and high of the tracker's 256 grey levels; left out: temperatures as they are, optimised "
-        "for features",
+        description="temperatures of grey levels 0 and 255; default: unscaled temperatures, for features an "
+        "optimised range",
     )
     range_divisions: Annotated[int, IsNumber, Field(ge=1, le=64)] = Field(
-        DIVISIONS, description="parts M between region and view, of which (M + 1)² ranges are tried; more is slower"
+        DIVISIONS,
+        description="divisions M between the ranges of region and view; (M + 1)² ranges are tried; more is slower",
     )
     kelvin_per_count: Annotated[float, IsNumber, limited(1e-9, 1e3, "K a count")] | None = Field(
-        None, description="temperature of one count of 16-bit images; left out: estimated from the images"
+        None, description="temperature of one count of 16-bit images; default: estimated from the images"
     )
     zero_k: Annotated[float, IsNumber, limited(-1e6, 1e6, "K")] = Field(
         0.0, description="temperature of count 0 of 16-bit images"
     )
     emissivity: Annotated[float, IsNumber, Field(gt=0, le=1)] | None = Field(
         None,
-        description="of the target; lower sets temperatures farther from the surroundings'; left out: as in the FLIR "
-        "file",
+        description="emissivity of the target; lower moves temperatures away from the ambient one; default: that of "
+        "the FLIR file",
     )
 
     @property

@@ -134,7 +134,7 @@ class Section(BaseModel):
 def _is_a_word(value: str) -> str:
     """A text that can become part of a column's name."""
     if not (value.isascii() and value.replace("-", "_").replace("_", "a").isalnum()):
-        raise ValueError("must be a word of letters, digits, _ or -, as it becomes part of columns' names")
+        raise ValueError("must consist of letters, digits, _ and -, because column names contain it")
     return value
 
 
@@ -143,7 +143,7 @@ def _listed(value: Any) -> Any:
     if value is None or isinstance(value, tuple) or (isinstance(value, list) and value):
         return value or ()
     if not isinstance(value, dict):
-        raise ValueError("must be a section with keys, or a list of such sections with a name each")
+        raise ValueError("must be a section with keys, or a list of named sections")
     return [value]
 
 

@@ -85,11 +85,11 @@ def sensors_of(of_kind: Callable[[str], Sequence[Any]]) -> tuple[tuple[str, str,
         for count, section in enumerate(listed, start=1):
             name = section.name
             if not name and len(listed) > 1:
-                raise ValueError(f"must give each of several [[{kind}]] a name of its own; {kind}[{count}] has none")
+                raise ValueError(f"must give each of several [[{kind}]] a unique name; {kind}[{count}] has none")
             if name in TAKEN and name != kind:
-                raise ValueError(f"must not give {kind}[{count}] the name {name!r}, which means something else")
+                raise ValueError(f"must not give {kind}[{count}] the name {name!r}, which is reserved")
             found.append((name or kind, kind, section))
     name, count = Counter(name for name, _, _ in found).most_common(1)[0] if found else ("", 0)
     if count > 1:
-        raise ValueError(f"must give each sensor a name of its own; {count} have the name {name!r}")
+        raise ValueError(f"must give each sensor a unique name; {count} have the name {name!r}")
     return tuple(found)

@@ -35,14 +35,14 @@ def by_axis(point: dict[str, Any], where: str, folder: Path) -> list[dict[str, A
     (kind, camera), *others = sections
     if others:
         raise UsageError(
-            f'{where}: {both[0]}.direction = "xy": must be the only sensor besides the accelerometer. Write the others '
-            "in a point of their own, which may name the same sources."
+            f'{where}: {both[0]}.direction = "xy": must be the only sensor besides the accelerometer. Put the others '
+            "into another point; points may share sources."
         )
     _require_short(point.get("name"), where)
     if "scale_mm_per_px" in camera:
         raise UsageError(
-            f'{where}: {kind}.scale_mm_per_px: must have direction = "x" or "y" with it, as the sign may differ. Write '
-            "two points, which may name the same sources."
+            f'{where}: {kind}.scale_mm_per_px: must have direction = "x" or "y", because the sign may differ by '
+            "axis. Write two points; points may share sources."
         )
     sources = _sources(accelerometer, f"{where}: accelerometer", folder)
     channel = {key: value for key, value in accelerometer.items() if key not in ("source", *SOURCES.values())}

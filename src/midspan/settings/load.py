@@ -20,7 +20,7 @@ OPTIONAL_SECTIONS = ("calibration", "fusion")
 def settings_file(path: str | Path) -> Path:
     """The `recording.toml` meant by a folder or by the file itself; DataError where there is none."""
     path = path_of("path", path)
-    hint = f"A recording is a folder with {RECORDING_FILE}, or that file; `midspan demo` makes one to look at."
+    hint = f"A recording is a folder with {RECORDING_FILE}, or that file; `midspan demo` writes an example."
     try:
         file = path / RECORDING_FILE if path.is_dir() else path
         if file.is_file():
@@ -45,8 +45,8 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     except TreeError as error:
         if file.suffix.lower() != ".toml":
             raise UsageError(
-                f"{file}: is no {RECORDING_FILE}. A recording is a folder with {RECORDING_FILE}, or that file. With an "
-                "accelerometer's file put the video after it: `midspan estimate ACCEL VIDEO`."
+                f"{file}: is not a {RECORDING_FILE}. A recording is a folder with {RECORDING_FILE}, or that file. "
+                "With an accelerometer's file put the video after it: `midspan estimate ACCEL VIDEO`."
             ) from None
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
@@ -62,8 +62,8 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
         instance(section, keys, dict, "a dictionary of settings", f"Write {section}={{'KEY': VALUE}}.")
         if section not in tree and section not in OPTIONAL_SECTIONS:
             raise UsageError(
-                f"{file}: has no [{section}] section, so {', '.join(keys) or 'nothing'} of it cannot be changed. "
-                f"Write [{section}] into the file, or leave these settings out."
+                f"{file}: has no section [{section}] for {', '.join(keys) or 'its keys'}. Add "
+                f"[{section}] to the file, or remove these settings."
             )
         given = tree.get(section, {})
         tree[section] = [_changed(one, keys) for one in given] if isinstance(given, list) else _changed(given, keys)

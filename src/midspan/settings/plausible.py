@@ -25,17 +25,17 @@ def implausible(settings: RecordingSettings, calibration: Calibration) -> tuple[
     swapped = abs(share * GRAVITY_M_S2 - 1.0) < SWAPPED_WITHIN
     if settings.accelerometer is not None and swapped:
         text = (
-            f"accelerometer: it reads {calibration.bias_m_s2:+.3f} m/s² at rest, which is just what 1 g reads where g "
-            "is taken for m/s². Check accelerometer.unit and sensitivity: all millimetres may be 9.81 times too small."
+            f"accelerometer: the reading at rest is {calibration.bias_m_s2:+.3f} m/s², as for 1 g declared as m/s². "
+            "Check accelerometer.unit and sensitivity: all displacements may be 9.81 times too small."
         )
         found.append(Notice("unit-doubtful", text))
     if settings.accelerometer is not None and share > LEVEL and not UPRIGHT[0] < share < UPRIGHT[1]:
         found.append(
             Notice(
                 "unit-doubtful",
-                f"accelerometer: it reads {calibration.bias_m_s2 / GRAVITY_M_S2:.3g} g at rest, where a level axis "
-                "reads 0 and an upright one 1 g. Check accelerometer.unit and sensitivity (all millimetres are off by "
-                "the same factor), or its inclination.",
+                f"accelerometer: the reading at rest is {calibration.bias_m_s2 / GRAVITY_M_S2:.3g} g; a horizontal "
+                "axis reads 0 g, a vertical one ±1 g. Check accelerometer.unit, sensitivity (their error scales all "
+                "displacements) and inclination.",
             )
         )
     for one in settings.sensors:
@@ -62,8 +62,8 @@ def _against_optics(name: str, camera: CameraSettings, calibration: CameraCalibr
     if expected is None or 1.0 / OPTICS_WITHIN < found / expected < OPTICS_WITHIN:
         return []
     text = (
-        f"{name}: distance and focal length make {1e3 * expected:.3g} mm/px, the accelerometer "
-        f"{1e3 * found:.3g} mm/px, {found / expected:.3g} times as much. Check accelerometer.unit and sensitivity; "
+        f"{name}: scale factor {1e3 * expected:.3g} mm/px from distance and focal length, but {1e3 * found:.3g} "
+        f"mm/px from the accelerometer, {found / expected:.3g} times as much. Check accelerometer.unit, sensitivity; "
         "distance_m, focal_length_mm and pixel_pitch_um of the camera; and whether the video was resized or zoomed."
     )
     return [Notice("scale-implausible", text)]

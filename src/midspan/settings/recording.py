@@ -43,19 +43,19 @@ class CalibrationSettings(Section):
     window_s: Annotated[tuple[Time, Time] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, s")] = (
         Field(
             None,
-            description="start and end on the accelerometer's clock; longer is more certain; left out: first "
-            "minute, of [displacement] half an hour",
+            description="start and end on the accelerometer's clock; longer is more certain; default: first minute, "
+            "for [displacement] half an hour",
         )
     )
     band_hz: Annotated[
         tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger), Form("2 numbers, rising, Hz")
     ] = Field(
         None,
-        description="band of acceleration that decides the scale; narrower is less certain; left out: all, with "
-        "literal the papers'",
+        description="frequency band that determines the scale; narrower is less certain; default: all, with literal "
+        "the papers'",
     )
     literal: bool = Field(
-        False, strict=True, description="scale factor and clock offset of a camera by the papers' steps"
+        False, strict=True, description="scale factor and clock offset of a camera by the printed steps"
     )
     spline: bool = Field(
         True,
@@ -64,7 +64,7 @@ class CalibrationSettings(Section):
     )
     max_offset_s: Annotated[float, IsNumber, Field(ge=0, le=3600)] = Field(
         0.5,
-        description="largest clock offset searched for; less excludes ambiguities, more takes longer",
+        description="largest clock offset to search; less excludes ambiguities, more takes longer",
     )
 
     def printed(self, camera: CameraSettings | None) -> PrintedSteps | None:
@@ -82,73 +82,73 @@ class FusionSettings(Section):
         "smoother", description="fusion method; see `midspan methods`"
     )
     lag_s: Annotated[float, IsNumber, limited(1e-6, 3600.0, "s")] = Field(
-        0.5, description="delay of `lag`; longer is nearer to the smoother's error"
+        0.5, description="delay of `lag`; longer approaches the smoother's error"
     )
     literal: bool = Field(
         False,
         strict=True,
-        description="method as its paper prints it, without guard; radar and tracker predictions too",
+        description="method as printed in its paper, without outlier handling; radar and tracker predictions too",
     )
     switching: Literal["variance", "matches"] = Field(
-        "variance", description="two cameras: both count by their variances, or only the one with more matches"
+        "variance", description="two cameras: weighted by variance, or only the camera with more matches"
     )
     forgetting: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
         0.95, description="`adaptive-kalman`: forgetting factor; nearer to 1 adapts more slowly and steadily"
     )
     input_rule: Literal["held", "mean"] = Field(
         "held",
-        description="`adaptive-kalman`, literal: the first of two samples acts between them (equation 7), or their "
-        "mean",
+        description="`adaptive-kalman`, literal: acceleration between two samples: the first one (equation 7) or "
+        "their mean",
     )
     first_frames: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
-        10, description="`adaptive-kalman`, literal: frames before R is estimated; more starts more steadily"
+        10, description="`adaptive-kalman`, literal: frames before R is adapted; more gives a smoother start"
     )
     input_noise_m_s2: Annotated[float, IsNumber, limited(1e-12, 1e6, "m/s²")] | None = Field(
         None,
-        description="`adaptive-kalman`, literal: root of Q; too small runs away, too large makes R negative; left "
-        "out: calibrated",
+        description="`adaptive-kalman`, literal: square root of Q; too small diverges, too large makes R negative; "
+        "default: calibrated",
     )
     start_noise_mm: Annotated[float, IsNumber, limited(1e-9, 1e6, "mm")] | None = Field(
         None,
-        description="`adaptive-kalman`, literal: root of the first R; too small runs away; left out: from "
+        description="`adaptive-kalman`, literal: square root of the first R; too small diverges; default: from "
         "calibration and speed",
     )
     start_velocity_mm_s: Annotated[float, IsNumber, limited(0.0, 1e9, "mm/s")] | None = Field(
         None,
-        description="`adaptive-kalman`, literal: standard deviation of the first velocity; left out: three times the "
-        "rms speed",
+        description="`adaptive-kalman`, literal: standard deviation of the initial velocity; default: three times "
+        "the rms speed",
     )
     half_window: Annotated[int, IsNumber, Field(ge=MIN_HALF_WINDOW, le=1_000_000)] | None = Field(
-        None, description="`fir`: samples on each side of a row; more delays longer; left out: 0.5 s, or by cut_off_hz"
+        None, description="`fir`: half length in samples; more increases the delay; default: 0.5 s, or by cut_off_hz"
     )
     cut_off_hz: Annotated[float, IsNumber, limited(1e-6, RATE_HZ.high, "Hz")] | None = Field(
         None,
-        description="`fir`: where acceleration makes `accuracy` of the amplitude; lower delays longer; left out: 1.5 "
-        "/ half_window in s",
+        description="`fir`: frequency at which acceleration contributes the share `accuracy`; lower increases the "
+        "delay; default: 1.5 / half_window in s",
     )
     accuracy: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
-        0.97, description="`fir`: share of the amplitude at cut_off_hz that the acceleration makes"
+        0.97, description="`fir`: acceleration's share of the amplitude at cut_off_hz"
     )
     transition_hz: Annotated[
         tuple[Frequency, Frequency], AfterValidator(_is_a_transition), Form("2 numbers, rising, Hz")
     ] = Field(
         (0.5, 1.0),
-        description="`two-stage-fir`: displacement alone counts below the first, acceleration alone above the "
-        "second; wider shortens the delay",
+        description="`two-stage-fir`: transition band: displacement alone below it, acceleration alone above it; "
+        "wider shortens the delay",
     )
     taps: Taps | None = Field(
         None,
         description="`two-stage-fir`: length of the complementary filters; fewer shortens the delay, leaks more; "
-        "left out: ripple 0.001",
+        "default: ripple 0.001",
     )
     anti_alias_taps: Taps | None = Field(
         None,
-        description="`two-stage-fir`: length of the anti-aliasing filter; fewer shortens the delay, leaks more; left "
-        "out: ripple 0.001",
+        description="`two-stage-fir`: length of the anti-aliasing filter; fewer shortens the delay, leaks more; "
+        "default: ripple 0.001",
     )
     spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SPLINE_FRAMES)] = Field(
         SPLINE_FRAMES,
-        description="`fir`, `two-stage-fir`: displacements ahead that the spline waits for; fewer shortens the delay",
+        description="`fir`, `two-stage-fir`: later displacements that the spline needs; fewer shortens the delay",
     )
 
     @model_validator(mode="after")
@@ -190,7 +190,7 @@ class Sensor:
 class RecordingSettings(Section):
     """The whole of `recording.toml`; of each kind of sensor there may be several."""
 
-    name: str = Field("", description="what reports call the recording; left out: its folder's name")
+    name: str = Field("", description="name in reports; default: the folder's name")
     accelerometer: AccelerometerSettings | None = None
     cameras: Annotated[tuple[CameraSettings, ...], Listed] = Field((), alias="camera")
     infrareds: Annotated[tuple[InfraredSettings, ...], Listed] = Field((), alias="infrared")
@@ -227,7 +227,7 @@ class RecordingSettings(Section):
             )
         if own is not None and own.cross_values and (self.fusion.literal or self.calibration.band_hz is not None):
             key = "fusion.literal" if self.fusion.literal else "calibration.band_hz"
-            raise ValueError(f"must not have accelerometer.cross_values with {key}: leave one of them out")
+            raise ValueError(f"must not have accelerometer.cross_values with {key}: remove one of them")
         cameras = (*self.cameras, *self.infrareds)
         if len(cameras) > 1 and "xy" in [one.direction for one in cameras]:
             raise ValueError(
@@ -239,12 +239,12 @@ class RecordingSettings(Section):
             if len(listed := self.of_kind(kind)) > 1:
                 raise ValueError(
                     f"[[{kind}]] must be one section with fusion.literal; received {len(listed)}. A printed method "
-                    f"takes one sensor of each kind: leave one [{kind}], or fusion.literal out"
+                    f"takes one sensor of each kind: keep one [{kind}], or remove fusion.literal"
                 )
         if self.fusion.literal and self.radars and len(self.sensors) > 1:
             raise ValueError(
-                "fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave [camera], "
-                "[infrared] and [displacement] out, or leave fusion.literal out"
+                "fusion.literal = true with [radar]: the printed radar takes no other sensor. Remove [camera], "
+                "[infrared] and [displacement], or fusion.literal"
             )
         return self
 

@@ -24,26 +24,24 @@ from midspan.settings.fields import (
 class ChannelSettings(Section):
     """Where a channel comes from: a file, its time and value columns, its unit, or a rate where it has no time."""
 
-    file: FileName = Field(description="file of the channel; a suffix or what it begins with chooses the reader")
+    file: FileName = Field(description="file of the channel; its suffix or first bytes select the reader")
     time: Name | None = Field(
         None,
-        description="column, variable or channel of time (seconds, epoch, ISO 8601); left out: found by name, else "
+        description="column, variable or channel of time (seconds, epoch, ISO 8601); default: detected by name, else "
         "rate_hz",
     )
     value: Name | None = Field(
-        None, description="column, variable or channel of the values; left out: found where only one can be meant"
+        None, description="column, variable or channel of the values; default: the only suitable one"
     )
-    unit: Name | None = Field(None, description="unit of the values, over the file's own; left out: as the file says")
-    rate_hz: Rate | None = Field(
-        None, description="samples a second, where there is no time column; left out: the file's own rate"
-    )
+    unit: Name | None = Field(None, description="unit of the values; overrides the file's; default: the file's")
+    rate_hz: Rate | None = Field(None, description="sample rate, if there is no time column; default: the file's rate")
     start_s: Time = Field(
-        0.0, description="time of the first sample, or added to the file's own clock; not used with a time column"
+        0.0, description="time of the first sample, or added to the file's clock; ignored with a time column"
     )
     noise_std: Noise | None = Field(
         None,
-        description="white noise of one sample, in m/s² or the displacement's unit; higher trusts the sensor less; "
-        "left out: estimated",
+        description="σ of the white noise per sample, in m/s² or the displacement's unit; higher lowers the sensor's "
+        "weight; default: estimated",
     )
 
 
@@ -58,21 +56,20 @@ class AccelerometerSettings(ChannelSettings):
     )
     cross_values: Annotated[tuple[Name, ...], Field(max_length=2), Form("1 or 2 texts")] = Field(
         (),
-        description="columns of its other axes, in the same unit: cross motion felt by an inclined accelerometer is "
-        "taken out",
+        description="columns of its other axes, in the same unit: cross motion of an inclined accelerometer is removed",
     )
     sensitivity: Annotated[float, IsNumber, limited(0.0, 1e6, "V per m/s²")] = Field(
-        0.0, description="volts for one m/s²; needed with a unit of voltage, refused with any other"
+        0.0, description="volts per m/s²; needed with a unit of voltage, refused with any other"
     )
     scale_std: Annotated[float, IsNumber, Field(ge=0, le=1)] = Field(
         0.0,
-        description="relative standard deviation of its sensitivity (0.01: one percent); widens every row's band; 0: "
-        "not in it",
+        description="relative standard deviation of its sensitivity (0.01: 1 %); widens the band of every row; 0: "
+        "not included",
     )
     estimate_scale: bool = Field(
         True,
         strict=True,
-        description="together with [displacement]: its gain is estimated and taken out; false: the gain is 1",
+        description="together with [displacement]: its gain is estimated and corrected; false: the gain is 1",
     )
 
     @model_validator(mode="after")
@@ -89,57 +86,52 @@ class AccelerometerSettings(ChannelSettings):
 class RadarSettings(Section):
     """A chirp radar on the structure that looks at fixed surroundings."""
 
-    name: SensorName | None = Field(None, description="what it is called; needed where there are several of a kind")
+    name: SensorName | None = Field(None, description="name of the sensor; needed if there are several of a kind")
     file: FileName = Field(description="raw ADC .bin of DCA1000, slow-time I/Q .h5 or .npy, Acconeer .h5")
     config: FileName | None = Field(
-        None, description=".cfg of the mmWave demo or .json of mmWave Studio; a .bin needs it"
+        None, description=".cfg of the mmWave demo or .json of mmWave Studio; required for a .bin"
     )
     iq_order: Literal["auto", "IIQQ", "QQII", "IQIQ", "QIQI"] = Field(
         "auto", description="order of I and Q in a .bin; auto: from config and samples"
     )
     start_s: Time = Field(0.0, description="start of the first frame, on the radar's own clock")
-    rate_hz: Rate | None = Field(
-        None, description="frames a second of slow-time I/Q, where neither file nor config says it"
-    )
-    carrier_hz: Carrier | None = Field(
-        None, description="carrier of slow-time I/Q, where neither file nor config says it"
-    )
+    rate_hz: Rate | None = Field(None, description="frame rate of slow-time I/Q, if neither file nor config has it")
+    carrier_hz: Carrier | None = Field(None, description="carrier of slow-time I/Q, if neither file nor config has it")
     targets: Annotated[int, IsNumber, Field(ge=1, le=8)] = Field(
-        3, description="how many fixed targets are used at most; more is steadier where some are hidden"
+        3, description="largest number of fixed targets to use; more tolerates occlusion better"
     )
     target_range_m: Annotated[float, IsNumber, limited(1e-3, 1e5, "m")] | None = Field(
-        None, description="only the target nearest to this range, within 0.5 m, is used; left out: the best ones"
+        None, description="use only the target nearest to this range, within 0.5 m; default: the best ones"
     )
 
 
 class DisplacementSettings(ChannelSettings):
     """Any other displacement: GNSS, total station, LVDT, level."""
 
-    name: SensorName | None = Field(None, description="what it is called; needed where there are several of a kind")
+    name: SensorName | None = Field(None, description="name of the sensor; needed if there are several of a kind")
     estimate_offset: bool | None = Field(
         None,
         strict=True,
-        description="true: clock offset estimated, else refused; false: one clock; left out: corrected where the "
-        "motion shows an offset",
+        description="true: estimate the clock offset or refuse; false: common clock; default: correct an offset that "
+        "the motion shows",
     )
     estimate_scale: bool = Field(
         False,
         strict=True,
-        description="true: the scale is estimated with its sign, or refused; false: the unit is taken as it is",
+        description="true: estimate the scale with its sign, or refuse; false: use the unit as stated",
     )
     exposure_s: Duration | None = Field(
         None,
-        description="time over which one value averages; longer corrects more; 0: none; left out: "
-        "estimated where visible",
+        description="averaging time of one value; longer corrects more; 0: none; default: estimated if observable",
     )
     receiver: Literal["gnss"] | None = Field(
         None,
-        description="gnss: the band holds a slow error of 3 mm over 100 s unless the record shows another",
+        description="gnss: the band includes a slow error of 3 mm over 100 s unless the record shows another",
     )
     noise_time_s: NoiseTime | None = Field(
         None,
-        description="correlation time of its slow error; longer trusts slow changes less; 0: none; left out: "
-        "estimated where visible",
+        description="correlation time of its slow error; longer gives slow changes less weight; 0: none; default: "
+        "estimated if observable",
     )
 
 

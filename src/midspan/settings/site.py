@@ -32,13 +32,15 @@ VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 def is_a_point(value: str) -> str:
     """A point's name; ValueError for another text."""
     if not re.fullmatch(rf"[A-Za-z0-9_-]{{1,{MAX_NAME}}}", value):
-        raise ValueError(f"must be 1 to {MAX_NAME} letters, digits, - and _, as it becomes part of topics and files")
+        raise ValueError(f"must be 1 to {MAX_NAME} letters, digits, - and _, because topics and file names contain it")
     return value
 
 
 def _is_a_site(value: str) -> str:
     if not 1 <= len(value) <= 64 or not value.isprintable() or any(sign in "+#/" for sign in value):
-        raise ValueError("must be 1 to 64 characters other than +, #, / and control characters, as topics hold it")
+        raise ValueError(
+            "must be 1 to 64 characters other than +, #, / and control characters, because topics contain it"
+        )
     return value
 
 
@@ -67,11 +69,11 @@ def require_service(listen: str, tls_cert: str | None, tls_key: str | None, wher
 
 def _is_safe(listen: str, tls_cert: str | None, tls_key: str | None) -> None:
     if (tls_cert is None) != (tls_key is None):
-        raise ValueError("must have both, a certificate and its key (tls_cert and tls_key), or neither")
+        raise ValueError("must have both tls_cert and tls_key, or neither")
     if not is_loopback(listen) and tls_cert is None:
         raise ValueError(
-            "must be on loopback, as 127.0.0.1, without TLS: passwords would go readable over the network. Add "
-            "tls_cert and tls_key, or put a server with TLS before it"
+            "must be a loopback address such as 127.0.0.1 without TLS: passwords would be sent in clear text. Add "
+            "tls_cert and tls_key, or use a reverse proxy with TLS"
         )
 
 
@@ -79,9 +81,9 @@ def _is_a_host(value: str) -> str:
     match = re.fullmatch(r"(?:[a-z]+://)?(\[[^\]]*\]|[^:/]*)(?::(\d+))?/?", value)
     host, port = (match[1].strip("[]"), match[2]) if match else (value, None)
     if port is not None:
-        raise ValueError(f"must be a host alone; the port is a key of its own: host = {host!r}, port = {port}")
+        raise ValueError(f"must be a host without port; port is another key: host = {host!r}, port = {port}")
     if host != value or re.search(r"[\s/@\[\]]", value):
-        raise ValueError('must be a host alone, as "broker.example.org", "192.168.1.5" or "::1"')
+        raise ValueError('must be a host without port, such as "broker.example.org", "192.168.1.5" or "::1"')
     return value
 
 
@@ -97,18 +99,18 @@ class StoreSettings(Section):
     )
     captures: FileName | None = Field(
         None,
-        description="folder for recordings that points are calibrated on; left out: in path, or SITE-captures with url",
+        description="folder for calibration recordings; default: inside path, or SITE-captures with url",
     )
     keep_days: Annotated[float, IsNumber, limited(1.0, 36500.0, "days")] = Field(
-        365.0, description="how long rows and raw records are kept"
+        365.0, description="retention time of rows and raw records"
     )
 
-    archive: FileName | None = Field(None, description="folder for each day's records as Parquet; left out: none")
+    archive: FileName | None = Field(None, description="folder for each day's records as Parquet; default: none")
 
     @model_validator(mode="after")
     def _is_one(self) -> "StoreSettings":
         if (self.path is None) == (self.url is None):
-            raise ValueError("must have path (a folder) or url (a PostgreSQL database), one of them")
+            raise ValueError("must have either path (a folder) or url (a PostgreSQL database)")
         if self.url is not None and not self.url.get_secret_value().startswith(("postgresql://", "postgres://")):
             raise ValueError("must have a url that begins with postgresql://")
         return self
@@ -123,23 +125,23 @@ class MqttSettings(Section):
     port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(
         1883, description="port of the broker; with TLS usually 8883"
     )
-    user: Annotated[str, Field(min_length=1)] | None = Field(None, description="user name; left out: none")
+    user: Annotated[str, Field(min_length=1)] | None = Field(None, description="user name; default: none")
     password: Annotated[SecretStr, Form("text")] | None = Field(
         None, description='password; write "{NAME}" to take it from the environment'
     )
     prefix: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] = Field(
-        "midspan", description="what all topics of results begin with"
+        "midspan", description="prefix of all result topics"
     )
 
     discovery: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] | None = Field(
-        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; left out: no discovery'
+        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; default: no discovery'
     )
     ca: FileName | None = Field(
         None,
-        description="certificates (PEM) that prove the broker's: TLS; left out: no TLS",
+        description="CA certificates (PEM) that verify the broker; enables TLS; default: no TLS",
     )
-    cert: FileName | None = Field(None, description="this site's certificate (PEM), for a broker that asks for one")
-    key: FileName | None = Field(None, description="its key (PEM), without a password")
+    cert: FileName | None = Field(None, description="client certificate (PEM), if the broker requires one")
+    key: FileName | None = Field(None, description="private key of cert (PEM), without a password")
 
     @model_validator(mode="after")
     def _has_both(self) -> "MqttSettings":
@@ -152,7 +154,7 @@ class MqttSettings(Section):
     @model_validator(mode="after")
     def _has_a_user(self) -> "MqttSettings":
         if self.password is not None and self.user is None:
-            raise ValueError("must have user with password; add it, or take password out")
+            raise ValueError("must have user with password; add it, or remove password")
         return self
 
 
@@ -182,27 +184,27 @@ class PointSettings(Section):
     name: PointName = Field(description="name of the point, part of topics, files and addresses")
     method: Literal["kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir"] = Field(
         "kalman",
-        description="at once, lag_s later, adaptive, or a paper's filters seconds later; see `midspan methods`",
+        description="fusion method: causal, delayed by lag_s, adaptive, or a paper's filters; see `midspan methods`",
     )
-    literal: bool = Field(False, strict=True, description="method, calibration and tracker as a paper prints them")
+    literal: bool = Field(False, strict=True, description="method, calibration and tracker as printed in the papers")
     lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(
-        0.5, description="delay of `lag`, refused with any other method; longer is nearer to a file's error"
+        0.5, description="delay of `lag`, refused with any other method; longer approaches the smoother's error"
     )
     calibration: FileName | None = Field(
         None,
-        description="calibration.json of `midspan calibrate` or an earlier run; left out: the point calibrates itself",
+        description="calibration.json of `midspan calibrate` or an earlier run; default: the point calibrates itself",
     )
     accept: Literal["auto", "manual"] = Field(
-        "auto", description="whether the point's own calibration comes into force at once or waits for cmd/accept"
+        "auto", description="auto: the point's new calibration takes effect at once; manual: after cmd/accept"
     )
     calibration_s: Annotated[float, IsNumber, limited(10.0, 3600.0, "s")] = Field(
-        60.0, description="how long it records to calibrate itself; longer needs less motion"
+        60.0, description="length of the calibration recording; longer needs less motion"
     )
 
     @model_validator(mode="after")
     def _lag_has_its_method(self) -> "PointSettings":
         if "lag_s" in self.model_fields_set and self.method != "lag":
-            raise ValueError('must have method = "lag" with lag_s; add it, or take lag_s out')
+            raise ValueError('must have method = "lag" with lag_s; add it, or remove lag_s')
         if self.literal and not METHODS[self.method].literal:
             raise ValueError(no_literal_form(self.method))
         return self
@@ -212,7 +214,7 @@ class SiteFile(Section):
     """The sections of the file apart from the points."""
 
     name: Annotated[str, AfterValidator(_is_a_site)] = Field(
-        description="the site's name, part of every topic; blanks are allowed, +, # and / are not"
+        description="name of the site, part of every topic; may contain blanks, not +, # and /"
     )
     store: StoreSettings
     mqtt: MqttSettings | None = None
@@ -294,9 +296,7 @@ def load_site(path: str | Path) -> Site:
     if count > 1:
         seconds = [half.get("name") for halves in axes for half in halves[1:]]
         hint = ' One is the x axis of a point with direction = "xy".' if name in seconds else ""
-        raise UsageError(
-            f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.{hint}"
-        )
+        raise UsageError(f"{file}: point.name: must be unique; {count} points have the name {name!r}.{hint}")
     alike = Counter(plan.name.casefold() for plan in plans).most_common(1)[0]
     if alike[1] > 1:
         both = " and ".join(repr(plan.name) for plan in plans if plan.name.casefold() == alike[0])
@@ -316,8 +316,8 @@ def _require_one_use(plans: Sequence[PointPlan], where: str) -> None:
             first, by = uses.setdefault(opened, (use, f"{plan.name}.{name}"))
             if first != use:
                 raise UsageError(
-                    f"{where}: point {plan.name!r}: {name}.source: {opened} must be used in one way, as it is opened "
-                    f"once; received {use} here and {first} for {by}. Write the same for both."
+                    f"{where}: point {plan.name!r}: {name}.source: {opened} is opened once and needs the same "
+                    f"settings everywhere; received {use} here and {first} for {by}. Write the same for both."
                 )
 
 
@@ -331,8 +331,7 @@ def _require_topics(settings: SiteFile, plan: PointPlan, where: str) -> None:
         own = f"{settings.mqtt.prefix}/v1/{settings.name}/"
         if address.removeprefix("mqtt:").startswith(own):
             raise UsageError(
-                f"{where}: {sensor}.source: must be another topic than the site's own results, {own}…; "
-                f"received {address!r}."
+                f"{where}: {sensor}.source: must not be a topic of the site's results, {own}…; received {address!r}."
             )
 
 
@@ -378,7 +377,7 @@ def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: st
         if not value:
             state = "not set" if value is None else "empty"
             raise UsageError(
-                f"{where}: {key}: {{{match[1]}}} is taken from the environment, where {match[1]} is {state}. Set it."
+                f"{where}: {key}: {{{match[1]}}} needs the environment variable {match[1]}, which is {state}. Set it."
             )
         return value
 
@@ -430,7 +429,7 @@ def _alarms(tree: Any, where: str) -> tuple[AlarmSettings, ...]:
     alarms = tuple(validate(one, place, AlarmSettings) for one, place in zip(tree, places, strict=True))
     name, count = Counter(one.name for one in alarms).most_common(1)[0] if alarms else ("", 0)
     if count > 1:
-        raise UsageError(f"{where}: alarm.name: must be another one for each alarm; {count} have the name {name!r}.")
+        raise UsageError(f"{where}: alarm.name: must be unique; {count} alarms have the name {name!r}.")
     return alarms
 
 
@@ -439,7 +438,7 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
     refused = [key for key in FILE_KEYS if key in section]
     if refused:
         raise UsageError(
-            f"{where}: {kind}.{refused[0]}: belongs to files; a live section has source instead. Take it out."
+            f"{where}: {kind}.{refused[0]}: is for files only; a live sensor has source instead. Remove it."
         )
     known = ["source", *(key for key in LIVE[kind].section.model_fields if key not in FILE_KEYS)]
     for key, value in section.items():
@@ -471,8 +470,8 @@ def require_folders(site: Site) -> None:
     for key, given in (("path", store.path), ("archive", store.archive), ("captures", captures)):
         if given is not None and (wrong := _why_not(site.file.parent / given)):
             raise UsageError(
-                f"{site.file}: store.{key} = {given!r}: must be a folder that can be made and written; {wrong}. "
-                "Give another folder, or let the user of midspan write this one."
+                f"{site.file}: store.{key} = {given!r}: must be a writable folder; {wrong}. Choose another folder, "
+                "or change its permissions."
             )
 
 
@@ -485,8 +484,7 @@ def _require_tls(site: Site) -> None:
     for key, name in files.items():
         if name is not None and not os.access(site.file.parent / name, os.R_OK):
             raise UsageError(
-                f"{site.file}: {key} = {name!r}: must be a file that can be read. Write another one, or let "
-                "the user of midspan read it."
+                f"{site.file}: {key} = {name!r}: must be a readable file. Name another one, or change its permissions."
             )
 
 
@@ -499,7 +497,7 @@ def _why_not(folder: Path) -> str:
             return f"{there} is a file"
         if there == folder.absolute():
             # Another process may write into it: nothing is touched.
-            return "" if os.access(there, os.W_OK | os.X_OK) else f"{there} may not be written"
+            return "" if os.access(there, os.W_OK | os.X_OK) else f"{there} is not writable"
         tempfile.TemporaryDirectory(prefix=".midspan-", dir=there).cleanup()
     except OSError as error:
         return f"{there}: {error.strerror}"

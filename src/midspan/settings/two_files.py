@@ -88,7 +88,7 @@ def in_words_of_two_files(accel: Path, video: Path) -> Iterator[None]:
         named = KEYS.search(text)
         if named and "midspan init" not in text:
             where = f"the recording.toml that `{shlex.join(('midspan', 'init', str(accel), str(video)))}` writes"
-            error.args = (f"{text.rstrip()} Keys as {named[0]} stand in {where}.",)
+            error.args = (f"{text.rstrip()} Set keys such as {named[0]} in {where}.",)
         raise
 
 
@@ -97,7 +97,7 @@ def draft(
 ) -> Draft:
     """The settings of a recording of an accelerometer's file and a video (or infrared sequence).
 
-    value, unit: where the file leaves a choice. direction: the image axis of the motion; left out: y. choose: take one
+    value, unit: where the file leaves a choice. direction: the image axis of the motion; default: y. choose: take one
     of several channels, for a person to look at; else UsageError names them. Raises what reading the files does.
     """
     from midspan.sources.accelerometer.formats import list_channels
@@ -135,14 +135,14 @@ def draft(
 def _chosen(path: Path, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Channel, tuple[str, ...]]":
     """The channel along the motion, of those that could be; with the names of the others."""
     if not found:
-        raise UsageError(f"{path}: holds no channel of acceleration by name or unit. Name one with --value.")
+        raise UsageError(f"{path}: no channel is an acceleration by name or unit. Select one with --value.")
     names = tuple(one.name for one in found)
     if len(found) > 1 and not choose:
         units = {one.unit for one in found}
         said = f" (all in {units.pop()})" if len(units) == 1 and found[0].unit else ""
         raise UsageError(
-            f"{path}: {len(found)} channels could be meant: {', '.join(map(repr, names))}{said}. Name the one "
-            f"along the measured motion, for example --value {names[-1]!r}."
+            f"{path}: {len(found)} channels are possible: {', '.join(map(repr, names))}{said}. Select the one along "
+            f"the measured motion, for example --value {names[-1]!r}."
         )
     import numpy as np
 
@@ -237,7 +237,9 @@ def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]
     if made is not None and abs(made - accelerometer_s) < BY_HAND_S:
         found.put(section, "start_s", made - camera_s, "the video's date, on the accelerometer's clock")
     else:
-        found.put(section, "start_s", accelerometer_s - camera_s, "as the accelerometer begins, whose times are dates")
+        found.put(
+            section, "start_s", accelerometer_s - camera_s, "start of the accelerometer's record, which has dates"
+        )
 
 
 def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
@@ -249,7 +251,7 @@ def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
     where = f"{accel.name} and {video.name}"
     if found.needed:
         raise UsageError(
-            f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}`, and write it "
-            "into the recording.toml."
+            f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}` and add the "
+            "value to recording.toml."
         )
     return accel.parent / where, validate(found.sections, where)

@@ -174,8 +174,8 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     """
     usual = clock(series.time_ns, GAP_STEPS)
     absent, still, held, alone = unusable = _unusable(series)
-    _refuse(where, still & ~absent, "frozen", (MAX_MISSING, "stands at one value"))
-    _refuse(where, held, "clipped", (MAX_CLIPPED, "is held at the end of its range"))
+    _refuse(where, still & ~absent, "frozen", (MAX_MISSING, "is constant"))
+    _refuse(where, held, "clipped", (MAX_CLIPPED, "is clipped at the end of its range"))
     missing = absent | still | held | alone
     _refuse(where, missing, "missing", (MAX_MISSING, "is not a number, frozen or clipped"))
     straight = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
@@ -212,9 +212,8 @@ def _slow_sampling(value: Floats, read: Floats, rate_hz: float) -> list[str]:
         )
     if (step := held_samples(read)) > 1:
         found.append(
-            f"its values change with every {step}th sample only: it was recorded or sent at {rate_hz / step:.4g} Hz "
-            "and filled up by holding, which delays and bends fast motion. Export it at the rate at which it was "
-            "sampled."
+            f"its values change only every {step}th sample: data at {rate_hz / step:.4g} Hz were repeated to a higher "
+            "rate, which delays and distorts fast motion. Export it at its original sample rate."
         )
     return found
 

@@ -32,7 +32,7 @@ def check_target(path: Path) -> None:
     _module(path)
     if not path.parent.is_dir():
         raise UsageError(
-            f"{path} cannot be written: the folder {path.parent} does not exist. Make it or choose another."
+            f"{path} cannot be written: the folder {path.parent} does not exist. Create it or choose another."
         )
 
 

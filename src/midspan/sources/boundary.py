@@ -42,8 +42,8 @@ def reading(path: Path, kind: str) -> Iterator[None]:
         raise UsageError(f"{path}: {kind} needs a library that is not installed. {error}.") from error
     except MemoryError as error:
         raise DataError(
-            f"{path} cannot be read as {kind}: it needs more memory than there is. Check that the file is whole; if it "
-            "is, split it, or read it on a machine with more memory."
+            f"{path} cannot be read as {kind}: it needs more memory than is available. Check that the file is "
+            "complete; if so, split it, or use a machine with more memory."
         ) from error
     except Exception as error:  # the format libraries raise whatever they meet in a damaged file
         raise DataError(f"{path} cannot be read as {kind}: {_reason(error)}. Check that the file is whole.") from error
@@ -74,7 +74,7 @@ def _reason(error: Exception) -> str:
     said = (error.strerror if isinstance(error, OSError) else None) or str(error).strip() or type(error).__name__
     if "Assertion failed" in said:
         # OpenCV prints the line of its own source text.
-        return "its header declares what no picture has"
+        return "its header declares an impossible image"
     return said.splitlines()[0].rstrip(" .")
 
 
@@ -83,9 +83,9 @@ def require_memory(path: Path, declared_bytes: int, what: str) -> None:
     limit = available_bytes()
     if declared_bytes > limit:
         raise DataError(
-            f"{path}: {what} must fit into the available memory, {shown_bytes(limit)}; by the file it takes "
-            f"{shown_bytes(declared_bytes)}. Check that the file is whole; if it is, split it, or read it on a machine "
-            "with more memory."
+            f"{path}: {what} must fit into the available memory, {shown_bytes(limit)}; it needs "
+            f"{shown_bytes(declared_bytes)}. Check that the file is complete; if so, split it, or use a machine with "
+            "more memory."
         )
 
 

@@ -21,7 +21,7 @@ def open_hdf5(path: Path) -> Any:
 
     size, end = path.stat().st_size, _end(path)
     if end is not None and size > end:
-        raise DataError(f"{path} is damaged: it has {size} bytes, and by its own head {end}. Copy it again.")
+        raise DataError(f"{path} is damaged: it has {size} bytes, its header declares {end}. Copy it again.")
     return h5py.File(path, "r")
 
 

@@ -51,9 +51,9 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     require_readable(path)
     if path.suffix.lower() in RAW:
         raise UsageError(
-            f"{path}: a raw capture ({path.suffix}) does not say how its numbers are ordered. A radar's is described "
-            f'in a recording.toml by [radar] file = "{path.name}" and config = the .cfg or .json that it was recorded '
-            "with; inspect that recording."
+            f"{path}: a raw capture ({path.suffix}) does not state its data layout. Write a recording.toml with "
+            f'[radar] file = "{path.name}" and config = the .cfg or .json that it was recorded with; inspect that '
+            "recording."
         )
     try:
         if is_thermal(path) or path.suffix.lower() in IMAGES or is_stack(path):
@@ -85,7 +85,7 @@ def _file_of_frames(path: Path, progress: Progress) -> Tree:
     if not timed:
         branch |= dict.fromkeys(("start", "start_s", "duration_s", "rate_hz", "jitter_ms"))
     if celsius and not is_thermal(path):
-        branch["notes"].append("temperatures as [infrared] would read them; for [camera] the numbers are light")
+        branch["notes"].append("temperatures, as [infrared] reads them; [camera] reads them as grey levels")
     return branch
 
 

@@ -141,7 +141,7 @@ def decode(
     try:
         check, length = HEAD.unpack_from(data, len(MAGIC))
         if zlib.crc32(data[start:]) != check:
-            raise ValueError("its check sum is another one")
+            raise ValueError("its checksum is wrong")
         layout = tuple(
             (str(name), str(kind), int(width)) for name, kind, width in json.loads(data[start : start + length])
         )

@@ -105,7 +105,7 @@ def sqlite_faults(file: Path) -> Iterator[None]:
         code = "store_full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "store_unavailable"
         raise StoreFault(code, f"{file}: the store cannot be used ({error.strerror}).") from None
     except sqlite3.DatabaseError as error:
-        raise DataError(f"{file}: is no store of midspan, or is damaged ({error}).") from None
+        raise DataError(f"{file}: is not a midspan store, or is damaged ({error}).") from None
 
 
 class PostgresDatabase:
@@ -241,5 +241,5 @@ def _is_written(store: str, point: str) -> UsageError:
     """The error for a point that another process writes."""
     return UsageError(
         f"{store}: another process writes the point {point!r} (`midspan run` or `midspan replay`); nothing was "
-        "touched. Stop that one first, or give another point or store."
+        "changed. Stop that process first, or give another point or store."
     )

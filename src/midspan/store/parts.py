@@ -47,7 +47,7 @@ def kept_checkpoint(site: Database, point: str) -> tuple[int, bytes] | None:
     kept = {bytes(digest): bytes(part) for digest, part in rows}
     digests = [body[k : k + DIGEST_BYTES] for k in range(len(MAGIC), len(body), DIGEST_BYTES)]
     if not set(digests) <= set(kept):
-        raise DataError(f"The store's checkpoint of {point} is damaged; the point starts anew.")
+        raise DataError(f"The store's checkpoint of {point} is damaged; the point restarts.")
     return time_ns, b"".join(_whole(kept[digest], point) for digest in digests)
 
 
@@ -64,4 +64,4 @@ def _whole(body: bytes, point: str) -> bytes:
         (length,) = LENGTH.unpack_from(body)
         return bytes(pa.Codec("zstd").decompress(body[LENGTH.size :], decompressed_size=length, asbytes=True))
     except (struct.error, OSError, ValueError) as error:
-        raise DataError(f"The store's checkpoint of {point} is damaged ({error}); the point starts anew.") from None
+        raise DataError(f"The store's checkpoint of {point} is damaged ({error}); the point restarts.") from None

@@ -87,7 +87,7 @@ class FilePieces:
     def add(self, chunks: Sequence[Chunk]) -> None:
         """Append chunks, all or none. Raises StoreFault."""
         if self.read_only:
-            raise StoreFault("store_unavailable", f"{self.folder.parent}: the store is open for reading alone.")
+            raise StoreFault("store_unavailable", f"{self.folder.parent}: the store is open read-only.")
         before = dict(self._layouts)
         record = record_of(b"".join(self._piece(chunk) for chunk in chunks))
         with sqlite_faults(self.folder):

@@ -553,7 +553,7 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
             folder = Path(where)
             if read_only and not (folder / SITE_FILE).is_file():
                 raise DataError(
-                    f"{folder}: is no store: it has no {SITE_FILE}. `midspan replay` and `midspan run` make one."
+                    f"{folder}: is not a store: it has no {SITE_FILE}. `midspan replay` and `midspan run` create one."
                 )
             locks = FileLocks(folder, points)
             opened.callback(locks.close)

@@ -20,10 +20,7 @@ from midspan.store.store import CHECKPOINT_FILE, SITE_FILE, Store, is_address, o
 DAMAGED, UNFINISHED = ".damaged", ".part"
 # What a backup leaves out: locks are of processes, captures are recordings, large and made anew by a point that opens.
 LEFT_OUT = (LOCKS, LOGS, "captures")
-NO_SERVER = (
-    "{}: works on a store in a folder; a PostgreSQL server has tools of its own. Use pg_dump for a copy and pg_amcheck "
-    "to check."
-)
+NO_SERVER = "{}: works only on a store in a folder. For PostgreSQL use pg_dump for a copy and pg_amcheck to check."
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +62,7 @@ def check(where: str) -> Checked:
     for log in logs:
         cut = log.stat().st_size - whole_bytes(log)
         if cut > 0 and _is_free(log):
-            text = f"its last {cut} bytes are no whole record, as after a power cut"
+            text = f"its last {cut} bytes are an incomplete record, as after a power cut"
             faults.append(Fault(str(log.relative_to(folder)), text))
     return Checked(len(files) + len(logs), chunks, rows, tuple(faults))
 
@@ -84,7 +81,7 @@ def repair(where: str) -> list[str]:
             if any(_page_faults(file)):
                 kept = _salvaged(file)
                 done.append(
-                    f"{file.relative_to(folder)}: made anew with {kept} rows; the old file is {file.name}{DAMAGED}"
+                    f"{file.relative_to(folder)}: rebuilt with {kept} rows; the old file is {file.name}{DAMAGED}"
                 )
         for file in sorted((folder / DAYS).glob("*.sqlite")):
             done += [f"{file.relative_to(folder)}: removed: {text}" for text in _without_damaged_chunks(file)]
@@ -105,7 +102,7 @@ def backup(where: str, target: Path) -> list[str]:
     """
     folder = _folder(where, "backup")
     if target.exists():
-        raise UsageError(f"{target}: is there already; nothing was written. Give another name.")
+        raise UsageError(f"{target}: already exists; nothing was written. Give another name.")
     part = target.with_name(target.name + UNFINISHED)
     shutil.rmtree(part, ignore_errors=True)
     try:
@@ -167,7 +164,9 @@ def _folder(where: str, action: str) -> Path:
     if is_address(where):
         raise UsageError(NO_SERVER.format(action))
     if not (Path(where) / SITE_FILE).is_file():
-        raise DataError(f"{where}: is no store: it has no {SITE_FILE}. `midspan replay` and `midspan run` make one.")
+        raise DataError(
+            f"{where}: is not a store: it has no {SITE_FILE}. `midspan replay` and `midspan run` create one."
+        )
     return Path(where)
 
 

@@ -117,7 +117,7 @@ def optimise_range(
     if not np.isfinite(error).any():
         raise UntrustedError(
             f"No temperature range from {low[-1]:.1f} to {high[-1]:.1f} °C keeps the target: at best "
-            f"{100 * lost.min():.0f} % of the frames are lost. Choose another region, or track °C as they are."
+            f"{100 * lost.min():.0f} % of the frames are lost. Choose another region, or track °C directly."
         )
     order = [divmod(int(flat), shape[1]) for flat in np.argsort(error, axis=None)[:REFINED]]
     # The whole view is always among them: where hardly anything moves 16 frames rank the ranges by chance.

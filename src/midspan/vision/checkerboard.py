@@ -183,7 +183,7 @@ def calibrate_lens(views: Sequence[Floats], board: Board, size: tuple[int, int],
     if kept.all():
         return _judged(solution, seen, ())
     dropped = int(np.count_nonzero(~kept))
-    left_out = f"Left out, as they do not fit the others: {dropped} of {len(kept)} views of the board."
+    left_out = f"{dropped} of {len(kept)} views of the board do not fit the others and are left out."
     seen = replace(seen, corners=seen.corners[kept])
     _refuse_few(len(seen.corners), f" that fit one another ({dropped} do not)")
     return _judged(_solve(seen), seen, (Notice("lens", left_out),))
@@ -224,17 +224,18 @@ def _refuse_poor_fit(rms: float, model: str) -> None:
     if not rms <= REFUSED_RMS_PX:
         other = "fisheye" if model == "pinhole" else "pinhole"
         raise UntrustedError(
-            f"The board's corners miss the model {model!r} by {rms:.2f} px rms; above {REFUSED_RMS_PX:g} px nothing "
-            "can be trusted. Use a flat board, sharp pictures with the stabiliser off, and one focus; or try "
-            f"--model {other}."
+            f"The board's corners deviate from the model {model!r} by {rms:.2f} px rms; at most {REFUSED_RMS_PX:g} px "
+            "is accepted. Use a flat board, sharp pictures with the stabiliser off, and one focus; or try --model "
+            f"{other}."
         )
 
 
 def _refuse_degenerate(focal_std: float) -> None:
     if not focal_std <= REFUSED_FOCAL:
         raise UntrustedError(
-            f"The views do not fix the focal length (± {100 * focal_std:.2g} %; at most {100 * REFUSED_FOCAL:g} %): "
-            "the board faces the camera in nearly all of them. Tilt it by 20 to 45° about both axes, also at the rim."
+            f"The views do not determine the focal length (± {100 * focal_std:.2g} %; at most {100 * REFUSED_FOCAL:g} "
+            "%): the board faces the camera in nearly all of them. Tilt it by 20 to 45° about both axes, also at the "
+            "image edge."
         )
 
 
@@ -366,13 +367,13 @@ def _doubts(fit: LensFit) -> list[Notice]:
         found.append(
             Notice(
                 "lens",
-                f"The corners miss the model by {fit.rms_px:.2f} px rms (0.1 to 0.3 px is usual). Check that the board "
-                "is flat, the pictures sharp and the stabiliser off.",
+                f"The corners deviate from the model by {fit.rms_px:.2f} px rms (0.1 to 0.3 px is usual). Check that "
+                "the board is flat, the pictures sharp and the stabiliser off.",
             )
         )
     if fit.focal_std > WARNED_FOCAL:
         found.append(
-            Notice("lens", f"The focal length is known to ± {100 * fit.focal_std:.2g} % only. Tilt the board more.")
+            Notice("lens", f"The focal length is uncertain by ± {100 * fit.focal_std:.2g} %. Tilt the board more.")
         )
     if fit.coverage < ENOUGH_CELLS:
         found.append(
@@ -387,12 +388,10 @@ def _doubts(fit: LensFit) -> list[Notice]:
         found.append(
             Notice(
                 "lens",
-                f"The rim is not covered ({', '.join(missing)}): the model is extrapolated there. Move the board into "
-                "the corners of the picture.",
+                f"The image edge is not covered ({', '.join(missing)}): the model is extrapolated there. Move the "
+                "board into the corners of the image.",
             )
         )
     if not math.isfinite(fit.rim_std):
-        found.append(
-            Notice("lens", "The model does not reach the corners of the picture; regions there will be refused.")
-        )
+        found.append(Notice("lens", "The model is not valid in the image corners; regions there will be refused."))
     return found

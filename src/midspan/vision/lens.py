@@ -89,8 +89,8 @@ def check_size(lens: Lens, columns: int, rows: int) -> None:
     if lens.size != (columns, rows):
         raise UsageError(
             f"camera.lens is for frames of {lens.size[0]}x{lens.size[1]} px, but these have {columns}x{rows} px. "
-            "Calibrate the lens in the mode that the recording was made in (`midspan lens`); a lens is never scaled, "
-            "because cameras crop and bin differently from mode to mode."
+            "Calibrate the lens in the recording mode (`midspan lens`); a lens model cannot be scaled, because modes "
+            "crop and bin differently."
         )
 
 
@@ -157,9 +157,9 @@ def lens_warnings(region: Region, lens: Lens) -> list[Notice]:
     return [
         Notice(
             "lens",
-            f"camera.lens: the region lies {distance:.0f} px from the principal point, but the board was only seen up "
-            f"to {lens.covered_px:.0f} px. The correction is extrapolated there. Calibrate the lens with pictures that "
-            "show the board at the rim.",
+            f"camera.lens: the region lies {distance:.0f} px from the principal point, but the board covered only up "
+            f"to {lens.covered_px:.0f} px. The correction is extrapolated there. Calibrate the lens with pictures "
+            "that show the board at the image edge.",
         )
     ]
 
@@ -171,10 +171,9 @@ def _middle(region: Region, lens: Lens) -> tuple[Floats, Floats, Floats]:
     place, slope = straight(middle, lens)
     if not np.isfinite(place).all():
         raise UsageError(
-            f"camera.roi has its middle at x={middle[0]:g}, y={middle[1]:g} px, where the lens model does not hold: "
-            f"outside the frame ({lens.size[0]}x{lens.size[1]} px), or beyond the radius up to which the model is "
-            "unique. Choose a region nearer to the middle of the picture, or calibrate the lens again with the board "
-            "at the rim."
+            f"camera.roi has its centre at x={middle[0]:g}, y={middle[1]:g} px, where the lens model is not valid: "
+            f"outside the frame ({lens.size[0]}x{lens.size[1]} px), or beyond the radius where it is unique. Choose a "
+            "region nearer to the image centre, or calibrate the lens again with the board at the image edge."
         )
     return middle, place[0], slope[0]
 

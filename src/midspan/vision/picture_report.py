@@ -117,17 +117,17 @@ def _compression(report: PictureReport, along: list[AxisCounts]) -> str:
     moved, limit = max(one.moved_px for one in along), SWALLOWED * found.std_px
     scale = 100.0 * found.relative_scale_std(moved)
     small = (
-        f"The motion measured here, {moved:.2g} px rms, is not larger: much of it may be missing."
+        f"The measured motion, {moved:.2g} px rms, is not larger: much of it may be missing."
         if moved < limit
         else f"The scale factor can be off by {scale:.2g} %."
     )
-    shares = [f"a frame inherits {100.0 * found.inherited_share:.0f} % of the one before"]
+    shares = [f"a frame copies {100.0 * found.inherited_share:.0f} % of the previous one"]
     if found.frozen_share > 0.005:
         shares.append(f"{100.0 * found.frozen_share:.0f} % of the texture is static")
     return (
         f"camera: the frames are compressed ({', '.join(shares)}). A standard deviation of {found.std_px:.2g} px is "
-        f"added to each, and motion below about {limit:.2g} px can be lost. {small} Record raw or lossless, or at "
-        "the best quality that the camera has."
+        f"added to each; motion below about {limit:.2g} px may be lost. {small} Record raw or lossless, or at the "
+        "best quality of the camera."
     )
 
 
@@ -137,13 +137,13 @@ def _blur(report: PictureReport) -> str:
     # One frame out of focus at the start leaves all others sharper; a few sharper ones are brighter, or covered.
     if sharper > MAX_FRAMES * count:
         return (
-            f"camera: {sharper} of {count} frames show more than twice the detail of the first one, which is out of "
-            "focus or was taken in motion. Start at a sharp frame."
+            f"camera: {sharper} of {count} frames show more than twice the detail of the first one, which is blurred. "
+            "Start at a sharp frame."
         )
     if blurred > least:
         return (
             f"camera: {blurred} of {count} frames show less than half the detail of the first one (motion blur or "
-            "focus); their standard deviations are widened. Shorten the exposure or fix the focus."
+            "focus); their standard deviations are increased. Shorten the exposure or fix the focus."
         )
     return ""
 
@@ -153,14 +153,14 @@ def _saturation(report: PictureReport) -> str:
     if share <= SATURATED_SHARE and some > max(REPORTED_SHARE * count, REPORTED_FRAMES):
         most = 100.0 * report.counts.most_saturated / (1.0 + report.counts.most_saturated)
         return (
-            f"camera: in {some} of {count} frames pixels of the region are at the end of the scale, up to "
-            f"{most:.0f} % of them; their standard deviations are widened. Fix the exposure, and keep glare out."
+            f"camera: {some} of {count} frames have saturated or black pixels in the region, up to {most:.0f} %; "
+            "their standard deviations are increased. Fix the exposure and avoid glare."
         )
     if share <= SATURATED_SHARE:
         return ""
     return (
-        f"camera: {100.0 * share:.0f} % of the region's pixels are at the end of the scale (too bright or too dark). "
-        "They show no motion, and the edges between them err. Change the exposure, or choose another region."
+        f"camera: {100.0 * share:.0f} % of the region's pixels are saturated or black. They show no motion and bias "
+        "the edges next to them. Change the exposure, or choose another region."
     )
 
 
@@ -169,7 +169,6 @@ def _texture(along: list[AxisCounts]) -> str:
     if not coarse:
         return ""
     return (
-        "camera: the region has little texture for its noise: a frame is known to "
-        f"±{math.sqrt(max(coarse)):.2g} px (one standard deviation). Choose a larger region or one with more edges, or "
-        "give it more light."
+        f"camera: the region has little texture for its noise: σ of a frame is {math.sqrt(max(coarse)):.2g} px. "
+        "Choose a larger region, one with more edges, or more light."
     )

@@ -135,7 +135,7 @@ def judged(choice: RegionChoice, found: dict[Region, Agreement], count: int) -> 
     return replace(
         choice,
         regions=regions,
-        reasons=(reason, *(f"By the picture alone: {line}" for line in choice.reasons)),
+        reasons=(reason, *(f"From the image alone: {line}" for line in choice.reasons)),
         candidates=tuple(reported),
     )
 
@@ -148,12 +148,14 @@ def _fitting(found: dict[Region, Agreement]) -> list[Region]:
 
 
 def _reason(found: dict[Region, Agreement], fitting: int, regions: tuple[Region, ...]) -> str:
-    start = f"{len(found)} places were followed together with the accelerometer"
+    start = f"{len(found)} places were tracked and compared with the accelerometer"
     if not fitting:
         text = next(iter(found.values())).text
-        return f"{start}, which could not decide between them ({text}); the picture alone did."
+        return f"{start}, which could not decide between them ({text}); the image alone decided."
     were = "ones with the least noise in mm were" if len(regions) > 1 else "one with the least noise in mm was"
-    return f"{start}; {fitting} of them fit it, and the {were} taken ({1e3 * found[regions[0]].std_m:.2g} mm a frame)."
+    return (
+        f"{start}; {fitting} of them fit it, and the {were} selected ({1e3 * found[regions[0]].std_m:.2g} mm a frame)."
+    )
 
 
 def _reported(

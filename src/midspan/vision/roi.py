@@ -126,7 +126,7 @@ def _reported(ranked: list[Candidate], count: int) -> list[Candidate]:
         elif np.isfinite(candidate.disagreement_px):
             verdict = f"moves on its own: {candidate.disagreement_px:.2g} px rms relative to the others"
         else:
-            verdict = "could not be followed"
+            verdict = "could not be tracked"
         reported.append(replace(candidate, verdict=verdict))
     return reported
 
@@ -236,8 +236,11 @@ def _without_repeats(
 def _nothing(places: int, size: int) -> str:
     remedy = "Give camera.roi by hand, or improve focus, light or contrast"
     if places == 0:
-        return f"No place of {size}x{size} px holds enough texture, in focus and neither black nor saturated. {remedy}."
-    return f"None of {places} textured places could be followed through the first frames. {remedy}."
+        return (
+            f"No place of {size}x{size} px has enough texture that is in focus and neither black nor saturated. "
+            f"{remedy}."
+        )
+    return f"None of {places} textured places could be tracked through the first frames. {remedy}."
 
 
 def _repeats_reason(repeating: int, usable: int) -> tuple[str, ...]:
@@ -248,7 +251,7 @@ def _repeats_reason(repeating: int, usable: int) -> tuple[str, ...]:
             "All textured places repeat nearby: one copy may be taken for another when the target moves by more than "
             "half the pattern between frames. Check the region.",
         )
-    return (f"{repeating} textured places were passed over because their pattern repeats nearby.",)
+    return (f"{repeating} textured places were rejected because their pattern repeats nearby.",)
 
 
 def _reasons(grid: Grid, best: Candidate, ranked: list[Candidate]) -> tuple[str, ...]:

@@ -10,8 +10,8 @@ type Figure = readonly [name: string, text: string];
 export function listStatistics(place: Element, found: Statistics | null, more: readonly Figure[] = []): void {
   const figures: Figure[] = found
     ? [
-        ["least", `${signed(found.low, 3)} mm`],
-        ["largest", `${signed(found.high, 3)} mm`],
+        ["minimum", `${signed(found.low, 3)} mm`],
+        ["maximum", `${signed(found.high, 3)} mm`],
         ["range", `${(found.high - found.low).toFixed(3)} mm`],
         ["mean", `${signed(found.mean, 3)} mm`],
       ]

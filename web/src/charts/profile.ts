@@ -23,7 +23,7 @@ export class ProfileChart {
       scales: { x: { time: false }, y: { range: (_, low) => [Math.max(low, WEAKEST_DB), 8] } },
       axes: [
         { ...axis(), label: isRange ? "Range, m" : "Range bin", labelSize: 20 },
-        { ...axis(), label: "dB of the strongest", labelSize: 20, size: 60 },
+        { ...axis(), label: "dB relative to the strongest", labelSize: 20, size: 60 },
       ],
       cursor: { show: false },
       hooks: { draw: [(plot) => this.#drawMarks(plot)] },

@@ -34,15 +34,15 @@ function linesOf(of: Tree): [string, string][] {
     const values = ["smallest", "largest", "mean", "std"].map((key) =>
       shortOf((number(of, key) ?? NaN) / (factor ?? 1)),
     );
-    add("values", `${values[0]} to ${values[1]}, mean ${values[2]}, rms about it ${values[3]} ${unit}`);
+    add("values", `${values[0]} to ${values[1]}, mean ${values[2]}, rms about the mean ${values[3]} ${unit}`);
     const unusable = ["missing", "frozen", "clipped"].map((key) => `${String(of[`${key}_samples`])} ${key}`);
     add("unusable samples", unusable.join(", "));
   }
   if ("width" in of) {
-    add("picture", `${String(of["width"])} × ${String(of["height"])} px, ${String(of["codec"])}`);
+    add("image", `${String(of["width"])} × ${String(of["height"])} px, ${String(of["codec"])}`);
     add("frames", `${String(of["frames_used"])} used`);
     const poor = ["frozen", "dark", "saturated"].map((key) => `${String(of[`${key}_frames`])} ${key}`);
-    add("poor frames", `${poor.join(", ")} of the ${String(of["frames_looked_at"])} looked at`);
+    add("poor frames", `${poor.join(", ")} of ${String(of["frames_looked_at"])} checked`);
   }
   if ("carrier_hz" in of)
     add("radar", `${((number(of, "carrier_hz") ?? 0) / 1e9).toPrecision(4)} GHz, ${String(of["frames"])} frames`);
@@ -64,7 +64,7 @@ function stream(name: string, of: Tree): HTMLElement {
 
 export function showContents(root: HTMLElement, recording: Recording, _: Desk): () => void {
   const asking = new AbortController();
-  const said = el("p", { role: "status" }, "The recording is being looked through.");
+  const said = el("p", { role: "status" }, "Checking the recording.");
   root.append(said);
 
   async function ask(): Promise<void> {
@@ -73,7 +73,7 @@ export function showContents(root: HTMLElement, recording: Recording, _: Desk): 
       const streams = Object.entries(found).filter(([, of]) => typeof of === "object" && of !== null && "file" in of);
       const overlap = found["overlap"] as Tree | null;
       const together = overlap
-        ? `${texts(overlap, "streams").join(" and ")} ${overlap["overlapping"] ? `overlap for ${duration(number(overlap, "duration_s") ?? 0)}` : "do not overlap in time: bring the clocks together with start_s"}.`
+        ? `${texts(overlap, "streams").join(" and ")} ${overlap["overlapping"] ? `overlap for ${duration(number(overlap, "duration_s") ?? 0)}` : "do not overlap in time: correct start_s"}.`
         : "";
       say(said, together);
       root.append(...streams.map(([name, of]) => stream(name, of as Tree)));

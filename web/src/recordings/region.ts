@@ -24,11 +24,11 @@ export function showRegion(root: HTMLElement, recording: Recording, desk: Desk):
     end();
     const { name, kind, regions } = camera as (typeof cameras)[number];
     const may = regions.length < 2;
-    const [said, where] = [el("p", { role: "status" }, "The first frame is being read."), el("p")];
+    const [said, where] = [el("p", { role: "status" }, "Reading the first frame."), el("p")];
     const chosen = el("p", { class: "quiet" });
-    const save = button("Write the region", () => void put(), { disabled: true });
+    const save = button("Save the region", () => void put(), { disabled: true });
     const drawn = new RegionCanvas(`First frame of ${name}.`, may, () => {
-      say(where, may ? drawn.text : `${regions.length} targets: their regions are changed in Settings.`);
+      say(where, may ? drawn.text : `${regions.length} targets: change their regions in Settings.`);
       save.disabled = !drawn.changed;
     });
     if (!may) drawn.others = regions.map(([x = 0, y = 0, width = 0, height = 0]) => ({ x, y, width, height }));
@@ -39,7 +39,7 @@ export function showRegion(root: HTMLElement, recording: Recording, desk: Desk):
         drawn.region = regionOf((await settings(below)).text, { kind, name });
         if (!drawn.region && may && recording.calibration_s !== null) {
           drawn.region = calibrated(await get(ofRecording(recording.number, "calibration")), kind);
-          if (drawn.region) say(chosen, "This region was chosen by the calibration; recording.toml names none.");
+          if (drawn.region) say(chosen, "The calibration selected this region; recording.toml names none.");
         }
         const found = await picture(ofRecording(recording.number, `cameras/${encodeURIComponent(name)}`));
         const image = await createImageBitmap(found.blob);
@@ -56,8 +56,7 @@ export function showRegion(root: HTMLElement, recording: Recording, desk: Desk):
       try {
         const { text, tag } = await settings(below);
         const changed = withRegion(text, { kind, name }, drawn.region);
-        if (changed === null)
-          throw new Error("The section of this camera is not found in recording.toml: write roi there, in Settings.");
+        if (changed === null) throw new Error("recording.toml has no section of this camera: set roi in Settings.");
         say(said, (await putSettings(changed, tag, below)).text);
         drawn.changed = false;
         say(chosen, "");
@@ -75,7 +74,7 @@ export function showRegion(root: HTMLElement, recording: Recording, desk: Desk):
       where,
       chosen,
       (may &&
-        el("p", { class: "quiet" }, `${HOW_TO_DRAW} It is written into recording.toml; without it, it is chosen.`)) ||
+        el("p", { class: "quiet" }, `${HOW_TO_DRAW} Saved in recording.toml; without a region midspan selects one.`)) ||
         el("p"),
     );
     void begin();

@@ -98,7 +98,7 @@ class ResultView {
       ["", text],
       ...names.map((one): [string, string] => [one, one]),
     ];
-    const calibrations: [string, string][] = [["", "made anew"]];
+    const calibrations: [string, string][] = [["", "new calibration"]];
     if (calibratedS !== null) calibrations.push(["kept", `calibration.json of ${clock(1000 * calibratedS)}`]);
     const wanted = this.#wanted;
     const made = [
@@ -217,7 +217,7 @@ class ResultView {
       el("h2", {}, "Displacement"),
       el("p", { class: "words" }, found.verdict ?? ""),
       el("p", { class: "quiet" }, `${made}: result.csv in its folder.`),
-      el("p", { class: "wrong" }, old ? "recording.toml was changed since: estimate again." : ""),
+      el("p", { class: "wrong" }, old ? "recording.toml has changed since: estimate again." : ""),
     ];
   }
 
@@ -226,7 +226,7 @@ class ResultView {
     const formats = FORMATS.map((one): [string, string] => [one, one]);
     const save = async (wanted: string) => {
       try {
-        say(this.#said, "The file is being made.");
+        say(this.#said, "Writing the file.");
         const { path } = await post<{ path: string }>(ofRecording(recording.number, "files"), { format: wanted });
         say(this.#said, "");
         // A report opens in a tab of its own; a file is saved.
@@ -243,7 +243,7 @@ class ResultView {
         "div",
         { class: "bar" },
         recording.report_s !== null && button("Open the report", () => void save("report")),
-        button("Save every row", () => void save(format)),
+        button("Save all rows", () => void save(format)),
         choice("as", formats, format, (value) => (format = value)),
       ),
     ];
@@ -280,7 +280,7 @@ function wordsOf(found: ResultBody): HTMLElement[] {
   const events = el("tbody");
   for (const one of found.events) events.append(line(EVENT_COLUMNS, [one.time_s.toFixed(3), one.kind, one.text]));
   return [
-    el("h2", {}, "What the band cannot contain"),
+    el("h2", {}, "Errors outside the band"),
     outside.length ? list(outside) : el("p", {}, "Nothing."),
     el("h2", {}, "Calibration of this result"),
     calibrationTable(found.calibration),
@@ -296,8 +296,8 @@ async function showComparison(into: HTMLElement, number: number): Promise<void> 
     const error = (of: Against) =>
       `${of.rmse_mm.toPrecision(4)} mm${of.coverage_95 === null ? "" : `, ${(100 * of.coverage_95).toFixed(1)} % inside ±1.96 σ`}`;
     add("RMSE", error(found));
-    if (found.without_zero) add("RMSE, zero taken off", error(found.without_zero));
-    if (found.without_zero_and_lag) add("RMSE, zero and lag taken off", error(found.without_zero_and_lag));
+    if (found.without_zero) add("RMSE, zero removed", error(found.without_zero));
+    if (found.without_zero_and_lag) add("RMSE, zero and lag removed", error(found.without_zero_and_lag));
     add("bias", `${signed(found.bias_mm, 4)} mm`);
     add("largest error", `${signed(found.largest_error_mm, 4)} mm at ${found.largest_error_at_s.toFixed(3)} s`);
     if (found.correlation !== null) add("correlation", found.correlation.toFixed(6));

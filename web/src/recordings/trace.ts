@@ -51,7 +51,7 @@ export class Trace {
     });
     const shown: [string, string][] = [["result", "result"]];
     if (hasReference) shown.unshift(["both", "result and reference"]);
-    if (hasReference) shown.push(["error", "result less reference"]);
+    if (hasReference) shown.push(["error", "result − reference"]);
     if (across) shown.push(["across", `result along ${across}`]);
     const traces = choice("Trace", shown, this.#shows, (value) => this.#change(() => (this.#shows = value)));
     this.root.append(
@@ -71,7 +71,7 @@ export class Trace {
       this.#readout,
       this.#shown,
       this.#figures,
-      button("Spectrum of what is shown", () => void this.#showSpectrum()),
+      button("Spectrum of the shown span", () => void this.#showSpectrum()),
       this.#spectrum.root,
     );
   }

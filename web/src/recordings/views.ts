@@ -18,7 +18,7 @@ function ofOne(path: string, title: string, show: OfRecording): Entry<Desk>["sho
   return (root, desk, name) => {
     const recording = desk.of(name);
     if (!recording) {
-      root.replaceChildren(el("h1", {}, title), el("p", {}, "There is no recording here."));
+      root.replaceChildren(el("h1", {}, title), el("p", {}, "There is no recording."));
       return () => undefined;
     }
     const names = desk.recordings.map((one): [string, string] => [String(one.number), one.name]);
@@ -57,8 +57,8 @@ const showSettings: OfRecording = (root, recording, desk) =>
   editSettings(root, {
     file: "recording.toml",
     below: `/recordings/${recording.number}`,
-    note: `${recording.folder}/recording.toml. Wrong settings are not written.`,
-    save: "Check and write",
+    note: `${recording.folder}/recording.toml. Wrong settings are rejected.`,
+    save: "Check and save",
     fault: () => (recording.fault ? { text: recording.fault, key: null } : null),
     written: () => desk.ask(),
   });

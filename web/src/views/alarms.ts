@@ -117,7 +117,7 @@ class AlarmsView {
         table(TARGET_COLUMNS, this.#targets),
         this.#may && this.#test,
       ),
-      el("section", {}, el("h2", {}, "What became of them"), table(AUDIT_COLUMNS, this.#audit)),
+      el("section", {}, el("h2", {}, "History"), table(AUDIT_COLUMNS, this.#audit)),
     );
     this.#ends.push(
       site.live.listen((message) => {
@@ -259,7 +259,7 @@ class AlarmsView {
     say(this.#undelivered, "");
     const lines = targets.map((one) => [
       one.target,
-      one.fault ? `not delivered: ${one.fault}` : "as it should be",
+      one.fault ? `not delivered: ${one.fault}` : "working",
       String(one.waiting),
       String(one.sent),
       one.sent_s === null ? "none yet" : clock(1000 * one.sent_s),

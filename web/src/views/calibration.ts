@@ -19,7 +19,7 @@ const CHANGED_SIGMAS = 4;
 const STAGES: Record<string, string> = {
   capturing: "Records are captured",
   calibrating: "The calibration is computed",
-  opening: "The point is opened with it",
+  opening: "The point opens with it",
 };
 
 /** A change in words: relative where the value is no offset, and in deviations. */
@@ -122,7 +122,7 @@ function rowsWords({ rows }: CalibrationBody): string {
 class Progress {
   root = el("div");
   #words = el("p");
-  #bar = el("progress", { max: 1, "aria-label": "Progress of what is prepared" });
+  #bar = el("progress", { max: 1, "aria-label": "Progress of the preparation" });
 
   constructor() {
     this.root.append(this.#words, this.#bar);
@@ -176,7 +176,7 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
   }
 
   function refuse(id: number): void {
-    const reason = window.prompt(`Why is calibration ${id} of ${name} refused? Everybody sees the reason.`, "");
+    const reason = window.prompt(`Why is calibration ${id} of ${name} refused? All users see the reason.`, "");
     if (reason !== null) void command(`calibrations/${id}/refuse`, { reason: reason.trim().slice(0, 200) });
   }
 
@@ -184,7 +184,7 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
     const inForce = all.filter((one) => one.state === "in force");
     const waiting = all.filter((one) => one.state === "offered");
     const shown = [...inForce, ...waiting];
-    offered.replaceChildren(shown.length ? compared(shown) : el("p", {}, "No calibration is kept yet."));
+    offered.replaceChildren(shown.length ? compared(shown) : el("p", {}, "No calibration is stored yet."));
     for (const one of waiting) {
       const bar = el(
         "div",

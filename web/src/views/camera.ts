@@ -34,7 +34,7 @@ export const showCamera: View = (root, site, name) => {
       const cameras = (await get<SourceState[]>("/sources")).filter((one) => SHOWN.includes(one.source));
       const chosen = cameras.find((one) => one.name === name) ?? cameras[0];
       if (ended) return;
-      if (!chosen) return say(wait, "No camera and no radar is here now.");
+      if (!chosen) return say(wait, "No camera or radar is available.");
       const names = cameras.map((one): [string, string] => [one.name, one.name]);
       const go = (other: string) => (location.hash = `#/camera/${encodeURIComponent(other)}`);
       const chooser = choice(chosen.source === "radar" ? "Radar" : "Camera", names, chosen.name, go);
@@ -76,13 +76,13 @@ class CameraView {
   #tracked = el("ul", { class: "keys" });
   #scale = el("p", { class: "scale", hidden: true });
   #watch = button("Watch", () => this.#toggle(), { "aria-pressed": "false" });
-  #save = button("Put the region in force", () => void this.#put(), { disabled: true });
+  #save = button("Apply the region", () => void this.#put(), { disabled: true });
 
   constructor(root: HTMLElement, site: SiteState, source: SourceState, chooser: HTMLElement) {
     this.#site = site;
     this.#source = source;
     this.#may = site.session.scope === "admin";
-    this.#drawn = new RegionCanvas(`Picture of ${source.name}.`, this.#may, () => {
+    this.#drawn = new RegionCanvas(`Image of ${source.name}.`, this.#may, () => {
       say(this.#where, this.#drawn.text);
       this.#save.disabled = !this.#drawn.changed;
     });
@@ -92,7 +92,7 @@ class CameraView {
         "div",
         { class: "bar" },
         chooser,
-        button("New picture", () => void this.#ask()),
+        button("New image", () => void this.#ask()),
         this.#watch,
         this.#may && this.#save,
       ),
@@ -102,7 +102,7 @@ class CameraView {
       this.#taken,
       this.#where,
       this.#tracked,
-      (this.#may && el("p", { class: "quiet" }, `${HOW_TO_DRAW} It is written into SITE.toml.`)) || el("p"),
+      (this.#may && el("p", { class: "quiet" }, `${HOW_TO_DRAW} Saved in SITE.toml.`)) || el("p"),
     );
     void this.#begin();
   }
@@ -178,8 +178,7 @@ class CameraView {
     try {
       const { text, tag } = await settings();
       const changed = withRegion(text, { kind: this.#source.source, point: this.#source.point }, region);
-      if (changed === null)
-        throw new Error("The section of this camera is not found in SITE.toml: write roi there, in Settings.");
+      if (changed === null) throw new Error("SITE.toml has no section of this camera: set roi in Settings.");
       say(this.#said, (await putSettings(changed, tag)).text);
       this.#drawn.changed = false;
       this.#drawn.draw();

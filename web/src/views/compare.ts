@@ -92,7 +92,7 @@ export const showCompare: View = (root, site) => {
     );
     const figures = statistics(loaded.envelope, loaded.areRows);
     const text = figures
-      ? `least ${signed(figures.low, 3)}, largest ${signed(figures.high, 3)}, mean ${signed(figures.mean, 3)} mm`
+      ? `minimum ${signed(figures.low, 3)}, maximum ${signed(figures.high, 3)}, mean ${signed(figures.mean, 3)} mm`
       : "no rows";
     const x = loaded.envelope.x.map((at) => at + shiftMs / 1000);
     return {
@@ -114,7 +114,7 @@ export const showCompare: View = (root, site) => {
       );
       say(one, found[0]?.text ?? "");
       say(other, found[1]?.text ?? "");
-      say(shown, `The second is moved to the first one's time (${duration(seconds)}).`);
+      say(shown, `The second trace is shifted by ${duration(seconds)} to the time of the first.`);
     } catch (error) {
       if (!signal.aborted) say(wrong, sentenceOf(error));
     }

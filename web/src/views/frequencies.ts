@@ -37,7 +37,7 @@ export class FrequencyPanel {
   /** toMs: where the time that is shown ends. */
   constructor(point: string, toMs: () => number) {
     const spans = choice("over", SPANS, this.#days, (days) => (this.#days = days));
-    const show = button("Course of the natural frequencies", () => void this.#show(point, toMs()));
+    const show = button("Natural frequencies over time", () => void this.#show(point, toMs()));
     this.root.append(el("div", { class: "bar" }, show, spans), this.#said, this.#list, this.#frame);
   }
 
@@ -51,7 +51,7 @@ export class FrequencyPanel {
     this.end();
     const { signal } = (this.#asking = new AbortController());
     const fromMs = toMs - Number(this.#days) * DAY_MS;
-    say(this.#said, "The frequencies are being computed.");
+    say(this.#said, "Computing the natural frequencies.");
     try {
       for (let isWhole = false; !isWhole;) {
         const found = await get<FrequenciesBody>(ofPoint(point, "frequencies", span(fromMs, toMs)), signal);
@@ -65,7 +65,7 @@ export class FrequencyPanel {
 
   #draw(found: FrequenciesBody, range: [number, number]): void {
     const minutes = `one segment of ${found.segment_s / 60} minutes in each ${found.step_s / 3600} h, with 95 % bars`;
-    say(this.#said, found.complete ? found.reason || `Natural frequencies, ${minutes}.` : "More are being computed.");
+    say(this.#said, found.complete ? found.reason || `Natural frequencies, ${minutes}.` : "Computing more segments.");
     this.#list.replaceChildren(
       ...found.modes.map((one, at) => el("li", { class: `key ${COLOURS[at] ?? ""}` }, words(one))),
     );
@@ -77,7 +77,7 @@ export class FrequencyPanel {
         return y === null ? [] : [{ x: ns / 1e9 + found.segment_s / 2, y, half: 1.96 * (std ?? 0) }];
       });
       const history: History = { colour: COLOURS[at] ?? "trace", points };
-      const frame = el("div", { class: "chart small", role: "img", "aria-label": `Course of ${words(course)}` });
+      const frame = el("div", { class: "chart small", role: "img", "aria-label": `${words(course)} over time` });
       this.#frame.append(frame);
       return historyChart(frame, [history], "Hz", range);
     });

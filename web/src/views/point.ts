@@ -28,8 +28,8 @@ const EVENT_COLUMNS = ["Time", "Event", "What"];
 // What is drawn differently, with its words: as `layers` has it.
 const LAYERS: (Style & { text: string })[] = [
   { colour: "trace", text: "measured" },
-  { colour: "coasting", text: "predicted: nothing measures" },
-  { colour: "head", dash: [4, 3], text: "not final yet" },
+  { colour: "coasting", text: "predicted: no measurement" },
+  { colour: "head", dash: [4, 3], text: "preliminary" },
 ];
 // Of each of them: lower, upper, low, high.
 const SERIES = 4;
@@ -141,7 +141,7 @@ class PointView {
     const below = el(
       "div",
       { class: "bar" },
-      button("Spectrum of what is shown", () => void this.#spectrum.show(this.#path("spectrum"))),
+      button("Spectrum of the shown span", () => void this.#spectrum.show(this.#path("spectrum"))),
       this.#exportForm(),
     );
     return [
@@ -161,7 +161,7 @@ class PointView {
       below,
       this.#spectrum.root,
       this.#frequencies.root,
-      el("h2", {}, "Events of what is shown"),
+      el("h2", {}, "Events in the shown span"),
       table(EVENT_COLUMNS, this.#eventList),
     ];
   }
@@ -174,7 +174,7 @@ class PointView {
       format,
       (value) => (format = value),
     );
-    const save = button("Save every row of what is shown", () =>
+    const save = button("Save all rows of the shown span", () =>
       el("a", { href: `/api/v1${this.#path("export", { format })}`, download: "" }).click(),
     );
     return el("span", { class: "bar" }, save, pick, el("span", { class: "quiet" }, "times in the file are UTC"));

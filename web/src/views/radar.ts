@@ -9,7 +9,7 @@ import { repeat, sentenceOf } from "./view.ts";
 
 // The server has a new profile so often, ms.
 const PROFILE_MS = 500;
-const COLUMNS = ["Target", "Range", "Signal to noise"];
+const COLUMNS = ["Target", "Range", "Signal-to-noise ratio"];
 
 /** Fills an element; returns how it ends. chooser: of the source that is shown. */
 export function showRadar(root: HTMLElement, site: SiteState, source: SourceState, chooser: HTMLElement): () => void {
@@ -41,7 +41,7 @@ export function showRadar(root: HTMLElement, site: SiteState, source: SourceStat
         one.range_m === null ? `bin ${one.bin.toFixed(1)}` : `${one.range_m.toFixed(2)} m`,
         `${one.snr_db.toFixed(0)} dB`,
       ]);
-      const none = ["None: the point is not opened yet.", "", ""];
+      const none = ["None: the point is not open yet.", "", ""];
       targets.replaceChildren(...(texts.length ? texts : [none]).map((one) => line(COLUMNS, one)));
       say(said, "");
     } catch (error) {

@@ -20,15 +20,15 @@ export interface SettingsPlace {
 
 export const showSettings: View = (root, site) => {
   if (site.health?.has_settings === false) {
-    const none = "No SITE.toml belongs to this store here: no midspan run has begun on it.";
+    const none = "This store has no SITE.toml here: no midspan run was started on it.";
     root.replaceChildren(el("h1", {}, "Settings"), el("p", {}, none));
     return () => undefined;
   }
   return editSettings(root, {
     file: "SITE.toml",
     below: "",
-    note: "SITE.toml. Wrong settings change nothing. Check says what new ones would change.",
-    save: "Save and put in force",
+    note: "SITE.toml. Wrong settings are rejected. Check reports the effect of new ones.",
+    save: "Save and apply",
     isSite: true,
     fault: () => site.health?.settings ?? null,
   });
@@ -47,10 +47,10 @@ window.addEventListener("beforeunload", (event) => {
 /** What settings change, a line each. */
 export function changesOf({ added = [], changed = [], removed = [], restart }: SettingsDone): string[] {
   const named: [string, string[]][] = [
-    ["Begin", added],
-    ["Begin anew", changed],
-    ["End", removed],
-    ["Hold only once midspan run is started again", restart],
+    ["Start", added],
+    ["Restart", changed],
+    ["Stop", removed],
+    ["Take effect after a restart of midspan run", restart],
   ];
   return named.filter(([, names]) => names.length).map(([text, names]) => `${text}: ${names.join(", ")}.`);
 }
@@ -106,7 +106,7 @@ export function editSettings(root: HTMLElement, place: SettingsPlace): () => voi
         noteDraft();
         await place.written?.();
       }
-      show(isTrial ? `Nothing is wrong. ${found.text}` : found.text, changesOf(found), "", null);
+      show(isTrial ? `No errors. ${found.text}` : found.text, changesOf(found), "", null);
     } catch (error) {
       show("", [], sentenceOf(error), error instanceof Refused ? error.key : null);
     } finally {

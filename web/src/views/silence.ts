@@ -16,7 +16,7 @@ const SPANS: [hours: string, text: string][] = [
 export function askSilence(alarm: AlarmBody, nowMs: number, done: (until: string, reason: string) => void): void {
   let hours = "1";
   const reason = el("input", { required: true, maxlength: 200, autocomplete: "off", autofocus: true });
-  const instant = el("input", { type: "datetime-local", "aria-label": "Silent until" });
+  const instant = el("input", { type: "datetime-local", "aria-label": "Silenced until" });
   instant.hidden = true;
   const span = choice("Silent", SPANS, hours, (value) => {
     hours = value;
@@ -27,13 +27,9 @@ export function askSilence(alarm: AlarmBody, nowMs: number, done: (until: string
     "form",
     { method: "dialog", submit: () => done(new Date(untilMs()).toISOString(), reason.value.trim()) },
     el("h2", {}, `Silence ${alarm.point}: ${alarm.name}`),
-    el(
-      "p",
-      { class: "quiet" },
-      "No webhook and no mail of it until then. It is measured, shown and kept all the same.",
-    ),
+    el("p", { class: "quiet" }, "No webhook and no mail until then. The alarm is still measured, shown and stored."),
     el("div", { class: "bar" }, span, instant),
-    el("label", {}, "Reason, which everybody sees", reason),
+    el("label", {}, "Reason, visible to all users", reason),
     el(
       "div",
       { class: "bar" },

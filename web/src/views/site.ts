@@ -15,8 +15,8 @@ export const OLD_S = 5;
 // A point that begins, and what it does.
 const BEGINS: Record<string, string> = {
   starting: "begins",
-  calibrating: "is being calibrated",
-  opening: "is being opened",
+  calibrating: "is calibrating",
+  opening: "is opening",
 };
 
 /** How a point stands: good is shown green, and only where all that it needs is fresh. */
@@ -53,7 +53,7 @@ function urgencyOf(point: PointState, site: SiteState): "good" | "notice" | "wro
 export function showOffer(into: HTMLElement, point: PointState): void {
   into.hidden = (point.notice ?? point.reason) !== "calibration_offered";
   const href = `#/calibration/${encodeURIComponent(point.name)}`;
-  if (!into.childElementCount) into.append(el("a", { href }, "A calibration waits: accept or refuse it."));
+  if (!into.childElementCount) into.append(el("a", { href }, "A calibration awaits acceptance: accept or refuse it."));
 }
 
 /** What is wrong with a point, in one sentence; empty where nothing is. */
@@ -68,8 +68,8 @@ export function trouble(point: PointState, site: SiteState): string {
 function summary(site: SiteState): { state: string; text: string } {
   const count = site.points.length;
   if (!site.health) return { state: "unknown", text: "Waiting for the server." };
-  if (!site.fresh) return { state: "unknown", text: "No connection: what is shown is old." };
-  if (!count) return { state: "unknown", text: "There are no points here yet." };
+  if (!site.fresh) return { state: "unknown", text: "No connection: the values shown are old." };
+  if (!count) return { state: "unknown", text: "There are no points yet." };
   const states = site.points.map((one) => urgencyOf(one, site));
   const bad = states.filter((one) => one !== "good").length;
   if (!bad && site.health.ready)
@@ -81,7 +81,7 @@ function summary(site: SiteState): { state: string; text: string } {
           : `All ${count} points are measured, all streams are fresh.`,
     };
   if (bad) {
-    const text = count === 1 ? "The point needs a look." : `${bad} of ${count} points need a look.`;
+    const text = count === 1 ? "The point needs attention." : `${bad} of ${count} points need attention.`;
     return { state: states.includes("wrong") ? "wrong" : "notice", text };
   }
   const source = site.health.sources.find((one) => one.reason);
@@ -132,8 +132,8 @@ function fill(into: Card, point: PointState, site: SiteState): void {
   mark(into.words, state);
   say(into.value, withBand(point.displacement_mm, point.displacement_std_mm));
   say(into.words, words);
-  say(into.age, age === null ? "no row yet" : `newest row ${age < 3 ? "of now" : `${duration(age)} ago`}`);
-  say(into.since, sinceMs === null ? "" : `, so since ${clock(sinceMs)}`);
+  say(into.age, age === null ? "no row yet" : `newest row ${age < 3 ? "now" : `${duration(age)} ago`}`);
+  say(into.since, sinceMs === null ? "" : `, since ${clock(sinceMs)}`);
   say(into.text, site.fresh ? trouble(point, site) : "");
   showOffer(into.offer, point);
   showAlarms(into.alarms, site.alarmsOf(point.name));

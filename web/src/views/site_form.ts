@@ -8,7 +8,7 @@ const KINDS: Record<string, { address: string; key: string; text: string; values
   accelerometer: { address: "mqtt:bridge/acc1", key: "unit", text: "Unit", values: ["m/s^2", "g", "mg"] },
   camera: { address: "rtsp://10.0.0.21/stream", key: "direction", text: "Image axis", values: ["y", "x", "xy"] },
   infrared: { address: "rtsp://10.0.0.22/stream", key: "direction", text: "Image axis", values: ["y", "x", "xy"] },
-  radar: { address: "udp:4098", key: "config", text: "File of its settings", values: [] },
+  radar: { address: "udp:4098", key: "config", text: "Configuration file", values: [] },
   displacement: { address: "mqtt:bridge/gnss", key: "unit", text: "Unit", values: ["mm", "m"] },
 };
 const NEW = "";
@@ -80,7 +80,7 @@ export class SiteForm {
       "div",
       { class: "bar" },
       pick,
-      button("Remove it from the text", () => this.#remove(chosen)),
+      button("Remove from the text", () => this.#remove(chosen)),
     );
   }
 
@@ -92,10 +92,10 @@ export class SiteForm {
   #add(name: string, source: string, keys: Record<string, string>): void {
     const [text, made] = [this.#text.get(), { kind: this.#kind, source: source.trim(), keys }];
     if (this.#point === NEW && pointNames(text).includes(name))
-      return say(this.#said, `There is a point ${name} already: choose it, or another name.`);
+      return say(this.#said, `Point ${name} exists: choose it, or another name.`);
     const changed = this.#point === NEW ? withPoint(text, name, made) : withSource(text, this.#point, made);
     if (changed === null)
-      return say(this.#said, `${this.#point} has a source of this kind: write another one with a name into the text.`);
+      return say(this.#said, `${this.#point} has a source of this kind: add another one with a name in the text.`);
     this.#text.set(changed);
     const point = this.#point || name;
     this.#point = point;
@@ -105,9 +105,9 @@ export class SiteForm {
 
   #remove(name: string): void {
     const changed = withoutPoint(this.#text.get(), name);
-    if (changed === null) return say(this.#said, `${name} is not found in the text.`);
+    if (changed === null) return say(this.#said, `${name} was not found in the text.`);
     this.#text.set(changed);
     this.show();
-    say(this.#said, `${name} is out of the text below. Its rows stay in the store. Check, then save.`);
+    say(this.#said, `${name} was removed from the text below. Its rows stay in the store. Check, then save.`);
   }
 }

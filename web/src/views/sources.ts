@@ -7,7 +7,7 @@ import { duration, signed, withSigma } from "../words.ts";
 import { repeat, sentenceOf, type View } from "./view.ts";
 
 const ASK_MS = 2000;
-const COLUMNS = ["Stream", "State", "Age", "Rate", "Delay", "Records", "Left out", "Time stamps", "Clock ± σ", ""];
+const COLUMNS = ["Stream", "State", "Age", "Rate", "Delay", "Records", "Rejected", "Time stamps", "Clock ± σ", ""];
 /** How a camera's frames are dated. */
 const STAMPS: Record<string, string> = { sender: "the camera's clock", arrival: "arrival here" };
 
@@ -33,7 +33,7 @@ export function leftOut({ skipped, late, faults, restarts }: SourceState): strin
     [faults, "faulty"],
   ];
   const texts = counts.filter(([count]) => count).map(([count, text]) => `${count} ${text}`);
-  if (restarts) texts.push(`opened again ${restarts === 1 ? "once" : `${restarts} times`}`);
+  if (restarts) texts.push(`reconnected ${restarts === 1 ? "once" : `${restarts} times`}`);
   return texts.join(", ") || "none";
 }
 
@@ -66,7 +66,7 @@ class Row {
     mark(this.root, source.reason === "" ? "good" : this.#paused ? "unknown" : "wrong");
     const texts = [
       words(source),
-      source.age_s === null ? "nothing yet" : duration(source.age_s),
+      source.age_s === null ? "no data yet" : duration(source.age_s),
       rateWords(source),
       source.delay_s == null ? "" : `${(1000 * source.delay_s).toFixed(0)} ms`,
       String(source.records),
@@ -84,7 +84,7 @@ class Row {
     const path = `/sources/${encodeURIComponent(name)}`;
     try {
       if (this.#paused) return done((await post<{ text: string }>(`${path}/resume`)).text);
-      const reason = window.prompt(`Why is ${name} paused? Everybody sees the reason.`, "");
+      const reason = window.prompt(`Why is ${name} paused? All users see the reason.`, "");
       if (reason?.trim())
         done((await post<{ text: string }>(`${path}/pause`, { reason: reason.trim().slice(0, 200) })).text);
     } catch (error) {
@@ -125,7 +125,7 @@ export const showSources: View = (root, site) => {
       row.root.remove();
       rows.delete(name);
     }
-    if (!found.length) say(said, "No process measures here now: there are no streams. Start midspan run.");
+    if (!found.length) say(said, "No measuring process is running: there are no streams. Start midspan run.");
   }
   return repeat(() => void ask(), ASK_MS);
 };

@@ -12,13 +12,13 @@ export class SpectrumPanel {
   /** path: of the interface, with the time. */
   async show(path: string): Promise<void> {
     this.end();
-    this.root.replaceChildren(el("p", { role: "status" }, "The spectrum is being computed."));
+    this.root.replaceChildren(el("p", { role: "status" }, "Computing the spectrum."));
     try {
       const found = await get<SpectrumBody>(path);
       if (!found.frequency_hz.length) throw new Error(`There is no spectrum: ${found.reason}`);
       const frame = el("div", { class: "chart", role: "img", "aria-label": "Spectrum of displacement" });
       const modes = found.modes.map((one) => `${(one["frequency_hz"] ?? NaN).toFixed(3)} Hz`).join(", ");
-      const text = modes ? `Natural frequencies: ${modes}` : "No natural frequency stands out.";
+      const text = modes ? `Natural frequencies: ${modes}` : "No natural frequency is significant.";
       this.root.replaceChildren(el("h2", {}, "Spectrum"), el("p", {}, text), frame);
       const frequency = found.frequency_hz.map((one) => one ?? 0);
       this.#end = spectrumChart(frame, frequency, found.density_mm2_hz);

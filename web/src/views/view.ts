@@ -28,6 +28,6 @@ export function sentenceOf(error: unknown): string {
 
 /** A view of points where there are none. */
 export function nothing(root: HTMLElement, title: string): () => void {
-  root.replaceChildren(el("h1", {}, title), el("p", {}, "There are no points here yet."));
+  root.replaceChildren(el("h1", {}, title), el("p", {}, "There are no points yet."));
   return () => undefined;
 }

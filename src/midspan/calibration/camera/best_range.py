@@ -96,8 +96,9 @@ def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple
     if low <= SHOWN_NOT_THINNED * rate and low < high:
         return (low, high), NOT_THINNED
     raise UntrustedError(
-        f"calibration.band_hz begins at {low:g} Hz; frames at {rate:.3g} Hz show ranges' errors apart from drift only "
-        f"where it begins at {SHOWN_NOT_THINNED * rate:.2g} Hz or lower. Use more frames a second, or a lower band."
+        f"calibration.band_hz must begin at {SHOWN_NOT_THINNED * rate:.2g} Hz or lower for frames at {rate:.3g} Hz, "
+        f"to separate the errors of temperature ranges from drift; received {low:g} Hz. Use a higher frame rate or a "
+        "lower band."
     )
 
 

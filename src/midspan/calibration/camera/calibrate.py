@@ -29,7 +29,7 @@ CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
 PRINTED = (
     "calibration.literal: scale factor and clock offset are as printed (band-pass, double integration, "
-    "cross-correlation, least squares). Their standard deviations hold the distance from those of the likelihood."
+    "cross-correlation, least squares). Their standard deviations include the difference from the likelihood estimate."
 )
 
 
@@ -50,7 +50,7 @@ def fit_camera(
         try:
             fits.append(_fitted(across, targets, reported))
         except UntrustedError as error:
-            refused = f"Along {second} the accelerometer is not used and the target only tracked. {error}"
+            refused = f"Along {second} the target is only tracked, without the accelerometer. {error}"
     fits = one_offset(fits)
     if not fits[0].used:
         raise UntrustedError(
@@ -65,7 +65,7 @@ def fit_camera(
     judged = [_judged(view, targets, fit, offset) for view, fit in axes]
     cameras = used_along_both([camera for camera, _ in judged])
     if len(cameras) < len(axes):
-        refused = f"Along {second} the target is only tracked: no target is of use along both axes."
+        refused = f"Along {second} the target is only tracked: no target is usable along both axes."
     parts = [
         _given(view, targets, _fit_of(targets, camera, fit, notices))
         for camera, (view, fit), (_, notices) in zip(cameras, axes, judged, strict=False)
@@ -148,7 +148,7 @@ def _alongside(own: TargetCalibration, other: TargetCalibration, axis: str) -> T
     """A target along one axis, out of use where it is so along the other, `axis`."""
     if other.used or not own.used:
         return own
-    return replace(own, used=False, reason=f"not of use along {axis}: {other.reason}")
+    return replace(own, used=False, reason=f"not usable along {axis}: {other.reason}")
 
 
 def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, refused: str) -> tuple[CameraFit, ...]:
@@ -193,11 +193,11 @@ def _refuse_pattern(share_std: float, estimated: ScaleFactor) -> None:
     if share_std <= REFUSED_ABOVE:
         return
     raise UntrustedError(
-        f"The thermal camera's fixed pattern is too strong for this scene to calibrate the scale factor: it would be "
-        f"{1e3 * estimated.value_m_per_px:.4g} mm/px, and the pattern may draw translations to zero by "
-        f"{100 * share_std:.2g} % (one standard deviation); at most {100 * REFUSED_ABOVE:g} % is accepted. Choose an "
-        "infrared.roi of more contrast, correct the camera's non-uniformity (its shutter) before recording, or begin "
-        "where the target moves by half a pixel or more, which tells the pattern from the scene."
+        "The thermal camera's fixed pattern is too strong for this scene to calibrate the scale factor: it may bias "
+        f"translations towards zero by {100 * share_std:.2g} % (σ; at most {100 * REFUSED_ABOVE:g} % is accepted) and "
+        f"with them the {1e3 * estimated.value_m_per_px:.4g} mm/px. Choose an infrared.roi with more contrast, run "
+        "the shutter correction before recording, or start where the target moves by half a pixel or more, which "
+        "separates the pattern from the scene."
     )
 
 
@@ -207,10 +207,10 @@ def _refuse_compression(scale: ScaleFactor, estimated: ScaleFactor) -> None:
         return
     codec = np.sqrt(scale.variance - estimated.variance) / abs(scale.value_m_per_px)
     raise UntrustedError(
-        f"Too much compression to calibrate the scale factor: it would be {1e3 * scale.value_m_per_px:.4g} mm/px "
-        f"± {100 * relative:.2g} %, of which the video's compression makes ± {100 * codec:.2g} %, and at most "
-        f"± {100 * REFUSED_ABOVE:g} % is given out. Record with a higher bit rate or without compression, choose a "
-        "camera.roi of more contrast, or a calibration.window_s with more motion in the picture."
+        f"Too much compression to calibrate the scale factor: {1e3 * scale.value_m_per_px:.4g} mm/px ± "
+        f"{100 * relative:.2g} %, of which ± {100 * codec:.2g} % from the video compression; at most ± "
+        f"{100 * REFUSED_ABOVE:g} % is accepted. Record with a higher bit rate or without compression, or choose a "
+        "camera.roi with more contrast or a calibration.window_s with more image motion."
     )
 
 
@@ -304,7 +304,7 @@ def doubt_exposures(notices: Sequence[Notice], compression_std: float) -> list[N
     """Notices of an exposure with the other cause of what they rest on; compression_std: what the compression of the
     film may do to the scale factor, relative, 0 without it.
     """
-    other = "The compression of this film makes fast, small motion smaller too; its exposure may be far shorter."
+    other = "Video compression also attenuates fast, small motion; the true exposure may be far shorter."
     doubtful = [one.code == "exposure" and compression_std > 0.0 for one in notices]
     return [one.worded(f"{one} {other}") if doubt else one for one, doubt in zip(notices, doubtful, strict=True)]
 
@@ -315,31 +315,34 @@ def _apart_warnings(found: ScaleCalibration, coloured: Misfit, slow_m: float, ap
         return [Notice("motion-not-shared", found.own.text("camera", slow_m))]
     if apart_m > 0.0:
         return [Notice("motion-not-shared", _contradiction_text(apart_m, found.response))]
-    causes = "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns"
+    causes = "a vibrating mast or bracket, autofocus, hot air, or a rotating target"
     search = found.search
     return coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
 
 
 def _zero_warnings(start_m: float, *, drifts: bool) -> list[Notice]:
-    zero = f"the zero is known to {rounded(1e3 * start_m)} mm only"
-    text = f"camera: its first frames are far noisier than the others; {zero}, and a shift that is seen among them "
-    text += "may be none."
+    zero = f"the zero is known only to {rounded(1e3 * start_m)} mm"
+    text = f"camera: the first frames are far noisier than the others; {zero}, and an apparent shift among them "
+    text += "may be noise."
     if drifts:
-        text = "accelerometer: at the beginning its gain or bias differs from what it is later, as while it warms up; "
+        text = "accelerometer: its gain or bias differs at the start, as during warm-up; "
         text += f"{zero}. Let it warm up before recording."
     return [Notice("zero-uncertain", text)] if start_m > 0.0 else []
 
 
 def _contradiction_text(apart_m: float, response: FrequencyResponse) -> str:
-    differs = f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
+    differs = f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise; the error band includes it. "
     if response.accelerometer_errs:
         # With what was found taken out they do not contradict each other.
-        return f"camera: it and the accelerometer {differs}The reason is what the accelerometer was found to err by."
+        return (
+            f"camera: it and the accelerometer {differs}The cause is the estimated low-pass or resonance of the "
+            "accelerometer."
+        )
     return (
-        "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
-        f"{differs}Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that "
-        "it shows as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff. Stiffen "
-        "both mountings, check the axis, raise the frame rate."
+        f"camera: the image shows motion that the accelerometer does not, or the reverse: they {differs}Likely "
+        "causes: vibration of the camera or its bracket (above the Nyquist frequency it is aliased to slow motion), "
+        "cross motion on an inclined axis, a soft mounting. Stiffen both mountings, check the axis, raise the frame "
+        "rate."
     )
 
 
@@ -358,8 +361,8 @@ def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration
         noise = noise_m(target)
         if target.used and not noise <= USELESS * best:
             reason = (
-                f"it differs from the acceleration by {1e3 * noise:.2g} mm a frame, {noise / best:.0f} times as much "
-                "as the best target: it moves on its own or is too poor to help."
+                f"it differs from the acceleration by {1e3 * noise:.2g} mm per frame, {noise / best:.0f} times as "
+                "much as the best target: it moves on its own or is too noisy."
             )
             targets[k] = replace(target, used=False, reason=reason)
     return targets

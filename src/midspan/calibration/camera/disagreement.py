@@ -46,22 +46,21 @@ def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float,
         ((name, per * abs(scale)) for name, scale in (kept, other)), key=lambda named: named[1]
     )
     makes = (
-        f"which makes the displacement of {near} wrong by {1e3 * near_m:.2g} mm rms and that of {far} by "
-        f"{1e3 * far_m:.2g} mm"
+        f"which causes displacement errors of {1e3 * near_m:.2g} mm rms at {near} and {1e3 * far_m:.2g} mm rms at {far}"
     )
     use = (
-        f"use {near} alone with camera.distance_m and with camera.tilt_std_mdeg = {1e3 * degrees(near_m):.2g} divided "
-        "by that distance, which puts it into the band"
+        f"use {near} alone, with camera.distance_m and camera.tilt_std_mdeg = {1e3 * degrees(near_m):.2g} / distance "
+        "in m, which adds the tilt to the band"
     )
-    ratio = f"Their distances are as 1 to {far_m / near_m:.2g}: "
+    ratio = f"Their distance ratio is {far_m / near_m:.2g}: "
     if decided:
         return (
-            f"{ratio}the camera tilts, {makes}, and the accelerometer excludes that one of them moves on its own. "
-            f"Mount the camera more stiffly, measure its tilt, or {use}."
+            f"{ratio}the camera tilts, {makes}; the accelerometer excludes motion of one target alone. Mount the "
+            f"camera more stiffly, measure its tilt, or {use}."
         )
     return (
-        f"{ratio}either the camera tilts, {makes}, or one of them moves on its own. Where it is tilt, {use}; where one "
-        "may not are static, leave that one out of camera.target, or add a third."
+        f"{ratio}either the camera tilts, {makes}, or one target moves on its own. For a tilt: {use}. For a moving "
+        "target: remove it from camera.target, or add a third target."
     )
 
 
@@ -153,11 +152,11 @@ def agreed(
     error_m = max((shared_m, *(one.error_m for one in (*judged, *small)), *(one.either_m for one in held.values())))
     texts = [
         f"Targets {one.kept.name} and {one.other.name} differ by {1e3 * one.size_m:.2g} mm rms, more than their noise "
-        f"and scale factors explain; the error band holds {1e3 * one.either_m:.2g} mm for it. {_cause_text(one)}"
+        f"and scale factors explain; the error band includes {1e3 * one.either_m:.2g} mm for it. {_cause_text(one)}"
         for one in (*held.values(), *judged)
     ]
     if shared_m > 0.0:
-        texts.append(f"{_shared_text(shared_m)} The error band holds it.")
+        texts.append(f"{_shared_text(shared_m)} The error band includes it.")
     camera = replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m)))
     return camera, tuple(Notice("motion-not-shared", text) for text in texts)
 
@@ -266,9 +265,9 @@ class _Compared:
         moved_m = float(np.std(self._motion))
         if least > REFUSED_ABOVE * moved_m:
             raise UntrustedError(
-                f"{_shared_text(least)} At most {100 * REFUSED_ABOVE:g} % of the motion's "
-                f"{1e3 * moved_m:.2g} mm rms is given out. Mount the camera more stiffly, and add a "
-                "camera.target at another distance, which shows a tilt; check the frames' times."
+                f"{_shared_text(least)} At most {100 * REFUSED_ABOVE:g} % of the motion's {1e3 * moved_m:.2g} mm rms "
+                "is accepted. Mount the camera more stiffly and add a camera.target at another distance, which shows "
+                "a tilt; check the frames' time stamps."
             )
         return least
 
@@ -279,11 +278,10 @@ class _Compared:
         kept, other = verdict.kept, verdict.other
         text = _cause_text(verdict)
         raise UntrustedError(
-            f"Targets {kept.name} and {other.name} contradict each other along {self._view.axis}: the second differs "
-            f"from the first by {1e3 * verdict.size_m:.2g} mm rms, more than its noise and scale factor explain, and "
-            f"the displacement may be wrong by {1e3 * verdict.error_m:.2g} mm rms, where at most "
-            f"{100 * REFUSED_ABOVE:g} % of the motion's {1e3 * float(np.std(self._motion)):.2g} mm rms is given out. "
-            f"{text}"
+            f"Targets {kept.name} and {other.name} contradict each other along {self._view.axis}: they differ by "
+            f"{1e3 * verdict.size_m:.2g} mm rms, more than noise and scale factor explain. The displacement may be "
+            f"wrong by {1e3 * verdict.error_m:.2g} mm rms; at most {100 * REFUSED_ABOVE:g} % of the motion's "
+            f"{1e3 * float(np.std(self._motion)):.2g} mm rms is accepted. {text}"
         )
 
     def _between(self, one: Member, other: Member) -> Difference:
@@ -361,8 +359,8 @@ def _cause_text(verdict: Verdict) -> str:
     kept, other = verdict.kept, verdict.other
     if Cause.TILT not in verdict.open:
         return (
-            "One of them moves on its own, as in a slow drift, and neither the accelerometer nor a majority tells "
-            "which. Leave out of camera.target the one that may not are static, or add a third."
+            "One of them moves on its own, such as a slow drift; neither the accelerometer nor a majority of targets "
+            "shows which. Remove the doubtful target from camera.target, or add a third."
         )
     share = abs(_shares(kept, other)[Cause.TILT])
     named = [(member.name, abs(member.scale_m_per_px)) for member in (kept, other)]
@@ -371,6 +369,6 @@ def _cause_text(verdict: Verdict) -> str:
 
 def _shared_text(shared_m: float) -> str:
     return (
-        f"All targets move alike in the picture by {1e3 * shared_m:.2g} mm rms where the accelerometer feels nothing: "
-        "the camera tilts, its bracket vibrates, or its frames' times are wrong."
+        f"All targets share image motion of {1e3 * shared_m:.2g} mm rms that the accelerometer does not show: the "
+        "camera tilts, its bracket vibrates, or the frames' time stamps are wrong."
     )

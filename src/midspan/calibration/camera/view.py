@@ -89,10 +89,9 @@ class Lever:
     def text(self, scale_m_per_px: float) -> Notice:
         """A sentence on it."""
         text = (
-            "camera: the picture grows and shrinks, as with an autofocus that hunts or a target that moves in depth. "
-            f"What that moves the target by, {self.value_px:.3g} px times the zoom, is taken out; "
-            f"{1e3 * self.left_px * abs(scale_m_per_px):.2g} mm rms are uncertain, and in the error band. Lock the "
-            "focus, or look at a target near the middle of the picture."
+            "camera: the image scale varies, from autofocus or a target that moves in depth. The resulting shift, "
+            f"{self.value_px:.3g} px times the zoom, is removed; {1e3 * self.left_px * abs(scale_m_per_px):.2g} mm "
+            "rms remain uncertain and are in the error band. Lock the focus, or choose a target near the image centre."
         )
         return Notice("picture-zooms", text)
 
@@ -185,11 +184,10 @@ def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> t
         share = scale.value_m_per_px / likely.value_m_per_px
         if not abs(share - 1.0) <= MAX_APART:
             raise UntrustedError(
-                f"calibration.literal: the printed steps give {1e3 * scale.value_m_per_px:.4g} mm/px, the likelihood "
-                f"{1e3 * likely.value_m_per_px:.4g}; they must agree within {100 * MAX_APART:g} %. The printed clock "
-                "offset of a camera that is slow for the motion is found only where it is a whole number of frame "
-                "intervals. Leave literal out, raise the frame rate, or choose calibration.band_hz where the structure "
-                "moves."
+                f"calibration.literal: the printed steps give {1e3 * scale.value_m_per_px:.4g} mm/px and the "
+                f"likelihood {1e3 * likely.value_m_per_px:.4g}; they must agree within {100 * MAX_APART:g} %. At a "
+                "low frame rate the printed steps find the clock offset only at whole frame intervals. Leave literal "
+                "out, raise the frame rate, or set calibration.band_hz to the structure's frequencies."
             )
     return view.scale or scale, view.offset(offset)
 
@@ -211,7 +209,8 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Float
         low = 0.0
     if low >= high:
         raise UsageError(
-            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
+            f"calibration.band_hz = {list(band_hz)}: must lie below the accelerometer's Nyquist frequency, half of "
+            f"{rate:.4g} Hz."
         )
     inside, outside = samples.copy(), samples.copy()
     inside[:, 1] = band_passed(samples[:, 1], rate, (low, high))

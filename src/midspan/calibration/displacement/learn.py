@@ -282,9 +282,9 @@ def _without_held(
     usable = np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)
     learned = learn(given, replace(series, value=usable), steps=steps)
     text = (
-        f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
-        "the motion, as of a sensor that is stuck; they were left out of the calibration. Check the sensor and what "
-        "holds it."
+        f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not "
+        "follow the motion, as with a stuck sensor; they were left out of the calibration. Check the sensor and its "
+        "mounting."
     )
     return replace(learned, warnings=(*learned.warnings, Notice("outliers", text)))
 
@@ -346,7 +346,7 @@ def many_left_out(pair: Pair, fit: Fit, share: float) -> Notice:
     cause = named_cause(pair, fit.offset_s)
     if cause is not None:
         raise UntrustedError(disagreement(cause, measured))
-    text = f"{measured} and were left out of the calibration as outliers. Where that is too many, check both sensors."
+    text = f"{measured} and were left out of the calibration as outliers. If these are too many, check both sensors."
     return Notice("outliers", text)
 
 
@@ -373,8 +373,8 @@ def _refuse_farther(overlap: _Overlap, near: Fit, axis: Turned) -> list[Notice]:
         pair = axis.turning(overlap.pair(until, FARTHER_WINDOW_S + 2.0 * until))
     except DataError:
         text = (
-            f"displacement: a clock offset beyond ±{overlap.max_offset_s:.3g} s was not looked for: the overlap of "
-            f"{overlap.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would tell."
+            f"displacement: no clock offset beyond ±{overlap.max_offset_s:.3g} s was searched: the overlap of "
+            f"{overlap.overlap_s:.3g} s has too few measurements or too little motion. Record longer."
         )
         return [Notice("clock-uncertain", text)]
     other = farther(pair, near, reach, until)
@@ -387,9 +387,9 @@ def _beyond(overlap: _Overlap, offset_s: float) -> UntrustedError:
     learn_it = "set displacement.estimate_offset = true, and " if overlap.one_clock else ""
     return UntrustedError(
         f"displacement: its clock seems to differ from the accelerometer's by {offset_s:+.3g} s, but only "
-        f"±{overlap.max_offset_s:.3g} s were searched (calibration.max_offset_s = {overlap.given.wanted_s:g}, in an "
-        f"overlap of {overlap.overlap_s:.3g} s). Correct its time column or displacement.start_s, or {learn_it}raise "
-        "calibration.max_offset_s, with a longer recording where it is above a quarter of it."
+        f"±{overlap.max_offset_s:.3g} s were searched (calibration.max_offset_s = {overlap.given.wanted_s:g}, overlap "
+        f"{overlap.overlap_s:.3g} s). Correct its time column or displacement.start_s, or {learn_it}raise "
+        "calibration.max_offset_s, to at most a quarter of the overlap."
     )
 
 
@@ -399,12 +399,12 @@ def _refuse_wrong_scale(learned: NoiseCalibration, found: Findings) -> None:
     if learned.reversed_gain > CLEARLY_REVERSED:
         cause = named_cause(found.pair, found.free.offset_s)
         if cause is not None and cause.cause is not Cause.UNIT:
-            measured = f"displacement: turned round{times} it fits the accelerometer better"
+            measured = f"displacement: with the opposite sign{times} it fits the accelerometer better"
             raise UntrustedError(disagreement(cause, measured))
         raise UntrustedError(
-            f"displacement: its sign is reversed: turned round{times} it fits the accelerometer far better. Its second "
-            "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
-            "sign of the column, or of the accelerometer's, or have it estimated: displacement.estimate_scale = true."
+            f"displacement: its sign is reversed: with the opposite sign{times} it fits the accelerometer far better. "
+            "Its second derivative must be positive where the structure accelerates along the sensor's positive axis. "
+            "Reverse the sign of the column or of the accelerometer's, or set displacement.estimate_scale = true."
         )
     if times and found.free.gain > MIN_GAIN and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
         measured = (
@@ -460,9 +460,9 @@ def _accepted_offset(overlap: _Overlap, learned: NoiseCalibration, found: Findin
     ):
         raise UntrustedError(
             f"displacement: the clock offset is ambiguous: {fit.offset_s:+.4f} s and {search.runner_up.offset_s:+.4f} "
-            f"s fit almost alike within ±{limit:g} s, as they do when the motion is nearly a single tone, or when a "
-            "tone's alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them, or "
-            "leave displacement.estimate_offset out."
+            f"s fit almost equally well within ±{limit:g} s, as with nearly a single tone, or with a tone whose alias "
+            "meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them, or leave "
+            "displacement.estimate_offset out."
         )
     if abs(fit.offset_s) > limit + BEYOND * std:
         raise _beyond(overlap, fit.offset_s)
@@ -481,7 +481,7 @@ def _offset_warnings(overlap: _Overlap, learned: NoiseCalibration) -> Iterator[N
     if overlap.max_offset_s < overlap.given.wanted_s:
         yield Notice(
             "window-moved",
-            f"displacement: clock offsets up to ±{overlap.max_offset_s:.3g} s only were searched, a quarter of the "
+            f"displacement: clock offsets were searched only up to ±{overlap.max_offset_s:.3g} s, a quarter of the "
             f"overlap of {overlap.overlap_s:.3g} s; calibration.max_offset_s is {overlap.given.wanted_s:g} s.",
         )
     search = None if learned.findings is None else learned.findings.search
@@ -491,7 +491,7 @@ def _offset_warnings(overlap: _Overlap, learned: NoiseCalibration) -> Iterator[N
     if overlap.max_offset_s > 0.0 and (np.isinf(learned.offset.variance) or left):
         yield Notice(
             "clock-uncertain",
-            "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it would.",
+            "displacement: the motion does not determine the clock offset; 0 is used. Record more motion.",
         )
 
 
@@ -503,20 +503,23 @@ def _on_one_clock(learned: NoiseCalibration, found: Findings) -> NoiseCalibratio
         late = max(late, cause.difference_m)
     if late <= MAX_LATE * np.sqrt(_noise(learned, found)):
         return replace(learned, offset=TimeOffset(0.0, off * off), late_m=late)
-    differ = f"by {off:+.4f} s, which moves it by {1e3 * late:.3g} mm rms"
+    differ = f"by {off:+.4f} s, which is {1e3 * late:.3g} mm rms"
     # A logger's low-pass makes the acceleration late, so that the readings seem early.
     if learned.low_pass is not None and off > 0.0:
         raise LoggerDelayError(
-            f"displacement: {learned.low_pass.text()}. They differ {differ}. Use a logger whose low-pass lies far "
-            "above the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a "
-            "clock's, so "
-            "that the result is late by it, and the error band holds what the low-pass took away."
+            f"displacement: {learned.low_pass.text()}. The clocks seem to differ {differ}. Use a logger whose "
+            "low-pass lies far above the motion. With displacement.estimate_offset = true the low-pass delay counts "
+            "as a clock offset: the result is late by it, and the error band includes the attenuation."
         )
-    delayed = "; with a low-pass in the accelerometer's logger the result is then late by as much" if off > 0.0 else ""
+    delayed = (
+        ("; if the cause is a low-pass in the accelerometer's logger, the result is then late by this offset")
+        if off > 0.0
+        else ""
+    )
     raise UntrustedError(
-        f"displacement: its readings come as if its clock differs from the accelerometer's {differ}. "
-        f"{cause_of_lateness(found.pair, off)}Where it is the clock, set displacement.estimate_offset = true to have "
-        f"the offset estimated and applied, or correct its time column{delayed}."
+        f"displacement: its clock seems to differ from the accelerometer's {differ}. "
+        f"{cause_of_lateness(found.pair, off)}If it is the clock, set displacement.estimate_offset = true, or correct "
+        f"its time column{delayed}."
     )
 
 
@@ -542,15 +545,15 @@ def _refuse_poor_displacement(read: TimeSeries, series: TimeSeries, used: slice)
     known = value[np.isfinite(value)]
     if len(known) >= MIN_MEASUREMENTS and np.ptp(known) == 0.0:
         raise DataError(
-            f"displacement ({read.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
-            "sensor, or choose another column with displacement.value."
+            f"displacement ({read.name}): all values are {1e3 * known[0]:g} mm. Check the sensor, or choose another "
+            "column with displacement.value."
         )
     count = int(np.count_nonzero(np.isfinite(series.value[used])))
     if count >= MIN_MEASUREMENTS:
         return
     held = len(known) - count
-    frozen = f"; {held} more were left out as frozen: they repeat one value while the structure moves" if held else ""
+    frozen = f"; {held} more are frozen (constant while the structure moves) and left out" if held else ""
     raise DataError(
-        f"displacement: {count} measurements overlap the accelerometer{frozen}; at least {MIN_MEASUREMENTS} "
-        "are needed to learn its noise. Check its time column, gaps and unit, and calibration.window_s."
+        f"displacement: {count} measurements overlap the accelerometer{frozen}; at least {MIN_MEASUREMENTS} are "
+        "needed to estimate the noise. Check its time column, gaps and unit, and calibration.window_s."
     )

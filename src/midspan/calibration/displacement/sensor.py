@@ -145,8 +145,8 @@ def with_rate(estimated: NoiseCalibration, rate: ClockRate | None) -> NoiseCalib
         return estimated
     offset = replace(estimated.offset, variance=estimated.offset.variance + rate.offset_variance)
     text = (
-        f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
-        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s; this was corrected."
+        f"displacement: its clock drifts by {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm relative to the "
+        f"accelerometer's ({1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s); corrected."
     )
     return replace(estimated, offset=offset, warnings=(*estimated.warnings, Notice("clock-corrected", text)))
 
@@ -160,32 +160,32 @@ def with_offset(estimated: NoiseCalibration) -> NoiseCalibration:
     assert estimated.findings is not None
     cause = named_cause(estimated.findings.pair)
     text = (
-        f"displacement: its readings come as if its clock differs from the accelerometer's by "
-        f"{1e3 * estimated.offset.value_s:+.4g} ± {1e3 * np.sqrt(estimated.offset.variance):.2g} ms; corrected. "
+        f"displacement: its clock seems to differ from the accelerometer's by {1e3 * estimated.offset.value_s:+.4g} ± "
+        f"{1e3 * np.sqrt(estimated.offset.variance):.2g} ms; corrected. "
     )
     if estimated.play is not None and estimated.offset.value_s < 0.0:
-        text += "Play in its joint makes them late. "
+        text += "Play (backlash) in its joint makes it late. "
     elif cause is not None:
         text += likelier_than_offset(cause)
     if estimated.offset.value_s > 0.0 and cause is not None and cause.cause is Cause.LOW_PASS:
         estimated = replace(estimated, late_m=late_m(estimated, estimated.findings))
         text += (
-            "The result is late by as much then: the error band holds what that makes, "
-            f"{1e3 * estimated.late_m:.2g} mm rms. displacement.estimate_offset = true says that it is the clock; "
+            f"In that case the result is late by this offset; the error band includes {1e3 * estimated.late_m:.2g} mm "
+            "rms for it. Set displacement.estimate_offset = true if it is the clock; "
         )
     else:
-        text += "displacement.estimate_offset = true asks for that; "
-    text += "false says that both have one clock."
+        text += "Set displacement.estimate_offset = true to confirm; "
+    text += "false if both share one clock."
     return replace(estimated, warnings=(*estimated.warnings, Notice("clock-corrected", text)))
 
 
 def two_rates(rate: ClockRate) -> UntrustedError:
     """The refusal of clocks that are said to be one, and run at two rates."""
     return UntrustedError(
-        f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
-        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
-        "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
-        "the time column; live, set both clocks by NTP."
+        f"displacement: its clock drifts by {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm relative to the "
+        f"accelerometer's ({1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s), but "
+        "displacement.estimate_offset = false declares one common clock. Leave estimate_offset out to correct the "
+        "drift, or correct the time column; live, synchronise both clocks with NTP."
     )
 
 
@@ -254,12 +254,12 @@ def _scale_error(estimated: NoiseCalibration) -> float:
 
 def _frozen_warnings(series: TimeSeries, held: Mask) -> Iterator[Notice]:
     for a, b in runs(held)[:1]:
-        more = f"So were {len(runs(held)) - 1} more such segments. " if len(runs(held)) > 1 else ""
+        more = f"{len(runs(held)) - 1} more segments likewise. " if len(runs(held)) > 1 else ""
         yield Notice(
             "frozen",
-            f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to {shown(int(series.time_ns[b - 1]))} "
-            f"are all {1e3 * series.value[a]:.6g} mm while the structure moved; they were left out. {more}Check the "
-            "sensor.",
+            f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to "
+            f"{shown(int(series.time_ns[b - 1]))} are frozen at {1e3 * series.value[a]:.6g} mm while the structure "
+            f"moved; they were left out. {more}Check the sensor.",
         )
 
 
@@ -268,8 +268,8 @@ def _range_warnings(part: DisplacementCalibration, held: Mask) -> Iterator[Notic
         ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
         yield Notice(
             "samples-bridged",
-            f"displacement: {np.count_nonzero(held)} values are held at {ends}, the end of its range (clipped); they "
-            "were left out. Check the sensor's range.",
+            f"displacement: {np.count_nonzero(held)} values are clipped at {ends}, the end of its range; they were "
+            "left out. Check the sensor's range.",
         )
 
 
@@ -283,17 +283,17 @@ def _warnings(given: Given, estimated: NoiseCalibration, part: DisplacementCalib
     if estimated.gain_std > 0.0 and abs(estimated.gain - 1.0) > max(REPORTED, CERTAIN * estimated.gain_std):
         yield Notice(
             "gain-corrected",
-            f"displacement: relative to it the accelerometer has a gain of {estimated.gain:.4g} ± "
-            f"{estimated.gain_std:.2g}, which is taken out: the displacement sensor's unit counts as right. Check "
-            "accelerometer.unit and accelerometer.sensitivity, displacement.unit, and that both sensors measure "
-            "the same axis; accelerometer.estimate_scale = false leaves it as it is.",
+            f"displacement: the accelerometer's gain relative to this sensor is {estimated.gain:.4g} ± "
+            f"{estimated.gain_std:.2g}; it is corrected, with the displacement sensor's unit taken as right. Check "
+            "accelerometer.unit, accelerometer.sensitivity, displacement.unit, and that both sensors measure the "
+            "same axis; accelerometer.estimate_scale = false turns the correction off.",
         )
     yield from _exposure_warnings(given, estimated)
     if estimated.drifts:
         yield Notice(
             "accelerometer-noisy",
-            f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the displacement "
-            "rests mostly on the displacement sensor. Check its temperature, its mounting and its cable.",
+            f"accelerometer: below {DRIFT_HZ:g} Hz its bias drift exceeds the structure's motion; the displacement "
+            "comes mostly from the displacement sensor. Check the accelerometer's temperature, mounting and cable.",
         )
     yield from _slow_warnings(given, estimated)
     yield from _factor_warnings(estimated)
@@ -318,7 +318,7 @@ def _factor_warnings(estimated: NoiseCalibration) -> Iterator[Notice]:
     # The band of a factor does not hold what a clock makes.
     if cause is not None and cause.cause in (Cause.CLOCK, Cause.STEP):
         raise UntrustedError(disagreement(cause, measured))
-    text += " The error band holds the difference; displacement.estimate_scale = true takes it out."
+    text += " The error band includes the difference; displacement.estimate_scale = true corrects it."
     yield Notice("scale-uncertain", text)
 
 
@@ -326,29 +326,26 @@ def _exposure_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[No
     if estimated.play is not None:
         yield Notice(
             "play",
-            f"displacement: it follows the motion as with play (backlash) of {1e3 * estimated.play.width_m:.2g} mm in "
-            f"its joint; the error band holds what that makes, {1e3 * estimated.play.taken_m:.2g} mm rms. "
-            f"{REMEDIES[Cause.PLAY]}",
+            f"displacement: it shows play (backlash) of {1e3 * estimated.play.width_m:.2g} mm in its joint; the "
+            f"error band includes {1e3 * estimated.play.taken_m:.2g} mm rms for it. {REMEDIES[Cause.PLAY]}",
         )
     found_s = estimated.exposure_s or estimated.open_exposure_s
     if given.exposure_s is not None or not found_s > 0.0:
         return
-    seems = (
-        f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over {found_s:.3g}"
-    )
+    seems = f"displacement: fast motion is attenuated, as by a sensor that averages over {found_s:.3g}"
     if estimated.exposure_s > 0.0:
-        resonance = ", or of an accelerometer that resonates on its mount" if estimated.exposure_doubt > 0.5 else ""
+        resonance = ", or by a resonating accelerometer mount" if estimated.exposure_doubt > 0.5 else ""
         yield Notice(
             "exposure",
-            f"{seems} s{resonance}. {'The first' if resonance else 'That'} is corrected, and the error band holds its "
-            "doubt; displacement.exposure_s declares it.",
+            f"{seems} s{resonance}. {'The first' if resonance else 'That'} is corrected, and its uncertainty is in "
+            "the error band; declare displacement.exposure_s.",
         )
     else:
         yield Notice(
             "exposure",
-            f"{seems} s, of one that follows slowly, or of an accelerometer that errs with its motion. The motion does "
-            "not tell which: nothing is corrected, and the error band holds what the first would make; "
-            "displacement.exposure_s declares it, 0 that it does not average.",
+            f"{seems} s, by a slow sensor, or by an accelerometer whose error grows with its motion. The motion "
+            "cannot distinguish these: nothing is corrected, and the error band includes the averaging. Set "
+            "displacement.exposure_s (0: no averaging).",
         )
 
 
@@ -357,17 +354,15 @@ def _lateness_warnings(given: Given, estimated: NoiseCalibration, part: Displace
         yield Notice(
             "clock-differs",
             "displacement: its clock seems to differ from the accelerometer's by "
-            f"{1e3 * np.sqrt(estimated.offset.variance):.3g} ms; the error band holds what that makes, "
-            f"{1e3 * estimated.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset "
-            "estimated and applied.",
+            f"{1e3 * np.sqrt(estimated.offset.variance):.3g} ms; the error band includes "
+            f"{1e3 * estimated.late_m:.2g} mm rms for it. Set displacement.estimate_offset = true to correct it.",
         )
     if estimated.low_pass is not None:
         yield Notice(
             "logger-low-pass",
-            f"accelerometer: {estimated.low_pass.text()}. The error band holds that and what it may have taken away, "
-            f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
-            f"far as the {estimated.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger "
-            "whose low-pass lies far above the motion.",
+            f"accelerometer: {estimated.low_pass.text()}. The error band includes {1e3 * part.apart_std_m:.2g} mm "
+            "rms for it. The low-pass delay looks like a clock offset: the result is late by the logger's part of "
+            f"the {estimated.offset.value_s:+.3g} s found. Use a logger whose low-pass lies far above the motion.",
         )
 
 
@@ -379,17 +374,16 @@ def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice
     elif estimated.slow_std_m > 0.0 and given.noise_time_s is None:
         yield Notice(
             "slow-error",
-            f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
-            f"{1e3 * estimated.slow_std_m:.2g} mm over {estimated.slow_time_s:.2g} s besides its noise is in the error "
-            "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
-            "sensor has no slow error.",
+            "displacement: its errors are correlated, as with a GNSS receiver or a total station: the error band "
+            f"includes a slow error of {1e3 * estimated.slow_std_m:.2g} mm over {estimated.slow_time_s:.2g} s. Set "
+            "displacement.noise_time_s (correlation time; 0: no slow error).",
         )
     elif _has_usual_slow_error(given, estimated):
         yield Notice(
             "slow-error",
-            f"displacement: the error band holds a slow error of {1e3 * GNSS_SLOW[0]:g} mm over {GNSS_SLOW[1]:g} s, as "
-            "GNSS receivers usually have, which this record neither shows nor excludes. displacement.noise_time_s "
-            "declares the correlation time; 0 says that the sensor has no slow error.",
+            f"displacement: the error band includes a slow error of {1e3 * GNSS_SLOW[0]:g} mm over {GNSS_SLOW[1]:g} "
+            "s, usual for GNSS receivers, which this record neither shows nor excludes. Set "
+            "displacement.noise_time_s (correlation time; 0: no slow error).",
         )
 
 
@@ -399,9 +393,9 @@ def _zero_warnings(given: Given, part: DisplacementCalibration) -> Iterator[Noti
     if given.gives_zero and not part.relative_std * level < max(moved, part.noise_std_m):
         yield Notice(
             "zero-uncertain",
-            f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
-            f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
-            "uncertain zero. Take the reading at rest off the column to see the motion's own band.",
+            f"displacement: the reading is about {1e3 * level:.4g} mm; the scale's uncertainty of "
+            f"{100 * part.relative_std:.2g} % makes {1e3 * part.relative_std * level:.2g} mm of it, which the zero's "
+            "uncertainty includes. Subtract the reading at rest from the column to get the band of the motion alone.",
         )
 
 

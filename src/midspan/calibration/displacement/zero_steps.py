@@ -64,7 +64,10 @@ def without_steps(series: TimeSeries, steps: Sequence[ZeroStep]) -> TimeSeries:
 def steps_taken_out(steps: Sequence[ZeroStep], factor: float = 1.0) -> Notice:
     """A sentence on steps that were taken out; factor: metres in one metre read."""
     where = ", ".join(f"{1e3 * factor * step.size:+.3g} mm at {shown(step.time_ns)}" for step in sorted(steps))
-    text = f"displacement: its zero stepped ({where}); the calibration is without that. Check what moved the sensor."
+    text = (
+        f"displacement: its zero stepped ({where}); the step was removed for the calibration. Check what moved the "
+        "sensor."
+    )
     return Notice("zero-shifted", text)
 
 

@@ -174,9 +174,9 @@ def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tupl
         best_first = [nearest_peak(found, range_m)]
         if best_first[0].objection:
             raise UntrustedError(
-                f"radar.target_range_m = {range_m:g}: the target nearest to it, at {best_first[0].range_m:.2f} m, "
-                f"cannot be used: {best_first[0].objection}. Give another range (`midspan inspect` lists the peaks) or "
-                "take the key out."
+                f"radar.target_range_m = {range_m:g}: the nearest target, at {best_first[0].range_m:.2f} m, cannot be "
+                f"used: {best_first[0].objection}. Give another range (`midspan inspect` lists the peaks) or remove "
+                "the key."
             )
     agreed, offset = one_clock(best_first)
     used = [target for target, reason in zip(best_first, agreed, strict=True) if not reason][:most]
@@ -192,7 +192,7 @@ def nearest_peak(found: tuple[Target, ...], range_m: float) -> Target:
     """The target nearest to a wanted range, usable or not."""
     known = [target for target in found if np.isfinite(target.range_m)]
     if not known:
-        raise DataError("radar.target_range_m: this file does not say the ranges of its bins. Take the key out.")
+        raise DataError("radar.target_range_m: this file does not state the ranges of its bins. Remove the key.")
     target = min(known, key=lambda one: abs(one.range_m - range_m))
     if abs(target.range_m - range_m) > MAX_M:
         raise UsageError(
@@ -209,7 +209,7 @@ def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     weight = 1.0 / np.maximum(std, 1e-6) ** 2
     middle = weighted_median(offset, weight)
     reasons = [
-        f"its clock offset would be {1e3 * o:+.1f} ms, the others' is {1e3 * middle:+.1f} ms"
+        f"its clock offset would be {1e3 * o:+.1f} ms, that of the others is {1e3 * middle:+.1f} ms"
         if abs(o - middle) > max(OFFSET_STD * s, MIN_OFFSET_S)
         else ""
         for o, s in zip(offset, std, strict=True)
@@ -249,9 +249,9 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
         return
     raise UntrustedError(
         f"The radar's clock offset is ambiguous: {fit.offset_s:+.4f} s (conversion factor {1 / fit.ratio:.4g}) and "
-        f"{other.offset_s:+.4f} s ({1 / other.ratio:.4g}) fit almost alike within ±{max_offset_s:g} s, as they do when "
-        "the motion is nearly a single tone. Set a smaller calibration.max_offset_s that excludes one of them, or "
-        "calibrate on a time with changing motion."
+        f"{other.offset_s:+.4f} s ({1 / other.ratio:.4g}) fit almost equally well within ±{max_offset_s:g} s, as with "
+        "nearly a single tone. Set a smaller calibration.max_offset_s that excludes one of them, or calibrate on a "
+        "time with changing motion."
     )
 
 
@@ -329,9 +329,9 @@ def _with_slow_motion(
     if not own_m > max(target.noise_m, target.own_m):
         return targets, []
     text = (
-        f"radar: its target moves by {1e3 * own_m:.2g} mm rms that the accelerometer does not feel: hot air, "
-        "the target, the radar's mount or the accelerometer moves it; the error band holds it. "
-        "A second target tells which."
+        f"radar: its target shows {1e3 * own_m:.2g} mm rms that the accelerometer does not: hot air, or motion of the "
+        "target, the radar's mount or the accelerometer alone. The error band includes it. A second target would show "
+        "which."
     )
     moving = replace(used[0], target=replace(target, own_m=own_m, own_hz=own_hz))
     return tuple(moving if item is used[0] else item for item in targets), [Notice("motion-not-shared", text)]
@@ -347,19 +347,19 @@ def _warnings(calibration: RadarCalibration) -> Iterator[Notice]:
     if calibration.relative_std > WARNED_ABOVE:
         yield Notice(
             "scale-uncertain",
-            f"radar: the conversion factor is known to ± {100 * calibration.relative_std:.1f} % only (one standard "
-            "deviation); more motion in the calibration window would sharpen it.",
+            f"radar: the conversion factor is uncertain by ± {100 * calibration.relative_std:.1f} % (one standard "
+            "deviation). Use a calibration window with more motion.",
         )
     std = float(np.sqrt(calibration.offset.variance))
     if std > WARNED_OFFSET_S:
-        text = f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation)."
+        text = f"radar: the clock offset is uncertain by ± {1e3 * std:.1f} ms (one standard deviation)."
         yield Notice("clock-uncertain", text)
     best = calibration.best
     if best.clutter > MAX_CLUTTER and not best.leak:
         yield Notice(
             "radar-target",
-            f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target "
-            f"{best.place} and bends its phase; aim at a target that stands alone.",
+            f"radar: another reflector with {100 * best.clutter:.0f} % of its amplitude shares the bin of the target "
+            f"{best.place} and distorts its phase. Aim at an isolated target.",
         )
 
 
@@ -368,10 +368,10 @@ def _refuse_short(targets: Sequence[RadarTarget]) -> None:
     if abs(worst.conversion_factor) >= 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std):
         return
     raise UntrustedError(
-        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target {worst.place} is below 1, which a "
-        "fixed target cannot have: all displacements would be off by as much. Check accelerometer.unit (1 g is 9.81 "
-        "m/s²) and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not "
-        "reflected twice."
+        f"radar: the conversion factor of the target {worst.place} must be 1 or more for a fixed target; received "
+        f"{worst.conversion_factor:.4g}. All displacements would be wrong by this factor. Check accelerometer.unit (1 "
+        "g is 9.81 m/s²) and the accelerometer's sensitivity, carrier and slope in radar.config, and that the path is "
+        "not reflected twice."
     )
 
 

@@ -102,8 +102,8 @@ def steps_text(steps: Sequence[ClockStep], time_ns: Nanoseconds, sensor: str) ->
     return tuple(
         Notice(
             "clock-corrected",
-            f"{sensor}: its clock was set at {shown(int(time_ns[step.frame]))}: {1e3 * step.late_s:+.4g} ms must be "
-            "added to its stamps from there on; this was corrected.",
+            f"{sensor}: its clock was set at {shown(int(time_ns[step.frame]))}: {1e3 * step.late_s:+.4g} ms were "
+            "added to its time stamps from there on.",
         )
         for step in steps
     )

@@ -19,8 +19,8 @@ LAGS, MAX_COMMON = (1, 2, 3), 0.4
 
 JITTER = Notice(
     "clock-uncertain",
-    "radar: its frames are not taken at their stamps (jitter): what it and the accelerometer differ by grows with the "
-    "speed. The error band holds it as noise, or as motion of the target. Take the stamps from the radar's own clock.",
+    "radar: its time stamps have jitter: the difference from the accelerometer grows with speed. The error band "
+    "includes it as noise or target motion. Use time stamps of the radar's own clock.",
 )
 
 

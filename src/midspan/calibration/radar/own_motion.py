@@ -62,14 +62,14 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> Iterator[Notice]:
             yield Notice(
                 "radar-target",
                 f"radar: the targets {targets[0].place} and {targets[1].place} differ by about "
-                f"{rounded(1e3 * np.sqrt(power.sum()))} mm (rms, at {at_hz:.2g} Hz): one of them moves on its own, and "
-                "the accelerometer cannot tell which. The error band holds it. Aim at what is fixed.",
+                f"{rounded(1e3 * np.sqrt(power.sum()))} mm (rms, at {at_hz:.2g} Hz): one of them moves on its own, "
+                "and the accelerometer cannot show which. The error band includes it. Aim at fixed targets.",
             )
             return
-    held = "the error band holds it, as it would an error of the accelerometer"
+    held = "the error band includes it (an error of the accelerometer would look the same)"
     for k, target in enumerate(targets):
         if _matters(own.std_m(k) ** 2, target):
-            end = "it was left out" if own.left_out[k] else held if len(targets) == 1 else "the error band holds it"
+            end = "it was left out" if own.left_out[k] else held if len(targets) == 1 else "the error band includes it"
             yield Notice(
                 "radar-target",
                 f"radar: the target {target.place} moves by about {rounded(1e3 * own.std_m(k))} mm on its own "

@@ -63,8 +63,8 @@ def opened(
         frames = replace(frames, time_ns=frames.time_ns - begin)
         origin, last = origin + begin, int(frames.time_ns[-1])
         text = (
-            "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
-            f"gap, {last / NANOSECONDS:.3g} s, was used."
+            "radar: the accelerometer has gaps in the calibration window; the longest part without a gap, "
+            f"{last / NANOSECONDS:.3g} s, was used."
         )
         reported = [*reported, Notice("window-moved", text)]
         ends, margin = (origin, origin + last), round(max_offset * NANOSECONDS)
@@ -114,7 +114,8 @@ def clearly_seen(
     frames = _part(frames, longest)
     length_s = float(frames.time_ns[-1] - frames.time_ns[0]) / NANOSECONDS
     text = (
-        f"radar: something hid a target in the calibration window; its longest clear part, {length_s:.3g} s, was used."
+        f"radar: a target was occluded in the calibration window; the longest unobstructed part, {length_s:.3g} s, "
+        "was used."
     )
     return found_targets(frames, samples, info, given[0]), frames, [Notice("window-moved", text)]
 
@@ -134,7 +135,7 @@ def _in_a_half(
         if std < least:
             least, kept = std, (seen, part)
             line = (
-                f"radar: only the {word} half of the calibration window shows a fixed target undisturbed; it was used."
+                f"radar: only the {word} half of the calibration window shows an undisturbed fixed target; it was used."
             )
             text = [Notice("window-moved", line)]
     return *kept, text
@@ -222,7 +223,7 @@ def refuse_farther(
         return
     offset_s += max(usable, key=lambda target: target.coherence).time_offset_s
     raise UntrustedError(
-        f"radar: its clock seems to differ from the accelerometer's by {offset_s:+.4g} s, where the target "
-        f"{usable[0].place} follows it, but only ±{max_offset:.3g} s were searched. Add it to radar.start_s or "
-        "to the frames' times, or raise calibration.max_offset_s, with a window of ten times that."
+        f"radar: its clock seems to differ from the accelerometer's by {offset_s:+.4g} s (target {usable[0].place}), "
+        f"but only ±{max_offset:.3g} s were searched. Add the difference to radar.start_s or to the frames' time "
+        "stamps, or raise calibration.max_offset_s and use a window ten times as long."
     )

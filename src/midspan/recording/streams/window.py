@@ -101,13 +101,12 @@ def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section
         return
     if other_ns[-1] - other_ns[0] < least_s * NANOSECONDS:
         raise DataError(
-            f"{section} must last {least_s:.3g} s or more; it has {len(other_ns)} stamps from "
-            f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}. Check that its file is whole, and its rate."
+            f"{section} must last {least_s:.3g} s or more; it has {len(other_ns)} time stamps from "
+            f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}. Check that its file is complete, and its rate."
         )
     raise DataError(
         f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
         f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "
-        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {least_s:.3g} s must "
-        f"be shared. Bring the clocks together with {section}.start_s or accelerometer.start_s, or correct the clock "
-        "offset (time_offset_s) of the calibration that is given."
+        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {least_s:.3g} s must overlap. Correct the "
+        f"clocks with {section}.start_s or accelerometer.start_s, or time_offset_s of the given calibration."
     )

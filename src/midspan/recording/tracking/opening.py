@@ -52,8 +52,8 @@ def levels_of(view: Recording, known: CameraCalibration | None) -> Limits | None
         return Limits(*known.temperature_range_c)
     if is_grey(view):
         raise UsageError(
-            f"{view.file}: infrared.temperature_range_c: must be left out for {camera.file}, which holds grey levels "
-            "of 8 bits and no temperatures."
+            f"{view.file}: infrared.temperature_range_c: must be left out for {camera.file}, which has 8-bit grey "
+            "levels, not temperatures."
         )
     return Limits(*camera.temperature_range_c)
 
@@ -82,7 +82,7 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
         return recording, []
     looked, brightness = _brightness(recording, np.arange(len(times)), SEARCHED)
     if not brightness.any():
-        raise UntrustedError("It is dark in all frames.")
+        raise UntrustedError("All frames are dark.")
     # Dusk and dawn are left out: a reference frame from there would be a poor one.
     lit = runs(brightness > FULL_SHARE * np.percentile(brightness[brightness > 0.0], 90))
     start, end = max(lit, key=lambda run: run[1] - run[0])
@@ -91,8 +91,8 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     last = int(times[looked[min(end, len(looked)) - 1]]) + recording.late_ns
     ended = min(last, begun + round(DEFAULT_WINDOW_S * NANOSECONDS))
     text = (
-        f"camera: it is dark in calibration.window_s; it was calibrated where it sees, from {shown(begun)} to "
-        f"{shown(ended)}."
+        f"camera: all frames in calibration.window_s are dark; the bright part from {shown(begun)} to {shown(ended)} "
+        "was used."
     )
     return recording.seeing(begun, ended, int(times[looked[seen_from]])), [text]
 
@@ -180,10 +180,10 @@ def _frames_used(view: Recording, times: Nanoseconds) -> slice:
     if used.stop - used.start < MIN_FRAMES:
         usual_s = float(np.median(np.diff(times))) / NANOSECONDS
         raise DataError(
-            f"{view.sensor}: only {used.stop - used.start} of its {len(times)} frames lie within the acceleration, "
-            f"from {shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}; the frames run from "
-            f"{shown(int(times[0]))} to {shown(int(times[-1]))}, {usual_s:.4g} s apart. Check that their times are "
-            f"in s, and {view.sensor}.rate_hz and {view.sensor}.start_s."
+            f"{view.sensor}: only {used.stop - used.start} of its {len(times)} frames overlap the acceleration "
+            f"({shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}); the frames run from "
+            f"{shown(int(times[0]))} to {shown(int(times[-1]))}, {usual_s:.4g} s apart. Check that their times are in "
+            f"s, and {view.sensor}.rate_hz and {view.sensor}.start_s."
         )
     return used
 
@@ -200,8 +200,10 @@ def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str)
     for number, target in enumerate(given_targets(camera), 1):
         if not target.region.inside(*size_px):
             key, numbers = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
-            text = f"must lie inside the picture ({size_px[0]} x {size_px[1]} px); received {list(numbers)}."
-            raise UsageError(f"{where}.{key}: {text} Correct it; where the camera's size changed, look at it first.")
+            text = f"must lie inside the image ({size_px[0]} x {size_px[1]} px); received {list(numbers)}."
+            raise UsageError(
+                f"{where}.{key}: {text} Correct the region; if the image size changed, check the camera first."
+            )
 
 
 def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | None) -> tuple[Target, ...]:
@@ -217,7 +219,7 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
     missing = [target.name for target in given if target.region not in regions]
     if missing or len(given) < len(known.used):
         raise UsageError(
-            f"camera.target: the calibration was made for {len(known.targets)} targets, and not for the same: "
+            f"camera.target: the targets must be the {len(known.targets)} of the calibration: "
             f"{'not ' + ', '.join(missing) if missing else 'some are missing in the recording'}. Calibrate again."
         )
     return tuple(Target(target.region, target.name) for target in known.used)
@@ -237,6 +239,6 @@ def check_same_lens(lens: Lens | None, calibrated: Lens | None) -> None:
     if now != then:
         words = "has none" if then is None else "was made with one" if now is None else "was made with another one"
         raise UsageError(
-            f"camera.lens: must be that of the calibration, which {words}. A scale factor holds for one lens model "
+            f"camera.lens: must be that of the calibration, which {words}. A scale factor is valid for one lens model "
             "only. Calibrate again, or correct [camera.lens]."
         )

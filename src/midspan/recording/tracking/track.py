@@ -166,7 +166,7 @@ def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, Tra
             f"{recording.file}: has no [camera] or [infrared] section, so there is nothing to track.{hint}"
         )
     view = views[0]
-    texts = [f"Only the [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
+    texts = [f"Only [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
     others = [Notice("part-left-out", text) for text in texts]
     return view.frames, replace(settings_of(view, camera), levels=levels_of(view, None)), others
 

@@ -88,7 +88,7 @@ class Commands:
     def start(self, recording: int, what: str, *arguments: str) -> Job:
         """Begin a command. Raises Problem 409 while another one runs."""
         if self._running is not None and not self._running.done():
-            raise Problem(409, "Another calculation runs. Wait for its end, or cancel it.")
+            raise Problem(409, "Another calculation is running. Wait for its end, or cancel it.")
         job = self._newest[recording] = Job(recording, what, arguments)
         self._running = asyncio.create_task(self._run(job))
         return job

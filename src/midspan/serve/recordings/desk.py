@@ -29,9 +29,9 @@ class Desk:
     def require(self, number: int) -> Path:
         """A recording's file. Raises Problem 404 for a number that is none's."""
         if not 0 <= number < len(self.files):
-            raise Problem(404, f"{number}: is no recording here. GET /api/v1/recordings lists them.")
+            raise Problem(404, f"{number}: is not a recording here. GET /api/v1/recordings lists them.")
         if not self.files[number].is_file():
-            raise Problem(404, f"{self.files[number]}: is no longer there.")
+            raise Problem(404, f"{self.files[number]}: no longer exists.")
         return self.files[number]
 
     async def close(self) -> None:

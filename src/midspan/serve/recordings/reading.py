@@ -42,18 +42,20 @@ def recordings_at(where: Path) -> list[Path]:
     if not where.exists():
         raise DataError(f"{where}: not found. A recording is a folder with {RECORDING_FILE}, or that file.")
     if where.is_file() and where.suffix.lower() != ".toml":
-        raise UsageError(f"{where}: is no {RECORDING_FILE}. `midspan init` writes one, `midspan inspect` shows a file.")
+        raise UsageError(
+            f"{where}: is not a {RECORDING_FILE}. `midspan init` writes one, `midspan inspect` shows a file."
+        )
     if where.is_file() or (where / RECORDING_FILE).is_file():
         return [where if where.is_file() else where / RECORDING_FILE]
     patterns = ["/".join([*["*"] * deep, RECORDING_FILE]) for deep in range(1, FOLDERS_DEEP + 1)]
     found = sorted({file for pattern in patterns for file in where.glob(pattern)})
     if not found:
         raise DataError(
-            f"{where}: holds no {RECORDING_FILE}, nor do its folders. `midspan init` writes one for an "
-            "accelerometer's file and a video."
+            f"{where}: neither this folder nor its subfolders contain a {RECORDING_FILE}. `midspan init` writes one "
+            "for an accelerometer's file and a video."
         )
     if len(found) > MAX_RECORDINGS:
-        raise DataError(f"{where}: holds {len(found)} recordings; name a folder of at most {MAX_RECORDINGS}.")
+        raise DataError(f"{where}: contains {len(found)} recordings. Name a folder of at most {MAX_RECORDINGS}.")
     return found
 
 
@@ -111,10 +113,10 @@ def first_frame(file: str, camera: str) -> tuple[bytes, Tree]:
     """A camera's first frame as JPEG, when it was taken (ns on the camera's clock) and its size, px."""
     view = next((one for one in open_recording(file).cameras if one.sensor == camera), None)
     if view is None or view.frames.tracks:
-        raise DataError(f"{camera}: is no camera of this recording that has pictures.")
+        raise DataError(f"{camera}: is not a camera of this recording with images.")
     frame = next(view.frames.frames(0, 1), None)
     if frame is None:
-        raise DataError(f"{camera}: has no frame that can be read.")
+        raise DataError(f"{camera}: has no readable frame.")
     picture = pictured(frame)
     return picture.jpeg, {"time_ns": picture.time_ns, "height": picture.shape[0], "width": picture.shape[1]}
 
@@ -134,7 +136,7 @@ def _trace(file: str, what: str, _written: tuple[int, ...]) -> tuple[Nanoseconds
         between = np.interp(time_ns - true_ns[0], true_ns - true_ns[0], true)
         return time_ns, np.where(inside, value - between, np.nan), std, status
     if not path.is_file():
-        raise DataError(f"{path.name}: is not there yet. Estimate the recording first.")
+        raise DataError(f"{path.name}: does not exist yet. Estimate the recording first.")
     import pyarrow as pa
     from pyarrow import compute, csv
 
@@ -184,7 +186,7 @@ def series(file: str, what: str, from_s: float, to_s: float, count: int | None) 
         tree = bucketed(edges, time_ns, value, std)
         return json.dumps({"time": edges[:-1].astype(np.int64).tolist(), **tree}, separators=(",", ":")).encode()
     if end - first > MAX_ROWS:
-        raise DataError(f"from_s, to_s: must span at most {MAX_ROWS} rows; these are {end - first}. Ask for buckets.")
+        raise DataError(f"from_s, to_s: must span at most {MAX_ROWS} rows; received {end - first}. Request buckets.")
     tree = {
         "time": time_ns[first:end].tolist(),
         "displacement_mm": plain(value[first:end]),

@@ -94,7 +94,7 @@ async def change_link(given: Link, desk: Opened) -> Token:
     """Change a link for a token."""
     token = desk.access.changed(given.link)
     if token is None:
-        raise Problem(401, f"This link was used already. {desk.access.how}", code=desk.access.code)
+        raise Problem(401, f"This link has been used. {desk.access.how}", code=desk.access.code)
     return Token(token=token)
 
 
@@ -103,7 +103,7 @@ async def file(number: str, desk: Opened) -> FileResponse:
     """A file, for whoever has its ticket."""
     ticket = desk.tickets.take(number)
     if ticket is None or not ticket.file.is_file():
-        raise Problem(404, "This address gave its file already, or is too old. Ask for the file on the page again.")
+        raise Problem(404, "This download link was used or has expired. Request the file on the page again.")
     headers = {} if ticket.name else {"Content-Security-Policy": REPORT_POLICY}
     after = BackgroundTask(ticket.file.unlink, missing_ok=True) if ticket.is_made else None
     return FileResponse(
@@ -204,7 +204,7 @@ async def cancel(number: int, desk: Opened) -> Done:
     desk.require(number)
     newest = desk.commands.newest(number)
     if newest is None or newest.state != "running":
-        raise Problem(409, "Nothing is calculated here now.")
+        raise Problem(409, "No calculation is running.")
     await desk.commands.cancel()
     return Done(text="Cancelled; nothing was written." if newest.state == "cancelled" else "It had ended already.")
 
@@ -273,5 +273,5 @@ async def prepare(number: int, wanted: FileWanted, desk: Opened) -> Address:
 
 def _address(desk: Desk, ticket: Ticket) -> str:
     if not ticket.file.is_file():
-        raise Problem(409, f"{ticket.file.name}: is not there yet. Estimate the recording first.")
+        raise Problem(409, f"{ticket.file.name}: does not exist yet. Estimate the recording first.")
     return f"/files/{desk.tickets.put(ticket)}"

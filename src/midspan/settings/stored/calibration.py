@@ -163,7 +163,7 @@ class Calibration:
             return replace(self, across=None, left_out="")
         if self.across is None or second is None or not second.fused:
             raise DataError(
-                f"{where}: has no scale factor along {axis}: it moved too little, or had no accelerometer of its own. "
+                f"{where}: has no scale factor along {axis}: too little motion, or no accelerometer along this axis. "
                 "Calibrate on another recording, or let the point calibrate itself."
             )
         return self.across

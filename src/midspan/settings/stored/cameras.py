@@ -88,8 +88,10 @@ class StoredScale(Stored):
     phase_scale_mm_per_rad: Factor | None = Field(
         None, description="displacement per mean phase of the active pixels (trackers phase and hybrid)"
     )
-    apart_std_mm: Std = Field(0.0, description="contradiction to the accelerometer (rms) of unknown cause, in the band")
-    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: its noise is white")
+    apart_std_mm: Std = Field(
+        0.0, description="unexplained difference from the accelerometer (rms), included in the band"
+    )
+    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: white noise only")
     slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
     noise_std_px: Noise = Field(0.02, description="noise of one frame's translation")
@@ -173,18 +175,18 @@ class StoredCamera(StoredSensor, StoredScale):
         "accelerometer's",
     )
     left_out: Literal["", "x", "y"] = Field(
-        "", description="second axis of which nothing could be estimated; the result then has one"
+        "", description="second axis that could not be estimated; the result then has one"
     )
     tracker: Text = Field("template", description="as in the recording")
     lens: Annotated[Lens | None, BeforeValidator(_lens)] = Field(
-        None, description="lens by which pixels were corrected, with the keys of [camera.lens]; another one is refused"
+        None, description="lens that corrected the pixels, with the keys of [camera.lens]; another lens is refused"
     )
     temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = Field(
-        None, description="infrared: what the tracker sees"
+        None, description="infrared: input of the tracker"
     )
-    exposure_s: Duration = Field(0.0, description="exposure that the motion shows, where none was declared")
+    exposure_s: Duration = Field(0.0, description="exposure estimated from the motion, if none was declared")
     literal: Yes = Field(
-        False, description="as printed; standard deviations then hold the distance from the likelihood's values"
+        False, description="as printed; standard deviations then include the difference from the likelihood's values"
     )
 
     @model_validator(mode="after")
@@ -227,7 +229,7 @@ class StoredCamera(StoredSensor, StoredScale):
         return [
             ("scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
             ("clock offset", offset_words(camera.offset)),
-            ("noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
+            ("noise", f"{camera.noise_std_px:.3g} px ({abs(value) * camera.noise_std_px:.3g} mm) per frame"),
             ("variance factor", f"{camera.variance_factor:.3g}"),
             ("region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
             *([("temperature range", f"{seen[0]:.2f} … {seen[1]:.2f} °C")] if seen else []),

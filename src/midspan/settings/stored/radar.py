@@ -63,7 +63,7 @@ class StoredRadarTarget(Stored):
     place_bin: Bin = Field(description="fractional range bin")
     range_m: NumberOrNan = Field(math.nan, description="range; null: not known")
     snr_db: Annotated[Decibel, null(math.inf)] = Field(
-        math.inf, description="signal over noise, receivers combined; null: no noise"
+        math.inf, description="signal-to-noise ratio, receivers combined; null: no noise"
     )
     amplitude: Number = Field(description="median amplitude, ADC counts")
     conversion_factor: NumberOrNan = Field(
@@ -75,19 +75,19 @@ class StoredRadarTarget(Stored):
     coherence: Number | None = Field(
         None, description="share of the phase's acceleration that the accelerometer explains"
     )
-    clutter: NumberOrNan = Field(math.nan, description="amplitude of other things in its bin, as a share of its own")
+    clutter: NumberOrNan = Field(math.nan, description="amplitude of clutter in its bin, relative to its own")
     disagreement_rad: NumberOrZero = Field(0.0, description="phase of the worst receiver relative to the others")
     noise_std_mm: NumberOrInf = Field(math.inf, description="noise of one frame")
     reach_bins: Annotated[Bin, null(0.0)] = Field(0.0, description="how far it moved")
     modulation_rad: NumberOrNan = Field(
-        math.nan, description="standard deviation of the phase by what else turns in its bin"
+        math.nan, description="standard deviation of the phase from moving clutter in its bin"
     )
     phase_noise_rad2: NumberOrZero = Field(0.0, description="variance of the phase beyond the receiver's noise")
     own_std_mm: NumberOrZero = Field(0.0, description="standard deviation of the target's own motion")
     own_hz: NumberOrZero = Field(0.0, description="frequency of its own motion; 0: above about 0.3 Hz")
-    leak: Complex = Field((0.0, 0.0), description="static share of the bin, which is taken out, [real, imaginary]")
+    leak: Complex = Field((0.0, 0.0), description="static clutter of the bin, which is subtracted, [real, imaginary]")
     background: Annotated[StoredBackground | None, Form("section")] = Field(
-        None, description="what is static in each bin, where it is followed from bin to bin"
+        None, description="static clutter of each bin, if the target moves from bin to bin"
     )
     weights: Annotated[tuple[Complex, ...], Field(min_length=1)] = Field(
         description="of the receivers, [real, imaginary] each"
@@ -135,15 +135,17 @@ class StoredRadar(StoredSensor):
     relative_std: Std | None = Field(
         None, description="relative standard deviation of all used targets' factors together"
     )
-    variance_factor: Ratio = Field(1.0, description="estimated variance over the stated one")
-    carrier_hz: Carrier = Field(description="of the radar it was made with; another one is refused")
+    variance_factor: Ratio = Field(1.0, description="estimated variance divided by the stated one")
+    carrier_hz: Carrier = Field(description="carrier of the calibrated radar; another one is refused")
     channels: Annotated[int, IsNumber, Field(ge=1, le=4096)] = Field(description="number of its channels")
     literal: Yes = Field(
         False, description="target, factor and unwrapping as printed; a calibration of the other kind is refused"
     )
     # These two inform alone: those of the targets count.
     target_range_m: Any = Field(None, description="range to the best target; null: not known")
-    noise_std_mm: Any = Field(None, description="noise of one frame of the best target; with literal its least error E")
+    noise_std_mm: Any = Field(
+        None, description="noise of one frame of the best target; with literal its smallest error E"
+    )
     targets: tuple[StoredRadarTarget, ...]
 
     @model_validator(mode="after")
@@ -190,7 +192,7 @@ class StoredRadar(StoredSensor):
             ("conversion factor", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
             ("range", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
             ("clock offset", offset_words(radar.offset)),
-            ("noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
+            ("noise", f"{1e3 * best.noise_m:.3g} mm of displacement per frame"),
             ("variance factor", f"{radar.variance_factor:.3g}"),
             ("carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
         ]

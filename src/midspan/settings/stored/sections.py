@@ -145,10 +145,12 @@ class StoredAccelerometer(Stored):
         **{"direction": "", "direction_std": ""},
     }
     noise_std_m_s2: AccelerationNoise = Field(description="noise per sample, given or estimated")
-    motion_noise_s: Std = Field(0.0, description="noise density for each mean square of the acceleration, in addition")
-    bias_m_s2: Bias = Field(0.0, description="what it reads at rest, at the window's end")
+    motion_noise_s: Std = Field(0.0, description="additional noise density per mean square of the acceleration")
+    bias_m_s2: Bias = Field(0.0, description="reading at rest at the end of the window")
     bias_std_m_s2: StdOrInf = Field(math.inf, description="its standard deviation; null: not known")
-    bias_drift_m_s3: Number = Field(0.0, description="how fast the bias drifts; widens its random walk; 0: not visible")
+    bias_drift_m_s3: Number = Field(
+        0.0, description="drift rate of the bias; widens its random walk; 0: not observable"
+    )
     scale: Factor = Field(1.0, description="gain relative to a displacement sensor; 1 where it was not estimated")
     scale_std: Std = Field(
         0.0,
@@ -158,7 +160,7 @@ class StoredAccelerometer(Stored):
         1.0, description="factor on the variance of rows, 1 or more, for innovations that are not white"
     )
     slope_rad_m: Number = Field(
-        0.0, description="inclination per displacement, whose share of gravity is added; 0: none visible"
+        0.0, description="inclination per displacement, for the correction of gravity; 0: not observable"
     )
     direction: Annotated[tuple[Component, ...], Field(max_length=2)] = Field(
         (), description="with cross_values: sensors' axis along the cross axes, for one along value"
@@ -166,13 +168,12 @@ class StoredAccelerometer(Stored):
     direction_std: tuple[Std, ...] = Field((), description="standard deviations of direction")
     usual: Annotated[StoredUsual | None, Form("section")] = Field(
         None,
-        description="usual mean, variance, frequency, extremes, range and resolution, by which gaps and clipping are "
-        "judged",
+        description="usual mean, variance, frequency, extremes, range and resolution, for detecting gaps and clipping",
     )
     lines: Annotated[tuple[StoredLine, ...], Form("list")] = Field(
         (),
-        description="narrow lines that are no motion: low_hz, high_hz, std_m_s2, taken_out (false: they widen the "
-        "band)",
+        description="narrow spectral lines without motion: low_hz, high_hz, std_m_s2, taken_out (false: they widen "
+        "the band)",
     )
 
     @model_validator(mode="after")
@@ -226,29 +227,27 @@ class StoredDisplacement(StoredSensor):
     """A displacement sensor; its scale is 1 where it was not estimated."""
 
     noise_std_mm: Noise = Field(description="white noise of one value")
-    resolution_m: Std | None = Field(
-        None, description="smallest step between values; changes below it do not count as motion"
-    )
+    resolution_m: Std | None = Field(None, description="resolution: smallest step between values")
     low_m: Annotated[Number, null(-math.inf)] = Field(
-        -math.inf, description="lower end of its range where it was held there; null: none"
+        -math.inf, description="lower end of its range, if values were clipped there; null: none"
     )
     high_m: NumberOrInf = Field(math.inf, description="upper end of its range, likewise")
-    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: its noise is white")
+    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: white noise only")
     slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
-    exposure_s: Duration = Field(0.0, description="time over which a value averages, given or estimated")
-    apart_std_mm: Std = Field(0.0, description="contradiction to the accelerometer (rms) of unknown cause, in the band")
+    exposure_s: Duration = Field(0.0, description="averaging time of a value, given or estimated")
+    apart_std_mm: Std = Field(
+        0.0, description="unexplained difference from the accelerometer (rms), included in the band"
+    )
     scale: Factor = Field(1.0, description="displacement per reading, with estimate_scale")
     scale_std: Std = Field(0.0, description="its standard deviation")
-    clock_rate: Number = Field(
-        0.0, description="added to its stamps for each second since clock_reference_s; 0: even clocks"
-    )
+    clock_rate: Number = Field(0.0, description="clock drift: added to its stamps per second since clock_reference_s")
     clock_reference_s: Number = Field(0.0, description="instant on its own clock from which clock_rate counts")
     unseen_drift_mm: StdOrInf = Field(
-        0.0, description="drift within 10 s that would not show, for not_in_band; null: any; 0: not examined"
+        0.0, description="largest undetectable drift within 10 s, for not_in_band; null: any; 0: not examined"
     )
-    unseen_step_mm: StdOrInf = Field(0.0, description="step of its zero that would not show, likewise")
-    unseen_gap_mm: StdOrInf = Field(0.0, description="step across its longest gap that would not show, likewise")
+    unseen_step_mm: StdOrInf = Field(0.0, description="largest undetectable step of its zero, likewise")
+    unseen_gap_mm: StdOrInf = Field(0.0, description="largest undetectable step across its longest gap, likewise")
 
     def record(self, _kind: str) -> DisplacementCalibration:
         """The displacement sensor."""
@@ -265,7 +264,7 @@ class StoredDisplacement(StoredSensor):
         """The values that the report lists."""
         scale = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), estimated"
         return [
-            ("noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
+            ("noise", f"{1e3 * sensor.noise_std_m:.4g} mm per measurement"),
             ("clock offset", offset_words(sensor.offset)),
             *([("scale", scale)] if sensor.scale_std > 0.0 else []),
         ]

@@ -87,8 +87,8 @@ def find_dialect(path: Path) -> Dialect:
         raise DataError(f"{path} has no data rows: nothing follows its heading {heading!r}. Export it again with data.")
     if not guesses:
         raise DataError(
-            f"{path} holds no columns of numbers in its first {len(lines)} lines. "
-            "Expected are text columns with comma, semicolon, tab, blanks or | between them."
+            f"{path} has no columns of numbers in its first {len(lines)} lines. Text columns with comma, semicolon, "
+            "tab, blanks or | between them are expected."
         )
     best = _single_decimal_comma(lines, max(guesses, key=lambda guess: guess.score), guesses)
     row = split(lines[best.first], best.delimiter)
@@ -244,8 +244,8 @@ def is_missing_word(field: str) -> bool:
 
 # How the note begins on a file with decimal commas and commas between the columns.
 SPLIT = (
-    "the same comma seems to stand between columns and before decimals, which cannot be read; export with ';' or tab "
-    "between columns, or with a decimal point"
+    "the comma seems to separate both columns and decimals, which cannot be read; export with ';' or tab between "
+    "columns, or with a decimal point"
 )
 
 

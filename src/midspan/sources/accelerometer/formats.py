@@ -78,7 +78,7 @@ def list_channels(path: Path) -> ChannelSet:
     if not found.channels:
         why = "".join(f" {line[:1].upper()}{line[1:]}." for line in (*found.notes, *found.damage))
         raise DataError(
-            f"{path} holds no channel of numbers.{why} Give a {row.name} file with one series of numbers or more."
+            f"{path} has no numeric channel.{why} Give a {row.name} file with at least one series of numbers."
         )
     return replace(found, channels=tuple(_guarded(path, row, channel) for channel in found.channels))
 

@@ -95,7 +95,7 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     repeated = repeated_rows(time_ns, [channel.values, *others])
     spread_ns, spread = spread_equal_stamps(time_ns[~repeated])
     _check_order(path, spread_ns, np.flatnonzero(~repeated) + 1)
-    dropped = f"{int(repeated.sum())} rows written twice, or delivered twice, were dropped"
+    dropped = f"{int(repeated.sum())} duplicate rows were dropped"
     notices = [Notice("stamps-corrected", text) for text in (dropped if repeated.any() else "", spread) if text]
     value = value[~repeated]
     return TimeSeries(spread_ns, value, channel.name, unit, (*notes, *notices), found.damage, tuple(notices))
@@ -241,7 +241,7 @@ def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str])
 def _note_rates(channel: Channel, request: SeriesRequest, notes: list[str]) -> None:
     wanted_hz, own_hz = request.rate_hz, channel.rate_hz
     if wanted_hz is not None and own_hz is not None and abs(wanted_hz / own_hz - 1.0) > RATE_TOLERANCE:
-        notes.append(f"rate_hz = {wanted_hz:g} Hz not used: the file's own time says {own_hz:.6g} Hz")
+        notes.append(f"rate_hz = {wanted_hz:g} Hz not used: the file's own time gives {own_hz:.6g} Hz")
 
 
 def _unit(path: Path, channel: Channel, request: SeriesRequest, notes: list[str]) -> tuple[str, float]:
@@ -278,7 +278,7 @@ def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats) ->
     missing, present = np.flatnonzero(time_ns == NOT_A_TIME), np.count_nonzero(~np.isnan(value))
     if missing.size:
         raise DataError(
-            f"{path}: {missing.size} of {time_ns.size} time stamps are missing or no time, the first in row "
+            f"{path}: {missing.size} of {time_ns.size} time stamps are missing or invalid, the first in row "
             f"{missing[0] + 1} of the data. Correct or remove these rows, or give rate_hz instead of time."
         )
     if present < 2:

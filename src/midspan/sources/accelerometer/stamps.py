@@ -110,7 +110,7 @@ def spread_equal_stamps(time_ns: Nanoseconds) -> tuple[Nanoseconds, str]:
     if (np.diff(found) <= 0).any():
         return time_ns, ""
     share = "all" if placed.all() else f"{100 * placed.mean():.0f} % of"
-    how = f"; {share} rows lie on even clocks, which fit them" if placed.any() else ""
+    how = f"; {share} rows fit evenly spaced times" if placed.any() else ""
     text = (
         f"{int(equal.sum())} of {len(time_ns)} time stamps equal the one before, rounded to {1e-6 * rounding:g} ms; "
         f"they were spread within the rounding{how}"

@@ -24,14 +24,14 @@ def turn_of(picture: Any) -> tuple[int, Notice | None]:
     (a, b), (c, d) = np.frombuffer(bytes(matrix), dtype=np.int32).reshape(3, 3)[:2, :2].tolist()
     upright, sideways = b == c == 0 and a * d > 0, a == d == 0 and b * c < 0
     text = (
-        "its display matrix mirrors the picture or turns it by no multiple of 90 degrees, which is left out; "
-        "directions and places are those of the picture as it is stored"
+        "its display matrix, a mirror or a rotation by no multiple of 90 degrees, is ignored; directions and "
+        "positions are those of the image as stored"
     )
     turns = 0
     if upright or sideways:
         turns = (0 if a > 0 else 2) if upright else (3 if b > 0 else 1)
-        text = f"its pictures are turned by {_TURNS.get(turns)}, as the film's display matrix says"
-        text += "; so are directions and places"
+        text = f"its images are rotated by {_TURNS.get(turns)} (display matrix)"
+        text += "; so are directions and positions"
     return turns, None if upright and not turns else Notice("film-turned", text)
 
 

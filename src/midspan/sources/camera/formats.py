@@ -86,7 +86,7 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
             if any(suffix in row[1] for row in _READERS):
                 raise
             raise UsageError(
-                f"{path} is no video, image or stack that can be read; known suffixes are {_EXAMPLES} …"
+                f"{path} cannot be read as a video, image or stack; known suffixes are {_EXAMPLES} …"
             ) from error
 
 

@@ -162,8 +162,8 @@ def passed_over(frames: set[int]) -> list[str]:
         return []
     share = f"{100 * MAX_MISSING:g} %"
     return [
-        f"{len(frames)} frames ({named(sorted(frames))}) have more than {share} of their values missing (NaN) and were "
-        "passed over"
+        f"{len(frames)} frames ({named(sorted(frames))}) have more than {share} of their values missing (NaN) and "
+        "were skipped"
     ]
 
 
@@ -173,7 +173,7 @@ def require_increasing(name: str, time_ns: Nanoseconds) -> Nanoseconds:
     if wrong.size or time_ns[0] == NOT_A_TIME:
         row = int(wrong[0]) + 2 if wrong.size else 1
         raise DataError(
-            f"{name} must increase from row to row (s); row {row} does not. Correct the file; where frames "
-            "are stamped when they arrive, and sometimes overtake each other, give their rate_hz and start_s instead."
+            f"{name} must increase from row to row (s); row {row} does not. Correct the file; if frames are stamped "
+            "at arrival and can overtake each other, give rate_hz and start_s instead."
         )
     return time_ns

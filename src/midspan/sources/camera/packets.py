@@ -201,18 +201,18 @@ def times_of_taking(
     factor = declared_hz / played_hz
     if 1.0 / _MIN_FACTOR < factor < _MIN_FACTOR:
         return time_ns, None
-    text = f"its container declares that it was taken at {declared_hz:g} Hz and is played at {played_hz:.6g} Hz"
+    text = f"its container declares capture at {declared_hz:g} Hz and playback at {played_hz:.6g} Hz"
     if wanted_hz is not None:
         taken_hz, text = wanted_hz, f"{text}; the times are at rate_hz = {wanted_hz:g} Hz as set"
     elif factor > 1.0 and declared_hz <= _MAX_ORDINARY_HZ:
         taken_hz = played_hz
         text += (
-            ", as slow motion is, or a film that poor light made slower; the times are those of playing. If "
-            f"they are {factor:.3g} times too long, give rate_hz = {declared_hz:g}"
+            f" (slow motion, or a reduced rate in poor light); the playback times are used. If they are {factor:.3g} "
+            f"times too long, give rate_hz = {declared_hz:g}"
         )
     else:
         taken_hz = declared_hz
-        text += f"; the times are those of taking, by {declared_hz:g} Hz. If that is wrong, give the right rate_hz"
+        text += f"; the capture times at {declared_hz:g} Hz are used. If that is wrong, give the right rate_hz"
     # A film of an hour has 2^42 ns, far below the 53 bits of a float.
     return (time_ns * (played_hz / taken_hz)).round().astype("int64"), Notice("slow-motion", text)
 

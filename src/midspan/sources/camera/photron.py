@@ -47,7 +47,7 @@ class PhotronFrames(StoredFrames):
                 f"{self._raw_file}: must hold frames of {self._frame_bytes} bytes ({self._columns}x{self._rows} px, "
                 f"{self._bits} bit); it has {self._raw_file.stat().st_size} bytes. Copy it again."
             )
-        promised = f"the header promises {self._count} frames, the file holds {held}"
+        promised = f"the header declares {self._count} frames, the file has {held}"
         self._damage = (promised,) if held < self._count else ()
         self._count = min(held, self._count)
 

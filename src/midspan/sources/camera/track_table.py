@@ -70,7 +70,7 @@ class TrackFrames(FrameSource):
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """There are none: raises DataError."""
-        raise DataError("A track holds what was found in frames, not the frames; this needs the pictures.")
+        raise DataError("A track contains results, not images; this needs the images.")
 
 
 def _times(path: Path, columns: dict[str, Channel], request: FrameRequest) -> Nanoseconds:

@@ -104,7 +104,7 @@ class VideoFrames(FrameSource):
                 packets = scan(self._path, container)
             lost, hidden = missing_frames(self._path, packets, self._declared)
             if lost:
-                self._damage.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
+                self._damage.append(f"the file ends early: {lost} of {self._declared} frames are missing")
             if hidden:
                 self._notes.append(
                     f"{hidden} of {self._declared} frames are left out by an edit list (trimmed) or were dropped by "
@@ -133,9 +133,7 @@ class VideoFrames(FrameSource):
                 time_ns = grid(ticks.size, rate, start_ns)
                 break
         if packets.free_running and time_ns[0] != 0:
-            self._notes.append(
-                f"the stream's clock starts at {time_ns[0] * 1e-9:.3f} s; its first frame counts as zero"
-            )
+            self._notes.append(f"the stream's clock starts at {time_ns[0] * 1e-9:.3f} s; the first frame is set to 0 s")
             time_ns = time_ns - time_ns[0]
         time_ns, notice = times_of_taking(time_ns, self._taken_hz, self._request.rate_hz)
         self._notices += [notice] if notice else []
@@ -144,7 +142,7 @@ class VideoFrames(FrameSource):
             own_hz = clock(time_ns).rate_hz
             if abs(given_hz / own_hz - 1.0) > RATE_TOLERANCE:
                 self._notes.append(
-                    f"rate_hz = {given_hz:g} Hz not used: the container's time stamps say {own_hz:.6g} Hz"
+                    f"rate_hz = {given_hz:g} Hz not used: the container's time stamps give {own_hz:.6g} Hz"
                 )
         return time_ns + np.int64(round(self._request.start_s * 1e9))
 
@@ -193,9 +191,9 @@ def _lost_frames(lost: set[int], packets: Packets | None) -> tuple[str, ...]:
     """How many frames are damaged, which, and how many build on them; nothing where none is."""
     if not lost:
         return ()
-    text = f"{len(lost)} frames are damaged and were passed over: frame {named(sorted(lost))}"
+    text = f"{len(lost)} frames are damaged and were skipped: frame {named(sorted(lost))}"
     after = _building_on(lost, packets) if packets is not None else 0
-    built = f"{after} frames behind damaged ones, up to the next key frame, build on them and can be wrong in part"
+    built = f"{after} frames after damaged ones, up to the next key frame, may be partly wrong"
     return (text, built) if after else (text,)
 
 
@@ -235,10 +233,7 @@ def _opened(path: Path) -> Any:
     if not video:
         refusal = " has no video stream. Give a file with pictures."
     elif video[0].codec_context is None:
-        refusal = (
-            ": its pictures are packed by a codec that is not known. Check that the file is whole, or write it "
-            "again with another codec."
-        )
+        refusal = ": its codec is unknown. Check that the file is complete, or convert it with another codec."
     if refusal:
         container.close()
         raise DataError(f"{path}{refusal}")

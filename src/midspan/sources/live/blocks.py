@@ -58,7 +58,7 @@ def parse(payload: bytes, kind: int, dated: Dated | None = None) -> Block:
     dated: the first stamp (ns) of JSON without t0, from sequence, interval (s) and count of values; None: it needs t0.
     """
     if len(payload) > MAX_BYTES:
-        raise _refuse(f"{len(payload)} bytes; at most {MAX_BYTES} are taken")
+        raise _refuse(f"{len(payload)} bytes; at most {MAX_BYTES} are accepted")
     block = _of_json(payload, kind, dated) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload)
     if block.kind != kind:
         raise _refuse(f"kind {block.kind} where {kind} is expected")

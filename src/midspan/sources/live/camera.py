@@ -51,18 +51,18 @@ def frames(address: str, *, earlier: StampKind | None = None) -> Iterator[Stampe
     try:
         stream = next((one for one in container.streams if one.type == "video"), None)
         if stream is None:
-            raise SourceFault("no_video", "the stream holds no video")
+            raise SourceFault("no_video", "the stream has no video")
         stream.thread_type = "SLICE"
         has_no_reports = address.startswith("usb:") or earlier is StampKind.ARRIVAL
         yield from _decoded(container, stream, 0.0 if has_no_reports else REPORT_S)
     except av.error.ExitError:
-        raise SourceFault("stopped", f"nothing came for {READ_S:g} s") from None
+        raise SourceFault("stopped", f"no data for {READ_S:g} s") from None
     except av.error.FFmpegError as error:
         raise SourceFault("damaged", f"the stream cannot be read ({error.strerror or type(error).__name__})") from None
     finally:
         with suppress(Exception):
             container.close()
-    raise SourceFault("ended", "the stream ended, which a live one does not do")
+    raise SourceFault("ended", "the live stream ended")
 
 
 def _opened(address: str) -> Any:
@@ -74,7 +74,7 @@ def _opened(address: str) -> Any:
             return av.open(f"/dev/video{address[4:]}", format="v4l2", timeout=(OPEN_S, READ_S))
         return av.open(address, timeout=(OPEN_S, READ_S), options={"rtsp_transport": "tcp"})
     except av.error.ConnectionRefusedError:
-        raise SourceFault("refused", "the connection is refused: nothing listens there") from None
+        raise SourceFault("refused", "the connection is refused: nothing listens at this address") from None
     except (av.error.HTTPNotFoundError, av.error.FileNotFoundError):
         raise SourceFault("not_found", "there is no such stream or device") from None
     except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError, av.error.PermissionError):
@@ -83,7 +83,7 @@ def _opened(address: str) -> Any:
         # What never answers and what answers rubbish look alike, but for the time that it takes.
         if time.monotonic() - begun_s >= 0.9 * OPEN_S:
             raise SourceFault("no_answer", f"no answer for {OPEN_S:g} s") from None
-        raise SourceFault("damaged", f"what answers is no video ({error.strerror or type(error).__name__})") from None
+        raise SourceFault("damaged", f"the answer is not a video ({error.strerror or type(error).__name__})") from None
 
 
 def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:

@@ -191,8 +191,8 @@ class LiveCapture:
         except OSError as error:
             listening.close()
             raise UsageError(
-                f"Port {self._settings.port} of {self._settings.address} cannot be listened on: {error.strerror}. "
-                "The host needs this address, and no other program the port; else give others."
+                f"Cannot listen on port {self._settings.port} of {self._settings.address}: {error.strerror}. The host "
+                "must have this address and no other program may use the port; else give others."
             ) from error
         listening.settimeout(0.05)
         self._socket = listening
@@ -226,9 +226,9 @@ class LiveCapture:
                 senders = " and ".join(self._settings.senders or ("anybody",))
                 raise DataError(
                     f"No frame came from the capture card for {self._settings.timeout_s:g} s on port {self.port}; "
-                    f"{self.foreign_packets} packets came from other senders than {senders}, "
-                    f"{self.order.stray_packets} were none of the stream's. Check that the radar runs, its cable, and "
-                    f"that the host has the address {HOST_ADDRESS}."
+                    f"{self.foreign_packets} packets came from senders other than {senders}, "
+                    f"{self.order.stray_packets} did not belong to the stream. Check that the radar runs, its cable, "
+                    f"and that the host has the address {HOST_ADDRESS}."
                 ) from None
             yield self._frame(*item)
             given, until_s = given + 1, time.monotonic() + self._settings.timeout_s
@@ -254,7 +254,7 @@ class LiveCapture:
                 if not self._stop.is_set():
                     self._failure = DataError(
                         f"The capture on port {self._settings.port} of {self._settings.address} ended: "
-                        f"{error.strerror or error}. Check the host's network adapter and begin again."
+                        f"{error.strerror or error}. Check the host's network adapter and start again."
                     )
                 return
             if self._settings.senders is None or sender[0] in self._settings.senders:
@@ -292,7 +292,7 @@ class LiveCapture:
         after_s = (at_ns - self._begin_ns(number - 1)) / NANOSECONDS
         self._origin = number, at_ns
         self.events.append(
-            Event(at_ns, "gap", f"the card's count of bytes jumped; the next frame is {after_s:.3g} s on")
+            Event(at_ns, "gap", f"the card's byte counter jumped; the next frame is {after_s:.3g} s later")
         )
 
     def _begin_ns(self, number: int) -> int:

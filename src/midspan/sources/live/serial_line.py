@@ -73,7 +73,7 @@ def blocks(address: str, kind: int, ended: Ended = never) -> Iterator[Block | So
         line = serial.Serial(device, baud, timeout=LOOK_S)
     except serial.SerialException as error:
         if error.errno in (errno.EACCES, errno.EPERM):
-            raise SourceFault("unauthorized", f"{device} may not be opened by this user") from None
+            raise SourceFault("unauthorized", f"this user has no permission to open {device}") from None
         raise SourceFault("not_found", f"{device} cannot be opened ({error.strerror or error})") from None
     dating, heard, received, ended_s = Dating(), False, b"", time.monotonic()
     with line:
@@ -86,7 +86,7 @@ def blocks(address: str, kind: int, ended: Ended = never) -> Iterator[Block | So
             if not received.endswith(b"\n") and len(received) < MAX_BYTES:
                 if time.monotonic() - ended_s > SILENT_S:
                     code = "stopped" if heard else "no_answer"
-                    raise SourceFault(code, f"{device}: no line came for {SILENT_S:g} s")
+                    raise SourceFault(code, f"{device}: no line for {SILENT_S:g} s")
                 continue
             text, received, ended_s = received, b"", time.monotonic()
             if not text.endswith(b"\n"):

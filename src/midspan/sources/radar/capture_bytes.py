@@ -151,16 +151,16 @@ class _Packets(CaptureBytes):
         absent = self.size - received
         if absent > MAX_ABSENT * self.size:
             raise DataError(
-                f"{files[0]}: by the counts in its packets {absent} of {self.size} bytes were never received; at most "
-                f"{100 * MAX_ABSENT:g} % may be. Check that the file is one capture, and the network of the card."
+                f"{files[0]}: by its packet counters {absent} of {self.size} bytes were not received; at most "
+                f"{100 * MAX_ABSENT:g} % may be missing. Check that the file is one capture, and the card's network."
             )
         self.notes = (
-            f"{files[0].name} keeps packet headers of {head} bytes, which are taken out; {absent} of "
-            f"{self.size} bytes were never received, {late} packets came late",
+            f"{files[0].name} contains packet headers of {head} bytes, which are removed; {absent} of {self.size} "
+            f"bytes were not received, {late} packets came late",
         )
         if damaged:
             text = (
-                f"radar: {damaged} of {len(sound)} packets in {files[0].name} have a damaged count of bytes and are "
+                f"radar: {damaged} of {len(sound)} packets in {files[0].name} have a damaged byte counter and are "
                 "left out. Copy the file again if the original is whole."
             )
             self.warnings = (Notice("radar-data", text),)

@@ -179,13 +179,13 @@ def _missing(path: Path, count: int, settings: TiSettings) -> tuple[Notice, ...]
     absent, texts = missing_files(path), []
     if absent:
         texts.append(
-            f"radar: {', '.join(absent)} is missing next to {path.name}, and later files are there: the capture is "
-            "read only up to the gap. Put the file back."
+            f"radar: {', '.join(absent)} is missing next to {path.name}, but later files exist: the capture is read "
+            "only up to the gap. Restore the file."
         )
     if settings.frames - count > max(FEW_FRAMES, FEW_SHARE * settings.frames):
         texts.append(
-            f"radar: {path.name} holds {count} of the {settings.frames} frames that radar.config says; the result "
-            "ends with them. Check that the capture is whole."
+            f"radar: {path.name} has {count} of the {settings.frames} frames that radar.config declares; the result "
+            "ends with them. Check that the capture is complete."
         )
     return tuple(Notice("radar-data", text) for text in texts)
 
@@ -194,13 +194,13 @@ def _check_levels(path: Path, probe: Words, layout: Layout) -> float:
     """The share of the samples that are at the limits of the ADC; DataError where they cannot be a radar's."""
     if not probe.any():
         raise DataError(
-            f"{path} holds nothing but zeros (or holes) in up to {PROBED_FRAMES} frames of {layout.frame_bytes} bytes. "
-            "Check that the radar was started before the capture, and its cable."
+            f"{path} has only zeros (or holes) in up to {PROBED_FRAMES} frames of {layout.frame_bytes} bytes. Check "
+            "that the radar was started before the capture, and its cable."
         )
     rows = probe.reshape(-1, layout.frame_words)
     if len(rows) > 1 and (rows == rows[0]).all():
         raise DataError(
-            f"{path} holds the same samples in all {len(rows)} frames that were looked at, without any noise: no radar "
+            f"{path} has the same samples in all {len(rows)} frames that were checked, without any noise: no radar "
             "measured them. Check radar.file and the capture."
         )
     highest = 2 ** (layout.profile.bits - 1)
@@ -208,9 +208,9 @@ def _check_levels(path: Path, probe: Words, layout: Layout) -> float:
     share = float(np.count_nonzero((samples >= highest - 1) | (samples <= 1 - highest)) / samples.size)
     if share > SATURATED:
         raise DataError(
-            f"{path} is saturated: {100 * share:.1f} % of {probe.size} samples looked at are at the limits of the ADC "
-            f"(−{highest}, {highest - 1}); at most {100 * SATURATED:g} % can be used. Lower the receiver gain, or move "
-            "the radar away from what is near."
+            f"{path} is saturated: {100 * share:.1f} % of {probe.size} samples checked are at the limits of the ADC "
+            f"(−{highest}, {highest - 1}); at most {100 * SATURATED:g} % can be used. Lower the receiver gain, or "
+            "move the radar away from near reflectors."
         )
     return share
 

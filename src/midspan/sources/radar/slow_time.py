@@ -105,7 +105,7 @@ class SlowTimeFile(RadarSource):
                 return
         if count > 1:
             what = "nothing but missing frames (NaN)" if first is None else f"the same I/Q in all {count} frames"
-            raise DataError(f"{self._path} holds {what}, without any noise: no radar measured that. Check radar.file.")
+            raise DataError(f"{self._path} has {what}, without any noise: no radar measured that. Check radar.file.")
 
     def _stamps(self, companions: dict[str, Any], settings: TiSettings | None) -> Floats:
         count = self._shape[0]
@@ -122,8 +122,8 @@ class SlowTimeFile(RadarSource):
             rate = settings.profile.frame_rate_hz
         if rate not in RATE_HZ:
             raise DataError(
-                f"{self._path} says nothing of its rate, {RATE_HZ}; received {rate:g}. Store rate_hz or time_s in it, "
-                "or give radar.rate_hz."
+                f"{self._path} must state its rate, {RATE_HZ}; received {rate:g}. Store rate_hz or time_s in it, or "
+                "give radar.rate_hz."
             )
         return np.arange(count) / rate
 
@@ -149,7 +149,7 @@ def _carrier(path: Path, companions: dict[str, Any], settings: TiSettings | None
         value = settings.profile.carrier_hz if settings is not None else 0.0
     if value not in CARRIER_HZ:
         raise DataError(
-            f"{path} says nothing of the carrier frequency ({CARRIER_HZ}), so its phase has no scale. Store carrier_hz "
+            f"{path} does not state the carrier frequency ({CARRIER_HZ}), so its phase has no scale. Store carrier_hz "
             "or wavelength_m in it, or give radar.carrier_hz."
         )
     return value

@@ -171,8 +171,8 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
         planck = Planck(r1, b, f, float(offset), r2)
     except UsageError as error:
         raise DataError(
-            f"has a record of the camera's calibration that cannot be right: {error} Export it with its radiometric "
-            "data, or as 16-bit TIFF."
+            f"has an invalid record of the camera's calibration: {error} Export it with its radiometric data, or as "
+            "16-bit TIFF."
         ) from error
     humidity = humidity / 100.0 if humidity > 1.0 else humidity
     path = OpticalPath(emissivity, distance, reflected, air_k, window_k, window or 1.0, humidity, air)
@@ -286,7 +286,7 @@ def embedded_block(file: Path) -> bytes:
     if missing:
         raise DataError(
             f"{file}: {len(missing)} of the {last + 1} parts of its raw data are missing, the first is part "
-            f"{missing[0] + 1}. A program that edits pictures may have left them out; use the camera's own file."
+            f"{missing[0] + 1}. An image editor may have removed them; use the camera's own file."
         )
     return b"".join(parts[k] for k in range(last + 1))
 
@@ -327,7 +327,7 @@ def refuse_dji(file: Path) -> None:
         return
     if is_made and count_bytes >= _MIN_DJI_COUNT_BYTES:
         raise DataError(
-            f"{file}: a thermal JPEG of DJI. Its 16-bit counts are there, in a form that only DJI's Thermal SDK turns "
-            "into temperatures; what shows without it are 8-bit grey levels. Convert the files to float TIFF in °C "
-            "(dji_irp -a measure of that SDK), or give them to [camera] as pictures."
+            f"{file}: a thermal JPEG of DJI. Only DJI's Thermal SDK converts its 16-bit counts to temperatures; "
+            "without it only 8-bit grey levels are available. Convert the files to float TIFF in °C (dji_irp -a "
+            "measure of that SDK), or give them to [camera] as pictures."
         )

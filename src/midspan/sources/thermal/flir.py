@@ -92,7 +92,7 @@ class FlirFrames(StoredFrames):
             try:
                 info, raw = camera_info(data, place.block), counts(data, place.block)
             except DataError as error:
-                note = f"frame {number} {error}; it is passed over"
+                note = f"frame {number} {error}; it is skipped"
                 self._damage += [] if note in self._damage else [note]
                 return None
         return checked_celsius(self._table(info)[raw], f"{place.file}: frame {number}")
@@ -126,11 +126,11 @@ class FlirFrames(StoredFrames):
                 begin = next_block(data, end + 1) if end < len(data) else None
                 if begin is not None:
                     self._damage.append(
-                        f"{begin - end} bytes of {file.name} before frame {len(found)} are no whole frame and were "
-                        "passed over"
+                        f"{begin - end} bytes of {file.name} before frame {len(found)} are not a complete frame and "
+                        "were skipped"
                     )
             if found and end < len(data):
-                self._damage.append(f"the last {len(data) - end} bytes of {file.name} are no whole frame")
+                self._damage.append(f"the last {len(data) - end} bytes of {file.name} are not a complete frame")
             return found
 
     def _all_times(self) -> tuple[Nanoseconds, str]:
@@ -144,7 +144,7 @@ class FlirFrames(StoredFrames):
         wrong = wrong_stamps(stamps)
         if len(wrong):
             self._damage.append(
-                f"{len(wrong)} frames ({named(wrong.tolist())}) have stamps out of order and were passed over"
+                f"{len(wrong)} frames ({named(wrong.tolist())}) have stamps out of order and were skipped"
             )
             self._places = [place for k, place in enumerate(self._places) if k not in set(wrong.tolist())]
             stamps = np.delete(stamps, wrong)

@@ -187,10 +187,12 @@ class KeyFrameTracker(Tracker):
         share, since_ns = float(self._state.appearance.hidden.mean()), self._state.since_ns
         if share > 0.0 and since_ns is None:
             self._state = replace(self._state, since_ns=frame.time_ns)
-            self._tell(frame, f"something in front of the target hides {100.0 * share:.0f} % of it", "hidden")
+            self._tell(frame, f"{100.0 * share:.0f} % of the target is occluded", "hidden")
             self._finish(frame)
         elif share == 0.0 and since_ns is not None:
-            self._tell(frame, f"all of the target is seen again after {(frame.time_ns - since_ns) / 1e9:.1f} s", "seen")
+            self._tell(
+                frame, (f"the whole target is visible again after {(frame.time_ns - since_ns) / 1e9:.1f} s"), "seen"
+            )
             self._state = replace(self._state, since_ns=None)
 
     def _recovered(self, frame: Frame, prediction: Prediction | None) -> Reported | None:
@@ -250,7 +252,7 @@ class KeyFrameTracker(Tracker):
         place, variance = chain.place[number] + place_of(seen), chain.variance(number) + variance_of(seen)
         self._hand_over()
         new = self._added(frame, place, variance + self.settings.link_floor_px**2)
-        return None if new is None else self._linked(new, frame, unmoved(frame), "bright and dark have changed places")
+        return None if new is None else self._linked(new, frame, unmoved(frame), "bright and dark are inverted")
 
     def _compare(self, frame: Frame, found: PixelTranslation, view: Sight | None) -> None:
         """Go on with an overlap, or begin one with a new key frame; without one, try an earlier key frame."""
@@ -356,7 +358,7 @@ class KeyFrameTracker(Tracker):
         expected = None if state.key.picture is None else inside(state.key.picture)
         looks = replace(state.appearance, expected=expected, carried=np.zeros(2))
         self._state = replace(state, recent=(), appearance=looks)
-        self._tell(frame, f"back to the first frame; {count} later key frames lay {off_px:.1f} px off and are dropped")
+        self._tell(frame, f"back to the first frame; {count} later key frames were {off_px:.1f} px off and are dropped")
 
     def _added(self, frame: Frame, place: Floats, variance: Floats) -> int | None:
         """Number of a new key frame, its target at `place` (2,) px from the first frame, with variance (2,) in px²;
@@ -387,13 +389,13 @@ class KeyFrameTracker(Tracker):
         if not lap.hidden.any():
             self._switch(lap.to, frame, "new key frame")
             return
-        self._tell(frame, f"new key frame of the {100.0 * np.mean(~lap.hidden):.0f} % of the target that are seen")
+        self._tell(frame, f"new key frame from the visible {100.0 * np.mean(~lap.hidden):.0f} % of the target")
 
     def _switch(self, number: int, frame: Frame, why: str) -> None:
         """Use another key frame from now on."""
         state = self._state = self._state.using(number)
         spread = float(np.sqrt(state.chain.variance(number).max()))
-        self._tell(frame, f"{why}: number {number} of {len(state.keys)}, its place known to {spread:.3f} px")
+        self._tell(frame, f"{why}: number {number} of {len(state.keys)}, position known to {spread:.3f} px")
 
     def _tell(self, frame: Frame, text: str, kind: str = "reference") -> None:
         self._events.append(Event(frame.time_ns, kind, text))
