@@ -8,7 +8,7 @@ import pytest
 from calibration_cases import OFFSET, SCALE, beam_in_pixels, broadband, observed, spoilt, tones
 
 from midspan.calibration.fit import Pair
-from midspan.calibration.scale import calibrate_scale, uncertain_scale
+from midspan.calibration.scale import calibrate_scale, of_no_camera, too_vague, uncertain_scale
 from midspan.calibration.time_offset import search_offset
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.simulate.motion.motion import Pulse, Sum, Window, random_motion
@@ -168,6 +168,20 @@ def test_signals_of_different_events_do_not_agree(seed):
     assert "No agreement between image and accelerometer" in text
     assert "camera.direction" in text
     assert "calibration.max_offset_s" in text
+
+
+def test_different_events_of_a_noisy_film_are_no_little_motion():
+    pair, other = observed(broadband(0), 0, noise_px=0.3), observed(broadband(100), 100)
+    text = refusal(replace(pair, samples=other.samples))
+    assert "both move, but too differently" in text
+    assert "both files are of the same event" in text
+    assert "calibration.window_s with traffic" in text
+
+
+def test_a_scale_factor_of_no_camera_is_no_figure():
+    assert too_vague(4e-3, 0.47).startswith("4 mm/px ± 47 %")
+    assert too_vague(-42.0, 0.47).startswith("an uncertainty of ± 47 %; at most ± 5 %")
+    assert "more than 500 mm/px" in of_no_camera(-42.0)
 
 
 def test_an_offset_outside_the_search_is_refused_not_misjudged():

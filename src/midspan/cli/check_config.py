@@ -44,6 +44,7 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
                 continue
             if not (path.parent / file_name).exists():
                 missing.append(f"{path}: {name}.{key} = {file_name!r}: no such file yet.")
+    _check_regions(path, settings)
     console.table(_rows(settings.model_dump(exclude_none=True), recording_sections()))
     console.warn(missing)
     console.say(_verdict(str(path), missing))
@@ -81,6 +82,29 @@ def _check_unit(section: Any, quantity: str, where: str) -> None:
         si_factor(section.unit, quantity, getattr(section, "sensitivity", 0.0) or None)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
+
+
+def _check_regions(path: Path, settings: "RecordingSettings") -> None:
+    """UsageError for a region beyond the picture of a camera whose file can be read."""
+    from midspan.errors import MidspanError
+    from midspan.recording.streams.recording import Recording
+    from midspan.recording.tracking.opening import given_targets, require_inside
+    from midspan.settings.camera import CameraSettings
+    from midspan.vision.frame_source import StoredTrack
+
+    for view in Recording(path, settings).cameras:
+        camera = view.own.settings
+        if not isinstance(camera, CameraSettings) or not given_targets(camera):
+            continue
+        try:
+            frames = view.frames
+            info = frames.info
+        except MidspanError:
+            # What is wrong with the file is for inspect to say.
+            continue
+        # A stored track has no picture.
+        if not isinstance(frames, StoredTrack):
+            require_inside(camera, (info.width, info.height), f"{path}: {view.sensor}")
 
 
 def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:

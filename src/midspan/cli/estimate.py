@@ -64,7 +64,7 @@ def command(recording: str, file2: str | None, quiet: bool, as_json: bool, **opt
     RECORDING is a folder with recording.toml, a store, or an accelerometer file followed by FILE2: a video, or the
     table of a displacement sensor.
     """
-    from midspan.settings.two_files import Choices
+    from midspan.settings.two_files import Choices, in_words_of_two_files
 
     console = Console(quiet, as_json)
     options["every"] = options["method"] == ALL
@@ -74,7 +74,8 @@ def command(recording: str, file2: str | None, quiet: bool, as_json: bool, **opt
         raise click.UsageError("--reference: needs --method all. For one result use `midspan compare`.")
     choices = Choices(**{one.name: options.pop(one.name) for one in fields(Choices)})
     if file2 is not None:
-        _of_two_files(Path(recording), Path(file2), choices, console, options)
+        with in_words_of_two_files(Path(recording), Path(file2)):
+            _of_two_files(Path(recording), Path(file2), choices, console, options)
         return
     if choices.named:
         option = f"--{choices.named[0].replace('_', '-')}"

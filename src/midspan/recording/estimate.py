@@ -58,7 +58,7 @@ from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
-from midspan.settings.two_files import Choices, draft, is_sensor_file, settings_of
+from midspan.settings.two_files import Choices, draft, in_words_of_two_files, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
 # Events of a first pass that may come of values that are wrong.
@@ -97,9 +97,11 @@ def estimate(
         calibration = load_calibration(path_of("calibration", calibration))
     choices = Choices(value, unit, direction, rate_hz, displacement_value, displacement_unit)
     if video is not None:
-        files = draft(path_of("recording", recording), path_of("video", video), choices)
-        recording = Recording(*settings_of(files))
-    elif choices != Choices():
+        accel, second = path_of("recording", recording), path_of("video", video)
+        with in_words_of_two_files(accel, second):
+            files = Recording(*settings_of(draft(accel, second, choices)))
+            return estimate(files, calibration, method=method, progress=progress)
+    if choices != Choices():
         raise UsageError(
             f"{', '.join(choices.named)}: go with two files, estimate(ACCEL, FILE2); a recording names them in its "
             "settings."

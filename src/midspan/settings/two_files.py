@@ -1,10 +1,14 @@
 """The settings of a recording of two files, an accelerometer's and another sensor's, as they are found in these."""
 
+import re
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from midspan.errors import UsageError
+from midspan.errors import MidspanError, UsageError
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
 from midspan.signals.acceleration import GRAVITY_M_S2
@@ -14,6 +18,7 @@ if TYPE_CHECKING:
     from midspan.records import TimeSeries
     from midspan.sources.accelerometer.channel import Channel
     from midspan.sources.accelerometer.select import SeriesRequest
+    from midspan.vision.frame_source import FrameSource
 
 # Stamps from here on (s) are dates, not seconds after a start: 2001.
 DATED_FROM_S = 1e9
@@ -23,6 +28,8 @@ UPRIGHT = 0.1
 BY_HAND_S = 60.0
 # The image axis of the motion where none is given: most structures that are filmed move up and down.
 DIRECTION = "y"
+# Keys of a recording.toml in a message.
+KEYS = re.compile(r"\b((camera|infrared|accelerometer|calibration|fusion)\.[a-z]\w+|rate_hz|max_offset_s|start_s)\b")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +115,20 @@ def is_sensor_file(given: object) -> bool:
     return isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
 
 
+@contextmanager
+def in_words_of_two_files(accel: Path, second: Path) -> Iterator[None]:
+    """Let a refusal that names keys say where two files have them."""
+    try:
+        yield
+    except MidspanError as error:
+        text = str(error)
+        named = KEYS.search(text)
+        if named and "midspan init" not in text:
+            where = f"the recording.toml that `{shlex.join(('midspan', 'init', str(accel), str(second)))}` writes"
+            error.args = (f"{text.rstrip()} Set keys such as {named[0]} in {where}.",)
+        raise
+
+
 def draft(accel: Path, second: Path, given: Choices, *, choose: bool = False) -> Draft:
     """The settings of a recording of an accelerometer's file and a video, an infrared sequence or a table.
 
@@ -116,6 +137,7 @@ def draft(accel: Path, second: Path, given: Choices, *, choose: bool = False) ->
     """
     from midspan.settings.keys import described, recording_sections
     from midspan.sources.accelerometer.select import SeriesRequest
+    from midspan.sources.boundary import require_file
     from midspan.sources.camera.formats import is_table, is_video
     from midspan.sources.camera.track_table import holds_tracks
 
@@ -124,13 +146,15 @@ def draft(accel: Path, second: Path, given: Choices, *, choose: bool = False) ->
             f"{accel} is a video and {second} a table of numbers. Name the accelerometer's file first, then the video."
         )
     found = Draft()
+    require_file(accel)
     request = SeriesRequest("acceleration", value=given.value, unit=given.unit)
-    acceleration = _series(found, ACCELERATION, accel, request, choose)
     if not (is_table(second) and second.is_file()) or holds_tracks(second):
         _refuse(second, "no table", given, ("displacement_value", "displacement_unit"))
-        _camera(found, second, acceleration, given)
+        frames = _frames(second, given.rate_hz)
+        _camera(found, second, frames, _series(found, ACCELERATION, accel, request, choose), given)
         return found
     _refuse(second, "a table, no pictures", given, ("direction",))
+    _series(found, ACCELERATION, accel, request, choose)
     request = SeriesRequest(
         "displacement", value=given.displacement_value, unit=given.displacement_unit, rate_hz=given.rate_hz
     )
@@ -152,9 +176,10 @@ def _refuse(second: Path, kind: str, given: Choices, names: tuple[str, ...]) -> 
 def _series(found: Draft, table: Table, path: Path, request: "SeriesRequest", choose: bool) -> "TimeSeries | None":
     """The keys of a table's channel; its series, where the settings are not to be looked at or tell all."""
     from midspan.sources.accelerometer.formats import list_channels
-    from midspan.sources.accelerometer.select import candidates, find_channel, read_series
+    from midspan.sources.accelerometer.select import candidates, find_channel, read_series, require_unsplit_numbers
 
     channels = list_channels(path)
+    require_unsplit_numbers(path, channels)
     found.put(table.section, "file", str(path.absolute()))
     if request.value is not None:
         channel, others = find_channel(path, channels, request.value, table.value), tuple[str, ...]()
@@ -224,9 +249,8 @@ def _read(
         return None
 
 
-def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", given: Choices) -> None:
-    """The keys of the camera."""
-    from midspan.settings.keys import described, recording_sections
+def _frames(video: Path, given_hz: float | None) -> "tuple[str, FrameSource, bool]":
+    """The section of a video, its frames, and whether they have times; given_hz: their rate, where it is given."""
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
     from midspan.sources.thermal.formats import is_thermal, open_thermal
@@ -236,10 +260,23 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", given:
     section = "infrared" if thermal else "camera"
 
     def opened(rate_hz: float | None) -> Any:
-        request = FrameRequest(rate_hz=given.rate_hz or rate_hz)
+        request = FrameRequest(rate_hz=given_hz or rate_hz)
         return open_thermal(video, ThermalRequest(frames=request)) if thermal else open_frames(video, request)
 
-    source, timed = timed_or_counted(opened)
+    return section, *timed_or_counted(opened)
+
+
+def _camera(
+    found: Draft,
+    video: Path,
+    frames: "tuple[str, FrameSource, bool]",
+    acceleration: "TimeSeries | None",
+    given: Choices,
+) -> None:
+    """The keys of the camera."""
+    from midspan.settings.keys import described, recording_sections
+
+    section, source, timed = frames
     info = source.info
     found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
     keys = recording_sections()
