@@ -68,8 +68,8 @@ def test_two_files_become_a_result_with_the_right_sign_and_scale(desk, tmp_path,
     output = tmp_path / "result.csv"
     assert run(["estimate", str(logger), str(desk / "phone.mkv"), "--value", "Beschl Z", "-o", str(output)]) == 0
     if apart_s:
-        assert f"begins +{apart_s + 1.0:.0f}" in capsys.readouterr().err
-        assert "begins +8" in json.loads(output.with_suffix(".json").read_text())["warnings"][0]
+        assert f"offset is +{apart_s + 1.0:.0f}" in capsys.readouterr().err
+        assert "offset is +8" in json.loads(output.with_suffix(".json").read_text())["warnings"][0]
     camera = json.loads(output.with_suffix(".json").read_text())["calibration"]["camera"]
     # The logger's time is the video's plus the offset; the motion tells it to a fraction of a ms.
     assert camera["time_offset_s"] == pytest.approx(apart_s + 1.0, abs=2e-3)
