@@ -70,11 +70,14 @@ class Worker:
 
     def close(self) -> None:
         """End it, without what it does at present."""
-        if isinstance(self._executor, ProcessPoolExecutor):
-            for process in list((self._executor._processes or {}).values()):
+        executor, self._executor = self._executor, None
+        ends = isinstance(executor, ProcessPoolExecutor)
+        if isinstance(executor, ProcessPoolExecutor):
+            for process in list((executor._processes or {}).values()):
                 process.kill()
-        if self._executor is not None:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+        if executor is not None:
+            # The semaphores of a process that has ended are removed with what waits for it.
+            executor.shutdown(wait=ends, cancel_futures=True)
 
 
 RETRY = {"Retry-After": "5"}
