@@ -11,6 +11,10 @@ REASONS: dict[str, tuple[str, str]] = {
     "damaged": ("what comes cannot be read", "check the camera's codec; watch the stream with another program"),
     "stopped": ("a stream that ran brings nothing", "check cable and power; it is opened again automatically"),
     "ended": ("the stream ended", "check the camera; it is opened again automatically"),
+    "replay_ended": (
+        "the recording that is replayed has ended",
+        "start `midspan run` again to replay it anew, or use a longer one where the point gave no rows",
+    ),
     "process_ended": ("the camera's process ended", "it is started again automatically; see the log if it repeats"),
     "size_changed": ("frames have another size than before", "set the camera back, or calibrate again"),
     "silent": ("nothing has come for some seconds", "check the sensor, its cable and its sender"),
@@ -46,8 +50,8 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "opening": ("the point is being opened", "wait some seconds"),
     "clock": (
-        "a clock was set, or stepped, and by how much is looked for",
-        "wait for some motion; let NTP slew the clocks of sensors and machine",
+        "the accelerometer's clock was set, and its stamps are left out until they go on",
+        "wait some seconds; let NTP slew the clocks of sensors and machine",
     ),
     "no_rows": ("the point gives no rows though its sources bring records", "see its events"),
     "paused": ("the source is left out on purpose", "resume it once it is there again"),
