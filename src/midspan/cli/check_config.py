@@ -125,7 +125,7 @@ def _site(file: str, console: Console) -> None:
 
 def _sensors(plan: "PointPlan") -> dict[str, Any]:
     """The keys that are given of a point's sensors besides their sources."""
-    from midspan.settings.keys import FILE_KEYS
+    from midspan.settings.site import FILE_KEYS
 
     return {
         name: section.model_dump(mode="json", exclude_none=True, exclude_unset=True, exclude={"name", *FILE_KEYS})
