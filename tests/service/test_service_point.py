@@ -130,6 +130,20 @@ def test_a_point_whose_settings_have_changed_is_opened_anew(tmp_path, more, phas
     assert later.opened is not None
 
 
+def test_a_late_clock_is_corrected_where_nothing_is_said_of_it(tmp_path):
+    """The displacement's stamps are 60 ms late: that is the calibration's offset, and what the engine goes on with."""
+    point = live_point(tmp_path)
+    for one in records(0, 40):
+        late_ns = 60_000_000 * (one.stream == "displacement")
+        point.push(Arrival(one.stream, 0, Readings(one.record.time_ns + late_ns, one.record.value)))
+        if point.job is not None:
+            break
+    offset = midspan.calibrate(point.job.folder).displacement.offset
+    std_s = offset.variance**0.5
+    assert 0.0 < std_s < 5e-3
+    assert abs(offset.value_s + 0.060) < 4.0 * std_s
+
+
 def test_the_engine_says_where_a_sensors_clock_is(tmp_path):
     """As calibrated, and as it has been followed since: the displacement's stamps are 50 ms early, later on 54 ms."""
     point = live_point(tmp_path, more="estimate_offset = true")

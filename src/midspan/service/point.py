@@ -135,11 +135,6 @@ class LivePoint:
         return RowHealth() if self.opened is None else self.opened.journal.health
 
     @property
-    def seeks_clock(self) -> bool:
-        """Whether a clock may have stepped, and by how much is looked for."""
-        return self.opened is not None and self.opened.point.estimator.seeks_clock
-
-    @property
     def disordered(self) -> int:
         """How many readings of the accelerometer were left out since their stamps were wrong."""
         return 0 if self.opened is None else self.opened.point.merge.memory(ACCELEROMETER).disordered
