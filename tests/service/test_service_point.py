@@ -192,14 +192,6 @@ def test_what_a_calibration_warns_of_is_an_event_and_stands_with_the_point(tmp_p
     assert [one["severity"] for one in live.state(0.0, live.standing(0.0))["warnings"]] == ["serious", "warning"]
 
 
-def test_that_a_clock_may_have_stepped_is_an_event_each_time(tmp_path, monkeypatch):
-    point, told = live_point(tmp_path), []
-    for seeks in (False, True, True, False, True):
-        monkeypatch.setattr(LivePoint, "seeks_clock", seeks)
-        told.append([event.kind for _, event in point.batch().events])
-    assert told == [[], ["clock_sought"], [], [], ["clock_sought"]]
-
-
 def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_path):
     point = live_point(tmp_path, "manual")
     _, at_s = running(point)

@@ -19,7 +19,6 @@ from midspan.service.cutting import wider
 from midspan.service.feeding import Absence, Feeding, Waiting
 from midspan.service.journal import Journal, RowHealth, carried
 from midspan.service.opening import Opened, checkpoint
-from midspan.service.reasons import sentence
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
@@ -106,8 +105,6 @@ class LivePoint:
     _events: list[Event] = field(default_factory=list)
     _kept_ns: int = 0
     _again_ns: int = 0
-    # Whether it was an event that a clock may have stepped.
-    _sought: bool = False
     # The calibration whose scale was estimated to be off.
     _doubted: int = 0
 
@@ -357,9 +354,6 @@ class LivePoint:
 
     def batch(self, *, last: bool = False) -> Batch:
         """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""
-        if self.seeks_clock and not self._sought:
-            self._tell("clock_sought", f"{self.name}: {sentence('clock')}")
-        self._sought = self.seeks_clock
         batches, self._last = [self._journal.batch(), *self._last], []
         kept: dict[str, tuple[int, Sequence[bytes]]] = {}
         if self.opened is not None:
