@@ -162,16 +162,31 @@ class TargetTracking:
         row = self._columns.row(number)
         return translation_of((*row[:7], row[7:9], *row[9:]), self._events.get(number, ()))
 
-    def warnings(self, axes: str) -> list[Notice]:
-        """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy"."""
+    def warnings(self, axes: str, *, compressed: bool = False) -> list[Notice]:
+        """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy".
+
+        compressed: whether a codec may have left out what hardly changes.
+        """
         found, chain = list[Notice](), self.chain
         if chain.frozen_frames:
-            text = f"{chain.frozen_frames} frames repeat the picture before them, or a part of it; they were not used. "
-            text += "Check the camera and its recorder; a converted or slow-motion film repeats frames, too."
-            found.append(Notice("frozen", f"camera: {text}"))
+            found.append(Notice("frozen", f"camera: {_repeated(chain.frozen_frames, len(self._columns), compressed)}"))
         if (picture := chain.picture) is not None:
             found += picture_warnings(picture, axes)
         return found if (light := chain.light) is None else found + light_warnings(light)
+
+
+def _repeated(count: int, frames: int, compressed: bool) -> str:
+    """What frames are that show the target as the one before does, to the last bit."""
+    if compressed:
+        return (
+            f"{count} of {frames} frames show the target exactly as the frame before, and were not used: compression "
+            "left out what hardly changed, as it does where nothing moves; or the film was converted or is in slow "
+            "motion and repeats frames."
+        )
+    return (
+        f"{count} frames repeat the picture before them, or a part of it; they were not used. Check the camera and its "
+        "recorder; a converted or slow-motion film repeats frames, too."
+    )
 
 
 def light_warnings(light: LightReport) -> list[Notice]:
@@ -334,7 +349,7 @@ class CameraTracking:
         found += [Notice("file-damaged", f"camera: {line}.") for line in info.damage]
         found += [one.worded(f"camera: {one}.") for one in info.notices]
         for target in self.targets:
-            own = target.warnings(axes or self.settings.direction)
+            own = target.warnings(axes or self.settings.direction, compressed=info.lossless is False)
             if self.settings.lens is not None:
                 own += lens_warnings(target.region, self.settings.lens)
             # Compression is one cause in all targets.
