@@ -201,7 +201,7 @@ class _Trial:
         self.near = self.near or any(np.isfinite(one.std_m) for one in judged.values())
         if self.near:
             return judged
-        # What stands still contradicts nothing, at any offset.
+        # What is static contradicts nothing, at any offset.
         again = {region: self.judge(tracks[region], True) for region, one in judged.items() if one.contradicts}
         return judged | again
 
