@@ -137,11 +137,11 @@ UNDECIDED = Agreement(np.inf, False, "Too little motion to calibrate the scale f
 
 @pytest.mark.parametrize(("error", "contradicts"), [(NoAgreementError, True), (UntrustedError, False)])
 def test_a_place_contradicts_by_the_kind_of_the_refusal_whatever_its_words(error, contradicts, monkeypatch):
-    def refused(*_):
+    def refused(*_, **__):
         raise error("Any words")
 
     monkeypatch.setattr("midspan.calibration.camera.view.camera_pair", refused)
-    found = judged_by(SimpleNamespace(exposure_s=None), None)
+    found = judged_by(SimpleNamespace(exposure_s=None, clocks_open=True), None)
     assert (found.contradicts, found.std_m) == (contradicts, np.inf)
 
 
