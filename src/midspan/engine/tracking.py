@@ -180,7 +180,8 @@ def _repeated(count: int, frames: int, compressed: bool) -> str:
     if compressed:
         return (
             f"{count} of {frames} frames repeat the target of the previous frame exactly and were not used: "
-            "compression drops small changes, as where nothing moves; converted and slow-motion videos also repeat frames."
+            "compression drops small changes, as where nothing moves; "
+            "converted and slow-motion videos also repeat frames."
         )
     return (
         f"{count} frames repeat the previous image or part of it and were not used. Check camera and recorder; "
