@@ -5,8 +5,9 @@ BIN    := $(VENV)/bin
 # What running midspan needs, and besides it what its checks need.
 STAMP  := $(VENV)/.ready
 DEV    := $(VENV)/.ready-for-tests
-# Two processes of tests share the cores: no threads of the libraries besides.
-ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# Two processes of tests share the cores: no threads of the libraries besides. What is compiled is kept, whatever the
+# environment says: the tests start the command some hundred times.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=
 CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
 # The page as the server sends it.
 PAGE   := src/midspan/serve/page/index.html

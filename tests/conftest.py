@@ -55,6 +55,17 @@ def patterns_estimated_once():
         yield
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """A report's pictures stay empty, where a test reads its words: drawing takes nearly all of the time of one."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    from midspan.report import drawing
+
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda _self, _figure: None)
+    monkeypatch.setattr(drawing, "_drawing", lambda _figure: "<svg></svg>")
+
+
 @pytest.fixture(scope="session")
 def postgres():
     """A PostgreSQL server on loopback, with a folder and a port of its own."""

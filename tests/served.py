@@ -1,8 +1,9 @@
 """A store with ten minutes of rows, an engine that says what a test lets it, and the server's own process on both."""
 
 import asyncio
+import contextlib
+import io
 import json
-import os
 import signal
 import subprocess
 import threading
@@ -10,8 +11,10 @@ import time
 
 import httpx
 import numpy as np
+import pytest
 from benchmarks.live.servers import command, free_port, wait_for
 
+from midspan.cli.main import run
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.live_socket import LiveSocket, row_bytes
@@ -161,11 +164,12 @@ def state(**changes):
 
 def logged_in(folder, name, scope, state=None, kind="token"):
     """A token of a store, or with kind "user" a password."""
-    done = subprocess.run(
-        command("access", folder, f"add-{kind}", name, "--scope", scope, "--json"),
-        capture_output=True, text=True, check=True, timeout=120, env={**os.environ, **(state or {})},
-    )  # fmt: skip
-    return json.loads(done.stdout)["token" if kind == "token" else "password"]
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        for key, value in (state or {}).items():
+            patch.setenv(key, value)
+        assert run(["access", str(folder), f"add-{kind}", name, "--scope", scope, "--json"]) == 0
+    return json.loads(said.getvalue())["token" if kind == "token" else "password"]
 
 
 class Served:

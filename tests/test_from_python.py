@@ -17,6 +17,7 @@ def known(footbridge: Path) -> tuple[midspan.Calibration, midspan.Result]:
     return calibration, midspan.estimate(footbridge, calibration)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_section_of_the_contract_runs_on_paths(
     footbridge: Path, known: tuple[midspan.Calibration, midspan.Result], tmp_path: Path
 ) -> None:

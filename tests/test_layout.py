@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,15 @@ UNFINISHED = re.compile(r"\b(TODO|FIXME|XXX|HACK|WIP)\b")
 NAMES_WITHOUT_A_ROLE = {"utils", "util", "helpers", "helper", "common", "core", "misc", "tools"}
 
 
+@cache
+def parsed(file):
+    """A file's syntax tree."""
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 def functions(file):
     """Name and number of lines of each function of a file, its decorators left out."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+    tree = parsed(file)
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
     return [
         (f"{file.relative_to(SOURCE)}:{node.name}", node.end_lineno - node.lineno + 1)
@@ -26,16 +33,19 @@ def functions(file):
     ]
 
 
-LENGTHS = dict(item for file in FILES for item in functions(file))
+@pytest.fixture(scope="module")
+def lengths():
+    """The number of lines of each function."""
+    return dict(item for file in FILES for item in functions(file))
 
 
-def test_no_function_is_longer_than_sixty_lines():
-    assert {name: length for name, length in LENGTHS.items() if length > 60} == {}
+def test_no_function_is_longer_than_sixty_lines(lengths):
+    assert {name: length for name, length in lengths.items() if length > 60} == {}
 
 
-def test_nearly_all_functions_have_at_most_thirty_lines():
-    longer = {name: length for name, length in LENGTHS.items() if length > 30}
-    assert len(longer) <= 0.05 * len(LENGTHS), longer
+def test_nearly_all_functions_have_at_most_thirty_lines(lengths):
+    longer = {name: length for name, length in lengths.items() if length > 30}
+    assert len(longer) <= 0.05 * len(lengths), longer
 
 
 def test_most_files_have_at_most_four_hundred_lines():
@@ -55,7 +65,7 @@ def test_every_file_says_what_it_is_and_nothing_is_left_unfinished(file):
     text = file.read_text(encoding="utf-8")
     assert UNFINISHED.search(text) is None
     if file.name != "_version.py":
-        assert ast.get_docstring(ast.parse(text))
+        assert ast.get_docstring(parsed(file))
 
 
 def test_every_room_and_file_is_named_after_its_role():
@@ -86,11 +96,18 @@ ROOT = Path(__file__).parents[1]
 TEXTS = [*FILES, *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("docs/**/*.md"), ROOT / "README.md"]
 
 
+@pytest.fixture(scope="module")
+def texts():
+    """What is written, by its file."""
+    return {file: file.read_text() for file in TEXTS}
+
+
 @pytest.mark.parametrize("word", BANNED)
-def test_the_words_are_those_of_the_field(word):
+def test_the_words_are_those_of_the_field(word, texts):
     banned = re.compile(rf"(?<!np\.)\b({word})\b|(?<![a-z])({word})(?=_)|(?<=_)({word})(?![a-z])")
-    lines = [(file, number, line) for file in TEXTS for number, line in enumerate(file.read_text().splitlines(), 1)]
-    where = [
-        f"{file.relative_to(ROOT)}:{number}: {line.strip()}" for file, number, line in lines if banned.search(line)
-    ]
+    where = []
+    for file, text in texts.items():
+        for found in banned.finditer(text):
+            number, line = text.count("\n", 0, found.start()) + 1, text[: found.end()].rpartition("\n")[2]
+            where.append(f"{file.relative_to(ROOT)}:{number}: {line.strip()}")
     assert where == [], f"write {BANNED[word]}"

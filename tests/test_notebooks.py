@@ -6,6 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from brief import shorten
+from repeats import slow
+
+# The natural frequencies of the footbridge show in half a minute.
+BRIEF_S = 30.0
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples").glob("*.ipynb"))
 
 
@@ -37,10 +42,13 @@ def test_a_notebook_is_kept_without_outputs(path: Path) -> None:
             assert cell["execution_count"] is None
 
 
+@pytest.mark.parametrize("brief", [True, *slow(False)])
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_cell_runs_and_what_it_shows_has_a_form_for_notebooks(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    path: Path, brief: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if brief:
+        shorten(monkeypatch, BRIEF_S)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     names: dict[str, object] = {"__name__": "__main__"}

@@ -41,6 +41,7 @@ def test_a_full_disk_is_one_error_that_names_the_file_and_the_old_one_stays(resu
     assert contents(tmp_path) == {path.name: b"old"}
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["report.html", "calibration.json"])
 def test_a_full_disk_stops_report_and_calibration_likewise(result, name, tmp_path):
     path = tmp_path / name

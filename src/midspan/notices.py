@@ -16,8 +16,8 @@ class Severity(StrEnum):
 # The codes by their severity; docs/troubleshooting.md says what each means and what to do.
 _CODES = {
     Severity.NOTE: (
-        "clock-corrected", "exposure", "film-turned", "frames-skipped", "frames-untimed", "method-rates",
-        "slow-error", "stamps-corrected", "tilt", "window-moved",
+        "clock-corrected", "exposure", "film-turned", "frames-skipped", "frames-untimed",
+        "gain-estimated", "method-rates", "slow-error-included", "stamps-corrected", "tilt", "window-moved",
     ),
     Severity.WARNING: (
         "acceleration-wrong", "accelerometer-line", "accelerometer-noisy", "accelerometer-resonates",
@@ -25,7 +25,7 @@ _CODES = {
         "gain-corrected", "gain-drifts", "lens", "light-changed", "literal", "logger-low-pass", "lost", "misfit",
         "motion-not-shared", "outliers", "part-left-out", "picture-zooms", "play", "radar-data",
         "radar-target", "radar-zero", "region-exposure", "region-texture", "samples-bridged",
-        "scale-uncertain", "slow-motion", "thermal", "uncoded", "video-compressed", "zero-shifted",
+        "scale-uncertain", "slow-error", "slow-motion", "thermal", "uncoded", "video-compressed", "zero-shifted",
         "zero-uncertain",
     ),
     Severity.SERIOUS: (
@@ -60,9 +60,12 @@ class Notice(str):
 
     @property
     def about(self) -> str:
-        """The sensor or target that the sentence begins with, as in `camera: …`; empty without one."""
+        """The sensor or target that the sentence begins with, as in `camera: …`; empty without one.
+
+        Of a key, as in `calibration.literal: …`, it is the section.
+        """
         name, colon, _ = self.partition(": ")
-        return name if colon else ""
+        return name.removesuffix(".literal") if colon else ""
 
     def worded(self, text: str) -> "Notice":
         """Other words of the same code."""

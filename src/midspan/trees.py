@@ -14,6 +14,8 @@ MAX_LEVELS = 64
 MAX_BYTES = 64 << 20
 # Whole numbers of 64 bits, as TOML has them.
 MAX_WHOLE = 2**63
+# A number with a decimal comma behind a key.
+_DECIMAL_COMMA = re.compile(r"=\s*([+-]?\d+),(\d+)\s*(?:#|$)")
 _WIDE = {
     b"\xff\xfe\x00\x00": "UTF-32",
     b"\x00\x00\xfe\xff": "UTF-32",
@@ -55,7 +57,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         place, remedy = re.search(r"at line (\d+)", str(error)), "Text values need quotes"
-        if place and "\\" in text.splitlines()[int(place[1]) - 1]:
+        line = text.splitlines()[int(place[1]) - 1] if place else ""
+        if number := _DECIMAL_COMMA.search(line):
+            remedy = f"The decimal sign is a point: {number[1]}.{number[2]}"
+        elif "\\" in line:
             remedy = "Between double quotes a backslash begins a code: write / in Windows paths, or put them in single "
             remedy += "quotes"
         raise TreeError(f"is not valid TOML: {error}. {remedy}") from None

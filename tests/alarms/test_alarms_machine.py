@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.alarms.machine import RuleState, acknowledged, advance, message_due
+from midspan.alarms.messages import sentence_of
 from midspan.alarms.rules import Samples, rules_of, sample
 from midspan.records import NANOSECONDS
 from midspan.settings.alarms import AlarmSettings
@@ -33,6 +34,10 @@ def held(mm, seconds):
 
 def at_s(alarm):
     return (alarm.time_ns - T0) / NANOSECONDS
+
+
+def since_s(alarm):
+    return (alarm.since_ns - T0) / NANOSECONDS
 
 
 def test_it_fires_after_its_delay_and_ends_below_the_hysteresis_for_as_long_as_it_keeps_firing():
@@ -80,6 +85,26 @@ def test_only_the_band_touches_the_limit():
     assert (change.state, change.reason) == ("firing", "limit")
     # A camera that is covered: the band grows, and what was certain does not end by that.
     assert advance(own, state, rows(held(22.1, 60), 50.0, begin_s=71.0)) == []
+
+
+def test_it_fires_since_its_value_is_above_the_limit_and_not_since_its_band_is():
+    own, state = rule(delay_s=2.0), RuleState()
+    # The band touches the limit for a minute, in which the value is above it for a second.
+    changes = advance(own, state, rows(np.r_[held(19, 30), held(25, 1), held(19, 30)], 1.0))
+    assert [(one.state, one.reason) for one in changes] == [("pending", "band"), ("pending", "limit")]
+    assert [since_s(one) for one in changes] == pytest.approx([0.0, 30.0])
+    assert sentence_of(state.alarm).endswith(
+        "was exceeded by the whole band at 2026-09-21T14:13:50.000Z, for too short a time to fire."
+    )
+    # Above it for good, but for an instant below.
+    (fires,) = advance(own, state, rows(np.r_[held(25, 1), held(-19, 0.1), held(-26, 5)], 1.0, begin_s=61.0))
+    assert (fires.state, since_s(fires)) == ("firing", pytest.approx(62.1))
+    advance(own, state, rows(np.r_[held(-31, 1), held(18, 0.1)], 5.0, begin_s=67.1))
+    said = sentence_of(state.alarm)
+    assert said.startswith("p: displacement 18 mm ± 9.8 mm, limit 20 mm: exceeded by the whole band, since ")
+    assert said.endswith("2026-09-21T14:14:22.100Z. Peak -31 mm.")
+    (ends,) = advance(own, state, rows(held(0, 2), begin_s=70.0))
+    assert (ends.state, since_s(ends)) == ("ended", pytest.approx(62.1))
 
 
 def test_after_a_gap_a_delay_begins_anew_and_what_fires_goes_on():

@@ -1,5 +1,6 @@
 """Scale factor and clock offset: right, honestly uncertain, unshrunk by noise, alias-exact, and refused where due."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from calibration_cases import OFFSET, SCALE, beam_in_pixels, broadband, observed, spoilt, tones
 
 from midspan.calibration.fit import Pair
-from midspan.calibration.scale import calibrate_scale, uncertain_scale
+from midspan.calibration.scale import calibrate_scale, of_no_camera, too_vague, uncertain_scale
 from midspan.calibration.time_offset import search_offset
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.simulate.motion.motion import Pulse, Sum, Window, random_motion
@@ -25,7 +26,6 @@ def deviations(results, scale=SCALE, offset=OFFSET):
 @pytest.mark.parametrize(
     ("kind", "rate_hz", "noise_px", "draws"),
     [
-        ("tone", 29.97, 0.1, 20),
         ("broadband", 10.0, 0.02, 20),
         *slow(("tone", 29.97, 0.1, 40), ("broadband", 10.0, 0.02, 40), ("broadband", 29.97, 0.02, 40)),
     ],
@@ -60,18 +60,21 @@ def naive_scale(pair):
 
 def test_pixel_noise_does_not_shrink_the_scale_as_least_squares_on_pixels_does():
     # 1 Hz of 3 mm rms, 0.5 px of noise at 29.97 Hz: in the band 0.5 to 5 Hz the noise is 4 % of the power.
-    pairs = [observed(tones(s, (4.2e-3, 1.0)), 700 + s, rate_hz=29.97, noise_px=0.5) for s in range(20)]
+    pairs = [observed(tones(s, (4.2e-3, 1.0)), 700 + s, rate_hz=29.97, noise_px=0.5) for s in range(12)]
     results = [calibrate_scale(pair, 0.15) for pair in pairs]
     naive = np.array([naive_scale(pair) for pair in pairs]) / SCALE - 1.0
     ours = np.array([r.scale.value_m_per_px for r in results]) / SCALE - 1.0
     std = np.mean([np.sqrt(r.scale.variance) for r in results]) / SCALE
     assert np.mean(naive) < -0.02
+    # The mean of twelve is known to 0.29 of their deviation, which is far below what the noise would take.
     assert abs(np.mean(ours)) < 0.6 * std
     assert std < 0.015
 
 
-@pytest.mark.parametrize("offset_s", [-0.2, 0.0, 0.2])
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize(
+    ("seed", "offset_s"),
+    [(21, -0.2), (22, 0.0), (23, 0.2), *slow((21, 0.0), (21, 0.2), (22, -0.2), (22, 0.2), (23, -0.2), (23, 0.0))],
+)
 def test_beam_gives_scale_within_three_per_mille_and_offset_within_a_millisecond(seed, offset_s):
     found = calibrate_scale(beam_in_pixels(seed, offset_s), 0.5)
     assert found.scale.value_m_per_px == pytest.approx(-SCALE, rel=3e-3)
@@ -90,8 +93,9 @@ def test_the_sign_of_the_scale_is_found(sign):
     assert other.scale.value_m_per_px == pytest.approx(-found.scale.value_m_per_px, rel=1e-9)
 
 
-@pytest.mark.parametrize("frequency", [2.2, 3.3, 5.1])
-@pytest.mark.parametrize("seed", [41, 42])
+@pytest.mark.parametrize(
+    ("frequency", "seed"), [(2.2, 41), (3.3, 42), (5.1, 41), *slow((2.2, 42), (3.3, 41), (5.1, 42))]
+)
 def test_a_camera_of_three_hertz_that_aliases_the_motion_is_calibrated(frequency, seed):
     # 3.3 Hz looks like 0.3 Hz and the lag like eleven times itself, so a resampling method fails by 100 ms.
     found = calibrate_scale(observed(tones(seed, (8e-3, 0.1), (3e-3, frequency)), seed, rate_hz=3.0), 0.08)
@@ -123,14 +127,14 @@ def test_mistracked_frames_move_scale_and_offset_by_less_than_their_deviation(ra
     assert np.count_nonzero(left_out & ~bad) <= 0.01 * len(bad)
 
 
-def test_a_vehicle_in_a_quiet_minute_is_no_outlier():
-    for seed in range(3):
-        shaking = random_motion((2.0, 6.0), 5e-4, rng=np.random.default_rng(seed))
-        motion = Window(Sum((Pulse(3e-3, 30.0, 1.0), shaking)), 28.0, 32.0, ramp_s=1.0)
-        found = calibrate_scale(observed(motion, seed), 0.5)
-        passing = np.abs(found.search.pair.rows[:, 0] - 30.0) < 2.0
-        assert np.mean(np.isfinite(found.search.pair.rows[passing, 2])) > 0.75
-        assert abs(found.scale.value_m_per_px - SCALE) < 3.0 * np.sqrt(found.scale.variance)
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
+def test_a_vehicle_in_a_quiet_minute_is_no_outlier(seed):
+    shaking = random_motion((2.0, 6.0), 5e-4, rng=np.random.default_rng(seed))
+    motion = Window(Sum((Pulse(3e-3, 30.0, 1.0), shaking)), 28.0, 32.0, ramp_s=1.0)
+    found = calibrate_scale(observed(motion, seed), 0.5)
+    passing = np.abs(found.search.pair.rows[:, 0] - 30.0) < 2.0
+    assert np.mean(np.isfinite(found.search.pair.rows[passing, 2])) > 0.75
+    assert abs(found.scale.value_m_per_px - SCALE) < 3.0 * np.sqrt(found.scale.variance)
 
 
 def refusal(pair, max_offset_s=0.5):
@@ -166,6 +170,20 @@ def test_signals_of_different_events_do_not_agree(seed):
     assert "calibration.max_offset_s" in text
 
 
+def test_different_events_of_a_noisy_film_are_no_little_motion():
+    pair, other = observed(broadband(0), 0, noise_px=0.3), observed(broadband(100), 100)
+    text = refusal(replace(pair, samples=other.samples))
+    assert "both move, but too differently" in text
+    assert "both files are of the same event" in text
+    assert "calibration.window_s with traffic" in text
+
+
+def test_a_scale_factor_of_no_camera_is_no_figure():
+    assert too_vague(4e-3, 0.47).startswith("4 mm/px ± 47 %")
+    assert too_vague(-42.0, 0.47).startswith("an uncertainty of ± 47 %; at most ± 5 %")
+    assert "more than 500 mm/px" in of_no_camera(-42.0)
+
+
 def test_an_offset_outside_the_search_is_refused_not_misjudged():
     for offset_s in (0.4, -4.0):
         text = refusal(observed(broadband(3), 3, offset_s=offset_s), 0.1)
@@ -199,21 +217,23 @@ def test_a_tone_whose_alias_falls_into_the_slow_band_is_refused_with_that_reason
     assert found.scale.value_m_per_px == pytest.approx(SCALE, rel=0.012)
 
 
-def test_a_slow_tone_beside_an_alias_in_the_slow_band_is_calibrated_by_itself():
+@pytest.mark.parametrize("draws", [12, *slow(24)])
+def test_a_slow_tone_beside_an_alias_in_the_slow_band_is_calibrated_by_itself(draws):
     # 8 mm at 0.1 Hz tell the scale to 1 %, the offset to 18 ms; the tone that is static may not spoil either.
     results = [
-        calibrate_scale(observed(tones(s, (8e-3, 0.1), (3e-3, 3.01)), 100 + s, rate_hz=3.0), 0.08) for s in range(24)
+        calibrate_scale(observed(tones(s, (8e-3, 0.1), (3e-3, 3.01)), 100 + s, rate_hz=3.0), 0.08) for s in range(draws)
     ]
     for z in deviations(results):
-        # 24 draws: the rms of z is known to ± 14 %.
+        # 24 draws: the rms of z is known to ± 14 %; 12 draws: to ± 20 %.
         assert 0.65 < np.sqrt(np.mean(z**2)) < 1.35
 
 
-def test_an_alias_upon_a_slower_tone_is_refused_or_right():
+@pytest.mark.parametrize("draws", [12, *slow(24)])
+def test_an_alias_upon_a_slower_tone_is_refused_or_right(draws):
     # 3.1 Hz shows as 0.1 Hz, where there is a true motion: amplitude and phase of the sum fit two scales.
     # Without `fit.shrinking` the smaller ratio won, four of its standard deviations off.
     results, refused = [], []
-    for s in range(24):
+    for s in range(draws):
         try:
             pair = observed(tones(s, (8e-3, 0.1), (3e-3, 3.1)), 100 + s, rate_hz=3.0)
             results.append(calibrate_scale(pair, 0.08))
@@ -221,7 +241,8 @@ def test_an_alias_upon_a_slower_tone_is_refused_or_right():
             refused.append(str(error))
     # Where the two solutions meet there is one broad summit, whose width is the reason.
     assert all("ambiguous" in text or "at most ± 5 %" in text for text in refused)
-    assert 5 < len(results) < 19
+    # About a half of them, ± 14 % of 12 draws.
+    assert 5 / 24 < len(results) / draws < 19 / 24
     for z in deviations(results):
         assert np.sqrt(np.mean(z**2)) < 1.6
         assert np.max(np.abs(z)) < 4.0
@@ -279,7 +300,7 @@ def test_lost_frames_in_the_window_are_found_and_taken_out():
     assert "jumps in the calibration window: the calibration adds +300 ms" in found.warnings[0]
 
 
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", [5, *slow(6)])
 def test_two_places_with_lost_frames_are_found_and_taken_out(seed):
     pair = observed(broadband(seed), seed)
     rows = np.delete(pair.rows, [190, 191, 192, 400, 401], axis=0)
@@ -288,7 +309,7 @@ def test_two_places_with_lost_frames_are_found_and_taken_out(seed):
     assert abs(found.scale.value_m_per_px - SCALE) < 4.0 * np.sqrt(found.scale.variance)
     assert np.sqrt(found.scale.variance) < 0.002 * SCALE
     assert abs(found.search.offset.value_s - OFFSET) < 2e-3
-    assert [text.split(" ms ")[0].split(": ")[1] for text in found.warnings[:2]] == ["+300", "+200"]
+    assert [re.search(r"adds ([+]\d+) ms", text)[1] for text in found.warnings[:2]] == ["+300", "+200"]
 
 
 @pytest.mark.parametrize("step_m", [1.0, 1e-2])

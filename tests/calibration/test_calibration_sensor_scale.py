@@ -53,7 +53,7 @@ def test_the_deviation_is_that_of_a_regression_on_the_true_motion():
     # 2 mm of noise on 590 readings of a motion of 3 mm rms far above the accelerometer's noise: a regression on the
     # motion itself would tell the scale to 2 / (3 · √590) = 2.7 %; the corner between the two noises costs a little.
     found = [calibrate_sensor_scale(read(tones(s, (4.24e-3, 1.0)), s, noise_m=2e-3), 0.0, one_clock=True)
-             for s in range(8)]  # fmt: skip
+             for s in range(4)]  # fmt: skip
     assert np.mean([f.factor_std / f.factor for f in found]) == pytest.approx(0.027, rel=0.15)
 
 
@@ -64,6 +64,7 @@ def test_one_hertz_that_aliases_a_tone_tells_the_scale_with_its_sign():
             read(tones(s, (5e-3, 0.8)), 40 + s, factor=-25.4, noise_m=3e-4, rate_hz=1.0), 0.3, one_clock=True), -25.4)
         for s in range(24)
     ]  # fmt: skip
+    # The rms of 24 is known to ± 14 %.
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
@@ -103,9 +104,11 @@ def test_clocks_that_differ_are_named_where_one_clock_was_meant():
         calibrate_sensor_scale(read(broadband(2), 2, offset_s=0.2), 0.5, one_clock=True)
 
 
-@pytest.mark.parametrize("one_clock", [False, True])
-def test_outliers_and_gaps_move_the_scale_by_less_than_its_deviation(one_clock):
-    for seed in range(4):
+@pytest.mark.parametrize(
+    ("one_clock", "seeds"), [(False, (0,)), (True, (1,)), *slow((False, range(4)), (True, range(4)))]
+)
+def test_outliers_and_gaps_move_the_scale_by_less_than_its_deviation(one_clock, seeds):
+    for seed in seeds:
         clean = read(broadband(seed), seed, factor=25.4)
         rows = clean.rows * [1.0, 1e3 * 25.4, 1.0]
         dirty, bad = spoilt(replace(clean, rows=rows), seed)

@@ -63,6 +63,7 @@ def test_compare_refuses_an_axis_of_a_result_with_one(footbridge, tmp_path, caps
     assert "one axis only" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_calibrate_lists_every_target_and_the_report_has_their_table(targets, tmp_path, capsys):
     assert run(["calibrate", str(targets), "-o", str(tmp_path / "calibration.json")]) == 0
     said = capsys.readouterr().out

@@ -80,12 +80,23 @@ def falling_times(folder):
     set_keys(folder, "camera", times="t.csv")
 
 
+# The calibration of the good recording, as `midspan calibrate` writes it, made once for all cases.
+GOOD: list[str] = []
+
+
+def good_calibration(folder):
+    """Its text; folder: a copy of the good recording."""
+    if not GOOD:
+        assert run(["calibrate", str(folder), "-o", str(folder / "cal.json"), "--quiet"]) == 0
+        GOOD.append((folder / "cal.json").read_text(encoding="utf-8"))
+    return GOOD[0]
+
+
 def calibration(**camera):
     """A damaged calibration file: the good one with some values of its camera changed."""
 
     def changed(folder):
-        assert run(["calibrate", str(folder), "-o", str(folder / "cal.json"), "--quiet"]) == 0
-        tree = json.loads((folder / "cal.json").read_text(encoding="utf-8"))
+        tree = json.loads(good_calibration(folder))
         tree["camera"] = {key: value for key, value in {**tree["camera"], **camera}.items() if value is not ...}
         (folder / "cal.json").write_text(json.dumps(tree), encoding="utf-8")
 
@@ -272,7 +283,8 @@ OVER_OWN_FILES = {
 
 @pytest.mark.parametrize("name", list(OVER_OWN_FILES))
 def test_no_command_writes_over_the_recordings_own_files(name, footbridge_copy, monkeypatch, capsys):
-    assert run(["calibrate", str(footbridge_copy), "--quiet"]) == 0
+    (footbridge_copy / "calibration.json").write_text(good_calibration(footbridge_copy), encoding="utf-8")
+    (footbridge_copy / "cal.json").unlink(missing_ok=True)
     monkeypatch.chdir(footbridge_copy)
     before = contents(footbridge_copy)
     assert run(OVER_OWN_FILES[name]) == 2

@@ -216,6 +216,19 @@ def test_compare_prints_the_figures_of_the_error(footbridge, done, capsys):
     assert abs(figures["lag_s"]) < 1e-3
 
 
+def test_compare_says_first_that_the_zero_alone_differs(done, tmp_path, capsys):
+    with (done / "result.csv").open(encoding="utf-8") as lines:
+        rows = [line.split(",")[:2] for line in lines if line[0].isdigit()]
+    moved = "".join(f"{time},{float(value) + 12.5}\n" for time, value in rows)
+    (tmp_path / "moved.csv").write_text("time_s,displacement_mm\n" + moved)
+    assert run(["compare", str(done / "result.csv"), str(tmp_path / "moved.csv"), "--unit", "mm"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (said,) = (line for line in lines if "of it the zero" in line)
+    assert "-12.5 mm; without it RMSE " in said
+    assert "100.0 % inside" in said
+    assert lines.index(said) < 5
+
+
 def test_compare_takes_the_unit_of_a_reference_that_does_not_say_it(footbridge, done, tmp_path, capsys):
     known = read_columns(footbridge / "truth.csv")
     table = np.column_stack((known[:, 0], known[:, 1] / 10.0))
@@ -238,6 +251,7 @@ def test_the_default_output_is_in_the_recording(footbridge_copy):
     assert (footbridge_copy / "result.json").is_file()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_is_one_file_that_needs_no_other(footbridge, done, tmp_path):
     pytest.importorskip("midspan.report.report")
     target = tmp_path / "bericht ü.html"

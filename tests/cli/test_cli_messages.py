@@ -44,6 +44,27 @@ def test_the_name_of_a_family_of_trackers_leads_to_the_tracker(
     assert "Did you mean 'registration'?" in reported
 
 
+def test_a_decimal_comma_in_toml_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path, '[camera]\nfile = "c.mkv"\nexposure_s = 0,004  # of the phone\n')
+    reported = refused(["check-config", folder], capsys)
+    assert "at line 3" in reported
+    assert "The decimal sign is a point: 0.004." in reported
+
+
+def test_a_region_beyond_the_picture_is_no_valid_setting(
+    footbridge_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = footbridge_copy / "recording.toml"
+    text = re.sub(r"roi = \[[^]]*\]\n", "", file.read_text())
+    file.write_text(text.replace("[camera]", "[camera]\nroi = [1800, 8, 64, 64]"))
+    reported = refused(["check-config", str(footbridge_copy)], capsys)
+    assert "camera.roi: must lie inside the image" in reported
+    assert "received [1800, 8, 64, 64]" in reported
+    # What cannot be looked at is not judged.
+    (footbridge_copy / "camera.mkv").unlink()
+    assert run(["check-config", str(footbridge_copy)]) == 0
+
+
 def test_a_windows_path_between_double_quotes_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = written(tmp_path, '[accelerometer]\nfile = "C:\\Users\\me\\a.csv"\n')
     reported = refused(["check-config", folder], capsys)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import midspan
+from lively_recordings import Lively, write
 from midspan.cli.main import run
 from midspan.records import NANOSECONDS
 from midspan.service.stored_recording import ADVICE
@@ -165,3 +166,18 @@ def test_the_advice_that_is_replaced_is_what_messages_say():
     # Texts of several lines as one.
     joined = re.sub(r'"\s*\n\s*f?"', "", "\n".join(sources))
     assert [advice for advice in ADVICE if advice not in joined] == []
+
+
+def test_check_config_shows_the_keys_of_sensors_and_recordings_that_are_too_short(tmp_path, capsys):
+    write(tmp_path / "short", Lively(duration_s=8.0), "displacement")
+    (tmp_path / "SITE.toml").write_text(
+        'name = "s"\n[store]\npath = "store"\n[[point]]\nname = "p"\ncalibration_s = 10\n'
+        '[point.accelerometer]\nsource = "replay:short"\n'
+        '[point.displacement]\nsource = "replay:short"\nreceiver = "gnss"\nestimate_offset = false\n'
+    )
+    assert run(["check-config", str(tmp_path / "SITE.toml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    own = {"accelerometer": {}, "displacement": {"receiver": "gnss", "estimate_offset": False}}
+    assert found["settings"]["point"][0]["sensors"] == own
+    (warning,) = found["warnings"]
+    assert "replays 7.99 s; calibration_s = 10, the calibration itself and 5 s to open come before rows" in warning

@@ -94,6 +94,7 @@ def test_a_calibration_replaces_a_calibration_only(recording, tmp_path, capsys):
     assert "accelerometer" in json.loads((recording / "calibration.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_replaces_a_report_only(recording, tmp_path, capsys):
     page = tmp_path / "page.html"
     page.write_text("<p>mine</p>", encoding="utf-8")

@@ -97,3 +97,31 @@ def test_every_record_is_given_out_once_in_order_or_is_reported(seed):
         assert (health.late > 0) == ("late" in reported)
         assert (health.disordered > 0) == bool(reported & DISORDER)
         assert (lost > 0) == ("lost" in reported)
+
+
+def test_a_first_stream_that_is_back_with_what_it_had_kept_puts_no_others_ahead():
+    """Its sender stood still for half a minute and sends all at once: that is late, the others are right."""
+    merge, out, number = Merge(["accel", "level"], LATENESS_S, SILENT_S), [], {"accel": 0, "level": 0}
+
+    def block(name, tenth):
+        number[name] += 1
+        stamps = (np.arange(10) + 10 * tenth) * 10**7
+        return Arrival(name, number[name], Readings(stamps, np.zeros((10, 1))))
+
+    for tenth in range(420):
+        out += merge.push(Tick(tenth * 10**8))
+        out += merge.push(block("level", tenth))
+        if not 100 <= tenth < 400:
+            # What was kept comes within a second.
+            kept = range(30 * (tenth - 400) + 100, 30 * (tenth - 399) + 100) if 400 <= tenth < 410 else ()
+            for other in [*kept, tenth]:
+                out += merge.push(block("accel", other))
+    events = [one.record.kind for one in out if isinstance(one.record, Event)]
+    assert events.count("late") == 1
+    assert "ahead" not in events
+    given = np.concatenate([stamps_of(one.record) for one in out if one.stream == "level" and not is_event(one)])
+    np.testing.assert_array_equal(np.diff(given), 10**7)
+
+
+def is_event(arrival):
+    return isinstance(arrival.record, Event)

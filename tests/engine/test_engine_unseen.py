@@ -1,11 +1,13 @@
 """Events of a camera that gives no pictures, or none that tell anything."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from midspan.engine.sensors import Unseen
-from midspan.records import PixelTranslation, Status
+from midspan.engine.tracking import TargetTracking
+from midspan.records import PixelTranslation, Region, Status
 from midspan.vision.target import lost
 
 STEP_S = 0.1
@@ -88,3 +90,15 @@ def test_a_target_that_is_seen_is_enough():
         known, reported = known.after(both[0].time_ns, both, STEP_S, "camera")
         events += reported
     assert [event.kind for event in events] == ["lost"]
+
+
+def test_an_unchanged_region_of_a_compressed_film_is_not_called_a_repeated_frame():
+    chain = SimpleNamespace(
+        name="1", region=Region(0, 0, 64, 64), tracker=None, frozen_frames=15, picture=None, light=None
+    )
+    (compressed,) = TargetTracking(chain).warnings("y", compressed=True)
+    (plain,) = TargetTracking(chain).warnings("y")
+    assert "compression left out what hardly changed" in compressed
+    assert "repeat the picture" not in compressed
+    assert "15 frames repeat the picture" in plain
+    assert compressed.code == plain.code == "frozen"

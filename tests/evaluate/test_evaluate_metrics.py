@@ -171,6 +171,7 @@ def test_another_zero_and_another_clock_are_named_and_taken_off():
         "The reference has another zero",
         "The reference has another clock",
     ]
+    assert f"0.0 % inside ±1.96 σ; zero removed: RMSE {found.without_zero.rmse_mm:.4g} mm, " in repr(found)
     headline = compare(series(value), series(tones(t) - off), band=band, align="zero+lag")
     assert headline.to_dict()["rmse_mm"] == found.without_zero_and_lag.rmse_mm
     assert np.sqrt(np.mean(headline.error_mm**2)) == pytest.approx(headline.rmse_mm)

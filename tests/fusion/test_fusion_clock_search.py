@@ -1,5 +1,7 @@
 """What a search for a clock's step costs, and what rows say of a clock in doubt."""
 
+import time
+
 import numpy as np
 import pytest
 from estimator_cases import (
@@ -69,6 +71,30 @@ def test_a_sensor_that_dies_during_the_search_ends_it(measured_until_s):
     # What is kept is of the last seconds: its size stays, where it grew by 22 bytes a sample.
     late = size[time_s > 30.0]
     assert late.max() < 1.05 * late.min()
+
+
+@pytest.mark.parametrize("make", [Estimator, lambda known: Lag(known, 50)])
+def test_a_search_does_not_become_dearer_while_it_lasts(make):
+    """The structure rests and the sensor is back after a second, so that nothing tells one offset from another: each
+    measurement costs the same work.
+    """
+    length_s, rng = 23.0, np.random.default_rng(1)
+    truth = oscillating(rng, length_s, ((1.2, 0.02, 2e-5),))
+    samples, sensor = samples_of(truth, rng, length_s=length_s), sensor_of(truth, rng, length_s=length_s, std=4e-4)
+    keep(sensor, (sensor.time < 10.0) | (sensor.time > 11.0))
+    stream, measured, costs, due = make(settings_of(sensor)), measured_of([sensor]), {}, 0
+    for first in range(0, len(samples.time_ns), 50):
+        block = part(samples, slice(first, first + 50))
+        end = int(np.searchsorted(measured.time_ns, block.time_ns[-1], side="right"))
+        stream.push(part(measured, slice(due, end)))
+        begun_s, due = time.process_time(), end
+        stream.push(block)
+        if stream.seeks_clock:
+            costs[block.time_ns[-1] / 1e9] = time.process_time() - begun_s
+    early, late = (
+        np.median([cost for at, cost in costs.items() if a < at < b]) for a, b in ((12.0, 14.0), (18.0, 20.5))
+    )
+    assert late < 2.0 * early
 
 
 def test_rows_of_all_methods_hold_the_doubt_about_the_samples_clock():

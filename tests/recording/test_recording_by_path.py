@@ -23,6 +23,7 @@ def test_the_zeros_part_of_the_band_is_stored_and_no_larger_than_any_rows(footbr
     assert 0.0 < stored <= result.displacement_std_mm.min()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_and_report_state_both_parts_of_the_deviation(footbridge_copy, tmp_path, capsys):
     page = tmp_path / "report.html"
     assert run(["estimate", str(footbridge_copy), "-o", str(tmp_path / "r.csv"), "--report", str(page), "-v"]) == 0

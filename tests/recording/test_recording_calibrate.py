@@ -108,7 +108,7 @@ def test_a_region_is_used_as_given(footbridge_copy):
     assert camera.scale.value_m_per_px == pytest.approx(-1.5e-3, rel=3e-3)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.80665), ("mg", 1e3 / 9.80665), *slow(("gal", 100.0))])
+@pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.80665), *slow(("mg", 1e3 / 9.80665), ("gal", 100.0))])
 def test_the_unit_of_the_acceleration_does_not_matter_nor_does_gravity(unit, factor, footbridge_copy, calibration):
     time, value = acceleration(footbridge_copy)
     write_acceleration(footbridge_copy, time, factor * (value + 9.80665))
@@ -158,7 +158,7 @@ def test_the_other_image_axis_is_refused(footbridge_copy):
 
 @pytest.mark.parametrize(
     ("frequency", "amplitude", "most"),
-    [(2.0, 1e-3, 0.2), (3.1, 0.5e-3, 0.5), *slow((2.0, 1e-3, 0.5), (2.0, 1e-3, 0.3))],
+    [(3.1, 0.5e-3, 0.5), *slow((2.0, 1e-3, 0.2), (2.0, 1e-3, 0.5), (2.0, 1e-3, 0.3))],
 )
 def test_a_single_tone_is_refused_where_half_a_period_more_fits_as_well(
     frequency, amplitude, most, simulated, tmp_path

@@ -77,7 +77,7 @@ def shimmers(px, lasting_s):
     return error_px
 
 
-@pytest.mark.parametrize(("hertz", "px"), [(0.3, 0.15), (0.5, 0.5), *slow((0.12, 0.5))])
+@pytest.mark.parametrize(("hertz", "px"), [(0.3, 0.15), *slow((0.5, 0.5), (0.12, 0.5))])
 def test_the_band_holds_a_mast_that_nods(hertz, px, tmp_path):
     truth = write(tmp_path, 1, nods(hertz, px))
     result = midspan.estimate(tmp_path)
@@ -90,7 +90,7 @@ def test_the_band_holds_a_mast_that_nods(hertz, px, tmp_path):
     assert np.std(error) < 0.5 * px * MM_PER_PX
 
 
-@pytest.mark.parametrize("warms", [(0.02, 0.03), (0.03, 0.005)])
+@pytest.mark.parametrize("warms", [(0.03, 0.005), *slow(((0.02, 0.03),))])
 def test_an_accelerometer_that_warms_up_is_no_mast_and_no_noisy_frames(warms, tmp_path):
     truth = write(tmp_path, 5, lambda time, rng: np.zeros(len(time)), warms=warms)
     result = midspan.estimate(tmp_path)
@@ -111,18 +111,18 @@ def test_air_that_shimmers_is_reported_and_in_the_band(tmp_path):
     assert "motion-not-shared" in {line.code for line in result.warnings}
 
 
-def test_a_camera_that_stands_still_is_not_said_to_err(tmp_path):
-    for seed in range(2):
-        truth = write(tmp_path, seed, lambda time, rng: np.zeros(len(time)))
-        result = midspan.estimate(tmp_path)
-        assert not (REPORTED | {"picture-zooms"}) & {line.code for line in result.warnings}
-        error = result.displacement_mm - truth(result.time_s)
-        # Of 1.9 mm rms: a tracker's hundredth of a pixel is 0.012 mm.
-        assert np.sqrt(np.mean(error**2)) < 0.02
-        assert np.median(result.displacement_std_mm) < 0.03
+@pytest.mark.parametrize("seed", [0, *slow(1)])
+def test_a_camera_that_stands_still_is_not_said_to_err(tmp_path, seed):
+    truth = write(tmp_path, seed, lambda time, rng: np.zeros(len(time)))
+    result = midspan.estimate(tmp_path)
+    assert not (REPORTED | {"picture-zooms"}) & {line.code for line in result.warnings}
+    error = result.displacement_mm - truth(result.time_s)
+    # Of 1.9 mm rms: a tracker's hundredth of a pixel is 0.012 mm.
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert np.median(result.displacement_std_mm) < 0.03
 
 
-@pytest.mark.parametrize("hertz", [0.05, 0.3])
+@pytest.mark.parametrize("hertz", [0.3, *slow(0.05)])
 def test_a_lens_that_breathes_is_taken_out_by_the_zoom(hertz, tmp_path):
     def zooms(time):
         return 3e-3 * (np.sin(2 * np.pi * hertz * time + 0.4) - np.sin(2 * np.pi * hertz * time[0] + 0.4))

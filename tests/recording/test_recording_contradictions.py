@@ -142,18 +142,20 @@ def test_outliers_anywhere_cost_no_more_than_the_values_that_they_replace(seed, 
         *slow(([0], "kalman"), ([0, 2, 7], "lag"), ([0, 3, 5], "kalman"), ([0, 3, 5], "lag")),
     ],
 )
-def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_may_be(wrong, method, tmp_path):
-    for seed in (41, 42, 43, 44):
-        site = Structure(seed, 4.0)
-        value = site.moved_mm(STAMPS) + site.rng.normal(0.0, 0.5, len(STAMPS))
-        value[wrong] += site.rng.uniform(-20.0, 20.0, len(wrong))
-        folder = tmp_path / f"{seed}"
-        folder.mkdir()
-        result = midspan.estimate(site.displacement(folder, STAMPS, value), method=method)
-        held(result, result.displacement_mm - site.moved_mm(result.time_s))
+@pytest.mark.parametrize("seed", [41, 42, *slow(43, 44)])
+def test_rows_that_are_due_before_the_first_values_are_decided_hold_what_they_may_be(wrong, method, tmp_path, seed):
+    site = Structure(seed, 4.0)
+    value = site.moved_mm(STAMPS) + site.rng.normal(0.0, 0.5, len(STAMPS))
+    value[wrong] += site.rng.uniform(-20.0, 20.0, len(wrong))
+    folder = tmp_path / f"{seed}"
+    folder.mkdir()
+    result = midspan.estimate(site.displacement(folder, STAMPS, value), method=method)
+    held(result, result.displacement_mm - site.moved_mm(result.time_s))
 
 
-@pytest.mark.parametrize(("first", "last", "off_mm"), [(0, 6, 15.0), (0, 8, 15.0), (6, 21, 5.0), (0, 15, np.nan)])
+@pytest.mark.parametrize(
+    ("first", "last", "off_mm"), [(0, 8, 15.0), (0, 15, np.nan), *slow((0, 6, 15.0), (6, 21, 5.0))]
+)
 @pytest.mark.parametrize("seed", [51, *slow(52)])
 def test_first_values_that_are_wrong_do_not_make_the_zero_of_the_record(first, last, off_mm, seed, tmp_path):
     # nan: each of them is anywhere. All rows were off by the offset at a stated 0.1 mm.
@@ -198,7 +200,7 @@ def test_good_values_are_kept_where_the_accelerometer_is_noisy_for_a_while(seed,
     assert np.max(np.abs(result.displacement_mm - site.moved_mm(result.time_s))) < 1.5
 
 
-@pytest.mark.parametrize(("step_s", "method"), [(0.3, "smoother"), (1.0, "kalman"), (10.0, "smoother")])
+@pytest.mark.parametrize(("step_s", "method"), [(0.3, "smoother"), (1.0, "kalman"), *slow((10.0, "smoother"))])
 def test_an_accelerometers_clock_that_steps_forward_is_named_by_its_gap(step_s, method, tmp_path, capsys):
     site = Structure(26)
     folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))
@@ -210,7 +212,7 @@ def test_an_accelerometers_clock_that_steps_forward_is_named_by_its_gap(step_s, 
     assert "its clock stepped forward and no sample is missing" in said
 
 
-@pytest.mark.parametrize("gap_s", [0.3, 2.0])
+@pytest.mark.parametrize("gap_s", [0.3, *slow(2.0)])
 def test_samples_that_are_missing_are_no_step_of_a_clock(gap_s, tmp_path):
     site = Structure(27)
     folder = site.displacement(tmp_path, STAMPS, site.noisy_mm(STAMPS))

@@ -41,36 +41,36 @@ def too_strong(folder, times):
 
 
 @pytest.mark.parametrize("declared", [False, *slow(True)])
-def test_the_band_holds_beside_a_sensor_that_averages(declared, tmp_path):
-    for seed in range(2):
-        moved = write(tmp_path, seed, EXPOSURE_S)
-        if declared:
-            set_keys(tmp_path, "displacement", exposure_s=EXPOSURE_S)
-        result = midspan.estimate(tmp_path)
-        found = result.calibration
-        # The noise leaves 3 % of the exposure.
-        assert found.displacement.exposure_s == pytest.approx(EXPOSURE_S, rel=0.1)
-        assert found.accelerometer_scale == pytest.approx(1.0, abs=4.0 * found.accelerometer_scale_std)
-        assert any("averages over" in line for line in result.warnings) is not declared
-        error = result.displacement_mm - moved(result.time_s)
-        assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+@pytest.mark.parametrize("seed", [0, *slow(1)])
+def test_the_band_holds_beside_a_sensor_that_averages(declared, tmp_path, seed):
+    moved = write(tmp_path, seed, EXPOSURE_S)
+    if declared:
+        set_keys(tmp_path, "displacement", exposure_s=EXPOSURE_S)
+    result = midspan.estimate(tmp_path)
+    found = result.calibration
+    # The noise leaves 3 % of the exposure.
+    assert found.displacement.exposure_s == pytest.approx(EXPOSURE_S, rel=0.1)
+    assert found.accelerometer_scale == pytest.approx(1.0, abs=4.0 * found.accelerometer_scale_std)
+    assert any("averages over" in line for line in result.warnings) is not declared
+    error = result.displacement_mm - moved(result.time_s)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
 
 
 @pytest.mark.parametrize("declared", [True, *slow(False)])
-def test_an_average_over_a_period_of_the_motion(declared, tmp_path):
+@pytest.mark.parametrize("seed", [0, *slow(1)])
+def test_an_average_over_a_period_of_the_motion(declared, tmp_path, seed):
     # 0.36 s are 1.04 periods of the fastest mode, of which 4 % are left, turned round.
-    for seed in range(2):
-        moved = write(tmp_path, seed, 0.36, length_s=120.0, rate_hz=2.5)
-        if declared:
-            set_keys(tmp_path, "displacement", exposure_s=0.36)
-        result = midspan.estimate(tmp_path)
-        found = result.calibration
-        assert found.displacement.exposure_s == pytest.approx(0.36, rel=0.05)
-        assert found.accelerometer_scale == pytest.approx(1.0, abs=4.0 * found.accelerometer_scale_std)
-        error = result.displacement_mm - moved(result.time_s)
-        assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
-        # Of 2.6 mm rms, with a noise of 0.1 mm.
-        assert np.sqrt(np.mean(error**2)) < 0.1
+    moved = write(tmp_path, seed, 0.36, length_s=120.0, rate_hz=2.5)
+    if declared:
+        set_keys(tmp_path, "displacement", exposure_s=0.36)
+    result = midspan.estimate(tmp_path)
+    found = result.calibration
+    assert found.displacement.exposure_s == pytest.approx(0.36, rel=0.05)
+    assert found.accelerometer_scale == pytest.approx(1.0, abs=4.0 * found.accelerometer_scale_std)
+    error = result.displacement_mm - moved(result.time_s)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+    # Of 2.6 mm rms, with a noise of 0.1 mm.
+    assert np.sqrt(np.mean(error**2)) < 0.1
 
 
 def test_a_response_is_averaged_exactly():
@@ -86,10 +86,10 @@ def test_a_response_is_averaged_exactly():
         assert shrunk == pytest.approx(np.sinc(hertz * exposure), abs=3e-4)
 
 
-def test_a_sensor_that_does_not_average_has_no_exposure(tmp_path):
-    for seed in range(3):
-        write(tmp_path, seed, 0.0)
-        assert midspan.calibrate(tmp_path).displacement.exposure_s == 0.0
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
+def test_a_sensor_that_does_not_average_has_no_exposure(tmp_path, seed):
+    write(tmp_path, seed, 0.0)
+    assert midspan.calibrate(tmp_path).displacement.exposure_s == 0.0
 
 
 def test_it_is_stored_and_read_again(tmp_path):
@@ -108,19 +108,19 @@ def test_an_offset_is_found_beside_a_sensor_that_averages(tmp_path):
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
 
 
-def test_it_is_exact_for_fast_motion_too(tmp_path):
+@pytest.mark.parametrize("seed", [0, *slow(1)])
+def test_it_is_exact_for_fast_motion_too(tmp_path, seed):
     # Half a period of the fastest mode: the first term is 1.23 of what averaging takes there, of the slowest 1.01.
-    for seed in range(2):
-        moved = write(tmp_path, seed, 0.17, rate_hz=5.0)
-        set_keys(tmp_path, "displacement", exposure_s=0.17)
-        calibration = midspan.calibrate(tmp_path)
-        for given in (None, calibration):
-            for method in ("smoother", "kalman"):
-                result = midspan.estimate(tmp_path, calibration=given, method=method)
-                assert not any("clock" in line or "shifted" in line or "belong" in line for line in result.warnings)
-                error = result.displacement_mm - moved(result.time_s)
-                assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.88
-                assert np.max(np.abs(error) / result.displacement_std_mm) < 5.0
+    moved = write(tmp_path, seed, 0.17, rate_hz=5.0)
+    set_keys(tmp_path, "displacement", exposure_s=0.17)
+    calibration = midspan.calibrate(tmp_path)
+    for given in (None, calibration):
+        for method in ("smoother", "kalman"):
+            result = midspan.estimate(tmp_path, calibration=given, method=method)
+            assert not any("clock" in line or "shifted" in line or "belong" in line for line in result.warnings)
+            error = result.displacement_mm - moved(result.time_s)
+            assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.88
+            assert np.max(np.abs(error) / result.displacement_std_mm) < 5.0
 
 
 def test_a_shape_that_the_motion_excludes_is_not_in_the_band(tmp_path):

@@ -73,7 +73,7 @@ def test_scale_offset_and_displacement_have_the_right_sign_on_both_axes(directio
     assert_right(folder, found)
 
 
-@pytest.mark.parametrize("offset", [-0.45, 0.2, *slow(-0.2, 0.45)])
+@pytest.mark.parametrize("offset", [-0.45, *slow(0.2, -0.2, 0.45)])
 def test_a_clock_offset_does_not_move_the_zero_although_the_structure_moves_from_the_start(offset, simulated):
     folder = simulated(f"lively{offset:+}", seed=100, duration_s=15.0, motion=lively, camera={"time_offset_s": offset})
     found = midspan.estimate(midspan.open_recording(folder))
@@ -110,14 +110,14 @@ def test_the_error_band_is_honest_over_several_recordings(simulated):
 
 def test_a_constant_of_the_accelerometer_never_shows(footbridge_copy, result):
     time, value = acceleration(footbridge_copy)
-    for bias in (-0.05, 0.05, 9.80665):
+    for bias in (-0.05, 9.80665):
         write_acceleration(footbridge_copy, time, value + bias)
         shifted = midspan.estimate(midspan.open_recording(footbridge_copy))
         # Only rounding of the file (1e-7 m/s²) differs; a thousandth of a frame's noise is far above it.
         np.testing.assert_allclose(shifted.displacement_mm, result.displacement_mm, atol=1e-3 * FRAME_STD_MM * 10)
 
 
-@pytest.mark.parametrize("start", [-0.25, 0.25])
+@pytest.mark.parametrize("start", [-0.25, *slow(0.25)])
 def test_another_clock_of_the_same_camera_gives_the_same_displacement(start, footbridge_copy, result):
     set_keys(footbridge_copy, "camera", start_s=start)
     shifted = midspan.estimate(midspan.open_recording(footbridge_copy))
@@ -374,6 +374,7 @@ def test_the_pixels_of_a_phase_tracker_are_kept(footbridge):
     assert 'alt="Active pixels"' in report_html(found)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_result_is_compared_and_reported_by_itself(footbridge, result, tmp_path):
     result.save(tmp_path / "result.csv")
     by_file = midspan.compare(tmp_path / "result.csv", footbridge / "truth.csv")
@@ -397,6 +398,9 @@ def test_a_result_shows_itself_in_a_notebook_and_on_axes(result):
     assert "(s)" in axes.get_xlabel()
     drawn = axes.get_lines()[0].get_ydata()
     assert np.ptp(drawn) == pytest.approx(np.ptp(result.displacement_mm), rel=1e-3)
+    axes.figure.canvas.draw()
+    # The legend covers no curve.
+    assert axes.get_legend().get_window_extent().y0 >= axes.bbox.y1
     shown = result._repr_html_()
     assert "data:image/png;base64," in shown
     assert f"{len(result.time_s)} rows" in shown

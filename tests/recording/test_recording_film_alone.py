@@ -42,7 +42,7 @@ def recording(folder, time_s, frames):
 
 
 @pytest.mark.parametrize(
-    ("part", "tracker"), [(0.3, "registration"), (0.5, "features"), (0.7, "registration"), *slow((0.7, "features"))]
+    ("part", "tracker"), [(0.3, "registration"), (0.5, "features"), *slow((0.7, "registration"), (0.7, "features"))]
 )
 def test_torn_frames_are_not_measured_and_those_after_them_are(part, tracker, tmp_path):
     # The lower part of the picture stands still for a second, as where packets of a camera are lost.

@@ -5,13 +5,14 @@ import pytest
 
 import midspan
 from recording_edits import set_keys, write_displacement
+from repeats import slow
 
 LENGTH_S, NOISE_M, NOISE_M_S2, SAMPLES_HZ = 60.0, 1e-4, 2e-3, 100.0
 # A slow swing and a vibration above the sensor's Nyquist frequency: m, Hz.
 LINES = ((8e-3, 0.1), (3e-3, 10.3))
 
 
-def write(folder, seed):
+def write(folder, seed, gain=1.0):
     """A sensor of 10 Hz whose stamps are jittered by 15 ms, a quarter of them missing; returns its stamps (s) and the
     motion, m, as a function of s.
     """
@@ -25,7 +26,7 @@ def write(folder, seed):
         )
 
     time = np.arange(0.0, LENGTH_S, 1.0 / SAMPLES_HZ)
-    accel = moved(time, 2) + 5e-3 + rng.normal(0.0, NOISE_M_S2, len(time))
+    accel = gain * moved(time, 2) + 5e-3 + rng.normal(0.0, NOISE_M_S2, len(time))
     met = np.arange(0.1, LENGTH_S - 0.1, 0.1)
     met = np.sort(met + rng.uniform(-0.015, 0.015, len(met)))[rng.random(len(met)) > 0.25]
     write_displacement(folder, (time, accel), (met, 1e3 * (moved(met) + rng.normal(0.0, NOISE_M, len(met)))))
@@ -47,7 +48,7 @@ def fisher_std(met, moved_m):
     return 1.0 / np.linalg.norm(signal - basis @ (basis.T @ signal))
 
 
-@pytest.mark.parametrize("seed", [2, 3, 6])
+@pytest.mark.parametrize("seed", [2, *slow(3, 6)])
 def test_the_gain_is_as_exact_as_the_stamps_allow(seed, tmp_path):
     met, moved = write(tmp_path, seed)
     least = fisher_std(met, moved(met))
@@ -56,6 +57,16 @@ def test_the_gain_is_as_exact_as_the_stamps_allow(seed, tmp_path):
     # The noise levels are estimated from some 450 readings, to a few per cent.
     assert 0.85 * least < found.accelerometer_scale_std < 1.3 * least
     assert abs(found.accelerometer_scale - 1.0) < 3.5 * least
+
+
+def test_a_gain_that_changes_the_result_is_a_note(tmp_path):
+    write(tmp_path, 2, gain=1.013)
+    found = midspan.estimate(tmp_path)
+    (said,) = (one for one in found.warnings if one.code == "gain-estimated")
+    known = found.calibration
+    assert f"a gain of {known.accelerometer_scale:.5g} ± {known.accelerometer_scale_std:.2g}" in said
+    assert said.severity == "note"
+    assert (known.accelerometer_scale - 1.0) > 2.0 * known.accelerometer_scale_std
 
 
 def test_an_estimated_gain_costs_the_result_little(tmp_path):

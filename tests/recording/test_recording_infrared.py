@@ -21,6 +21,7 @@ from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, W
 from midspan.thermal.temperature_range import ROUGH, THINNED, band_error
 from plain_data import assert_plain
 from recording_edits import read_columns, set_keys
+from repeats import slow
 
 LENGTH_S, RATE_HZ = 40.0, 6.0
 DUSK_S, DAWN_S = 20.0, 30.0
@@ -155,7 +156,7 @@ def test_a_black_or_covered_camera_gives_lost_frames_and_never_wrong_ones(result
     assert np.all(infrared.status[(at > 24.0) & (at < 29.0)] == Status.TRACKING)
 
 
-@pytest.mark.parametrize("tracker", ["registration", "hybrid", "template"])
+@pytest.mark.parametrize("tracker", ["registration", *slow("hybrid", "template")])
 def test_a_hand_before_the_lens_is_no_displacement(day_copy, tracker):
     stored = np.load(day_copy / "camera.npz")
     pictures, stamps = stored["frames"][:90].copy(), stored["time_s"][:90]

@@ -14,6 +14,7 @@ from midspan.fusion.streams import KalmanSettings
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines
 from recording_edits import set_keys, write_displacement
+from repeats import slow
 
 ACCELERATION_NOISE, NOISE_M = 3e-3, 2e-5
 BRIDGE = Sines(np.array([5e-3, 2e-3, 1e-3]), np.array([0.41, 1.3, 0.07]), phase_rad=np.array([0.3, 1.0, 0.0]))
@@ -53,7 +54,9 @@ def test_the_stamps_after_a_jump_are_moved_and_it_is_reported_once():
     assert companions.warnings == companions.events == ()
 
 
-@pytest.mark.parametrize(("from_s", "to_s", "late_s"), [(12.0, 28.0, 0.125), (15.0, 30.0, -0.125), (25.0, 60.0, 0.25)])
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "late_s"), [(15.0, 30.0, -0.125), (25.0, 60.0, 0.25), *slow((12.0, 28.0, 0.125))]
+)
 def test_two_jumps_are_right_or_refused_but_never_silently_wrong(from_s, to_s, late_s):
     true_s = np.arange(0.5, to_s + 12.0, 0.125)
     off = (true_s >= from_s) & (true_s < to_s)

@@ -71,6 +71,7 @@ def test_the_wall_is_taken_although_leaves_water_and_cars_have_more_contrast(cal
     assert 1e3 * calibration.camera.scale.value_m_per_px == pytest.approx(-1.5, rel=3e-3)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_place_has_a_verdict_and_the_report_shows_map_and_table(site, calibrated):
     _, tracking = calibrated
     assert all(candidate.verdict for candidate in tracking.choice.candidates)
@@ -136,11 +137,11 @@ UNDECIDED = Agreement(np.inf, False, "Too little motion to calibrate the scale f
 
 @pytest.mark.parametrize(("error", "contradicts"), [(NoAgreementError, True), (UntrustedError, False)])
 def test_a_place_contradicts_by_the_kind_of_the_refusal_whatever_its_words(error, contradicts, monkeypatch):
-    def refused(*_):
+    def refused(*_, **__):
         raise error("Any words")
 
     monkeypatch.setattr("midspan.calibration.camera.view.camera_pair", refused)
-    found = judged_by(SimpleNamespace(exposure_s=None), None)
+    found = judged_by(SimpleNamespace(exposure_s=None, clocks_open=True), None)
     assert (found.contradicts, found.std_m) == (contradicts, np.inf)
 
 

@@ -50,7 +50,7 @@ def test_the_scales_deviation_holds_it_in_quadrature_in_the_file_too(known, tmp_
     assert midspan.load_calibration(file).accelerometer_scale_std == STD
 
 
-@pytest.mark.parametrize(("method", "given"), [("smoother", False), ("fir", False), ("kalman", True)])
+@pytest.mark.parametrize(("method", "given"), [("smoother", False), ("kalman", True), *slow(("fir", False))])
 def test_every_rows_variance_grows_by_its_share_of_the_displacement(known, method, given):
     _, folder, without, tolerant = known
     after = midspan.estimate(folder, tolerant if given else None, method=method)
@@ -111,6 +111,7 @@ def test_beside_metres_the_gain_is_estimated_and_its_tolerance_is_what_the_motio
     assert said(midspan.estimate(folder).not_in_band)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_result_command_and_report_say_that_it_is_left_out(tmp_path, capsys):
     folder, reported = write(tmp_path / "told", CASES["radar"], "radar"), []
     for std in (0.0, STD):

@@ -67,10 +67,10 @@ def test_a_slow_error_is_estimated_and_in_the_band(lasting_s, method, tmp_path):
     assert np.mean(shares) > 0.85
 
 
-def test_white_noise_is_no_slow_error(tmp_path):
-    for seed in range(3):
-        write(tmp_path, seed, 0.0)
-        assert midspan.calibrate(tmp_path).displacement.slow_std_m == 0.0
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
+def test_white_noise_is_no_slow_error(tmp_path, seed):
+    write(tmp_path, seed, 0.0)
+    assert midspan.calibrate(tmp_path).displacement.slow_std_m == 0.0
 
 
 @pytest.mark.parametrize("seed", [0, *slow(1, 2)])
@@ -138,3 +138,17 @@ def test_an_accelerometer_that_drifts_is_named_and_the_unit_is_not(tmp_path):
     assert not any("displacement.unit" in line for line in result.warnings)
     error = result.displacement_mm - 1e3 * np.interp(result.time_s, time, moved)
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+
+
+def test_noise_of_a_receiver_warns_of_slow_errors_until_the_settings_say_what_they_are(tmp_path):
+    write(tmp_path, 0, 0.0, length_s=40.0)
+    found = midspan.estimate(tmp_path)
+    (warned,) = (one for one in found.warnings if one.code == "slow-error")
+    assert warned.severity == "warning"
+    assert "the error band does not contain them" in warned
+    assert 'displacement.receiver = "gnss"' in warned
+    assert "look first at the warning on the displacement (slow-error)" in found.verdict
+    assert warned in found.calibration.warnings
+    for keys in ({"receiver": "gnss"}, {"receiver": None, "noise_time_s": 0.0}):
+        set_keys(tmp_path, "displacement", **keys)
+        assert not [one for one in midspan.calibrate(tmp_path).warnings if one.code == "slow-error"]

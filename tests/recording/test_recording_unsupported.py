@@ -7,6 +7,7 @@ import midspan
 from midspan.records import Status
 from midspan.simulate.scenarios.write import write
 from recording_edits import read_columns
+from repeats import slow
 
 GAP = (95.0, 110.0)
 
@@ -30,7 +31,7 @@ def calibration(damaged):
     return midspan.calibrate(midspan.open_recording(damaged))
 
 
-@pytest.mark.parametrize("method", ["kalman", "lag", "adaptive-kalman", "smoother", "fir", "two-stage-fir"])
+@pytest.mark.parametrize("method", ["lag", "smoother", "fir", *slow("kalman", "adaptive-kalman", "two-stage-fir")])
 def test_fifteen_seconds_without_a_value_are_lost_reported_and_inside_the_band(damaged, calibration, method):
     found = midspan.estimate(midspan.open_recording(damaged), calibration, method=method)
     gap = (found.time_s > GAP[0] - 1.0) & (found.time_s < GAP[1] - 0.6)

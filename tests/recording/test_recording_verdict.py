@@ -66,6 +66,8 @@ def test_warnings_are_counted_and_the_first_is_named_notes_are_not():
     assert "contradicts" in verdict(motion, [Notice("tilt", "accelerometer: a.")])
     said = verdict(motion, [Notice("tilt", "a."), Notice("lens", "camera: b."), Notice("outliers", "c.")])
     assert said.endswith("look first at the warning on the camera (lens) and one more.")
+    printed = [Notice("literal", "calibration.literal: d.")]
+    assert verdict(motion, printed).endswith("look first at the warning on the calibration (literal).")
     # A text of an earlier version has no code.
     assert "(uncoded)" in verdict(motion, ["something."])
 

@@ -6,6 +6,7 @@ from known_motion import SCALE_M_PER_PX, displacement_m, write_recording
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from midspan.recording.estimate import estimate
+from midspan.report.report import write_report
 
 
 @pytest.fixture(name="camera", scope="session")
@@ -24,3 +25,9 @@ def camera_recording(tmp_path_factory):
 @pytest.fixture(name="camera_result", scope="session")
 def result_of_camera(camera):
     return estimate(camera)
+
+
+@pytest.fixture(name="camera_report", scope="session")
+def report_of_camera(camera, camera_result, tmp_path_factory):
+    """The report as a file, alone in its folder."""
+    return write_report(camera_result, tmp_path_factory.mktemp("page") / "report.html", camera.reference)

@@ -15,9 +15,9 @@ pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 WIDE, PHONE = {"width": 1400, "height": 1000}, {"width": 390, "height": 800}
 
 
-@pytest.fixture(scope="module")
-def report(camera, camera_result, tmp_path_factory):
-    return write_report(camera_result, tmp_path_factory.mktemp("page") / "report.html", camera.reference)
+@pytest.fixture
+def report(camera_report):
+    return camera_report
 
 
 @pytest.fixture(scope="module")

@@ -56,6 +56,7 @@ def test_the_section_shows_both_cameras(result):
     assert re.findall(r'<img alt="([^"]*)"', text) == ["Cameras over the record"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_each_camera_has_its_own_frame_tracking_and_calibration(result):
     text = report_html(result)
     for name in ("camera", "infrared"):
@@ -180,6 +181,7 @@ def test_an_optimised_range_is_shown_with_its_limits(result):
     assert "16.00 to 28.00 °C" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_one_camera_of_light_with_its_first_frame_has_no_such_section(result):
     alone = replace(result, cameras=result.cameras[:1], events=())
     assert cameras(gather(alone, None)) == ""

@@ -32,8 +32,8 @@ from midspan.settings.stored.calibration import Calibration, load_calibration
 
 
 @pytest.fixture(name="camera_text", scope="module")
-def page_of_camera(camera, camera_result):
-    return report_html(camera_result, camera.reference)
+def page_of_camera(camera_report):
+    return camera_report.read_text(encoding="utf-8")
 
 
 @pytest.fixture(name="sensor_result", scope="module")
@@ -97,10 +97,9 @@ def test_a_displacement_recording_has_no_camera_parts(sensor_text):
     assert "px" not in re.sub(coded, "", without_pictures(sensor_text), flags=re.DOTALL)
 
 
-def test_the_file_needs_nothing_from_elsewhere(camera, camera_result, tmp_path):
-    path = write_report(camera_result, tmp_path / "report.html", camera.reference)
-    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
-    text = path.read_text(encoding="utf-8")
+def test_the_file_needs_nothing_from_elsewhere(camera_report, camera_text):
+    assert [file.name for file in camera_report.parent.iterdir()] == ["report.html"]
+    text = camera_text
     found = Page(text)
     assert found.sources
     assert all(source.startswith(("data:", "#")) for source in found.sources)
@@ -146,6 +145,7 @@ def test_cards_and_tables_say_what_result_and_comparison_say(camera_text, camera
     assert float(rows["RMSE zero removed"].split(" mm")[0]) == pytest.approx(1e3 * np.std(error), rel=0.01)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_verdict_stands_first_and_no_path_anywhere(camera_text, camera_result):
     head = camera_text.split("<section")[0]
     assert escape(camera_result.verdict) in head
@@ -163,17 +163,20 @@ def test_the_verdict_stands_first_and_no_path_anywhere(camera_text, camera_resul
     assert str(folder) not in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_three_warnings_stand_open_the_worst_first_and_the_rest_on_a_click(camera_result):
     codes = ("tilt", "outliers", "lens", "frozen", "unit-doubtful")
     warned = replace(camera_result, warnings=tuple(Notice(code, f"camera: {code}.") for code in codes))
-    found = report_html(warned).split('<section id="warnings">')[1].split("</section>")[0]
+    text = report_html(warned)
+    found = text.split('<section id="warnings">')[1].split("</section>")[0]
     opened, closed = found.split("<details>")
     assert re.findall(r"<code>(.*?)</code>", opened) == ["unit-doubtful", "outliers", "lens"]
     assert re.findall(r"<code>(.*?)</code>", closed) == ["frozen", "tilt"]
     assert "<summary>2 more</summary>" in closed
-    assert '<p class="verdict serious">Do not use this displacement' in report_html(warned)
+    assert '<p class="verdict serious">Do not use this displacement' in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_calibration_from_a_file_is_shown_with_what_the_recording_itself_says(camera, camera_result, tmp_path):
     camera_result.calibration.save(tmp_path / "calibration.json")
     result = estimate(camera, load_calibration(tmp_path / "calibration.json"))
@@ -189,6 +192,7 @@ def test_a_calibration_from_a_file_is_shown_with_what_the_recording_itself_says(
     assert "The region was given by the calibration file" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_reference_of_another_time_is_reported_not_raised(camera_result):
     reference = TimeSeries(np.arange(10, dtype=np.int64) * 10**9 + 10**15, np.arange(10.0))
     text = report_html(camera_result, reference)
@@ -277,6 +281,7 @@ def shown_events(result):
     return re.findall(r"<summary>([^<]*)</summary>", text), Counter(int(number) for number in rows)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_many_events_are_all_there_folded_by_their_kinds_with_counts():
     result = long_result(3000, events=120)
     of_two_kinds = tuple(replace(e, kind="switch") if k % 3 == 0 else e for k, e in enumerate(result.events))
@@ -287,6 +292,7 @@ def test_many_events_are_all_there_folded_by_their_kinds_with_counts():
     assert rows == dict.fromkeys(range(120), 2)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_few_events_stand_in_one_table():
     collapsible, rows = shown_events(long_result(3000, events=12))
     assert not collapsible
@@ -313,6 +319,7 @@ def test_pictures_are_drawings_that_follow_the_colour_scheme(camera_text):
         assert "fill: #ffffff" not in inner.split('id="axes_1"')[0]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_that_cannot_be_written_leaves_nothing(sensor_result, tmp_path):
     with pytest.raises(UsageError, match="does not exist"):
         write_report(sensor_result, tmp_path / "missing" / "report.html")
@@ -341,6 +348,7 @@ def test_the_policy_lets_nothing_in_but_the_page_s_own_script_and_style(camera_t
     assert not re.search(r"<[^>]*\s(style|on\w+)=", without_pictures(camera_text))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_warned_of_stands_once(camera_result):
     line = "The scale factor is uncertain for a made-up reason."
     calibration = replace(camera_result.calibration, warnings=(line,))
@@ -369,6 +377,7 @@ def drawn_innovations(result):
 MODES = ((1.9, 0.012, 1.0), (5.2, 0.007, 0.2))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_natural_frequencies_are_those_of_two_oscillators():
     """Two modes of known frequency and damping under white force lie within four of the σ given."""
     rate, count = 100.0, 60_000

@@ -132,6 +132,7 @@ def test_the_radars_own_measurements_are_drawn_and_blocked_frames_are_not(result
     assert measured[0].rate_hz == pytest.approx(100.0)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_calibration_from_a_file_has_its_table_but_not_what_it_rests_on(result, tmp_path):
     loaded = midspan.load_calibration(result.calibration.save(tmp_path / "calibration.json"))
     again = midspan.estimate(result.recording, calibration=loaded)

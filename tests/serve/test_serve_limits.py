@@ -3,6 +3,8 @@
 import asyncio
 import resource
 import socket
+import subprocess
+import sys
 import time
 
 from midspan.serve import connection
@@ -32,6 +34,21 @@ async def checked(check, tmp_path):
         finally:
             web.should_exit = True
             await asyncio.wait_for(task, 30.0)
+
+
+ENDING = """
+import asyncio, os
+from midspan.serve.serving import Worker, process
+worker = Worker(process)
+assert asyncio.run(worker.run(abs, -1)) == 1
+worker.close()
+os._exit(0)
+"""
+
+
+def test_a_server_that_ends_leaves_no_semaphore_of_its_worker():
+    ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True, check=True)
+    assert ended.stderr == ""
 
 
 def test_half_requests_are_ended_and_whole_ones_answered(monkeypatch, tmp_path):

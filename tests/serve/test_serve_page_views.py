@@ -100,6 +100,34 @@ def test_calibrations_show_what_an_offer_changes_how_they_drifted_and_which_rows
     play.expect(page.locator("tbody tr", has_text="in force").last.locator("td").last).to_be_empty()
 
 
+def test_what_a_calibration_warns_of_is_on_its_card_and_in_its_view(opened, stated):
+    remedy = {"code": "clock-differs", "severity": "warning", "text": "displacement: set estimate_offset = true."}
+    doubt = {"code": "scale-implausible", "severity": "serious", "text": "camera: the scale is 40 % off."}
+    stated(point={"warnings": [remedy]})
+    page = opened("")
+    card = page.locator(".card").first
+    play.expect(card).to_have_attribute("data-state", "good")
+    play.expect(card.get_by_role("link", name="Its calibration has a warning.")).to_be_visible()
+    stated(point={"warnings": [doubt, remedy]})
+    play.expect(card.locator(".words").first).to_have_text("measured; its calibration is doubtful")
+    play.expect(card).to_have_attribute("data-state", "notice")
+    play.expect(card.locator(".quiet")).to_contain_text(re.compile("newest row (now|.* ago), in this state since"))
+    page.evaluate("location.hash = '#/point/p'")
+    play.expect(page.locator(".legend")).to_contain_text("95 %")
+    answered(page, "/points/p/calibrations", [
+        kept(1, 1.0, "in force", calibration={**kept(1, 1.0)["calibration"], "notices": [doubt, remedy]}),
+        kept(2, 1.0, "offered", calibration={**kept(1, 1.0)["calibration"], "warnings": ["of before"]}),
+    ])  # fmt: skip
+    page.get_by_role("link", name="Its calibration has 2 warnings.").click()
+    said = page.locator("p.words[data-state]", has_text=re.compile("^Calibration [12]:"))
+    play.expect(said).to_have_text([
+        f"Calibration 1: {doubt['text']}", f"Calibration 1: {remedy['text']}", "Calibration 2: of before",
+    ])  # fmt: skip
+    play.expect(said.first).to_have_attribute("data-state", "wrong")
+    if AXE.is_file():
+        assert violations(page) == []
+
+
 def test_rows_that_grow_take_the_focus_from_nothing(opened):
     page = opened("")
     # The view is shown anew once the page has its first answer.

@@ -55,6 +55,11 @@ def test_a_peak_keeps_its_height_and_its_bucket_and_a_gap_is_a_gap(reader, begin
     gap = (middle_s > GAP_S[0] + 10) & (middle_s < GAP_S[1] - 10)
     for name in ("displacement_mm_min", "displacement_mm_max", "displacement_mm_mean", "displacement_std_mm", "status"):
         assert {found[name][k] for k in np.flatnonzero(gap)} == {None}
+    assert {found["rows"][k] for k in np.flatnonzero(gap)} == {0}
+    every, mean = np.array(found["rows"]), np.array(found["displacement_mm_mean"], dtype=float)
+    rows = reader.get("/api/v1/points/p/series", params={key: span[key] for key in ("from", "to")}).json()
+    kept = [mm for mm, is_lost in zip(rows["displacement_mm"], rows["status"], strict=True) if is_lost != "lost"]
+    assert np.nansum(every * mean) / every.sum() == pytest.approx(np.mean(kept), abs=1e-5)
     lost = (middle_s > LOST_S[0] + 1) & (middle_s < LOST_S[1] - 1)
     # What is lost is said, and rules no axis.
     assert {found["status"][k] for k in np.flatnonzero(lost)} <= {"lost"}

@@ -250,6 +250,7 @@ def test_buckets_are_those_of_a_loop():
             assert values == pytest.approx([known.min(), known.max(), known.mean()], abs=1e-12)
         else:
             assert values == [None, None, None]
+        assert found["rows"][at] == len(known)
         assert found["displacement_std_mm"][at] == (std[inside].max() if inside.any() else None)
 
 

@@ -318,7 +318,7 @@ def test_points_that_new_settings_leave_as_they_are_lose_no_row(site, footbridge
     assert processes_of(run) & cameras
     after = source_of(run, "p.accelerometer")
     assert after["records"] >= before["records"]
-    until(lambda: source_of(run, "p.camera")["reason"] == "ended")
+    until(lambda: source_of(run, "p.camera")["reason"] == "replay_ended")
     # 25 s of 100 Hz; on a busy machine the camera's process begins late.
     until(lambda: len((rows_of(run) or {"time": []})["time"]) > 1000)
     # Removing one leaves the others, too.

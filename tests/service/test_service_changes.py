@@ -87,7 +87,7 @@ def test_changes_are_those_of_what_measures(tmp_path):
     # Captured recordings in another folder are other ones.
     moved = load_site(write(tmp_path, HEAD + 'captures = "elsewhere"\n' + serial("a")))
     assert Changes.between(site_of(tmp_path, serial("a")), moved) == Changes(changed=("a",))
-    assert Changes(("c",), ("a", "b"), ()).text == "c: starts. a, b: restarts. The other points continue."
+    assert Changes(("c",), ("a", "b"), ()).text == "Point c starts. Points a, b restart. The other points continue."
     assert Changes().text == "All points continue."
 
 

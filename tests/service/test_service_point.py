@@ -1,16 +1,19 @@
 """A live point without a shell: captures, jobs, a calibration together with the running one, and its acceptance."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import midspan
 from midspan.engine.point import PointStatus
+from midspan.notices import Notice, notice_trees
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.capture import capture_settings
 from midspan.service.opening import opened
 from midspan.service.point import LivePoint, Phase
+from midspan.service.running import Running
 from midspan.settings.site import load_site
 
 SITE = """
@@ -127,6 +130,20 @@ def test_a_point_whose_settings_have_changed_is_opened_anew(tmp_path, more, phas
     assert later.opened is not None
 
 
+def test_a_late_clock_is_corrected_where_nothing_is_said_of_it(tmp_path):
+    """The displacement's stamps are 60 ms late: that is the calibration's offset, and what the engine goes on with."""
+    point = live_point(tmp_path)
+    for one in records(0, 40):
+        late_ns = 60_000_000 * (one.stream == "displacement")
+        point.push(Arrival(one.stream, 0, Readings(one.record.time_ns + late_ns, one.record.value)))
+        if point.job is not None:
+            break
+    offset = midspan.calibrate(point.job.folder).displacement.offset
+    std_s = offset.variance**0.5
+    assert 0.0 < std_s < 5e-3
+    assert abs(offset.value_s + 0.060) < 4.0 * std_s
+
+
 def test_the_engine_says_where_a_sensors_clock_is(tmp_path):
     """As calibrated, and as it has been followed since: the displacement's stamps are 50 ms early, later on 54 ms."""
     point = live_point(tmp_path, more="estimate_offset = true")
@@ -153,6 +170,26 @@ def test_the_engine_says_where_a_sensors_clock_is(tmp_path):
         assert abs(offset_s - early_s) < 4.0 * std_s
     assert engine.interval_s("displacement") == pytest.approx(0.1)
     assert engine.interval_s("accelerometer") == pytest.approx(0.01)
+
+
+def test_what_a_calibration_warns_of_is_an_event_and_stands_with_the_point(tmp_path):
+    point = live_point(tmp_path)
+    calibration, _ = running(point)
+    note = Notice("exposure", "camera: the exposure is taken out.")
+    doubt = Notice("scale-implausible", "displacement: the scale is 2.5.")
+    remedy = Notice("clock-uncertain", "displacement: set displacement.estimate_offset = true.")
+    warned = replace(calibration, warnings=(note, remedy, doubt))
+    point.batch()
+    point.calibrated(2, warned.to_act_on)
+    point.offered(3, warned.to_act_on)
+    said = [event.text for _, event in point.batch().events if event.kind == "calibration_warning"]
+    assert said == [f"p: calibration {number}: {text}" for number in (2, 3) for text in (doubt, remedy)]
+    live = Running(point, {}, {}, {})
+    assert live.state(0.0, live.standing(0.0))["warnings"] == notice_trees(calibration.to_act_on)
+    folder = point.settled_in
+    point.drop()
+    point.is_opened(opened(folder, "p", warned, 2), folder)
+    assert [one["severity"] for one in live.state(0.0, live.standing(0.0))["warnings"]] == ["serious", "warning"]
 
 
 def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_path):

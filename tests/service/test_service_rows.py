@@ -131,11 +131,17 @@ def test_readiness_says_whether_a_point_gives_rows(tmp_path):
     now = one.ready(second + 0.5)
     assert (now["reason"], now["status"], now["rows_age_s"]) == ("", "tracking", 0.5)
     assert 0.0 < now["sigma_mm"] < 2.0 * now["usual_sigma_mm"] < 0.4
+    # Which is as the accelerometer's source says: it is silent, or it brings records of which nothing can be made.
+    for stream in one.streams.values():
+        stream.reason, stream.heard_s = "", float(second)
+    assert (one.ready(second + 6.0)["reason"], one.status(second + 6.0)) == ("silent", "lost")
+    for stream in one.streams.values():
+        stream.heard_s = second + 6.0
     assert one.ready(second + 6.0)["reason"] == "no_rows"
     # All sources were recordings that are over.
-    ended = replace(one, streams={name: replace(stream, reason="ended") for name, stream in one.streams.items()})
+    ended = replace(one, streams={name: replace(stream, reason="replay_ended") for name, stream in one.streams.items()})
     for reported in (ended.ready(second + 6.0), ended.standing(second + 6.0)):
-        assert (reported["reason"], reported["status"]) == ("ended", "lost")
+        assert (reported["reason"], reported["status"]) == ("replay_ended", "lost")
     # Stamps of the accelerometer that went back bring no rows.
     pushed(one.live, second - 60, second - 40)
     assert one.ready(second + 6.0)["reason"] == "clock"
@@ -149,6 +155,35 @@ def test_readiness_says_whether_a_point_gives_rows(tmp_path):
     one.live.tick(BEGIN_NS + 8 * NANOSECONDS)
     one.looked_at(second + 31.0)
     assert one.ready(second + 31.0)["reason"] == "lost"
+
+
+def test_a_recording_that_ends_before_the_calibration_has_ended(tmp_path):
+    (tmp_path / "SITE.toml").write_text(SITE.format(accept="auto"))
+    (plan,) = load_site(tmp_path / "SITE.toml").points
+    one = running(plan, tmp_path / "captures", tmp_path)
+    for stream in one.streams.values():
+        stream.reason = "replay_ended"
+    for reported in (one.ready(0.0), one.standing(0.0)):
+        assert (reported["reason"], reported["status"]) == ("replay_ended", "calibrating")
+
+
+def test_rows_are_there_while_a_clocks_step_is_looked_for(tmp_path):
+    """The displacement is away for a second: whether its clock has stepped since is weighed by what comes, which the
+    rows' deviation holds.
+    """
+    (tmp_path / "SITE.toml").write_text(SITE.format(accept="auto"))
+    (plan,) = load_site(tmp_path / "SITE.toml").points
+    one = replace(running(plan, tmp_path / "captures", tmp_path), live=live_point(tmp_path))
+    _, at_s = opened_point(one.live)
+    sought = False
+    for arrival in records(at_s, at_s + 8):
+        second = arrival.newest_ns / NANOSECONDS
+        if arrival.stream == "accelerometer" or not at_s + 2 < second - BEGIN_NS / NANOSECONDS < at_s + 4:
+            one.live.push(arrival)
+            one.looked_at(second)
+            sought |= one.live.opened.point.estimator.seeks_clock
+            assert one.ready(second)["reason"] == ""
+    assert sought
 
 
 def test_the_usual_deviation_is_the_geometric_mean_of_rows_that_rest_on_measurements():

@@ -46,7 +46,7 @@ def test_a_missing_library_is_wrong_use_not_wrong_data() -> None:
 
 def test_a_size_that_fits_passes_and_one_that_does_not_is_named() -> None:
     require_memory(FILE, 1000, "array a")
-    with pytest.raises(DataError, match=r"some\.file: array a must fit .* takes 931322\.6 GiB"):
+    with pytest.raises(DataError, match=r"some\.file: array a must fit .* needs 931322\.6 GiB"):
         require_memory(FILE, 10**15, "array a")
 
 

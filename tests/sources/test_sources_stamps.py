@@ -36,7 +36,7 @@ def test_stamps_of_an_even_clock_rounded_to_10_ms_are_put_back(
     assert error_s(series, true_s) < 0.1e-3
     (notice,) = series.notices
     assert notice.code == "stamps-corrected"
-    assert "rounded to 10 ms; they were spread within the rounding; all rows lie on even clocks" in notice
+    assert "rounded to 10 ms; they were spread within the rounding; all rows fit evenly spaced times" in notice
 
 
 def test_lost_samples_and_a_jittery_clock_stay_within_the_rounding(tmp_path: Path) -> None:

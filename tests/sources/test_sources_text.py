@@ -131,6 +131,55 @@ def test_what_was_found_is_reported_in_plain_words(tmp_path: Path) -> None:
     np.testing.assert_allclose(series.value, [9.80665, 19.6133], rtol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("heading", "units", "row"),
+    [
+        ("Heure;Voie 1 (X);Voie 3 (Z)", "hh:mm:ss;g;g", "14:31:02,{:03d};0,01;1,01"),
+        ("Date;Heure;Voie 3 (Z)", "jj/mm/aaaa;hh:mm:ss;g", "12/06/2026;14:31:02,{:03d};1,01"),
+        ("Horodatage;Voie 3 (Z)", "yyyy-mm-dd HH:MM:SS.fff;g", "2026-06-12 14:31:02.{:03d};1,01"),
+    ],
+)
+def test_a_row_of_units_may_say_how_its_times_are_written(tmp_path: Path, heading: str, units: str, row: str) -> None:
+    rows = [row.format(5 * k) for k in range(20)]
+    series = read_text(
+        tmp_path, "\n".join(["Site;Passerelle", "", heading, units, *rows]), unit=None, value="Voie 3 (Z)"
+    )
+    assert np.diff(series.time_ns).tolist() == [5_000_000] * 19
+    np.testing.assert_allclose(series.value, 1.01 * 9.80665, rtol=1e-12)
+
+
+PREAMBLE = "Date;12/06/2026\nFréquence d'échantillonnage;200 Hz\nNombre de voies;3\n\n"
+
+
+@pytest.mark.parametrize("preamble", ["", PREAMBLE, "Rate;200\nChannels;3\nGain;1\n\n"])
+@pytest.mark.parametrize("units", ["s;g;g\n", "hh:mm:ss;g;g\n"])
+def test_a_heading_alone_has_no_data_rows(tmp_path: Path, preamble: str, units: str) -> None:
+    with pytest.raises(DataError, match="no data rows: nothing follows its heading 'Temps;Voie 1;Voie 3'"):
+        read_text(tmp_path, f"{preamble}Temps;Voie 1;Voie 3\n{units}")
+
+
+@pytest.mark.parametrize("preamble", ["", PREAMBLE])
+def test_names_alone_have_no_data_rows(tmp_path: Path, preamble: str) -> None:
+    with pytest.raises(DataError, match="no data rows"):
+        read_text(tmp_path, f"{preamble}Temps (s);Voie 1 (X);Voie 3 (Z)\n")
+
+
+def test_a_last_line_of_words_is_no_heading(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100:.2f};{k}\n" for k in range(5))
+    (tmp_path / "logger.csv").write_text(f"t;a\n{rows}end;of;record\n")
+    assert list_channels(tmp_path / "logger.csv").names == ("t", "a")
+
+
+def test_halves_of_numbers_are_refused_whichever_is_named(tmp_path: Path) -> None:
+    rows = "".join(f"0,{5 * k:03d},1,{k:06d}\n" for k in range(20))
+    for value in (None, "column_4"):
+        with pytest.raises(UsageError, match="comma seems to separate both columns and decimals"):
+            read_text(tmp_path, f"Temps (s),Voie 3 (Z)\ns,g\n{rows}", value=value)
+    # Decimal points show that the columns are whole, whatever the heading lacks.
+    rows = "".join(f"{k / 200:.3f},1.0,0,1\n" for k in range(20))
+    assert read_text(tmp_path, f"Temps,Voie\n{rows}", time="column_1", value="column_2").value[-1] == 1.0
+
+
 def test_cells_that_are_no_numbers_become_nan_wherever_they_stand(tmp_path: Path) -> None:
     rows = [f"{k * 0.01:.2f},{k}" for k in range(1000)]
     rows[0], rows[700], rows[701], rows[702] = "0.00,ERR", "7.00,overload", "7.01,", "7.02,NaN"

@@ -30,6 +30,27 @@ export function stateWords(alarm: AlarmBody): string {
   return `${alarm.level}, ${states[alarm.state] ?? alarm.state}${alarm.silence ? ", silenced" : ""}`;
 }
 
+/** How many alarms are open, and how they stand. */
+export function openWords(alarms: Pick<AlarmBody, "state" | "silence">[]): string {
+  if (!alarms.length) return "No alarm is open.";
+  const count = (state: string, isSilent: boolean) =>
+    alarms.filter((one) => one.state === state && (one.silence !== null) === isSilent).length;
+  const fires = count("firing", false);
+  const counted: [count: number, text: string][] = [
+    [fires, fires === 1 ? "fires" : "fire"],
+    [count("acknowledged", false) + count("acknowledged", true), "acknowledged"],
+    [count("firing", true), "silenced"],
+    [count("pending", false) + count("pending", true), "pending"],
+  ];
+  const parts = counted.filter(([number]) => number).map(([number, text]) => `${number} ${text}`);
+  return `${alarms.length === 1 ? "1 alarm is" : `${alarms.length} alarms are`} open: ${parts.join(", ")}.`;
+}
+
+/** The largest value of an alarm that has fired, where its value is no longer that. */
+function peakWords({ state, value, peak, unit }: AlarmBody): string {
+  return state !== "pending" && Math.abs(peak) > Math.abs(value) ? `, largest ${measured(peak, 0, unit)}` : "";
+}
+
 /** A value in the alarm's unit, with its 95 % band. */
 export function measured(value: number, std: number, unit: string): string {
   const half = 1.96 * std;
@@ -41,7 +62,7 @@ export function measured(value: number, std: number, unit: string): string {
 export function showAlarms(into: HTMLElement, alarms: AlarmBody[]): void {
   const texts = alarms.map(
     (one) =>
-      `${stateWords(one)}: ${one.name}, ${measured(one.value, one.value_std, one.unit)} (limit ${one.limit} ${one.unit}) ` +
+      `${stateWords(one)}: ${one.name}, ${measured(one.value, one.value_std, one.unit)} (limit ${one.limit} ${one.unit}${peakWords(one)}) ` +
       `since ${clock(Date.parse(one.since))}`,
   );
   while (into.children.length > texts.length) into.lastElementChild?.remove();

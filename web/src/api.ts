@@ -7,6 +7,11 @@ export interface Session {
   /** What the page is over. */
   serves: "site" | "recordings";
 }
+/** What a calibration warns of; serious: the displacement may be wrong by more than its band. */
+export interface Warned {
+  severity: string;
+  text: string;
+}
 /** How a point stands, without its newest row. */
 export interface PointStands {
   name: string;
@@ -15,6 +20,8 @@ export interface PointStands {
   text: string;
   /** What is prepared, or waits, also while there are no rows: a reason code. */
   notice?: string;
+  /** Of the calibration that makes the rows, the worst first. */
+  warnings?: Warned[];
   since: string | null;
   calibration: number | null;
   /** capturing, calibrating or opening; empty where nothing is prepared. */
@@ -66,6 +73,8 @@ export interface Buckets {
   displacement_mm_mean: Numbers;
   displacement_std_mm: Numbers;
   status: (string | null)[];
+  /** How many have a value; null over more than 32 days. */
+  rows: Numbers;
 }
 export interface Rows {
   time: number[];

@@ -3,7 +3,7 @@
 import type { Buckets, Rows } from "./api.ts";
 
 /** x in s since 1970; low, high: least and largest; lower, upper: those with 1.96 σ; mean; coasting: whether
- * any of it rests on no measurement. */
+ * any of it rests on no measurement; rows: how many it stands for, null where that is not known. */
 export interface Envelope {
   x: number[];
   low: (number | null)[];
@@ -12,13 +12,14 @@ export interface Envelope {
   upper: (number | null)[];
   mean: (number | null)[];
   coasting: boolean[];
+  rows: (number | null)[];
 }
 
 // Rows that are further apart than this many of their usual steps have a gap between them: one row may be late.
 const GAP_STEPS = 2.5;
 
 export function emptyEnvelope(): Envelope {
-  return { x: [], low: [], high: [], lower: [], upper: [], mean: [], coasting: [] };
+  return { x: [], low: [], high: [], lower: [], upper: [], mean: [], coasting: [], rows: [] };
 }
 
 function push(
@@ -29,12 +30,14 @@ function push(
   mean: number | null,
   std: number | null,
   status: string | null,
+  rows: number | null,
 ) {
   into.x.push(x);
   into.low.push(low);
   into.high.push(high);
   into.mean.push(mean);
   into.coasting.push(status === "coasting");
+  into.rows.push(rows);
   // A bucket without a deviation (over more than 32 days) has no band.
   into.lower.push(low === null || std === null ? null : low - 1.96 * std);
   into.upper.push(high === null || std === null ? null : high + 1.96 * std);
@@ -55,6 +58,7 @@ export function ofBuckets(buckets: Buckets, toMs: number): Envelope {
       buckets.displacement_mm_mean[at] ?? null,
       buckets.displacement_std_mm[at] ?? null,
       buckets.status[at] ?? null,
+      buckets.rows[at] ?? null,
     );
   });
   return made;
@@ -85,9 +89,19 @@ export function ofRows(rows: Rows): Envelope {
   rows.time.forEach((ns, at) => {
     const x = ns / 1e9;
     const before = made.x[made.x.length - 1];
-    if (before !== undefined && x - before > GAP_STEPS * step) push(made, before + step, null, null, null, null, null);
+    if (before !== undefined && x - before > GAP_STEPS * step)
+      push(made, before + step, null, null, null, null, null, 0);
     const value = rows.status[at] === "lost" ? null : (rows.displacement_mm[at] ?? null);
-    push(made, x, value, value, value, rows.displacement_std_mm[at] ?? null, rows.status[at] ?? null);
+    push(
+      made,
+      x,
+      value,
+      value,
+      value,
+      rows.displacement_std_mm[at] ?? null,
+      rows.status[at] ?? null,
+      value === null ? 0 : 1,
+    );
   });
   return made;
 }
@@ -105,10 +119,11 @@ export function layers(all: Envelope, head: Head | null): [Envelope, Envelope, E
   const whole: Envelope = { ...all, x: [...all.x] };
   for (const name of ["low", "high", "lower", "upper", "mean"] as const) whole[name] = [...all[name]];
   whole.coasting = [...all.coasting];
+  whole.rows = [...all.rows];
   const count = all.x.length;
   head?.time.forEach((ns, at) => {
     const value = head.displacement_mm[at] ?? null;
-    if (ns / 1e9 > last) push(whole, ns / 1e9, value, value, value, head.displacement_std_mm[at] ?? null, null);
+    if (ns / 1e9 > last) push(whole, ns / 1e9, value, value, value, head.displacement_std_mm[at] ?? null, null, 1);
   });
   const isCoasting = (at: number) => at < count && whole.coasting[at] === true;
   const hasHead = whole.x.length > count;
@@ -172,25 +187,29 @@ export function within(rows: Rows, fromS: number, toS: number): Rows {
 export interface Statistics {
   low: number;
   high: number;
-  mean: number;
+  /** Null where rows have none that is kept. */
+  mean: number | null;
   rms: number | null;
   parts: number;
 }
 
-/** Of what is drawn: extremes of every row; the mean of rows, or of buckets' means; rms about it, of rows alone. */
-export function statistics(of: Envelope, areRows: boolean): Statistics | null {
-  let [low, high, sum, squares, count] = [Infinity, -Infinity, 0, 0, 0];
+/** Of what is drawn from an instant on, s: extremes and mean of every row; rms about the mean, of rows alone. */
+export function statistics(of: Envelope, areRows: boolean, fromS = -Infinity): Statistics | null {
+  let [low, high, sum, squares, count, parts] = [Infinity, -Infinity, 0, 0, 0, 0];
   of.low.forEach((least, at) => {
     const most = of.high[at] ?? null;
-    if (least === null || most === null) return;
+    if (least === null || most === null || (of.x[at] ?? 0) < fromS) return;
     low = Math.min(low, least);
     high = Math.max(high, most);
-    const mean = of.mean[at] ?? (least + most) / 2;
-    sum += mean;
-    squares += mean * mean;
-    count += 1;
+    // Of what has no mean, or no number of rows, the whole has none.
+    const [mean, rows] = [of.mean[at] ?? NaN, of.rows[at] ?? NaN];
+    sum += rows * mean;
+    squares += rows * mean * mean;
+    count += rows;
+    parts += 1;
   });
-  if (!count) return null;
+  if (!parts) return null;
   const mean = sum / count;
-  return { low, high, mean, rms: areRows ? Math.sqrt(Math.max(squares / count - mean * mean, 0)) : null, parts: count };
+  const rms = areRows ? Math.sqrt(Math.max(squares / count - mean * mean, 0)) : null;
+  return { low, high, mean: Number.isFinite(mean) ? mean : null, rms, parts };
 }

@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { openWords } from "../src/alarms.ts";
 import { joined } from "../src/charts/series.ts";
 import { valueRange } from "../src/charts/value_range.ts";
 import { TimeWindow } from "../src/charts/window.ts";
@@ -45,6 +46,7 @@ test("a bucket is drawn at its middle, and an empty one is a gap", () => {
       displacement_mm_mean: [0, null],
       displacement_std_mm: [1, null],
       status: ["tracking", null],
+      rows: [10, 0],
     },
     2000,
   );
@@ -83,6 +85,39 @@ test("statistics have the extremes of every row", () => {
     true,
   );
   assert.deepEqual(found, { low: -1, high: 1, mean: 0, rms: 1, parts: 4 });
+});
+
+test("the mean of buckets and of the rows that came since is that of every row", () => {
+  // An hour in buckets of 6 s, of 60 rows each; then 100 rows at another place.
+  const time = Array.from({ length: 600 }, (_, at) => at * 6e9);
+  const every = <T>(value: T) => time.map(() => value);
+  const kept = ofBuckets(
+    {
+      time,
+      displacement_mm_min: every(-1),
+      displacement_mm_max: every(3),
+      displacement_mm_mean: every(0),
+      displacement_std_mm: every(0.1),
+      status: every("tracking"),
+      rows: every(60),
+    },
+    3600e3,
+  );
+  const all = joined(kept, ofRows(rows(36_000, 36_100, 6)));
+  assert.equal(statistics(all, false)?.mean, 600 / 36_100);
+  // What a window that follows has left behind does not count.
+  assert.equal(statistics(all, false, 3600)?.mean, 6);
+  // Of buckets without a mean there is none.
+  assert.equal(statistics({ ...all, mean: all.mean.map(() => null) }, false)?.mean, null);
+});
+
+test("open alarms are counted by how they stand", () => {
+  const silence = { until: "", owner: "", reason: "" };
+  const one = (state: string, isSilent = false) => ({ state, silence: isSilent ? silence : null });
+  assert.equal(openWords([]), "No alarm is open.");
+  assert.equal(openWords([one("acknowledged")]), "1 alarm is open: 1 acknowledged.");
+  const all = [one("firing"), one("firing"), one("firing", true), one("pending")];
+  assert.equal(openWords(all), "4 alarms are open: 2 fire, 1 silenced, 1 pending.");
 });
 
 test("a window that follows ends with the newest row, one that is zoomed keeps its middle", () => {
@@ -282,6 +317,7 @@ test("a few bands that are a thousand times as wide leave the values to be seen"
     upper: at.map((k) => k / 128 + width(k)),
     mean: at,
     coasting: at.map(() => false),
+    rows: at.map(() => 1),
   });
   assert.deepEqual(valueRange([of((k) => (k < 5 ? 100 : 0.125))]), [-0.125, 99 / 128 + 0.125]);
   // Where many are wide, they are the news.

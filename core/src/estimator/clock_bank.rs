@@ -16,7 +16,7 @@ use super::run::{Alone, Block, Filter, Judge};
 use super::samples::View;
 use super::situation::{LOG_2PI, SHORTEST_S, log_normal, met_within};
 use super::suspicion::Suspicion;
-use super::waiting::{Item, Measurement, Timed, put_in_order};
+use super::waiting::{Item, Measurement, Timed, put_each_in_order};
 use serde::{Deserialize, Serialize};
 
 /// Clocks are set by this much at most, s: what NTP steps by where it does not slew.
@@ -80,6 +80,17 @@ pub struct Member {
     pub filter: Filter,
     /// The rows of the filter since before the step, where they are kept.
     pub rows: Rows,
+    /// Where it goes on from when it is weighed again; None: from the filter before the step.
+    #[serde(skip)]
+    settled: Option<Settled>,
+}
+
+/// A member's filter at an instant of before which nothing comes any more.
+#[derive(Clone, Debug, PartialEq)]
+struct Settled {
+    filter: Filter,
+    /// Logarithm of the likelihood of what it has met.
+    log_likelihood: f64,
 }
 
 /// All steps that may have been.
@@ -153,14 +164,12 @@ impl Step {
             };
             timed.extend(own.into_iter().enumerate().map(mark));
         }
-        let mut whole: Vec<Timed> = timed.iter().map(|one| one.0).collect();
-        put_in_order(&mut whole);
-        let is_before = |one: &Timed| {
-            let concerned = one.channel().is_some_and(|c| self.concerns(c, model));
-            concerned && one.at_s >= mark_s && timed.contains(&(*one, false))
+        put_each_in_order(&mut timed, |one| one.0);
+        let is_before = |(one, moved): &(Timed, bool)| {
+            one.channel().is_some_and(|c| self.concerns(c, model)) && one.at_s >= mark_s && !moved
         };
-        let before = whole.iter().map(is_before).collect();
-        (whole, before)
+        let before = timed.iter().map(is_before).collect();
+        (timed.into_iter().map(|one| one.0).collect(), before)
     }
 
     /// Items and which of them are of before the step, without those of a time that the accelerometer's samples leave
@@ -173,6 +182,49 @@ impl Step {
         let (unseen, seen): (Vec<_>, Vec<_>) = items.into_iter().zip(before).partition(is_unseen);
         let (items, before) = seen.into_iter().unzip();
         (items, before, unseen.into_iter().map(|one| one.0).collect())
+    }
+}
+
+impl Member {
+    /// Runs its filter over samples and items up to the last sample, and keeps what it is at `settles_s`; returns the
+    /// logarithm of the likelihood since the filter before the step. untaken: see [`Alone`].
+    fn run(
+        &mut self,
+        (before, settles_s): (&Filter, f64),
+        model: &Model,
+        (samples, time_s): (View, &[f64]),
+        (items, untaken): (&mut [Timed], &[bool]),
+        (keeps_rows, work): (bool, &mut Work),
+    ) -> f64 {
+        let (mut filter, log_likelihood) = match self.settled.take() {
+            Some(one) => (one.filter, one.log_likelihood),
+            None => (before.best_alone(), 0.0),
+        };
+        let from_s = filter.clock.time_s;
+        let mut alone = Alone { log_likelihood, ..Alone::default() };
+        let first = time_s.partition_point(|&one| one <= from_s);
+        let settled = time_s.partition_point(|&one| one <= settles_s).max(first);
+        let mut done = items.partition_point(|one| one.at_s <= from_s);
+        if keeps_rows {
+            self.rows.drop_from(samples.time_ns.get(first).copied().unwrap_or(i64::MAX));
+        }
+        for (first, end) in [(first, settled), (settled, samples.len())] {
+            let end_s = if end > first { time_s[end - 1] } else { filter.clock.time_s };
+            let met = done + items[done..].partition_point(|one| one.at_s <= end_s);
+            alone.untaken.clear();
+            alone.untaken.extend_from_slice(untaken.get(done..met).unwrap_or(&[]));
+            let samples = samples.part(first, end);
+            let block =
+                &mut Block { samples, time_s: &time_s[first..end], items: &mut items[done..met], first_ns: i64::MIN };
+            let rows = keeps_rows.then_some(&mut self.rows);
+            filter.run(model, block, &mut Judge::Alone(&mut alone), rows, work);
+            done = met;
+            if self.settled.is_none() {
+                self.settled = Some(Settled { filter: filter.clone(), log_likelihood: alone.log_likelihood });
+            }
+        }
+        self.filter = filter;
+        alone.log_likelihood
     }
 }
 
@@ -228,6 +280,7 @@ impl Bank {
                     before,
                     filter,
                     rows: Rows::default(),
+                    settled: None,
                 });
             }
         }
@@ -266,11 +319,11 @@ impl Bank {
         instants
     }
 
-    /// Runs all filters anew over the samples since the one before, up to now, with what was measured until then; now:
-    /// the filter without a step.
+    /// Runs all filters over the samples up to now, with what was measured until then, from where nothing that comes can
+    /// change them any more; now: the filter without a step; behind_s: by how much stamps may be ahead of their instants.
     pub fn weigh(
         &mut self,
-        now: &Filter,
+        (now, behind_s): (&Filter, f64),
         model: &Model,
         (samples, time_s): (View, &[f64]),
         origin_ns: i64,
@@ -293,18 +346,19 @@ impl Bank {
             let stepped_s = items.iter().find(|one| matches!(one.item, Item::ClockStep { .. })).map(|one| one.at_s);
             let after = items[..due].iter().filter(|one| stepped_s.is_some_and(|at_s| one.at_s >= at_s));
             member.met = after.filter(concerned).count();
-            let mut alone = Alone { untaken, ..Alone::default() };
-            member.filter = before.best_alone();
-            let first = time_s.partition_point(|&one| one <= before.clock.time_s);
-            let (samples, time_s) = (samples.part(first, samples.len()), &time_s[first..]);
-            let mut block = Block { samples, time_s, items: &mut items[..due], first_ns: i64::MIN };
-            member.rows = Rows::default();
-            let rows = self.keeps_rows.then_some(&mut member.rows);
-            member.filter.run(model, &mut block, &mut Judge::Alone(&mut alone), rows, work);
+            // What comes later is stamped later than now, and met by the step earlier at most.
+            let settles_s = now_s - behind_s - (-1e-9 * member.step.shift_ns as f64).max(0.0);
+            let log_likelihood = member.run(
+                (before, settles_s),
+                model,
+                (samples, time_s),
+                (&mut items[..due], &untaken),
+                (self.keeps_rows, work),
+            );
             let pending = unseen.iter().chain(&items[due..]).filter_map(|one| one.item.measured());
             let (pending, most) = log_later(pending, member.filter.hyps.best(), usual, model);
             (member.weight, member.open) =
-                (member.prior + starts[member.before] + alone.log_likelihood + pending, most - pending);
+                (member.prior + starts[member.before] + log_likelihood + pending, most - pending);
         }
     }
 

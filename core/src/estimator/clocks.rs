@@ -356,7 +356,8 @@ impl Estimator {
         let samples = self.memory.clocks.samples.view();
         samples.seconds(origin_ns, &mut self.time_s);
         let Some(now) = self.memory.clocks.leader.as_ref().or(self.memory.filter.as_ref()) else { return };
-        bank.weigh(now, &self.model, (samples, &self.time_s), origin_ns, &mut self.work);
+        let behind_s = 1e-9 * self.memory.clocks.behind_ns() as f64;
+        bank.weigh((now, behind_s), &self.model, (samples, &self.time_s), origin_ns, &mut self.work);
         match bank.compare(now, &self.model) {
             Search::Open => self.memory.clocks.bank = Some(bank),
             Search::None => self.calm(output),

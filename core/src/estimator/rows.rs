@@ -97,6 +97,19 @@ impl Rows {
         }
     }
 
+    /// Drops the rows from a stamp on.
+    pub fn drop_from(&mut self, time_ns: i64) {
+        let count = self.time_ns.partition_point(|&one| one < time_ns);
+        self.time_ns.truncate(count);
+        for one in &mut self.axes {
+            for values in [&mut one.displacement, &mut one.variance, &mut one.velocity] {
+                values.truncate(count);
+            }
+            one.source.truncate(count);
+            one.status.truncate(count);
+        }
+    }
+
     /// Drops the last row where it is of this stamp.
     pub fn drop_last(&mut self, time_ns: i64) {
         if self.time_ns.last() != Some(&time_ns) {

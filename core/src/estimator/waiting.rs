@@ -83,8 +83,16 @@ impl Timed {
 
 /// Puts items in time order; of one instant by channel.
 pub fn put_in_order(items: &mut [Timed]) {
-    if items.windows(2).any(|two| two[1].at_s <= two[0].at_s) {
-        items.sort_by(|a, b| a.at_s.total_cmp(&b.at_s).then(a.item.order().cmp(&b.item.order())));
+    put_each_in_order(items, |one| *one);
+}
+
+/// Puts what goes with items in the order of these.
+pub fn put_each_in_order<T>(listed: &mut [T], item: impl Fn(&T) -> Timed) {
+    if listed.windows(2).any(|two| item(&two[1]).at_s <= item(&two[0]).at_s) {
+        listed.sort_by(|a, b| {
+            let (a, b) = (item(a), item(b));
+            a.at_s.total_cmp(&b.at_s).then(a.item.order().cmp(&b.item.order()))
+        });
     }
 }
 

@@ -19,10 +19,10 @@ OPEN = ("pending", "firing", "acknowledged")
 class Alarm:
     """One alarm from its begin to its end.
 
-    value, std: at the newest sample, in `unit`; peak: the value furthest from zero. since_ns: when limit or
-    band was first exceeded; time_ns: of the newest change. reported: the state that people were notified of last,
-    at reported_ns; "" for none. source: which one is silent, "" of other rules, and
-    silent_ns: since when.
+    value, std: at the newest sample, in `unit`; peak: the value furthest from zero. since_ns: since when the
+    limit is exceeded for certain, before that since when its band touches it; time_ns: of the newest change.
+    reported: the state that people were notified of last, at reported_ns; "" for none. source: which one is silent,
+    "" of other rules, and silent_ns: since when.
     """
 
     id: str
@@ -120,8 +120,9 @@ def _valued(rule: Rule, state: RuleState, time_ns: int, value: float, std: float
         return Alarm(number, rule.key, rule.point, rule.name, rule.level, rule.on, rule.unit, rule.limit, "pending",
                      reason, value, std, value, time_ns, time_ns)  # fmt: skip
     peak = value if abs(value) > abs(alarm.peak) else alarm.peak
-    is_proven = alarm.reason == "band" and reason == "limit"
-    return replace(alarm, value=value, std=std, peak=peak, reason=reason if is_proven else alarm.reason)
+    if alarm.state == "pending" and state.above_ns is not None:
+        alarm = replace(alarm, reason=reason, since_ns=state.above_ns)
+    return replace(alarm, value=value, std=std, peak=peak)
 
 
 def _next(rule: Rule, state: RuleState, time_ns: int, *, is_certain: bool, is_clear: bool) -> Alarm | None:

@@ -43,7 +43,11 @@ def sentence_of(alarm: Alarm) -> str:
         return f"{what}: only the band exceeds the limit."
     if alarm.reason == "no_data":
         return f"{alarm.point}: no rows for {alarm.value:.4g} s, limit {alarm.limit:.4g} s."
-    return f"{what}: exceeded{' by the whole band' if band else ''}, since {iso(alarm.since_ns)}."
+    whole = " by the whole band" if band else ""
+    if alarm.state == "pending" and abs(alarm.value) - band <= alarm.limit:
+        return f"{what}: was exceeded{whole} at {iso(alarm.since_ns)}, for too short a time to fire."
+    peak = f" Peak {alarm.peak:.4g} {unit}." if abs(alarm.peak) > abs(alarm.value) else ""
+    return f"{what}: exceeded{whole}, since {iso(alarm.since_ns)}.{peak}"
 
 
 def tree_of(alarm: Alarm, silence: Tree | None = None) -> Tree:

@@ -28,8 +28,8 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 LARGEST_M_PER_PX = 0.5
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
-# Image motion above this many standard deviations of a frame's noise is motion.
-CLEARLY_MOVING = 8.0
+# Image motion above this many standard deviations of a frame's noise is motion; above fewer it likely is.
+CLEARLY_MOVING, LIKELY_MOVING = 8.0, 4.0
 # Where more than this share of the frames would be outliers, a clock that jumps is looked for: after one all are.
 MANY_LEFT_OUT = 0.2
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
@@ -102,9 +102,15 @@ def of_no_camera(scale_m_per_px: float) -> str:
     if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
         return ""
     return (
-        f"Check camera.direction first (with two files: --direction): {1e3 * scale_m_per_px:.3g} mm/px is implausible "
-        f"(at most {1e3 * LARGEST_M_PER_PX:g}); the motion is probably along the other image axis. "
+        f"Check camera.direction first (with two files: --direction): more than {1e3 * LARGEST_M_PER_PX:g} mm/px, as "
+        "here, is implausible; the motion is probably along the other image axis. "
     )
+
+
+def too_vague(scale_m_per_px: float, relative_std: float) -> str:
+    """What is refused for its standard deviation, without a figure that no camera can have."""
+    figure = f"{1e3 * scale_m_per_px:.4g} mm/px " if abs(scale_m_per_px) <= LARGEST_M_PER_PX else "an uncertainty of "
+    return f"{figure}± {100 * relative_std:.2g} %; at most ± {100 * REFUSED_ABOVE:g} % is accepted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,22 +288,24 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
             "If the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. "
             f"{_slow_samples(pair)}{NOT_SHOWN}"
         )
-    would_be = f"{1e3 / fit.ratio:.4g} mm/px ± {100 * relative:.2g} %; at most ± {100 * REFUSED_ABOVE:g} % is accepted"
+    would_be = too_vague(1.0 / fit.ratio, relative)
     alias, shakes = alias_in_words(pair), shaken > CLEARLY_MOVING * white_noise(pair.samples[:, 1])
     first = of_no_camera(1.0 / fit.ratio) if shakes else ""
-    if seen > CLEARLY_MOVING * noise and shakes and not alias:
-        raise NoAgreementError(
-            f"No agreement between image and accelerometer {figures}: both move, but too differently for a scale "
-            f"factor: {would_be}. {first}Check camera.direction, camera.roi, accelerometer.value, and that both files "
-            "are of the same event; if the clocks may differ by more, raise calibration.max_offset_s or set "
-            f"camera.start_s. {_slow_samples(pair)}{NOT_SHOWN}"
-        )
     livelier = (
         "Choose a calibration.window_s with traffic or shaking, or pass a calibration made at a livelier time with -c. "
     )
+    if seen > LIKELY_MOVING * noise and shakes and not alias:
+        # What moves for certain, and otherwise, contradicts.
+        contradicts = seen > CLEARLY_MOVING * noise
+        raise (NoAgreementError if contradicts else UntrustedError)(
+            f"No agreement between image and accelerometer {figures}: both move, but too differently for a scale "
+            f"factor: {would_be}. {first}Check camera.direction, camera.roi, accelerometer.value, and that both files "
+            "are of the same event; if the clocks may differ by more, raise calibration.max_offset_s or set "
+            f"camera.start_s. {'' if contradicts else livelier}{_slow_samples(pair)}{NOT_SHOWN}"
+        )
     static = (
         "check camera.direction, camera.roi (an object fixed to the camera shows no motion), "
-        "calibration.max_offset_s, and that no stabiliser removes the motion."
+        "calibration.max_offset_s, that both files are of the same event, and that no stabiliser removes the motion."
     )
     cause = (
         f"The accelerometer moves and the image does not: {static} {livelier}".rstrip()

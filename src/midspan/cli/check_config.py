@@ -1,5 +1,6 @@
 """`midspan check-config FILE`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,7 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
                 continue
             if not (path.parent / file_name).exists():
                 missing.append(f"{path}: {name}.{key} = {file_name!r}: no such file yet.")
+    _check_regions(path, settings)
     console.table(_rows(settings.model_dump(exclude_none=True), recording_sections()))
     console.warn(missing)
     console.say(_verdict(str(path), missing))
@@ -83,6 +85,29 @@ def _check_unit(section: Any, quantity: str, where: str) -> None:
         raise UsageError(f"{where}: {error}") from None
 
 
+def _check_regions(path: Path, settings: "RecordingSettings") -> None:
+    """UsageError for a region beyond the picture of a camera whose file can be read."""
+    from midspan.errors import MidspanError
+    from midspan.recording.streams.recording import Recording
+    from midspan.recording.tracking.opening import given_targets, require_inside
+    from midspan.settings.camera import CameraSettings
+    from midspan.vision.frame_source import StoredTrack
+
+    for view in Recording(path, settings).cameras:
+        camera = view.own.settings
+        if not isinstance(camera, CameraSettings) or not given_targets(camera):
+            continue
+        try:
+            frames = view.frames
+            info = frames.info
+        except MidspanError:
+            # What is wrong with the file is for inspect to say.
+            continue
+        # A stored track has no picture.
+        if not isinstance(frames, StoredTrack):
+            require_inside(camera, (info.width, info.height), f"{path}: {view.sensor}")
+
+
 def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
     """Name, quantity and section of the accelerometer and each sensor that brings readings."""
     from midspan.settings.kinds import LIVE
@@ -92,7 +117,7 @@ def _channels(settings: "RecordingSettings") -> list[tuple[str, str, Any]]:
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
-    from midspan.settings.keys import site_sections
+    from midspan.settings.keys import recording_sections, site_sections
     from midspan.settings.live_sources import without_secrets
     from midspan.settings.site import load_site, require_folders
 
@@ -104,6 +129,7 @@ def _site(file: str, console: Console) -> None:
         {
             **plan.settings.model_dump(mode="json", exclude_none=True),
             "sources": {name: without_secrets(address) for name, address in plan.sources.items()},
+            "sensors": _sensors(plan),
             "alarm": [one.model_dump(mode="json", exclude_none=True) for one in plan.alarms],
         }
         for plan in site.points
@@ -112,12 +138,47 @@ def _site(file: str, console: Console) -> None:
     for plan in site.points:
         where = f"{file}: point {plan.name!r}"
         absent = [f"{where}: {line}" for line in _missing(plan, site.file.parent, where)]
-        warnings += [*absent, *(f"{where}: {line}" for line in _units(plan, where))]
+        warnings += [*absent, *(f"{where}: {line}" for line in [*_units(plan, where), *_short(plan, site.file.parent)])]
         missing += absent
-    console.table(_rows({**settings, "point": points}, site_sections()))
+    sections = [replace(one, name=f"point.sensors.{one.name}") for one in recording_sections()]
+    console.table(_rows({**settings, "point": points}, [*site_sections(), *sections]))
     console.warn(warnings)
     console.say(_verdict(file, missing))
     console.document({"file": file, "valid": True, "warnings": warnings, "settings": {**settings, "point": points}})
+
+
+def _sensors(plan: "PointPlan") -> dict[str, Any]:
+    """The keys that are given of a point's sensors besides their sources."""
+    from midspan.settings.site import FILE_KEYS
+
+    return {
+        name: section.model_dump(mode="json", exclude_none=True, exclude_unset=True, exclude={"name", *FILE_KEYS})
+        for name, _, section in plan.recording.streams
+    }
+
+
+def _short(plan: "PointPlan", folder: Path) -> list[str]:
+    """A line on recordings that are replayed and end before the point gives rows."""
+    from midspan.errors import MidspanError
+    from midspan.recording.streams.recording import open_recording
+    from midspan.records import NANOSECONDS
+    from midspan.service.point import OPENING_S
+
+    if not all(address.startswith("replay:") for address in plan.sources.values()):
+        return []
+    lengths = []
+    for place in set(plan.sources.values()):
+        try:
+            time_ns = open_recording(folder / place.removeprefix("replay:")).acceleration.time_ns
+        except MidspanError:
+            return []
+        lengths.append(float(time_ns[-1] - time_ns[0]) / NANOSECONDS)
+    calibrates_s = plan.settings.calibration_s if plan.settings.calibration is None else 0.0
+    if min(lengths) >= calibrates_s + OPENING_S:
+        return []
+    needs = f"calibration_s = {calibrates_s:g}, the calibration itself and " if calibrates_s else ""
+    remedy = "lower calibration_s, or give a calibration" if calibrates_s else "use a longer recording"
+    return [f"replays {min(lengths):.4g} s; {needs}{OPENING_S:g} s to open come before rows: {remedy}."]
 
 
 def _missing(plan: "PointPlan", folder: Path, where: str) -> list[str]:

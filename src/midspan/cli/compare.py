@@ -38,6 +38,8 @@ def command(result: str, reference: str, quiet: bool, as_json: bool, **options: 
 def show(console: Console, figures: dict[str, Any]) -> None:
     """Print the figures of a comparison: the headline, then each way of taking zero and lag off in a row."""
 
+    from midspan.evaluate.metrics import ANOTHER_ZERO
+
     def number(value: float | None, unit: str, digits: int = 4) -> str:
         return "not defined" if value is None else f"{value:.{digits}g} {unit}".rstrip()
 
@@ -46,12 +48,15 @@ def show(console: Console, figures: dict[str, Any]) -> None:
         return "" if share is None else f", {100 * share:.1f} % inside ±1.96 σ"
 
     extent = number(figures["normalised_rmse_percent"], "%", 3)
+    zero, explained = figures["without_zero"], any(line.startswith(ANOTHER_ZERO) for line in figures["notes"])
+    without = f"RMSE {number(zero['rmse_mm'], 'mm')}{inside(zero)}"
     worst = f"{number(figures['largest_error_mm'], 'mm')} at {figures['largest_error_at_s']:.3f} s"
     console.table(
         [
             ("compared", f"{figures['count']} samples from {figures['start_s']:.3f} to {figures['end_s']:.3f} s"),
             ("RMSE", f"{number(figures['rmse_mm'], 'mm')} ({extent} of the peak-to-peak){inside(figures)}"),
             ("bias", number(figures["bias_mm"], "mm")),
+            *([("of it the zero", f"{number(zero['zero_mm'], 'mm')}; without it {without}")] if explained else []),
             ("largest error", worst),
             ("correlation", number(figures["correlation"], "", 7)),
             ("lag", f"{number(figures['lag_s'], 's')} (positive: the result is late)"),

@@ -1,6 +1,7 @@
-"""`midspan estimate RECORDING`, or `midspan estimate ACCEL VIDEO`."""
+"""`midspan estimate RECORDING`, or `midspan estimate ACCEL FILE2`."""
 
 import math
+from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -16,14 +17,18 @@ if TYPE_CHECKING:
     from midspan.recording.result import Result
     from midspan.recording.streams.recording import Recording
     from midspan.records import TimeSeries
+    from midspan.settings.two_files import Choices
 
 
 @click.command("estimate")
 @click.argument("recording", type=click.Path())
-@click.argument("video", type=click.Path(), required=False)
+@click.argument("file2", type=click.Path(), required=False)
 @click.option("--value", help="Two files: channel along the motion.")
 @click.option("--unit", help="Two files: unit of the channel, if the file has none.")
 @click.option("--direction", type=click.Choice(["x", "y"]), help="Two files: image axis of the motion. Default: y.")
+@click.option("--rate-hz", type=float, help="Two files: rate of FILE2, if it has no times.")
+@click.option("--displacement-value", metavar="NAME", help="Two files: displacement channel of FILE2.")
+@click.option("--displacement-unit", help="Two files: unit of that channel, if the file has none.")
 @click.option(
     "-c",
     "--calibration",
@@ -31,7 +36,12 @@ if TYPE_CHECKING:
     type=click.Path(),
     help="Calibration to use. Default: calibrate this recording.",
 )
-@click.option("-o", "--output", type=click.Path(), help="Result; the suffix selects the format. Default: result.csv.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(),
+    help="Result; the suffix selects the format. Default: result.csv. With --method all: the picture.",
+)
 @click.option("--method", help="Method; overrides the recording's. `all`: compare all in a table and methods.png.")
 @click.option("--reference", type=click.Path(), help="With --method all: file of the reference displacement.")
 @click.option("--reference-unit", help="Unit of the reference, if its file has none.")
@@ -48,23 +58,28 @@ if TYPE_CHECKING:
 @click.option("--from", "begin", help="Store: first instant, ISO 8601 or seconds since 1970.")
 @click.option("--to", "end", help="Store: last instant.")
 @common_options
-def command(recording: str, video: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
+def command(recording: str, file2: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation.
 
-    RECORDING is a folder with recording.toml, a store, or an accelerometer file followed by VIDEO.
+    RECORDING is a folder with recording.toml, a store, or an accelerometer file followed by FILE2: a video, or the
+    table of a displacement sensor.
     """
+    from midspan.settings.two_files import Choices, in_words_of_two_files
+
     console = Console(quiet, as_json)
     options["every"] = options["method"] == ALL
     if options["every"]:
         options["method"] = None
     elif options["reference"] or options["reference_unit"]:
         raise click.UsageError("--reference: needs --method all. For one result use `midspan compare`.")
-    if video is not None:
-        _of_two_files(Path(recording), Path(video), console, options)
+    choices = Choices(**{one.name: options.pop(one.name) for one in fields(Choices)})
+    if file2 is not None:
+        with in_words_of_two_files(Path(recording), Path(file2)):
+            _of_two_files(Path(recording), Path(file2), choices, console, options)
         return
-    files = [f"--{key}" for key in ("value", "unit", "direction") if options[key]]
-    if files:
-        raise click.UsageError(f"{files[0]}: needs two files, ACCEL VIDEO. For a recording set it in recording.toml.")
+    if choices.named:
+        option = f"--{choices.named[0].replace('_', '-')}"
+        raise click.UsageError(f"{option}: needs two files, ACCEL FILE2. For a recording set it in recording.toml.")
     from midspan.store.store import is_store
 
     if is_store(recording):
@@ -109,26 +124,29 @@ def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> 
     _of_opened(opened, console, options)
 
 
-def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str, Any]) -> None:
-    """Estimate an accelerometer's file and a video."""
+def _of_two_files(accel: Path, second: Path, choices: "Choices", console: Console, options: dict[str, Any]) -> None:
+    """Estimate an accelerometer's file and that of another sensor."""
     from midspan.recording.streams.recording import Recording
-    from midspan.settings.two_files import draft, settings_of
+    from midspan.settings.two_files import ACCELERATION, DISPLACEMENT, draft, settings_of
 
     if options["point"] or options["begin"] or options["end"]:
         raise click.UsageError("--point, --from and --to: need a store; received two files.")
-    found = draft(accel, video, options["value"], options["unit"], options["direction"])
+    found = draft(accel, second, choices)
+    if options["tracker"] and found.second == DISPLACEMENT.section:
+        raise click.UsageError(f"--tracker {options['tracker']}: {second} is a table, with nothing to track.")
     tree = found.sections
     tree["fusion"] = {"literal": bool(options["literal"])}
-    for section, key in ((found.camera, "tracker"), ("fusion", "method")):
+    for section, key in ((found.second, "tracker"), ("fusion", "method")):
         if options[key]:
             tree[section][key] = options[key]
-    for channel in ("value", "unit"):
-        if channel in tree["accelerometer"]:
-            console.say(f"{accel.name}: {channel} {tree['accelerometer'][channel]}")
+    for file, section in ((accel, ACCELERATION.section), (second, DISPLACEMENT.section)):
+        for channel in ("value", "unit"):
+            if channel in tree.get(section, {}):
+                console.say(f"{file.name}: {channel} {tree[section][channel]}")
 
-    file, settings = settings_of(found)
+    where, settings = settings_of(found)
     settings = settings.calibrated_as_printed() if options["literal"] else settings
-    _of_opened(Recording(file, settings), console, options)
+    _of_opened(Recording(where, settings), console, options)
 
 
 def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -> None:
@@ -293,7 +311,7 @@ def _statuses(f: dict[str, Any]) -> str:
 
 # What stands for all methods, as the value of --method.
 ALL = "all"
-HEADINGS = ("method", "RMSE", "without zero", "inside ±1.96 σ", "σ", "delay", "takes")
+HEADINGS = ("method", "RMSE", "inside ±1.96 σ", "without zero", "inside", "σ", "delay", "takes")
 
 
 def compare_methods(opened: "Recording", console: Console, options: dict[str, Any]) -> None:
@@ -327,10 +345,10 @@ def _row(run: "MethodRun") -> tuple[str, ...]:
     if run.result is None:
         return (run.name, *[""] * (len(HEADINGS) - 1))
     found, against = run.result, run.comparison
-    compared = ("", "", "")
+    compared = [""] * 4
     if against is not None:
-        share = against.plain.coverage_95
-        inside = "" if share is None else f"{100 * share:.1f} %"
-        compared = (f"{against.plain.rmse_mm:.3g} mm", f"{against.without_zero.rmse_mm:.3g} mm", inside)
+        pairs = [(one.rmse_mm, one.coverage_95) for one in (against.plain, against.without_zero)]
+        cells = [(f"{rmse:.3g} mm", "" if share is None else f"{100 * share:.1f} %") for rmse, share in pairs]
+        compared = [cell for pair in cells for cell in pair]
     delay = {0.0: "none", math.inf: "whole record"}.get(found.delay_s, f"{found.delay_s:.2g} s")
     return (run.name, *compared, f"{found.figures()['median_std_mm']:.3g} mm", delay, f"{run.took_s:.2g} s")

@@ -1,7 +1,8 @@
-"""`midspan init ACCEL VIDEO`."""
+"""`midspan init ACCEL FILE2`."""
 
 import os
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -10,25 +11,31 @@ from midspan.cli.console import Console, common_options
 
 @click.command("init")
 @click.argument("accel", type=click.Path())
-@click.argument("video", type=click.Path())
+@click.argument("file2", type=click.Path())
 @click.option("-o", "--output", type=click.Path(), help="Folder to write into. Default: that of ACCEL.")
 @click.option("--value", help="Channel along the motion. Default: the only or the vertical one.")
 @click.option("--unit", help="Unit of the channel, if the file has none.")
 @click.option("--direction", type=click.Choice(["x", "y"]), help="Image axis of the motion. Default: y.")
+@click.option("--rate-hz", type=float, help="Rate of FILE2, if it has no times.")
+@click.option("--displacement-value", metavar="NAME", help="Displacement channel of FILE2.")
+@click.option("--displacement-unit", help="Unit of that channel, if the file has none.")
 @common_options
-def command(accel: str, video: str, quiet: bool, as_json: bool, **options: str | None) -> None:
-    """Write a commented recording.toml for an accelerometer file and a video, with channels, units and rates."""
+def command(accel: str, file2: str, output: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Write a commented recording.toml for an accelerometer file and FILE2, with channels, units and rates.
+
+    FILE2 is a video, or the table of a displacement sensor.
+    """
     from midspan.errors import UsageError
     from midspan.settings.load import RECORDING_FILE
-    from midspan.settings.two_files import draft
+    from midspan.settings.two_files import Choices, draft
     from midspan.writing import write_whole
 
     console = Console(quiet, as_json)
-    folder = Path(options["output"] or Path(accel).parent)
+    folder = Path(output or Path(accel).parent)
     target = folder / RECORDING_FILE
     if target.exists():
         raise UsageError(f"{target}: exists already and is not overwritten. Remove it, or give another folder (-o).")
-    found = draft(Path(accel), Path(video), options["value"], options["unit"], options["direction"], choose=True)
+    found = draft(Path(accel), Path(file2), Choices(**options), choose=True)
     folder.mkdir(parents=True, exist_ok=True)
     for section, own in found.sections.items():
         if "file" in own:

@@ -81,7 +81,7 @@ def run(arguments: list[str]) -> int:
         error.show()
         return 2
     except click.ClickException as error:
-        return _explain(arguments, error.format_message(), 2, error)
+        return _explain(arguments, _said(error), 2, error)
     except MidspanError as error:
         return _explain(arguments, str(error), error.exit_code, None)
     except (KeyboardInterrupt, click.Abort):
@@ -96,6 +96,26 @@ def run(arguments: list[str]) -> int:
         text = f"internal error ({what}). This is a defect of midspan; MIDSPAN_TRACEBACK=1 shows where it happened."
         return _explain(arguments, text, 1, None)
     return left if isinstance(left, int) else 0
+
+
+def _said(error: "click.ClickException") -> str:
+    """The message of a wrong use; an option that is a key of a recording is led to its file."""
+    import click
+
+    if not isinstance(error, click.NoSuchOption) or error.ctx is None:
+        return error.format_message()
+    from midspan.settings.keys import recording_sections
+
+    key = error.option_name.lstrip("-").replace("-", "_")
+    # Of sections within others, theirs is enough.
+    sections = [one for one in recording_sections() if one.name and "." not in one.name]
+    places = [f"[{one.name}]" for one in sections if key in [known.name for known in one.keys]]
+    if not places or all(one.name != "recording" for one in error.ctx.command.params):
+        return error.format_message()
+    return (
+        f"No such option {error.option_name!r}. {key} is a key of recording.toml ({', '.join(places)}), which "
+        f"`midspan init ACCEL VIDEO` writes; `midspan help {key}` explains it."
+    )
 
 
 def _explain(arguments: list[str], message: str, code: int, error: "click.ClickException | None") -> int:

@@ -39,7 +39,7 @@ def _show_papers(console: Console) -> None:
     from midspan.papers.published import PAPERS
 
     for paper in PAPERS:
-        console.say(f"{paper.name}: {paper.citation}{f'; {paper.where}' if paper.where else ''}")
+        console.say(f"{paper.key} {paper.name}: {paper.citation}{f'; {paper.where}' if paper.where else ''}")
         console.table(
             [
                 ("sensors", ", ".join(("accelerometer", *paper.sensors))),
@@ -50,6 +50,7 @@ def _show_papers(console: Console) -> None:
             ]
         )
         console.say()
+    console.say("`midspan estimate RECORDING --paper KEY` takes the key, such as 003, that a paper begins with.")
     console.say(
         "Without --literal midspan also handles outliers, gaps and bias, and states a band that contains the errors."
     )
@@ -57,6 +58,7 @@ def _show_papers(console: Console) -> None:
         {
             "papers": [
                 {
+                    "key": paper.key,
                     "name": paper.name,
                     "citation": paper.citation,
                     "where": paper.where or None,

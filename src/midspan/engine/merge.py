@@ -311,7 +311,9 @@ class Merge:
         if number == 0 and self._now_ns is None:
             # Without ticks a pause of the first stream cannot be distinguished from a clock that was set ahead.
             return LAST_NS
-        return first.newest_ns + first.pause_ns + MAX_AHEAD * self._silent_ns
+        # While the first stream was out the others went on: its own records come late then, and theirs do not.
+        reached_ns = max(first.newest_ns + first.pause_ns, self._released_ns or FIRST_NS)
+        return reached_ns + MAX_AHEAD * self._silent_ns
 
     def _limit(self) -> int | None:
         """Up to which stamp (ns) everything is due: no live stream can bring anything earlier, or has had its time."""

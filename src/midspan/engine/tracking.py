@@ -162,16 +162,31 @@ class TargetTracking:
         row = self._columns.row(number)
         return translation_of((*row[:7], row[7:9], *row[9:]), self._events.get(number, ()))
 
-    def warnings(self, axes: str) -> list[Notice]:
-        """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy"."""
+    def warnings(self, axes: str, *, compressed: bool = False) -> list[Notice]:
+        """What of the frames tracked so far is worth reporting, measured along the image axes "x", "y" or "xy".
+
+        compressed: whether a codec may have left out what hardly changes.
+        """
         found, chain = list[Notice](), self.chain
         if chain.frozen_frames:
-            text = f"{chain.frozen_frames} frames repeat the previous image or part of it and were not used. "
-            text += "Check camera and recorder; converted and slow-motion videos also repeat frames."
-            found.append(Notice("frozen", f"camera: {text}"))
+            found.append(Notice("frozen", f"camera: {_repeated(chain.frozen_frames, len(self._columns), compressed)}"))
         if (picture := chain.picture) is not None:
             found += picture_warnings(picture, axes)
         return found if (light := chain.light) is None else found + light_warnings(light)
+
+
+def _repeated(count: int, frames: int, compressed: bool) -> str:
+    """A sentence on frames that repeat the target of the frame before to the last bit."""
+    if compressed:
+        return (
+            f"{count} of {frames} frames repeat the target of the previous frame exactly and were not used: "
+            "compression drops small changes, as where nothing moves; "
+            "converted and slow-motion videos also repeat frames."
+        )
+    return (
+        f"{count} frames repeat the previous image or part of it and were not used. Check camera and recorder; "
+        "converted and slow-motion videos also repeat frames."
+    )
 
 
 def light_warnings(light: LightReport) -> list[Notice]:
@@ -334,7 +349,7 @@ class CameraTracking:
         found += [Notice("file-damaged", f"camera: {line}.") for line in info.damage]
         found += [one.worded(f"camera: {one}.") for one in info.notices]
         for target in self.targets:
-            own = target.warnings(axes or self.settings.direction)
+            own = target.warnings(axes or self.settings.direction, compressed=info.lossless is False)
             if self.settings.lens is not None:
                 own += lens_warnings(target.region, self.settings.lens)
             # Compression is one cause in all targets.

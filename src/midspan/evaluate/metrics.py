@@ -150,6 +150,7 @@ MIN_INSTANTS = 2
 ALIGNMENTS = ("none", "zero", "zero+lag")
 # What takes off half of the error is named.
 MOSTLY = 0.5
+ANOTHER_ZERO = "The reference has another zero"
 # Displacement and reference correlated like this have one form: a fifth of the variance is another (1 - 0.9² = 0.19).
 ALIKE = 0.9
 # Units of length are ten times apart or more; nearer than half of that it may be a scale.
@@ -216,10 +217,14 @@ class Comparison(Agreement):
     error_mm: Floats = field(default_factory=lambda: np.empty(0), repr=False, compare=False)
 
     def __repr__(self) -> str:
-        inside = "" if self.coverage_95 is None else f", {100 * self.coverage_95:.1f} % inside ±1.96 σ"
+        inside, left = (
+            "" if one.coverage_95 is None else f", {100 * one.coverage_95:.1f} % inside ±1.96 σ"
+            for one in (self, self.without_zero)
+        )
         return (
-            f"Comparison(RMSE {self.rmse_mm:.4g} mm, bias {self.bias_mm:.4g} mm{inside}; {self.count} instants from "
-            f"{self.start_s:g} to {self.end_s:g} s)"
+            f"Comparison(RMSE {self.rmse_mm:.4g} mm, bias {self.bias_mm:.4g} mm{inside}; zero removed: RMSE "
+            f"{self.rmse_without_bias_mm:.4g} mm{left}; {self.count} instants from {self.start_s:g} to "
+            f"{self.end_s:g} s)"
         )
 
     @property
@@ -335,7 +340,7 @@ def _explained(both: _Pair, agreements: tuple[Agreement, Agreement, Agreement | 
     contained_mm = 0.0 if both.band is None else 1.96e3 * both.band.zero_std_m
     if zero.rmse_mm < MOSTLY * plain.rmse_mm and abs(zero.zero_mm) > contained_mm:
         found.append(
-            f"The reference has another zero: the displacement is {zero.zero_mm:+.4g} mm from it on average. With "
+            f"{ANOTHER_ZERO}: the displacement is {zero.zero_mm:+.4g} mm from it on average. With "
             f"aligned zeros the RMSE is {zero.rmse_mm:.4g} mm{_inside(zero)} (--align zero)."
         )
     if late is not None and late.rmse_mm < MOSTLY * zero.rmse_mm:

@@ -169,11 +169,6 @@ class OnSeries:
         return None
 
     @property
-    def seeks_clock(self) -> bool:
-        """That of the estimator, see there."""
-        return self._inner.seeks_clock
-
-    @property
     def parameters(self) -> tuple[Floats, Floats]:
         """Those of the estimator, see there."""
         return self._inner.parameters

@@ -22,6 +22,7 @@ from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
+from midspan.vision.region_choice import Judge
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
 def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
     view, moved = where_it_sees(recording)
     with in_words_of(view.sensor):
-        tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view_of(view), track))
+        tracking = open_tracking(view, None, progress, judge=judge_of(view))
         parts = calibrate_camera(view, tracking)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
@@ -167,6 +168,22 @@ def view_of(recording: Recording) -> View:
     )
 
 
+def chosen_text(tracking: CameraTracking) -> list[str]:
+    """A sentence on the regions that were chosen; none where they were given."""
+    if tracking.choice is None:
+        return []
+    regions = " and ".join(str([r.x, r.y, r.width, r.height]) for r in tracking.choice.regions)
+    return [
+        f"camera.roi was left out, and {regions} (x, y, width, height in px) chosen; `midspan inspect` with --picture "
+        "FILE.png draws it. Where it does not show what is measured, give camera.roi."
+    ]
+
+
+def judge_of(view: Recording) -> Judge:
+    """What decides between places in a camera's picture: its accelerometer."""
+    return lambda track, beyond: judged_by(view_of(view), track, beyond=beyond)
+
+
 def seen_targets(view: Recording, tracking: CameraTracking) -> list[SeenTarget]:
     """The targets as they were tracked so far."""
     return [tracking.seen(target, view.exposure_s) for target in tracking.targets]
@@ -184,7 +201,8 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
         shown = Shown(seconds(track.time_ns + recording.late_ns, origin_ns), track.along(recording.axis)[0])
         require_no_lines(recording.prepared.rows(origin_ns, slice(None)), shown, recording.sensor)
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
-    parts = fit_camera(views, seen, tracking.warnings, "" if across is None else across.axis)
+    reported = lambda: [*chosen_text(tracking), *tracking.warnings()]  # noqa: E731
+    parts = fit_camera(views, seen, reported, "" if across is None else across.axis)
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
 

@@ -58,7 +58,7 @@ from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
-from midspan.settings.two_files import draft, is_sensor_file, settings_of
+from midspan.settings.two_files import Choices, draft, in_words_of_two_files, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
 # Events of a first pass that may come of values that are wrong.
@@ -76,15 +76,18 @@ def estimate(
     value: str | None = None,
     unit: str | None = None,
     direction: str | None = None,
+    rate_hz: float | None = None,
+    displacement_value: str | None = None,
+    displacement_unit: str | None = None,
     progress: Progress = silent,
 ) -> Result:
-    """Estimate the displacement of a recording (or its path), or of two files: `estimate(ACCEL, VIDEO)`.
+    """Estimate the displacement of a recording (or its path), or of two files: `estimate(ACCEL, FILE2)`.
 
     calibration: or its file; left out, it is made first (and the camera is tracked once for both). method: a name of
     `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. given:
     whether the calibration is that of another record; left out: where there is no tracking. video: with an
-    accelerometer's file as `recording`; the second argument is taken for it. value, unit: with two files, the channel
-    along the motion and its unit; direction: the image axis of the motion, "x" or "y" (left out: y). Returns one row
+    accelerometer's file as `recording`, a video or a displacement sensor's table; the second argument is taken for it.
+    value to displacement_unit: with two files, see `Choices` of midspan.settings.two_files. Returns one row
     for each accelerometer sample in the streams' common span. Raises UntrustedError when calibration is refused,
     DataError for unusable streams.
     """
@@ -92,12 +95,16 @@ def estimate(
         video, calibration = calibration, None
     if calibration is not None and not isinstance(calibration, Calibration):
         calibration = load_calibration(path_of("calibration", calibration))
+    choices = Choices(value, unit, direction, rate_hz, displacement_value, displacement_unit)
     if video is not None:
-        files = draft(path_of("recording", recording), path_of("video", video), value, unit, direction)
-        return estimate(Recording(*settings_of(files)), calibration, method=method, progress=progress)
-    if value or unit or direction:
+        accel, second = path_of("recording", recording), path_of("video", video)
+        with in_words_of_two_files(accel, second):
+            files = Recording(*settings_of(draft(accel, second, choices)))
+            return estimate(files, calibration, method=method, progress=progress)
+    if choices != Choices():
         raise UsageError(
-            "value, unit, direction: go with two files, estimate(ACCEL, VIDEO); a recording names them in its settings."
+            f"{', '.join(choices.named)}: go with two files, estimate(ACCEL, FILE2); a recording names them in its "
+            "settings."
         )
     recording = opened(recording)
     # The method is checked first: tracking may take long.

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from midspan.calibration.camera.view import judged_by
 from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress
-from midspan.recording.cameras import view_of
+from midspan.recording.cameras import judge_of
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of, where_it_sees
 from midspan.records import NANOSECONDS, Floats, Region
@@ -101,8 +100,7 @@ def look_at_recording(recording: Recording, progress: Progress) -> FirstLook:
     if recording.has("accelerometer"):
         view, moved = where_it_sees(view)
         notes += moved
-        judge = lambda track: judged_by(view_of(view), track)  # noqa: E731
-        tracking = _tried(lambda: open_tracking(view, None, progress, judge=judge), notes)
+        tracking = _tried(lambda: open_tracking(view, None, progress, judge=judge_of(view)), notes)
     if tracking is None:
         settings = settings_of(view, camera)
         tracking = _tried(lambda: CameraTracking(view.frames, settings, progress), notes)

@@ -39,7 +39,8 @@ def plot(result: Result, axes: "Axes | None" = None) -> "Figure":
         axes.plot(*envelope(time_s, value, value).line(), linewidth=0.9, label=label)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("displacement (mm)")
-    axes.legend(loc="upper right", frameon=False)
+    # Over the axes, where nothing is drawn.
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2, frameon=False)
     axes.grid(alpha=0.3)
     return axes.get_figure(root=True)  # type: ignore[return-value]
 

@@ -48,7 +48,9 @@ class AlarmBody(BaseModel):
     limit: float
     unit: str
     time: str = Field(description="of the newest change, ISO 8601 UTC")
-    since: str = Field(description="when limit or band was first exceeded, ISO 8601 UTC")
+    since: str = Field(
+        description="since when the limit is exceeded for certain; of one that never was, its band. ISO 8601 UTC"
+    )
     text: str
     acknowledged_by: str
     silence: SilenceBody | None

@@ -44,6 +44,14 @@ FILES = {
 Format = Literal["csv", "parquet", "h5", "mat", "xlsx", "mseed", "tdms", "uff"]
 
 
+class Warned(BaseModel):
+    """What a calibration warns of, and what to do."""
+
+    code: str
+    severity: str = Field(description="warning, or serious: the displacement may be wrong by more than its band")
+    text: str
+
+
 class PointState(BaseModel):
     """How a point stands: its newest row, with its age, and why there is none that can be relied on."""
 
@@ -56,6 +64,7 @@ class PointState(BaseModel):
     time: str | None = Field(description="of the newest row, ISO 8601 UTC")
     age_s: float | None
     notice: str = Field("", description="reason code of a pending step, also without rows")
+    warnings: list[Warned] = Field([], description="of the calibration that makes the rows, the worst first")
     since: str | None = Field(None, description="time of the last change of status or reason that this server saw")
     calibration: int | None = None
     stage: str = Field("", description="capturing, calibrating or opening, else empty")

@@ -149,7 +149,7 @@ def _rows(where: str, point: str, first_ns: int, end_ns: int) -> tuple[Nanosecon
 
 
 def buckets(where: str, point: str, first_ns: int, end_ns: int, count: int) -> Tree:
-    """Least, largest and mean displacement, largest deviation and worst status of `count` equal spans."""
+    """Least, largest and mean displacement, largest deviation, worst status and number of rows of `count` spans."""
     edges = first_ns + ((end_ns - first_ns) * np.arange(count + 1, dtype=object) // count).astype(np.int64)
     with opened(where) as store:
         if end_ns - first_ns <= SECONDS_S * NANOSECONDS:
@@ -157,7 +157,7 @@ def buckets(where: str, point: str, first_ns: int, end_ns: int, count: int) -> T
         else:
             kept = store.buckets(point, rows_stream(), first_ns, end_ns - 1, count)
             nothing = np.full(count, np.nan)
-            found = Drawn(kept.low, kept.high, nothing, nothing, np.full(count, -1))
+            found = Drawn(kept.low, kept.high, nothing, nothing, np.full(count, -1), nothing)
     words = (*WORDS["status"], None)
     return {
         "time": edges[:-1].tolist(),
@@ -166,6 +166,7 @@ def buckets(where: str, point: str, first_ns: int, end_ns: int, count: int) -> T
         "displacement_mm_mean": plain(1e3 * found.mean),
         "displacement_std_mm": plain(1e3 * found.std),
         "status": [words[code] for code in found.status.tolist()],
+        "rows": plain(found.rows),
     }
 
 

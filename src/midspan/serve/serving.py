@@ -70,11 +70,14 @@ class Worker:
 
     def close(self) -> None:
         """End it, without what it does at present."""
-        if isinstance(self._executor, ProcessPoolExecutor):
-            for process in list((self._executor._processes or {}).values()):
+        executor, self._executor = self._executor, None
+        if executor is None:
+            return
+        if isinstance(executor, ProcessPoolExecutor):
+            for process in list((executor._processes or {}).values()):
                 process.kill()
-        if self._executor is not None:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+        # A process has semaphores, which it gives back once it has ended.
+        executor.shutdown(wait=isinstance(executor, ProcessPoolExecutor), cancel_futures=True)
 
 
 RETRY = {"Retry-After": "5"}
@@ -221,6 +224,7 @@ class Serving:
             "reason": reason or state.get("reason") or state.get("notice", ""),
             "text": sentence(reason) if reason else state.get("text") or state.get("notice_text", ""),
             "notice": "" if reason else state.get("notice", ""),
+            "warnings": [] if reason else state.get("warnings", []),
             "since": None if since_ns is None else reading.iso(since_ns),
             "calibration": state.get("calibration"),
             "stage": "" if reason else state.get("stage", ""),

@@ -14,12 +14,12 @@ from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel
 
 from midspan.errors import MidspanError
+from midspan.recording.tracking.opening import require_inside
 from midspan.serve.engine_link import AwayError
 from midspan.serve.login import ADMIN
 from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.changes import Changes
-from midspan.service.checking import require_inside
 from midspan.service.live_socket import Tree
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.camera import CameraSettings

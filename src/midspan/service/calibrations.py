@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from midspan.engine.channels import CLOCK_WALK
 from midspan.errors import DataError, UntrustedError
 from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.service.point import LivePoint
@@ -104,12 +105,25 @@ async def calibrated_folder(folder: Path) -> str:
     """
     code, printed = await _ran(COMMAND, "calibrate", str(folder), "--json", "--quiet")
     if code == 0:
-        return (folder / CALIBRATION_FILE).read_text(encoding="utf-8")
+        body = (folder / CALIBRATION_FILE).read_text(encoding="utf-8")
+        require_steady_clocks(calibration_from_dict(json.loads(body)))
+        return body
     try:
         text = json.loads(printed)["error"]
     except (ValueError, KeyError, TypeError):
         text = f"The calibration's process ended with code {code}."
     raise UntrustedError(text) if code == UntrustedError.exit_code else DataError(text)
+
+
+def require_steady_clocks(calibration: Calibration) -> None:
+    """UntrustedError for a clock that gains faster than the engine follows: live nothing else takes its rate out."""
+    for name, _, known in calibration.sensors:
+        rate = getattr(known, "clock_rate", 0.0)
+        if abs(rate) > CLOCK_WALK**0.5:
+            raise UntrustedError(
+                f"{name}: its clock gains {-1e6 * rate:+.0f} ppm on the accelerometer's, more than the "
+                f"{1e6 * CLOCK_WALK**0.5:.0f} ppm that are followed. Set both clocks by NTP."
+            )
 
 
 async def _ran(program: str, *arguments: str) -> tuple[int | None, bytes]:

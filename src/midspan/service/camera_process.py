@@ -247,7 +247,7 @@ class CameraProcess:
                     if not isinstance(item, Picture):
                         self._pauses.worked()
                         heard_s = time.monotonic()
-                    if self.address.startswith("replay:") and isinstance(item, SourceFault) and item.code == "ended":
+                    if isinstance(item, SourceFault) and item.code == "replay_ended":
                         # Nothing brings a recording back that has been replayed.
                         self._ending.wait()
                 elif not self._process.is_alive() or time.monotonic() - heard_s > HUNG_S:
@@ -316,7 +316,7 @@ def serve(
                 pauses.worked()
         except SourceFault as fault:
             sender.say(fault)
-            if fault.code == "ended" and replayed:
+            if fault.code == "replay_ended":
                 sender.wait(math.inf)
         except MidspanError as error:
             sender.say(SourceFault("damaged", str(error)))

@@ -214,8 +214,7 @@ def _captured(sensor: Sensor, factors: dict[str, float]) -> dict[str, Any]:
     name, brings = Path(own.file).name, KINDS[sensor.kind].brings
     if brings is Readings:
         noise_std = None if own.noise_std is None else own.noise_std * factors[sensor.name]
-        # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
-        return {**READINGS, "unit": "m", "noise_std": noise_std, "estimate_offset": bool(own.estimate_offset)}
+        return {**READINGS, "unit": "m", "noise_std": noise_std}
     if brings is RangeFrame:
         return {"file": f"{name}.h5", "config": None}
     return {"file": f"{name}.npy", "times": times_file(Path(f"{name}.npy")).name}

@@ -39,8 +39,12 @@ class Changes:
     @property
     def text(self) -> str:
         """What becomes of the points, in sentences."""
-        said = [("starts", self.added), ("restarts", self.changed), ("stops", self.removed)]
-        lines = [f"{', '.join(names)}: {what}." for what, names in said if names]
+        done = [("start", self.added), ("restart", self.changed), ("stop", self.removed)]
+        lines = [
+            f"Point{'s' * (len(names) > 1)} {', '.join(names)} {what}{'s' * (len(names) == 1)}."
+            for what, names in done
+            if names
+        ]
         return " ".join([*lines, "The other points continue." if lines else "All points continue."])
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 """Whether a site's points can be run with settings: all that they name can be read, and lies where they say."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import astuple
 from pathlib import Path
 
-from midspan.errors import DataError, UsageError
-from midspan.recording.tracking.opening import given_targets
+from midspan.errors import DataError
+from midspan.recording.tracking.opening import require_inside
 from midspan.service.mqtt import tls_context
 from midspan.service.running import Running, drafted
 from midspan.settings.camera import CameraSettings
@@ -45,14 +44,3 @@ def _require_sources(plan: PointPlan, file: Path, sizes_px: Mapping[str, tuple[i
                 raise DataError(f"{where}.source: {address} has no [{name}].")
         if address in sizes_px and isinstance(section, CameraSettings):
             require_inside(section, sizes_px[address], where)
-
-
-def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str) -> None:
-    """Raises UsageError for a region that reaches beyond the camera's picture (width, height)."""
-    for number, target in enumerate(given_targets(camera), 1):
-        if not target.region.inside(*size_px):
-            key, shown = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
-            text = f"must lie inside the image ({size_px[0]} x {size_px[1]} px); received {list(shown)}."
-            raise UsageError(
-                f"{where}.{key}: {text} Correct the region; if the image size changed, check the camera first."
-            )

@@ -304,7 +304,7 @@ class Intake:
                     await asyncio.sleep(left_s)
                 for one, name in users:
                     self._give(self._heard, one, name, Arrival(name, 0, record))
-            reason, text = "ended", "the replayed recording has ended"
+            reason, text = "replay_ended", sentence("replay_ended")
         except MidspanError as error:
             reason, text = "damaged", str(error)
         for one, name in users:

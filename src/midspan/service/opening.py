@@ -14,6 +14,7 @@ from midspan.engine.checkpoint import from_bytes, parts_of, to_bytes
 from midspan.engine.point import ACCELEROMETER, Point, PointState
 from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.progress import silent
 from midspan.recording.estimate import Asked
 from midspan.recording.messages import require_same_sensors
@@ -54,7 +55,7 @@ class Opened:
     """A point on live records: the engine's point, what keeps its records, and the numbers of the records pushed.
 
     regions: of each camera, the smallest that holds all its targets, px; bins: of each radar's targets. delay_s: by how
-    much a row comes later than its sample at most, s.
+    much a row comes later than its sample at most, s; warnings: of its calibration, that something is to be done about.
     """
 
     point: Point
@@ -64,6 +65,7 @@ class Opened:
     regions: dict[str, Region]
     bins: dict[str, Floats]
     delay_s: float
+    warnings: tuple[Notice, ...] = ()
 
     @property
     def has_own_zero(self) -> bool:
@@ -99,7 +101,7 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}
     # A lagged row comes up to a quarter of the lag later than that.
     delay_s = 1.25 * point.estimator.lag_samples * interval_s(recording.acceleration.time_ns)
-    found = Opened(point, journal, {}, {}, regions, bins, delay_s)
+    found = Opened(point, journal, {}, {}, regions, bins, delay_s, calibration.to_act_on)
     if push:
         # Nobody has brought all up to the last frame: what comes after the recording would be too late.
         last_ns = int(recording.acceleration.time_ns[-1]) - round(LATENESS_S * NANOSECONDS)

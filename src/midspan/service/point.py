@@ -132,11 +132,6 @@ class LivePoint:
         return RowHealth() if self.opened is None else self.opened.journal.health
 
     @property
-    def seeks_clock(self) -> bool:
-        """Whether a clock may have stepped, and by how much is looked for."""
-        return self.opened is not None and self.opened.point.estimator.seeks_clock
-
-    @property
     def disordered(self) -> int:
         """How many readings of the accelerometer were left out since their stamps were wrong."""
         return 0 if self.opened is None else self.opened.point.merge.memory(ACCELEROMETER).disordered
@@ -238,16 +233,22 @@ class LivePoint:
         self.phase, self._again_ns = Phase.CAPTURING_TO_CALIBRATE, self.newest_ns
         return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
 
-    def calibrated(self, number: int) -> None:
-        """A calibration came into force: the point opens anew with it."""
+    def calibrated(self, number: int, warnings: Sequence[str] = ()) -> None:
+        """A calibration came into force: the point opens anew with it. warnings: of one that was made just now."""
         self.number, self.job, self.phase = number, None, Phase.CAPTURING_TO_OPEN
         self._tell("calibrated", f"{self.name}: calibration {number} is in force.")
+        self._warn(number, warnings)
 
-    def offered(self, number: int) -> None:
-        """A calibration was made that someone has to accept."""
+    def offered(self, number: int, warnings: Sequence[str] = ()) -> None:
+        """A calibration was made that someone has to accept, with its warnings."""
         self.job, self.reason = None, "calibration_offered"
         self.phase = Phase.OFFERED if self.opened is None else Phase.RUNNING
         self._tell("calibration_offered", f"{self.name}: calibration {number} awaits acceptance.")
+        self._warn(number, warnings)
+
+    def _warn(self, number: int, warnings: Sequence[str]) -> None:
+        for text in warnings:
+            self._tell("calibration_warning", f"{self.name}: calibration {number}: {text}")
 
     def offer_refused(self) -> None:
         """What was offered is not accepted: without rows a calibration is tried again after a while."""

@@ -17,6 +17,10 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "stopped": ("the stream stopped delivering data", "check cable and power; midspan reconnects automatically"),
     "ended": ("the stream ended", "check the camera; midspan reconnects automatically"),
+    "replay_ended": (
+        "the replayed recording has ended",
+        "start `midspan run` again to replay it, or use a longer one if the point gave no rows",
+    ),
     "process_ended": ("the camera's process ended", "midspan restarts it automatically; see the log if it repeats"),
     "size_changed": ("the frame size changed", "restore the camera's settings, or calibrate again"),
     "silent": ("no data for some seconds", "check the sensor, its cable and its sender"),
@@ -52,8 +56,8 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "opening": ("the point is being opened", "wait some seconds"),
     "clock": (
-        "a clock stepped; the size of the step is being estimated",
-        "wait for motion; let NTP slew the clocks of sensors and machine",
+        "the accelerometer's clock was set back; its data are ignored until the time stamps increase again",
+        "wait some seconds; let NTP slew the clocks of sensors and machine",
     ),
     "no_rows": ("the point gives no rows although its sources deliver data", "see its events"),
     "paused": ("the source is paused", "resume it when it is available again"),

@@ -15,6 +15,7 @@ from midspan.radar.chirp import RadarInfo
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
 from midspan.service.opening import BLOCK_S
+from midspan.service.reasons import sentence
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.sources.live.camera import Stamped, StampKind
 from midspan.sources.live.instants import SourceFault
@@ -89,4 +90,4 @@ def film(address: str) -> Iterator[Stamped]:
             # What was due before the process ran is past, as with any camera.
             continue
         yield Stamped(replace(frame, time_ns=stamp), StampKind.SENDER)
-    raise SourceFault("ended", "the replayed recording has ended")
+    raise SourceFault("replay_ended", sentence("replay_ended"))

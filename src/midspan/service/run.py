@@ -255,7 +255,8 @@ class Service:
         self._say(f"{live.name}: calibrating on {job.folder.name}.")
         body = await calibrated_folder(job.folder)
         number = await asyncio.to_thread(self._with_store, added, live, body, accept=accept)
-        live.calibrated(number) if accept else live.offered(number)
+        warnings = (await asyncio.to_thread(self._with_store, loaded, live, number)).to_act_on
+        live.calibrated(number, warnings) if accept else live.offered(number, warnings)
 
     async def _open(self, one: Running, job: Job) -> None:
         live = one.live

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan.engine.point import PointStatus
+from midspan.notices import notice_trees
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.layout import Layout
 from midspan.records import NANOSECONDS, RangeFrame
@@ -40,7 +41,7 @@ TELL_AGAIN_S = 60.0
 
 
 # Why there are no rows where a sensor is away: of one that is paused that is no fault.
-ABSENT = ("lost", "no_rows", "ended", "silent")
+ABSENT = ("lost", "no_rows", "replay_ended", "silent")
 
 
 @dataclass(slots=True)
@@ -81,10 +82,7 @@ class Stream:
 
     def standing(self, now_s: float, unseen: str) -> dict[str, Any]:
         """As /readyz and the state show it; unseen: why the engine measures nothing with what comes."""
-        reason = "paused" if self.paused else self.reason or unseen
-        fresh_s = max(FRESH_S, FRESH_INTERVALS * self.interval_s)
-        if not reason and self.heard_s is not None and now_s - self.heard_s > fresh_s:
-            reason = "silent"
+        reason = self.why(now_s) or unseen
         return {
             "point": self.point,
             "source": self.sensor,
@@ -101,6 +99,12 @@ class Stream:
             "restarts": self.restarts,
             "stamps": self.stamps,
         }
+
+    def why(self, now_s: float) -> str:
+        """Why it brings nothing now, as a code; empty where it does."""
+        fresh_s = max(FRESH_S, FRESH_INTERVALS * self.interval_s)
+        is_silent = self.heard_s is not None and now_s - self.heard_s > fresh_s
+        return "paused" if self.paused else self.reason or ("silent" if is_silent else "")
 
     def heard(self, now_s: float, newest_ns: int, values: int) -> None:
         """A record came, of this many values, the newest of which has this stamp."""
@@ -242,24 +246,40 @@ class Running:
 
     def no_rows(self, now_s: float) -> str:
         """Why the point gives no rows now that can be relied on, empty where it does."""
+        return self._hindrance or self._ended(now_s)
+
+    @property
+    def _hindrance(self) -> str:
+        """What the point waits for."""
         live, status = self.live, self.live.status
         if live.opened is None:
-            reason = live.reason or ("opening" if live.number else "calibrating")
-        elif status is PointStatus.WARMING:
-            reason = "opening"
-        else:
-            reason = live.held_up or ("lost" if status is PointStatus.LOST else "")
-        reason = reason or ("clock" if live.seeks_clock else "")
+            if live.job is None and self._is_replayed:
+                return "replay_ended"
+            return live.reason or ("opening" if live.number else "calibrating")
+        if status is PointStatus.WARMING:
+            return "opening"
+        return live.held_up or ("lost" if status is PointStatus.LOST else "")
+
+    @property
+    def _is_replayed(self) -> bool:
+        """Whether all sources are recordings that have been replayed."""
+        return all(stream.reason == "replay_ended" for stream in self.streams.values())
+
+    def _ended(self, now_s: float) -> str:
+        """Why rows came and come no longer; empty where they do."""
+        live = self.live
         fresh_s = FRESH_S + (live.opened.delay_s if live.opened is not None else 0.0)
-        if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
-            return reason
-        if all(stream.reason == "ended" for stream in self.streams.values()):
-            return "ended"
-        return "clock" if live.disordered > self._disordered else "no_rows"
+        if self._row_s is None or now_s - self._row_s <= fresh_s:
+            return ""
+        if self._is_replayed:
+            return "replay_ended"
+        if live.disordered > self._disordered:
+            return "clock"
+        return self.streams[ACCELEROMETER].why(now_s) or "no_rows"
 
     def status(self, now_s: float) -> str:
         """How the point stands: as its newest row says, and lost once there are none."""
-        has_none = self.live.opened is not None and self.no_rows(now_s) in ("no_rows", "ended")
+        has_none = self.live.opened is not None and not self._hindrance and self._ended(now_s) not in ("", "clock")
         return "lost" if has_none else self.live.status.name.lower()
 
     def kind(self, sensor: str) -> str:
@@ -313,7 +333,7 @@ class Running:
 
     def state(self, now_s: float, standing: dict[str, Any]) -> dict[str, Any]:
         """As the page's server has it; standing: as the topic `state` shows it. notice: what is prepared or waits while
-        there are rows.
+        there are rows; warnings: of the calibration that the rows are made with.
         """
         notice = standing["reason"]
         return {
@@ -321,6 +341,7 @@ class Running:
             **self.ready(now_s),
             "notice": notice,
             "notice_text": sentence(notice) if notice else "",
+            "warnings": notice_trees(() if self.live.opened is None else self.live.opened.warnings),
             **self._stage(),
         }
 

@@ -45,7 +45,8 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     except TreeError as error:
         if file.suffix.lower() != ".toml":
             raise UsageError(
-                f"{file}: is not a {RECORDING_FILE}. A recording is a folder with {RECORDING_FILE}, or that file."
+                f"{file}: is not a {RECORDING_FILE}. A recording is a folder with {RECORDING_FILE}, or that file. "
+                "With an accelerometer's file put the video after it: `midspan estimate ACCEL VIDEO`."
             ) from None
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:

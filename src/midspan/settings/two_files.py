@@ -1,10 +1,14 @@
-"""The settings of a recording of two files, an accelerometer's and a video, as they are found in these."""
+"""The settings of a recording of two files, an accelerometer's and another sensor's, as they are found in these."""
 
-from dataclasses import dataclass, field
+import re
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from midspan.errors import UsageError
+from midspan.errors import MidspanError, UsageError
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
 from midspan.signals.acceleration import GRAVITY_M_S2
@@ -14,6 +18,7 @@ if TYPE_CHECKING:
     from midspan.records import TimeSeries
     from midspan.sources.accelerometer.channel import Channel
     from midspan.sources.accelerometer.select import SeriesRequest
+    from midspan.vision.frame_source import FrameSource
 
 # Stamps from here on (s) are dates, not seconds after a start: 2001.
 DATED_FROM_S = 1e9
@@ -23,6 +28,45 @@ UPRIGHT = 0.1
 BY_HAND_S = 60.0
 # The image axis of the motion where none is given: most structures that are filmed move up and down.
 DIRECTION = "y"
+# Keys of a recording.toml in a message.
+KEYS = re.compile(r"\b((camera|infrared|accelerometer|calibration|fusion)\.[a-z]\w+|rate_hz|max_offset_s|start_s)\b")
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What is given where two files leave a choice.
+
+    value, unit: the accelerometer's channel along the motion, and its unit; direction: the image axis of the motion;
+    rate_hz: of the second file, where it has no times; displacement_value, displacement_unit: channel and unit of the
+    second file, where it is a table.
+    """
+
+    value: str | None = None
+    unit: str | None = None
+    direction: str | None = None
+    rate_hz: float | None = None
+    displacement_value: str | None = None
+    displacement_unit: str | None = None
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The names of what is given."""
+        return tuple(one.name for one in fields(self) if getattr(self, one.name) is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A file of columns: its section, the quantity in it, the options for its channel and unit, units it may have."""
+
+    section: str
+    quantity: str
+    value: str
+    unit: str
+    units: str
+
+
+ACCELERATION = Table("accelerometer", "acceleration", "--value", "--unit", "m/s^2 or g; every millimetre depends on it")
+DISPLACEMENT = Table("displacement", "displacement", "--displacement-value", "--displacement-unit", "mm or m")
 
 
 @dataclass(slots=True)
@@ -38,9 +82,9 @@ class Draft:
     needed: list[str] = field(default_factory=list)
 
     @property
-    def camera(self) -> str:
-        """The video's section."""
-        return "infrared" if "infrared" in self.sections else "camera"
+    def second(self) -> str:
+        """The section of the second file."""
+        return next(section for section in self.sections if section != ACCELERATION.section)
 
     def put(self, section: str, key: str, value: Any, remark: str = "") -> None:
         """Set a key."""
@@ -71,47 +115,95 @@ def is_sensor_file(given: object) -> bool:
     return isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
 
 
-def draft(
-    accel: Path, video: Path, value: str | None, unit: str | None, direction: str | None = None, *, choose: bool = False
-) -> Draft:
-    """The settings of a recording of an accelerometer's file and a video (or infrared sequence).
+@contextmanager
+def in_words_of_two_files(accel: Path, second: Path) -> Iterator[None]:
+    """Let a refusal that names keys say where two files have them."""
+    try:
+        yield
+    except MidspanError as error:
+        text = str(error)
+        named = KEYS.search(text)
+        if named and "midspan init" not in text:
+            where = f"the recording.toml that `{shlex.join(('midspan', 'init', str(accel), str(second)))}` writes"
+            error.args = (f"{text.rstrip()} Set keys such as {named[0]} in {where}.",)
+        raise
 
-    value, unit: where the file leaves a choice. direction: the image axis of the motion; default: y. choose: take one
-    of several channels, for a person to look at; else UsageError names them. Raises what reading the files does.
+
+def draft(accel: Path, second: Path, given: Choices, *, choose: bool = False) -> Draft:
+    """The settings of a recording of an accelerometer's file and a video, an infrared sequence or a table.
+
+    choose: take one of several channels, for a person to look at; else UsageError names them. Raises what reading the
+    files does.
     """
-    from midspan.sources.accelerometer.formats import list_channels
-    from midspan.sources.accelerometer.select import SeriesRequest, candidates, find_channel, read_series
+    from midspan.settings.keys import described, recording_sections
+    from midspan.sources.accelerometer.select import SeriesRequest
+    from midspan.sources.boundary import require_file
     from midspan.sources.camera.formats import is_table, is_video
+    from midspan.sources.camera.track_table import holds_tracks
 
-    if is_video(accel) and is_table(video):
+    if is_video(accel) and is_table(second):
         raise UsageError(
-            f"{accel} is a video and {video} a table of numbers. Name the accelerometer's file first, then the video."
+            f"{accel} is a video and {second} a table of numbers. Name the accelerometer's file first, then the video."
         )
     found = Draft()
-    channels = list_channels(accel)
-    found.put("accelerometer", "file", str(accel.absolute()))
-    if value is not None:
-        channel, others = find_channel(accel, channels, value, "--value"), tuple[str, ...]()
-    else:
-        channel, others = _chosen(accel, candidates(channels, "acceleration"), choose)
-    _channel(found, channel, others, unit, channels.names)
-    request = SeriesRequest("acceleration", value=channel.name, unit=unit)
-    acceleration = _read(found, accel, request, choose, read_series)
-    _camera(found, video, acceleration, direction or DIRECTION)
+    require_file(accel)
+    request = SeriesRequest("acceleration", value=given.value, unit=given.unit)
+    if not (is_table(second) and second.is_file()) or holds_tracks(second):
+        _refuse(second, "no table", given, ("displacement_value", "displacement_unit"))
+        frames = _frames(second, given.rate_hz)
+        _camera(found, second, frames, _series(found, ACCELERATION, accel, request, choose), given)
+        return found
+    _refuse(second, "a table, no pictures", given, ("direction",))
+    _series(found, ACCELERATION, accel, request, choose)
+    request = SeriesRequest(
+        "displacement", value=given.displacement_value, unit=given.displacement_unit, rate_hz=given.rate_hz
+    )
+    if given.rate_hz is not None:
+        found.put(DISPLACEMENT.section, "rate_hz", given.rate_hz)
+    _series(found, DISPLACEMENT, second, request, choose)
+    for key in ("receiver", "noise_time_s"):
+        found.left_out["displacement", key] = described(recording_sections(), f"displacement.{key}")
     return found
 
 
-def _chosen(path: Path, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Channel, tuple[str, ...]]":
+def _refuse(second: Path, kind: str, given: Choices, names: tuple[str, ...]) -> None:
+    """UsageError for what is given and means nothing for this second file."""
+    for name in names:
+        if name in given.named:
+            raise UsageError(f"--{name.replace('_', '-')} ({name}): {second} is {kind}. Leave it out.")
+
+
+def _series(found: Draft, table: Table, path: Path, request: "SeriesRequest", choose: bool) -> "TimeSeries | None":
+    """The keys of a table's channel; its series, where the settings are not to be looked at or tell all."""
+    from midspan.sources.accelerometer.formats import list_channels
+    from midspan.sources.accelerometer.select import candidates, find_channel, read_series, require_unsplit_numbers
+
+    channels = list_channels(path)
+    require_unsplit_numbers(path, channels)
+    found.put(table.section, "file", str(path.absolute()))
+    if request.value is not None:
+        channel, others = find_channel(path, channels, request.value, table.value), tuple[str, ...]()
+    else:
+        likely = candidates(channels, table.quantity, timed=request.rate_hz is not None)
+        channel, others = _chosen(path, table, likely, choose)
+    _channel(found, table, channel, others, request.unit, channels.names)
+    return _read(found, table, path, replace(request, value=channel.name), choose, read_series)
+
+
+def _chosen(path: Path, table: Table, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Channel, tuple[str, ...]]":
     """The channel along the motion, of those that could be; with the names of the others."""
     if not found:
-        raise UsageError(f"{path}: no channel is an acceleration by name or unit. Select one with --value.")
+        article = "an" if table is ACCELERATION else "a"
+        raise UsageError(
+            f"{path}: no channel is {article} {table.quantity} by name or unit. Select one with {table.value}."
+        )
     names = tuple(one.name for one in found)
     if len(found) > 1 and not choose:
         units = {one.unit for one in found}
         said = f" (all in {units.pop()})" if len(units) == 1 and found[0].unit else ""
         raise UsageError(
             f"{path}: {len(found)} channels are possible: {', '.join(map(repr, names))}{said}. Select the one along "
-            f"the measured motion, for example --value {names[-1]!r}."
+            f"the measured motion, for example {table.value} {names[-1]!r}."
         )
     import numpy as np
 
@@ -128,36 +220,37 @@ def _chosen(path: Path, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Ch
 
 
 def _channel(
-    found: Draft, channel: "Channel", others: tuple[str, ...], unit: str | None, names: tuple[str, ...]
+    found: Draft, table: Table, channel: "Channel", others: tuple[str, ...], unit: str | None, names: tuple[str, ...]
 ) -> None:
-    """The keys of the accelerometer's channel."""
+    """The keys of a table's channel."""
     remark = f"or {', '.join(map(repr, others))}: the one along the measured motion" if others else ""
     if len(names) > 1:
-        found.put("accelerometer", "value", channel.name, remark)
+        found.put(table.section, "value", channel.name, remark)
     if unit is not None:
-        found.put("accelerometer", "unit", unit)
+        found.put(table.section, "unit", unit)
     elif channel.unit:
-        found.put("accelerometer", "unit", channel.unit, "from the file")
+        found.put(table.section, "unit", channel.unit, "from the file")
     else:
-        found.need("accelerometer", "unit", "such as m/s^2 or g; every millimetre depends on it")
+        found.need(table.section, "unit", f"such as {table.units}")
 
 
-def _read(found: Draft, path: Path, request: "SeriesRequest", choose: bool, read: Any) -> "TimeSeries | None":
-    """The acceleration; where it has no time or unit and the settings are to be looked at, None."""
+def _read(
+    found: Draft, table: Table, path: Path, request: "SeriesRequest", choose: bool, read: Any
+) -> "TimeSeries | None":
+    """The series; where it has no time or unit and the settings are to be looked at, None."""
     try:
         return read(path, request)  # type: ignore[no-any-return]
     except UsageError as error:
         if not choose:
-            text = str(error).replace("Give unit,", "Give --unit,")
+            text = str(error).replace("Give unit,", f"Give {table.unit},")
             raise UsageError(text) from None
         if "has no time" in str(error):
-            found.need("accelerometer", "rate_hz", "samples a second")
+            found.need(table.section, "rate_hz", "samples a second")
         return None
 
 
-def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direction: str) -> None:
-    """The keys of the camera."""
-    from midspan.settings.keys import described, recording_sections
+def _frames(video: Path, given_hz: float | None) -> "tuple[str, FrameSource, bool]":
+    """The section of a video, its frames, and whether they have times; given_hz: their rate, where it is given."""
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
     from midspan.sources.thermal.formats import is_thermal, open_thermal
@@ -167,14 +260,29 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direct
     section = "infrared" if thermal else "camera"
 
     def opened(rate_hz: float | None) -> Any:
-        request = FrameRequest(rate_hz=rate_hz)
+        request = FrameRequest(rate_hz=given_hz or rate_hz)
         return open_thermal(video, ThermalRequest(frames=request)) if thermal else open_frames(video, request)
 
-    source, timed = timed_or_counted(opened)
+    return section, *timed_or_counted(opened)
+
+
+def _camera(
+    found: Draft,
+    video: Path,
+    frames: "tuple[str, FrameSource, bool]",
+    acceleration: "TimeSeries | None",
+    given: Choices,
+) -> None:
+    """The keys of the camera."""
+    from midspan.settings.keys import described, recording_sections
+
+    section, source, timed = frames
     info = source.info
     found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
     keys = recording_sections()
-    found.put(section, "direction", direction, described(keys, f"{section}.direction"))
+    found.put(section, "direction", given.direction or DIRECTION, described(keys, f"{section}.direction"))
+    if given.rate_hz is not None:
+        found.put(section, "rate_hz", given.rate_hz)
     if not timed:
         found.need(section, "rate_hz", described(keys, f"{section}.rate_hz"))
     elif acceleration is not None:
@@ -204,11 +312,12 @@ def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
 
     Raises UsageError where the files do not tell all that is needed.
     """
-    accel, video = (Path(found.sections[section]["file"]) for section in ("accelerometer", found.camera))
-    where = f"{accel.name} and {video.name}"
+    accel, second = (Path(found.sections[section]["file"]) for section in (ACCELERATION.section, found.second))
+    where = f"{accel.name} and {second.name}"
     if found.needed:
+        option = "Give --rate-hz (rate_hz), or run" if found.needed == [f"{found.second}.rate_hz"] else "Run"
         raise UsageError(
-            f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}` and add the "
-            "value to recording.toml."
+            f"{where}: {', '.join(found.needed)} is in neither file. {option} `midspan init {accel} {second}` and "
+            "add the value to recording.toml."
         )
     return accel.parent / where, validate(found.sections, where)

@@ -40,13 +40,17 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Figures of equal buckets (n,), NaN where there are no rows that are not lost; status: -1 where there are none."""
+    """Figures of equal buckets (n,), NaN where there are no rows that are not lost; status: -1 where there are none.
+
+    rows: how many that are not lost each bucket has, NaN where that is not known.
+    """
 
     low: Floats
     high: Floats
     mean: Floats
     std: Floats
     status: NDArray[np.int64]
+    rows: Floats
 
 
 def columns_of(chunk: Chunk, shown: str) -> tuple[Floats, Floats, NDArray[np.uint8]]:
@@ -165,7 +169,7 @@ class Buckets:
         some = self._number > 0
         mean = np.divide(self._total, self._number, out=np.full(len(some), np.nan), where=some)
         low, high, std = (np.where(np.isfinite(one), one, np.nan) for one in (self._low, self._high, self._std))
-        return Drawn(low, high, mean, std, self._status)
+        return Drawn(low, high, mean, std, self._status, self._number)
 
     def _place(self, time_ns: Nanoseconds) -> NDArray[np.int64]:
         return np.clip(np.searchsorted(self._edges, time_ns, side="right") - 1, 0, len(self._edges) - 2)

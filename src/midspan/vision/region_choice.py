@@ -5,7 +5,7 @@ through the first part of the calibration window, and what agrees with the accel
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,8 @@ class Agreement:
         return self.std_m * (1.0 + MISSED_WEIGHT * self.missed)
 
 
-Judge = Callable[[PixelTrack], Agreement]
+Judge = Callable[[PixelTrack, bool], Agreement]
+"""What the accelerometer says of a place's track; whether at a clock offset beyond the range, too."""
 Reader = Callable[[int, int], Iterable[Frame]]
 """Gives the frames from one index up to another one, which is left out."""
 
@@ -79,7 +80,7 @@ def choose_targets(
 ) -> RegionChoice:
     """The regions to track, chosen from frames whose stamps from `request.first` on are `time_ns` (n,).
 
-    read: gives the frames. judge: what the accelerometer says of a place's track; left out, the picture alone decides.
+    read: gives the frames. judge: asks the accelerometer; left out, the picture alone decides.
     Raises DataError where no place can be followed.
     """
     until = time_ns[0] + int(CHOICE_S * NANOSECONDS)
@@ -173,14 +174,19 @@ def _reported(
     return replace(found, scale_m_per_px=agreement.scale_m_per_px)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Trial:
-    """Places followed through chosen frames, and judged."""
+    """Places followed through chosen frames, and judged.
+
+    near: whether one of them fits within the range of clock offsets. Nothing is looked for beyond it then: leaves may
+    happen to fit there.
+    """
 
     read: Reader
     wanted: NDArray[np.int64]
     progress: Progress
     judge: Judge
+    near: bool = field(default=False, init=False)
 
     def of(self, regions: Sequence[Region]) -> dict[Region, Agreement]:
         """What the accelerometer says of each region; those without a template there are left out."""
@@ -192,7 +198,14 @@ class _Trial:
             for tracker, found in zip(trackers, rows, strict=True):
                 if tracker is not None:
                     found.append(tracker.push(frame))
-        return {r: self.judge(PixelTrack.stack(found)) for r, found in zip(regions, rows, strict=True) if found}
+        tracks = {r: PixelTrack.stack(found) for r, found in zip(regions, rows, strict=True) if found}
+        judged = {region: self.judge(track, False) for region, track in tracks.items()}
+        self.near = self.near or any(np.isfinite(one.std_m) for one in judged.values())
+        if self.near:
+            return judged
+        # What is static contradicts nothing, at any offset.
+        again = {region: self.judge(tracks[region], True) for region, one in judged.items() if one.contradicts}
+        return judged | again
 
 
 def _trial_frames(time_ns: Nanoseconds, request: ChoiceRequest) -> NDArray[np.int64]:

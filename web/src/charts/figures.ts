@@ -13,9 +13,9 @@ export function listStatistics(place: Element, found: Statistics | null, more: r
         ["minimum", `${signed(found.low, 3)} mm`],
         ["maximum", `${signed(found.high, 3)} mm`],
         ["range", `${(found.high - found.low).toFixed(3)} mm`],
-        ["mean", `${signed(found.mean, 3)} mm`],
       ]
     : [["shown", "no rows"]];
+  if (found && found.mean !== null) figures.push(["mean", `${signed(found.mean, 3)} mm`]);
   if (found && found.rms !== null) figures.push(["rms about the mean", `${found.rms.toFixed(3)} mm`]);
   place.replaceChildren(
     ...[...figures, ...more].map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))),

@@ -73,5 +73,6 @@ export function joined(kept: Envelope, came: Envelope): Envelope {
     upper: both("upper"),
     mean: both("mean"),
     coasting: [...kept.coasting.slice(0, end), ...came.coasting],
+    rows: both("rows"),
   };
 }

@@ -1,7 +1,7 @@
 // Alarms: those that are open, silenced and past; acknowledge, silence, test; where they go and what became of them.
 
 import { type AlarmBody, type AuditBody, get, post, remove, type SilenceBody, type TargetBody } from "../api.ts";
-import { measured, QUANTITY, stateWords, urgency } from "../alarms.ts";
+import { measured, openWords, QUANTITY, stateWords, urgency } from "../alarms.ts";
 import { button, disable, el, line, mark, say, table } from "../dom.ts";
 import type { SiteState } from "../site_state.ts";
 import { clock } from "../words.ts";
@@ -13,7 +13,7 @@ import { repeat, sentenceOf, type View } from "./view.ts";
 const ASK_MS = 3000;
 const LISTS_EVERY = 10;
 const LISTED = 200;
-const OPEN_COLUMNS = ["Point", "Alarm", "State", "Of", "Value", "Limit", "Since", "Silence", ""];
+const OPEN_COLUMNS = ["Point", "Alarm", "State", "Of", "Value", "Largest", "Limit", "Since", "Silence", ""];
 const SILENCE_COLUMNS = ["Point", "Alarm", "Silent until", "By", "Reason", ""];
 const PAST_COLUMNS = ["Point", "Alarm", "Level", "Largest", "Limit", "Since", "Ended"];
 const TARGET_COLUMNS = ["Target", "State", "Waiting", "Delivered", "Newest"];
@@ -56,6 +56,7 @@ class OpenRow {
       stateWords(alarm),
       QUANTITY[alarm.on] ?? alarm.on,
       measured(alarm.value, alarm.value_std, alarm.unit),
+      measured(alarm.peak, 0, alarm.unit),
       `${alarm.limit} ${alarm.unit}`,
       when(alarm.since),
       silence ? `until ${when(silence.until)} (${silence.owner}): ${silence.reason}` : "",
@@ -175,10 +176,8 @@ class AlarmsView {
   #show(): void {
     const { alarms } = this.#site;
     const fires = alarms.filter((one) => one.state === "firing" && !one.silence).length;
-    const words = alarms.length === 1 ? "1 alarm is open" : `${alarms.length} alarms are open`;
     mark(this.#summary, fires ? "wrong" : alarms.length ? "notice" : "good");
-    const firing = fires === 1 ? "1 fires" : fires ? `${fires} fire` : "none fires";
-    say(this.#summary, alarms.length ? `${words}, ${firing}.` : "No alarm is open.");
+    say(this.#summary, openWords(alarms));
     const keepFocus = this.#focus();
     for (const [id, row] of this.#rows) {
       if (alarms.some((one) => one.id === id)) continue;

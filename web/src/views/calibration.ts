@@ -1,6 +1,6 @@
 // Calibrations: what is prepared, the offered one next to the one in force, how they went over time, and their rows.
 
-import { type CalibrationBody, get, ofPoint, type PointState, post } from "../api.ts";
+import { type CalibrationBody, get, ofPoint, type PointState, post, type Warned } from "../api.ts";
 import { type History, historyChart } from "../charts/history.ts";
 import { button, choice, disable, el, line, mark, say, table } from "../dom.ts";
 import { type Change, changeOf, comparable, type Quantity, quantities } from "../quantities.ts";
@@ -146,9 +146,18 @@ class Progress {
   }
 }
 
-function warnings(of: CalibrationBody): string[] {
-  const found = of.calibration["warnings"];
-  return Array.isArray(found) ? found.map(String) : [];
+const MARKS: Record<string, string> = { note: "unknown", serious: "wrong" };
+
+/** What a calibration reports, the worst in red; earlier versions have sentences alone. */
+function warnings({ id, calibration }: CalibrationBody): HTMLElement[] {
+  const listed = (key: string): unknown[] => (Array.isArray(calibration[key]) ? calibration[key] : []);
+  const coded = listed("notices") as Partial<Warned>[];
+  const found = coded.length ? coded : listed("warnings").map((text): Partial<Warned> => ({ text: String(text) }));
+  return found.map(({ severity, text }) => {
+    const said = el("p", { class: "words" }, `Calibration ${id}: ${text}`);
+    mark(said, MARKS[severity ?? ""] ?? "notice");
+    return said;
+  });
 }
 
 export const showCalibration: View = (root, site, given) => {
@@ -194,8 +203,8 @@ function shownOf(root: HTMLElement, site: SiteState, name: string): () => void {
         button("Refuse …", () => refuse(one.id)),
       );
       if (may) offered.append(bar);
-      for (const text of warnings(one)) offered.append(el("p", { class: "wrong" }, text));
     }
+    offered.append(...shown.flatMap(warnings));
     const texts = [...all].reverse().map((one) => [String(one.id), clock(Date.parse(one.time)), stateWords(one), ""]);
     history.replaceChildren(...texts.map((one) => line(COLUMNS, one)));
     endCourse();

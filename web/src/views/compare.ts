@@ -92,7 +92,8 @@ export const showCompare: View = (root, site) => {
     );
     const figures = statistics(loaded.envelope, loaded.areRows);
     const text = figures
-      ? `minimum ${signed(figures.low, 3)}, maximum ${signed(figures.high, 3)}, mean ${signed(figures.mean, 3)} mm`
+      ? `minimum ${signed(figures.low, 3)}, maximum ${signed(figures.high, 3)}` +
+        `${figures.mean === null ? "" : `, mean ${signed(figures.mean, 3)}`} mm`
       : "no rows";
     const x = loaded.envelope.x.map((at) => at + shiftMs / 1000);
     return {

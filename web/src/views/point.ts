@@ -13,7 +13,7 @@ import { clock, duration, signed, withBand, ZONE } from "../words.ts";
 import { FrequencyPanel } from "./frequencies.ts";
 import { SpanChoice } from "./span_choice.ts";
 import { SpectrumPanel } from "./spectrum.ts";
-import { OLD_S, showOffer, standing, trouble } from "./site.ts";
+import { OLD_S, showOffer, showWarnings, standing, trouble } from "./site.ts";
 import { nothing, repeat, sentenceOf, type View } from "./view.ts";
 
 // A trace that follows is drawn so often, ms; over more than ten minutes nothing moves that fast.
@@ -31,6 +31,7 @@ const LAYERS: (Style & { text: string })[] = [
   { colour: "coasting", text: "predicted: no measurement" },
   { colour: "head", dash: [4, 3], text: "preliminary" },
 ];
+const BAND = "± and the shaded band: the displacement is within them with 95 % (1.96 σ).";
 // Of each of them: lower, upper, low, high.
 const SERIES = 4;
 
@@ -64,6 +65,7 @@ class PointView {
   #words = el("p", { class: "words" });
   #why = el("p", { class: "why" });
   #offer = el("p", { class: "offer", hidden: true });
+  #warned = el("p", { class: "offer", hidden: true });
   #alarms = el("ul", { class: "alarms" });
   #wrong = el("p", { class: "wrong", role: "status" });
   #spanText = el("p", { class: "quiet" });
@@ -150,11 +152,12 @@ class PointView {
       this.#words,
       this.#why,
       this.#offer,
+      this.#warned,
       this.#alarms,
       bar,
       this.#wrong,
       frame,
-      el("p", { class: "quiet legend" }, ...this.#keys),
+      el("p", { class: "quiet legend" }, ...this.#keys, BAND),
       this.#readout,
       this.#spanText,
       this.#figures,
@@ -257,6 +260,7 @@ class PointView {
     mark(this.#words, state);
     say(this.#why, trouble(point, this.#site));
     showOffer(this.#offer, point);
+    showWarnings(this.#warned, point);
     showAlarms(this.#alarms, this.#site.alarmsOf(this.#name));
   }
 
@@ -302,7 +306,7 @@ class PointView {
     drawn.forEach((one, at) => this.#keys[at]?.toggleAttribute("hidden", !isIn(one)));
     say(this.#spanText, `${clock(1000 * from)} to ${clock(1000 * to)} (${duration(to - from)}), ${ZONE}`);
     const limits = this.#levels.filter(({ y }) => y > 0).map(({ y, name }) => [`limit ${name}`, `±${y} mm`] as const);
-    listStatistics(this.#figures, statistics(all, this.#loaded.areRows), limits);
+    listStatistics(this.#figures, statistics(all, this.#loaded.areRows, from), limits);
   }
 
   #read(x: number | null, values: (number | null)[]): void {

@@ -19,6 +19,8 @@ const BEGINS: Record<string, string> = {
   opening: "is opening",
 };
 
+const isDoubtful = (point: PointState) => point.warnings?.some((one) => one.severity === "serious") ?? false;
+
 /** How a point stands: good is shown green, and only where all that it needs is fresh. */
 export function standing(
   point: PointState,
@@ -36,6 +38,7 @@ export function standing(
   const sources = site.health?.sources.filter((one) => one.point === point.name && one.reason) ?? [];
   if (status !== "tracking" || point.reason || sources.length)
     return { state: "notice", words: STATUS_WORDS[status] ?? status };
+  if (isDoubtful(point)) return { state: "notice", words: "measured; its calibration is doubtful" };
   if (site.alarmsOf(point.name).some((one) => one.state !== "pending"))
     return { state: "notice", words: "measured, all streams fresh" };
   return { state: "good", words: "measured, all streams fresh" };
@@ -54,6 +57,15 @@ export function showOffer(into: HTMLElement, point: PointState): void {
   into.hidden = (point.notice ?? point.reason) !== "calibration_offered";
   const href = `#/calibration/${encodeURIComponent(point.name)}`;
   if (!into.childElementCount) into.append(el("a", { href }, "A calibration awaits acceptance: accept or refuse it."));
+}
+
+/** How much its calibration warns of, and the way there; hidden where it warns of nothing. */
+export function showWarnings(into: HTMLElement, point: PointState): void {
+  const count = point.warnings?.length ?? 0;
+  into.hidden = count === 0;
+  const href = `#/calibration/${encodeURIComponent(point.name)}`;
+  if (!into.childElementCount) into.append(el("a", { href }));
+  say(into.firstElementChild as HTMLElement, `Its calibration has ${count === 1 ? "a warning" : `${count} warnings`}.`);
 }
 
 /** What is wrong with a point, in one sentence; empty where nothing is. */
@@ -96,16 +108,18 @@ interface Card {
   since: HTMLElement;
   text: HTMLElement;
   offer: HTMLElement;
+  warned: HTMLElement;
   alarms: HTMLElement;
 }
 
 function card(name: string): Card {
-  const [value, words, age, since, text, offer, alarms] = [
+  const [value, words, age, since, text, offer, warned, alarms] = [
     el("p", { class: "value" }),
     el("p", { class: "words" }),
     el("span"),
     el("span"),
     el("p", { class: "why" }),
+    el("p", { class: "offer", hidden: true }),
     el("p", { class: "offer", hidden: true }),
     el("ul", { class: "alarms" }),
   ];
@@ -119,9 +133,10 @@ function card(name: string): Card {
     el("p", { class: "quiet" }, age, since),
     text,
     offer,
+    warned,
     alarms,
   );
-  return { root, value, words, age, since, text, offer, alarms };
+  return { root, value, words, age, since, text, offer, warned, alarms };
 }
 
 function fill(into: Card, point: PointState, site: SiteState): void {
@@ -133,9 +148,10 @@ function fill(into: Card, point: PointState, site: SiteState): void {
   say(into.value, withBand(point.displacement_mm, point.displacement_std_mm));
   say(into.words, words);
   say(into.age, age === null ? "no row yet" : `newest row ${age < 3 ? "now" : `${duration(age)} ago`}`);
-  say(into.since, sinceMs === null ? "" : `, since ${clock(sinceMs)}`);
+  say(into.since, sinceMs === null ? "" : `, in this state since ${clock(sinceMs)}`);
   say(into.text, site.fresh ? trouble(point, site) : "");
   showOffer(into.offer, point);
+  showWarnings(into.warned, point);
   showAlarms(into.alarms, site.alarmsOf(point.name));
 }
 

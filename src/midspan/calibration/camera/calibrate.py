@@ -16,7 +16,7 @@ from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
 from midspan.calibration.frequency_response import FrequencyResponse
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.own_noise import contradiction, strange_noise
-from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of_no_camera, start_noise
+from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of_no_camera, start_noise, too_vague
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.errors import NoAgreementError, UntrustedError
@@ -90,9 +90,9 @@ def _refuse_vague(fit: CameraFit) -> None:
     largest = max(fit.parts, key=lambda part: fit.parts[part])
     cause, remedy = PARTS[largest]
     raise UntrustedError(
-        f"The scale factor is too uncertain: {1e3 * scale.value_m_per_px:.4g} mm/px ± {100 * total:.2g} %; at most ± "
-        f"{100 * REFUSED_ABOVE:g} % is accepted. {of_no_camera(scale.value_m_per_px)}The largest part, ± "
-        f"{100 * fit.parts[largest]:.2g} %, comes from {cause}. {remedy}"
+        f"The scale factor is too uncertain: {too_vague(scale.value_m_per_px, total)}. "
+        f"{of_no_camera(scale.value_m_per_px)}The largest part, ± {100 * fit.parts[largest]:.2g} %, "
+        f"comes from {cause}. {remedy}"
     )
 
 

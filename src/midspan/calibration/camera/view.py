@@ -134,8 +134,11 @@ class SeenTarget:
         return 0.0 if self.picture is None else self.picture.relative_scale_std(direction)
 
 
-def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
-    """A target's translation along the axis, its stamps later by `late_ns`, and the acceleration, in the window."""
+def camera_pair(view: View, track: PixelTrack, blur_s: float, *, beyond: bool = False) -> Pair:
+    """A target's translation along the axis, its stamps later by `late_ns`, and the acceleration, in the window.
+
+    beyond: whether with what lies after the track, too, as where its clock is looked for there.
+    """
     first, last = view.window_ns
     if not len(track.time_ns):
         raise UntrustedError(
@@ -144,7 +147,7 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
     # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
     margin = round(view.max_offset_s * NANOSECONDS)
     time_ns = track.time_ns + view.late_ns
-    last = min(last, int(time_ns[-1]) + margin + NANOSECONDS)
+    last = last if beyond else min(last, int(time_ns[-1]) + margin + NANOSECONDS)
     window = inside(view.prepared.time_ns, first, last)
     value, variance = track.along(view.axis)
     inner = inside(time_ns, first + margin, last - margin)
@@ -218,12 +221,13 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Float
     return inside, outside
 
 
-def judged_by(view: View, track: PixelTrack) -> Agreement:
-    """What the accelerometer says of a place that was followed for a while."""
+def judged_by(view: View, track: PixelTrack, *, beyond: bool = False) -> Agreement:
+    """What the accelerometer says of a place that was followed for a while.
+
+    beyond: whether a clock offset beyond the range may be the right one, where nothing is said of the clocks.
+    """
     try:
-        pair = camera_pair(view, track, view.exposure_s or 0.0)
-        # Slow errors are the camera's, alike in all places.
-        found = scale_of(replace(view, clocks_open=False), pair, slow_errors=False)
+        found = _roughly(view, track, beyond=beyond and view.clocks_open)
     except UntrustedError as error:
         text = str(error)
         return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))
@@ -232,6 +236,19 @@ def judged_by(view: View, track: PixelTrack) -> Agreement:
     missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
     reported = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
     return Agreement(std_m, False, reported, missed, found.scale.value_m_per_px)
+
+
+def _roughly(view: View, track: PixelTrack, *, beyond: bool) -> ScaleCalibration:
+    """Scale factor and noise of a place that was followed for a while."""
+    pair = camera_pair(view, track, view.exposure_s or 0.0, beyond=beyond)
+    try:
+        # Slow errors are the camera's, alike in all places.
+        return scale_of(replace(view, clocks_open=False), pair, slow_errors=False)
+    except NoAgreementError as error:
+        if not beyond or error.clock_offset_s is None:
+            raise
+        late_ns = view.late_ns + round(error.clock_offset_s * NANOSECONDS)
+    return _roughly(replace(view, late_ns=late_ns), track, beyond=False)
 
 
 def camera_blocks(

@@ -28,11 +28,15 @@ from midspan.signals.stuck import stuck
 
 # A scale that was not estimated is reported when off by this share and this many deviations, refused beyond the third.
 REPORTED, CERTAIN, REFUSED = 0.015, 4.5, 0.5
+# A gain that was estimated is named when off by more than this many deviations.
+NOTICED = 2.0
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
 MAX_OPTIMISTIC = 1.5
 # The slow error of a GNSS receiver, m and s: multipath, of which a record of minutes shows nothing. It is 2 to 8 mm and
 # takes 40 to 300 s to change; what is larger or faster shows.
 GNSS_SLOW = (3e-3, 100.0)
+# Displacement sensors of this much white noise, m, are GNSS receivers and total stations; wires and lasers have less.
+RECEIVER_NOISE_M = 0.5e-3
 # Where this many values would count as frozen, the sensor's resolution is coarse compared with the motion.
 MAX_FROZEN = 0.5
 
@@ -60,6 +64,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     causes = "slow errors, or a mounting that moves"
     warnings += found.text("displacement") or strange_noise(pair, fit, "displacement", causes)
     spread = float(np.sqrt(found.factor))
+    warnings += _gain_note(estimated, spread * estimated.gain_std)
     part = replace(part, scale_std=spread * part.scale_std)
     if rate is not None:
         part = replace(part, clock_rate=rate.late, clock_reference_s=rate.reference_ns / NANOSECONDS)
@@ -295,8 +300,20 @@ def _warnings(given: Given, estimated: NoiseCalibration, part: DisplacementCalib
             f"accelerometer: below {DRIFT_HZ:g} Hz its bias drift exceeds the structure's motion; the displacement "
             "comes mostly from the displacement sensor. Check the accelerometer's temperature, mounting and cable.",
         )
-    yield from _slow_warnings(given, estimated)
+    yield from _slow_warnings(given, estimated, part)
     yield from _factor_warnings(estimated)
+
+
+def _gain_note(estimated: NoiseCalibration, std: float) -> list[Notice]:
+    """A sentence on a gain that changes the result, and is none of a wrong unit or sensitivity."""
+    off = abs(estimated.gain - 1.0)
+    if not off > NOTICED * std > 0.0 or off > max(REPORTED, CERTAIN * estimated.gain_std):
+        return []
+    text = (
+        f"displacement: relative to it the accelerometer has a gain of {estimated.gain:.5g} ± {std:.2g}, which is "
+        "removed; accelerometer.estimate_scale = false keeps it."
+    )
+    return [Notice("gain-estimated", text)]
 
 
 def _factor_warnings(estimated: NoiseCalibration) -> Iterator[Notice]:
@@ -366,24 +383,32 @@ def _lateness_warnings(given: Given, estimated: NoiseCalibration, part: Displace
         )
 
 
-def _slow_warnings(given: Given, estimated: NoiseCalibration) -> Iterator[Notice]:
-    """A sentence on a slow error that was estimated."""
+def _slow_warnings(given: Given, estimated: NoiseCalibration, part: DisplacementCalibration) -> Iterator[Notice]:
+    """A sentence on a slow error that is in the band, or may be there and is not."""
     if estimated.sway is not None:
         size_m = abs(estimated.factor) * estimated.sway.std
         yield Notice("motion-not-shared", estimated.sway.text("displacement", size_m))
     elif estimated.slow_std_m > 0.0 and given.noise_time_s is None:
         yield Notice(
-            "slow-error",
+            "slow-error-included",
             "displacement: its errors are correlated, as with a GNSS receiver or a total station: the error band "
             f"includes a slow error of {1e3 * estimated.slow_std_m:.2g} mm over {estimated.slow_time_s:.2g} s. Set "
             "displacement.noise_time_s (correlation time; 0: no slow error).",
         )
     elif _has_usual_slow_error(given, estimated):
         yield Notice(
-            "slow-error",
+            "slow-error-included",
             f"displacement: the error band includes a slow error of {1e3 * GNSS_SLOW[0]:g} mm over {GNSS_SLOW[1]:g} "
             "s, usual for GNSS receivers, which this record neither shows nor excludes. Set "
             "displacement.noise_time_s (correlation time; 0: no slow error).",
+        )
+    elif part.slow_std_m == 0.0 and part.noise_std_m >= RECEIVER_NOISE_M and given.noise_time_s is None:
+        yield Notice(
+            "slow-error",
+            f"displacement: noise of {1e3 * part.noise_std_m:.2g} mm is that of a GNSS receiver or a total station. "
+            "Its slow errors of some mm over minutes would not show in this record, and the error band does not "
+            'contain them. Set displacement.receiver = "gnss" to include them, or displacement.noise_time_s '
+            "(correlation time; 0: no slow error).",
         )
 
 

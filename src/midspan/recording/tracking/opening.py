@@ -1,6 +1,6 @@
 """Opening of a camera's tracking: where it sees, the frames used, its targets, and what they are tracked with."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +193,17 @@ def given_targets(camera: CameraSettings) -> tuple[Target, ...]:
     if camera.roi is not None:
         return (Target(Region(*camera.roi)),)
     return tuple(Target(Region(*t.roi), name) for t, name in zip(camera.target, camera.target_names, strict=True))
+
+
+def require_inside(camera: CameraSettings, size_px: tuple[int, int], where: str) -> None:
+    """Raises UsageError for a region that reaches beyond the camera's picture (width, height)."""
+    for number, target in enumerate(given_targets(camera), 1):
+        if not target.region.inside(*size_px):
+            key, numbers = f"target[{number}].roi" if camera.roi is None else "roi", astuple(target.region)
+            text = f"must lie inside the image ({size_px[0]} x {size_px[1]} px); received {list(numbers)}."
+            raise UsageError(
+                f"{where}.{key}: {text} Correct the region; if the image size changed, check the camera first."
+            )
 
 
 def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | None) -> tuple[Target, ...]:

@@ -197,7 +197,7 @@ def series(file: str, what: str, from_s: float, to_s: float, count: int | None) 
 
 
 def bucketed(edges: Floats, time_ns: Nanoseconds, value: Floats, std: Floats) -> Tree:
-    """Least, largest, mean and largest deviation of the rows between edges (k + 1,) in ns; null without any."""
+    """Least, largest, mean, largest deviation and number of the rows between edges (k + 1,) in ns; null without any."""
     starts = np.searchsorted(time_ns, edges)
     some = np.flatnonzero(np.diff(starts) > 0)
     at, inside = starts[:-1][some], slice(0, int(starts[-1]))
@@ -219,6 +219,7 @@ def bucketed(edges: Floats, time_ns: Nanoseconds, value: Floats, std: Floats) ->
         "displacement_mm_mean": filled(total / np.where(count > 0, count, np.nan)),
         "displacement_std_mm": of(np.fmax, std),
         "status": [],
+        "rows": [0 if n is None else n for n in filled(count)],
     }
 
 

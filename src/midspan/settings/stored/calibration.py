@@ -21,7 +21,7 @@ from midspan.checks import path_of
 from midspan.engine.axis import AxisFigures
 from midspan.errors import DataError
 from midspan.notebook import table
-from midspan.notices import NOTICES, Notice, notice_trees
+from midspan.notices import NOTICES, Notice, Severity, notice_trees, worst_first
 from midspan.settings.fields import Form, Listed
 from midspan.settings.kinds import KINDS, sensors_of
 from midspan.settings.messages import explain
@@ -100,6 +100,11 @@ class Calibration:
         gain_std = self.accelerometer_scale_std
         gain = f", gain {self.accelerometer_scale:.5g} ± {gain_std:.2g}" if gain_std > 0.0 else ""
         return [*rows, ("accelerometer", f"noise {1e3 * self.noise_std_m_s2:.3g} mm/s² per sample{gain}")]
+
+    @property
+    def to_act_on(self) -> tuple[Notice, ...]:
+        """Its warnings without those that nothing has to be done about, the worst first."""
+        return tuple(one for one in worst_first(self.warnings) if one.severity is not Severity.NOTE)
 
     def gain_std(self, tolerance: float, *, given: bool) -> float:
         """Relative standard deviation of the accelerometer's gain: as calibrated, else its tolerance where given."""

@@ -56,6 +56,13 @@ def _seen(staged: Stage, added_m: Signal) -> Stage:
     return replace(staged, sensed=changed)
 
 
+def _errs(staged: Stage, added_m: Signal) -> Stage:
+    """An error of the displacement sensor, whose errors are declared as white no longer."""
+    scenario = staged.scenario
+    assert scenario.gnss is not None
+    return _seen(replace(staged, scenario=replace(scenario, gnss=replace(scenario.gnss, white=False))), added_m)
+
+
 def _instants(staged: Stage, rate_hz: float) -> Floats:
     count = int(staged.scenario.duration_s * rate_hz)
     return np.arange(count + 1) / rate_hz
@@ -130,7 +137,7 @@ def _exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
 
 def _colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     tau, std = rng.uniform(5.0, 60.0), rng.uniform(1.0, 3.0) * _noise_m(staged)
-    return _seen(staged, _gauss_markov(staged, rng, std, tau)), {"std_mm": 1e3 * std, "time_s": tau}
+    return _errs(staged, _gauss_markov(staged, rng, std, tau)), {"std_mm": 1e3 * std, "time_s": tau}
 
 
 def _gauss_markov(staged: Stage, rng: np.random.Generator, std: float, time_s: float) -> Signal:
@@ -148,7 +155,7 @@ def _step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     at = np.sort(rng.uniform(0.1 * length, 0.9 * length, count))
     size = rng.choice([-1.0, 1.0], count) * rng.uniform(3.0, 20.0, count) * _noise_m(staged)
     facts = {f"{name}_{k}": value for k in range(count) for name, value in (("at_s", at[k]), ("mm", 1e3 * size[k]))}
-    return _seen(staged, lambda t: (np.asarray(t)[:, None] >= at) @ size), facts
+    return _errs(staged, lambda t: (np.asarray(t)[:, None] >= at) @ size), facts
 
 
 def _burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
@@ -165,7 +172,7 @@ def _burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
     def error(time_s: Floats) -> Floats:
         return added[np.clip(np.rint(time_s * NOISE_HZ).astype(np.int64), 0, len(time) - 1)]
 
-    return _seen(staged, error), {"share": float(np.mean(loud)), "times": 10.0}
+    return _errs(staged, error), {"share": float(np.mean(loud)), "times": 10.0}
 
 
 def _pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
@@ -216,7 +223,7 @@ def _float(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
         age = time_s - start
         return np.where((age >= 0.0) & (age < FIXED_S), off * np.exp(-np.maximum(age, 0.0) / CONVERGES_S), 0.0)
 
-    return _seen(staged, converging), {"at_s": start, "mm": 1e3 * off, "converges_s": CONVERGES_S, "fixed_s": FIXED_S}
+    return _errs(staged, converging), {"at_s": start, "mm": 1e3 * off, "converges_s": CONVERGES_S, "fixed_s": FIXED_S}
 
 
 def _clock_step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:

@@ -73,13 +73,14 @@ class CameraSetup:
 class GnssSetup:
     """A displacement sensor of a scenario; rows in `absent` are missing, values in `unread` are left empty.
 
-    `clock_step`: true time (s) at which its clock is set, and by how much (s).
+    `clock_step`: true time (s) at which its clock is set, and by how much (s). `white`: errors declared as such.
     """
 
     sensor: DisplacementSensorModel
     absent: tuple[Span, ...] = ()
     unread: tuple[Span, ...] = ()
     clock_step: tuple[float, float] = (np.inf, 0.0)
+    white: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -168,6 +168,8 @@ def _write_settings(folder: Path, staged: Stage) -> None:
             settings["camera"]["direction"] = "xy"
     if scenario.gnss is not None:
         settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
+        if scenario.gnss.white:
+            settings["displacement"]["noise_time_s"] = 0
     if scenario.radar is not None:
         settings["radar"] = scenario.radar.settings()
     if scenario.day is not None:

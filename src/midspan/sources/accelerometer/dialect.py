@@ -32,6 +32,8 @@ _OTHER_UNITS = (
 _KNOWN_UNITS = frozenset(
     [u.lower() for u in ACCELERATION_UNITS + LENGTH_UNITS + VOLTAGE_UNITS] + [*TIME_UNITS, *_OTHER_UNITS.split()]
 )
+# How a column of times says that it is written, such as hh:mm:ss or dd/mm/yyyy (jj, aaaa in French).
+_TIME_FORM = re.compile(r"([djmyahsf])\1*([:/.,\-\s]+([djmyahsf])\3*)+", re.IGNORECASE)
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 _SUFFIX_UNITS = {
     **{"m_s2": "m/s^2", "ms2": "m/s^2", "mm_s2": "mm/s^2", "cm_s2": "cm/s^2", "g": "g", "mg": "mg", "gal": "gal"},
@@ -80,6 +82,9 @@ def find_dialect(path: Path) -> Dialect:
     lines = re.split(r"\r\n|\n|\r", head.decode(encoding, errors="replace"))
     lines = (lines[:-1] if len(head) == SAMPLE_BYTES else lines)[:SAMPLE_LINES]
     guesses = [guess for sign in _CANDIDATES if (guess := _try(lines, *sign)) is not None]
+    is_whole = len(head) < SAMPLE_BYTES and len(lines) < SAMPLE_LINES
+    if is_whole and (heading := _heading_at_end(lines, max((guess.rows for guess in guesses), default=0))):
+        raise DataError(f"{path} has no data rows: nothing follows its heading {heading!r}. Export it again with data.")
     if not guesses:
         raise DataError(
             f"{path} has no columns of numbers in its first {len(lines)} lines. Text columns with comma, semicolon, "
@@ -126,6 +131,32 @@ class _Guess:
     score: int
     width: int
     words: tuple[int, ...]
+    rows: int
+
+
+def _heading_at_end(lines: list[str], rows: int) -> str:
+    """The heading that a file ends with, of more columns than any line with a number has; empty where it does not.
+
+    rows: the most that a guess makes of the lines; words end a file of few rows or none, or units do.
+    """
+    filled = [line.strip() for line in lines if line.strip() and not is_comment(line)]
+    for delimiter in (";", "\t", "|", ","):
+        *above, last = [split(line, delimiter) for line in filled] or [[]]
+        numbered = [any(is_value(field, sign) for field in row for sign in ".,") for row in (*above, last)]
+        width = max((len(row) for row, has_number in zip(above, numbered, strict=False) if has_number), default=1)
+        if numbered[-1] or len(last) <= width:
+            continue
+        if above and len(above[-1]) == len(last) and _are_units(last):
+            return filled[-2]
+        if rows < _FEW_ROWS:
+            return filled[-1]
+    return ""
+
+
+def _are_units(fields: list[str]) -> bool:
+    """Whether these are units of columns, with how a time is written among them."""
+    units = [unit for field in fields if (unit := _unit_text(field))]
+    return bool(units) and all(unit.lower() in _KNOWN_UNITS or _TIME_FORM.fullmatch(unit) for unit in units)
 
 
 def _single_decimal_comma(lines: list[str], best: _Guess, guesses: list[_Guess]) -> _Guess:
@@ -179,7 +210,7 @@ def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
         for field, value in zip(row, row_values, strict=False)
         if len(row) == width
     )
-    return _Guess(delimiter, decimal, rows[0], score, width, words) if score > 0 else None
+    return _Guess(delimiter, decimal, rows[0], score, width, words, len(rows)) if score > 0 else None
 
 
 def _longest_run(table: list[list[str]], values: list[list[bool]], width: int) -> list[int]:
@@ -228,19 +259,20 @@ def _headings(
     delimiter = {"\t": "tab", BLANKS: "blanks"}.get(guess.delimiter, f"'{guess.delimiter}'")
     notes = [f"delimiter {delimiter}, decimal {'comma' if guess.decimal == ',' else 'point'}"]
     units: list[str | None] = [None] * guess.width
-    if len(rows) == 2 and len(rows[1]) in wanted and len(rows[0]) == len(rows[1]):
-        row_units = [_unit_text(field) for field in rows[0]]
-        if any(row_units) and all(unit.lower() in _KNOWN_UNITS for unit in row_units if unit):
-            units = row_units
-            notes.append(f"units in line {above[0] + 1}")
-            above, rows = above[1:], rows[1:]
+    if len(rows) == 2 and len(rows[1]) in wanted and len(rows[0]) == len(rows[1]) and _are_units(rows[0]):
+        given = [_unit_text(field) for field in rows[0]]
+        units = [unit if unit and unit.lower() in _KNOWN_UNITS else None for unit in given]
+        notes.append(f"units in line {above[0] + 1}")
+        above, rows = above[1:], rows[1:]
     if rows and len(rows[0]) in wanted and _is_name_row(rows[0], guess.decimal):
         names = rows[0]
         notes.append(f"header in line {above[0] + 1}")
     else:
         names = [f"column_{k + 1}" for k in range(guess.width)]
         notes.append("no header: columns are named column_1, column_2 …")
-        if rows and guess.delimiter == "," and guess.width == 2 * len(rows[0]) and _is_name_row(rows[0], guess.decimal):
+        pointed = any("." in line for line in lines[guess.first :])
+        halved = bool(rows) and not pointed and guess.delimiter == "," and guess.width == 2 * len(rows[0])
+        if halved and _is_name_row(rows[0], guess.decimal):
             notes.append(f"{SPLIT}: {len(rows[0])} names, but {guess.width} columns")
     if len(names) == guess.width - 1 and joined is not None:
         names = [*names[: joined + 1], f"{names[joined]} of day", *names[joined + 1 :]]

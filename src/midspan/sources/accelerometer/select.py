@@ -74,6 +74,7 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     if request.rate_hz is not None and not (np.isfinite(request.rate_hz) and request.rate_hz > 0):
         raise UsageError(f"rate_hz must be above zero (Hz); received {request.rate_hz!r}. Correct it or leave it out.")
     found = list_channels(path)
+    require_unsplit_numbers(path, found)
     notes = list(found.notes)
     clock = None
     own_clock = any(c.time_ns is not None or c.rate_hz is not None for c in found.channels)
@@ -100,6 +101,13 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     return TimeSeries(spread_ns, value, channel.name, unit, (*notes, *notices), found.damage, tuple(notices))
 
 
+def require_unsplit_numbers(path: Path, found: ChannelSet) -> None:
+    """UsageError where the columns are the halves of numbers, which a comma parts as it parts columns."""
+    split = next((note for note in found.notes if note.startswith(SPLIT)), None)
+    if split is not None:
+        raise UsageError(f"{path}: {split}.")
+
+
 def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channel:
     """The channel called `wanted`: its name, the last part of its path if unique, or `name[k]` from 0.
 
@@ -120,12 +128,9 @@ def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channe
     left_out = next((note for note in found.notes if note.startswith(f"{wanted} left out")), None)
     if left_out is not None and not matches:
         raise DataError(f"{path}: {key} = {wanted!r}: {left_out}.")
-    split = next((f"{note[:1].upper()}{note[1:]}. " for note in found.notes if note.startswith(SPLIT)), "")
     problem = f"stands for {len(matches)} channels" if matches else "is not in the file"
     hint = nearest(wanted, names)
-    raise UsageError(
-        f"{path}: {key} = {wanted!r} {problem}. {split}{hint} It holds {_listing(names)}.".replace("  ", " ")
-    )
+    raise UsageError(f"{path}: {key} = {wanted!r} {problem}. {hint} It holds {_listing(names)}.".replace("  ", " "))
 
 
 def _listing(names: tuple[str, ...]) -> str:
