@@ -10,6 +10,7 @@ import pytest
 
 import midspan
 from lively_recordings import Lively
+from recording_edits import append
 from repeats import slow
 
 FOCAL_PX, NOISE_PX = 5000.0, 0.01
@@ -149,6 +150,24 @@ def test_a_tilt_is_removed_with_a_majority_at_one_distance(tmp_path):
     error = site.error_mm(result)
     assert np.std(error) < 0.012
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+
+
+@pytest.mark.parametrize("far_m", ["10.0", '"far"'])
+def test_distances_that_are_declared_decide_on_a_tilt_that_the_accelerometer_does_not(far_m, tmp_path):
+    # 0.6 mdeg: as in the band above, where no distance is declared.
+    distances = (3.0, 10.0 if far_m == "10.0" else 1e9)
+    site = Site(10.0, distances, tilt=slow_tilt(0.6))
+    targets = "".join(
+        f'[[camera.target]]\nname = "{name}"\nroi = [{x}, 0, 9, 9]\ndistance_m = {distance}\n'
+        for name, x, distance in (("1", 0, "3.0"), ("target2", 20, far_m))
+    )
+    append(site.write(tmp_path), targets)
+    result = midspan.estimate(tmp_path)
+    error = site.error_mm(result)
+    # A frame of the difference is good for 0.012 mm; the tilt moves the near target by 0.03 mm.
+    assert np.std(error) < 0.012
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+    assert np.median(result.displacement_std_mm) < 0.02
 
 
 def test_targets_at_several_distances_that_agree_exclude_a_tilt(tmp_path):

@@ -185,8 +185,13 @@ def judge_of(view: Recording) -> Judge:
 
 
 def seen_targets(view: Recording, tracking: CameraTracking) -> list[SeenTarget]:
-    """The targets as they were tracked so far."""
-    return [tracking.seen(target, view.exposure_s) for target in tracking.targets]
+    """The targets as they were tracked so far, with their declared distances."""
+    camera = view.settings.first_camera
+    known = {} if camera is None else dict(zip(camera.target_names, camera.target, strict=True))
+    seen = [tracking.seen(target, view.exposure_s) for target in tracking.targets]
+    return [
+        replace(one, inverse_distance=known[one.name].inverse_distance) if one.name in known else one for one in seen
+    ]
 
 
 def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:

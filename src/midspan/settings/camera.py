@@ -5,8 +5,9 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from midspan.checks import ValueRange
 from midspan.errors import UsageError
 from midspan.records import ScaleFactor
 from midspan.settings.fields import (
@@ -32,6 +33,7 @@ from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, UPDATING, tracker_
 
 ROI = Form("4 whole numbers, px")
 Celsius = Annotated[float, IsNumber, limited(-273.15, 1e5, "°C")]
+TARGET_M = ValueRange(1e-3, 1e6, "m")
 # Settings of trackers are pixels, shares and counts; each tracker has rules of its own within this.
 MAX_TRACKER_SETTING = 1e9
 
@@ -48,6 +50,15 @@ def _in_words_of(section: str, values: Mapping[str, Any]) -> Iterator[None]:
         raise ValueError(f"{section}: {error}".rstrip(".")) from None
 
 
+def _distance(value: object) -> object:
+    """A distance in m, or the word for one at which only a rotation shows."""
+    if value == "far":
+        return value
+    if not isinstance(value, int | float) or isinstance(value, bool) or value not in TARGET_M:
+        raise ValueError(f'must be a number {TARGET_M}, or "far"')
+    return float(value)
+
+
 class TargetSettings(Section):
     """One of several targets of a camera."""
 
@@ -55,6 +66,31 @@ class TargetSettings(Section):
         description="x, y of the upper left corner, width, height"
     )
     name: SensorName | None = Field(None, description="name in reports, warnings and columns; default: its number")
+    distance_m: Annotated[float | Literal["far"], BeforeValidator(_distance), Form('number, m, or "far"')] | None = (
+        Field(
+            None,
+            description="distance from the camera; far: only a rotation moves it. Between different distances slow "
+            "image motion is attributed to tilt; default: the motion decides",
+        )
+    )
+    distance_std_m: Annotated[float, IsNumber, limited(0.0, 1e6, "m")] = Field(
+        0.0, description="standard deviation of distance_m; two distances within it count as equal"
+    )
+
+    @property
+    def inverse_distance(self) -> tuple[float, float] | None:
+        """One over its distance and its standard deviation, 1/m; 0: far; None: unknown."""
+        if self.distance_m is None:
+            return None
+        if isinstance(self.distance_m, str):
+            return 0.0, 0.0
+        return 1.0 / self.distance_m, self.distance_std_m / self.distance_m**2
+
+    @model_validator(mode="after")
+    def _has_a_distance(self) -> "TargetSettings":
+        if self.distance_std_m > 0.0 and not isinstance(self.distance_m, float):
+            raise ValueError("must have distance_m in m together with distance_std_m")
+        return self
 
 
 class LensSettings(Section):

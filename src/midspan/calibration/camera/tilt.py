@@ -28,6 +28,9 @@ from midspan.notices import Notice, rounded
 from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, ScaleFactor, Source
 from midspan.signals.stamps import inside
 
+# Declared distances differ where they do so by this many standard deviations, and by this share.
+CERTAIN, SAME_DISTANCE = 2.0, 0.1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tilt:
@@ -80,7 +83,9 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | No
         return None
     pair, found = sharpest
     count = len(found.search.fit.whitened.variance)
-    if any(count * np.log(_error_m(one) / _error_m(found)) < MIN_GAIN for one in fit.used):
+    if not _are_apart(*(targets[k] for k in pair)) and any(
+        count * np.log(_error_m(one) / _error_m(found)) < MIN_GAIN for one in fit.used
+    ):
         return None
     ratios, left = _compared(view, targets, pair, found)
     shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
@@ -88,6 +93,14 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | No
         return None
     noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
     return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair)
+
+
+def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:
+    """Whether both distances are declared, and differ for certain."""
+    if one.inverse_distance is None or other.inverse_distance is None:
+        return False
+    (near, near_std), (far, far_std) = one.inverse_distance, other.inverse_distance
+    return abs(near - far) > max(CERTAIN * float(np.hypot(near_std, far_std)), SAME_DISTANCE * max(near, far))
 
 
 def _noise_px(target: SeenTarget, axis: str, factor: float) -> float:
