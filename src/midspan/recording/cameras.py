@@ -1,5 +1,6 @@
 """The part of a calibration that rests on pictures: one camera, a thermal one, or both, each where it sees."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -7,8 +8,9 @@ import numpy as np
 
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
+from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
-from midspan.calibration.lines import Shown, require_no_lines
+from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import NoAgreementError, UntrustedError
@@ -20,6 +22,7 @@ from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, 
 from midspan.records import Source, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
+from midspan.signals.lines import Line
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.region_choice import Judge
@@ -202,14 +205,29 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
     tracking.until(window_ends(recording)[1] - recording.late_ns)
     across, seen = recording.across, seen_targets(recording, tracking)
     if not recording.lines and recording.settings.calibration.printed(recording.settings.first_camera) is None:
-        track, origin_ns = seen[0].rows, int(recording.prepared.time_ns[0])
-        shown = Shown(seconds(track.time_ns + recording.late_ns, origin_ns), track.along(recording.axis)[0])
-        require_no_lines(recording.prepared.rows(origin_ns, slice(None)), shown, recording.sensor)
+        _require_no_lines(recording, seen)
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
     reported = lambda: [*chosen_text(tracking), *tracking.warnings()]  # noqa: E731
     parts = fit_camera(views, seen, reported, "" if across is None else across.axis)
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
+
+
+def _require_no_lines(recording: Recording, seen: Sequence[SeenTarget]) -> None:
+    """LinesFound where neither a target nor the difference of two shows what the acceleration holds.
+
+    A camera that tilts with its structure may show none of a mode in one target.
+    """
+    origin_ns, tracks = int(recording.prepared.time_ns[0]), [seen[0].rows]
+    if len(seen) > 1:
+        tracks.append(apart(seen[0].rows, seen[-1].rows))
+    samples, found = recording.prepared.rows(origin_ns, slice(None)), list[tuple[Line, ...]]()
+    for track in tracks:
+        shown = Shown(seconds(track.time_ns + recording.late_ns, origin_ns), track.along(recording.axis)[0])
+        found.append(unconfirmed_lines(samples, shown))
+        if not found[-1]:
+            return
+    raise LinesFound(found[0], recording.sensor)
 
 
 def wants_range(view: Recording) -> bool:
