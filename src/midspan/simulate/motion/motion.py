@@ -7,6 +7,7 @@ import numpy as np
 
 from midspan.checks import finite, positive, refuse, same_length
 from midspan.records import Floats
+from midspan.signals.acceleration import GRAVITY_M_S2
 
 
 class Motion:
@@ -103,6 +104,19 @@ class Scaled(Motion):
     def derivative(self, time_s: Floats, order: int) -> Floats:
         """As `Motion.derivative`."""
         return self.factor * self.motion.derivative(np.asarray(time_s) - self.late_s, order)
+
+
+@dataclass(frozen=True, slots=True)
+class Leaning(Motion):
+    """A sideways motion as an accelerometer meets it whose axis dips by `tilt` (rad) as it moves: gravity is in it."""
+
+    motion: Motion
+    tilt: Motion
+
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """As `Motion.derivative`; of the acceleration what the accelerometer reads."""
+        own = self.motion.derivative(time_s, order)
+        return own - GRAVITY_M_S2 * self.tilt.derivative(time_s, 0) if order == 2 else own
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,12 +27,16 @@ Span = tuple[float, float]  # start and end in s
 
 @dataclass(frozen=True, slots=True)
 class Posed:
-    """A camera that turns: pose, what it looks at, rows and columns of its picture, focal length (px) and lens."""
+    """A camera that turns: pose, what it looks at, rows and columns of its picture, focal length (px) and lens.
+
+    sensed: the motion as the accelerometer meets it.
+    """
 
     pose: Pose
     planes: tuple[Plane, ...]
     size_px: tuple[int, int]
     focal_px: float
+    sensed: Motion
     k1: float = 0.0
 
 
@@ -128,6 +132,7 @@ class Stage:
     rng_radar: np.random.Generator
     rng_breaks: np.random.Generator
     across: Motion | None = None
+    posed: Posed | None = None
 
     def acceleration(self, *, across: bool = False) -> TimeSeries:
         """Acceleration in m/s² as stored, with its gaps; NaN where no number is written. across: the other axis'."""
@@ -150,9 +155,8 @@ class Stage:
 
     def posed_view(self, setup: CameraSetup) -> PosedView | None:
         """The camera that turns before its planes; None where it does not turn."""
-        if setup.posed is None:
+        if (own := self.posed) is None:
             return None
-        own = setup.posed(self.sensed, self.rng_scene.spawn(1)[0])
         return PosedView(own.planes, own.pose, own.size_px, own.focal_px, own.k1, setup.camera)
 
     def view(self, setup: CameraSetup) -> View:
@@ -219,7 +223,10 @@ def stage(scenario: Scenario, seed: int) -> Stage:
         accelerometer = replace(accelerometer, noise_std_m_s2=noise)
     across = None if scenario.across is None else scenario.across(rng_motion_across)
     generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar, rng_breaks)
-    return Stage(scenario, motion, motion, accelerometer, *generators, across)
+    turns = None if scenario.camera is None else scenario.camera.posed
+    posed = None if turns is None else turns(motion, rng_scene)
+    sensed = motion if posed is None else posed.sensed
+    return Stage(scenario, motion, sensed, accelerometer, *generators, across, posed)
 
 
 def within(time_s: Floats, spans: tuple[Span, ...]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

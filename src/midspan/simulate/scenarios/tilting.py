@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Region
-from midspan.simulate.motion.motion import Motion, Pulse, Rest, Scaled, Sum, modes, random_motion
+from midspan.simulate.motion.motion import Leaning, Motion, Pulse, Rest, Scaled, Sum, modes, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.scenarios.stage import CameraSetup, Posed, Scenario
 from midspan.simulate.scene.camera import Camera
@@ -13,6 +13,7 @@ from midspan.simulate.scene.pose import Plane, Pose
 from midspan.simulate.scene.texture import textured_scene
 
 MDEG = float(np.radians(1e-3))
+FOCAL_PX = 5000.0
 # A span of 45 m at its quarter: slope over displacement in its second mode, rad/m.
 SPAN_SLOPE = np.pi / 45.0
 # A target moves by less than this within its part of the picture, px.
@@ -36,16 +37,53 @@ class TiltingFootbridge:
         sun = random_motion((0.004, 0.02), 4.0 * MDEG, rng=drawn, lines=6)
         pitch = Sum((Scaled(motion, 0.6 * SPAN_SLOPE), Scaled(motion, 0.4 * SPAN_SLOPE, late_s=2.0), nods, sun))
         roll = random_motion((3.3, 3.7), 0.5 * MDEG, rng=drawn, lines=20)
-        planes = tuple(
-            Plane(
-                Region(0, k * self.size_px, self.size_px, self.size_px),
-                textured_scene("natural", (self.size_px, self.size_px), rng=texture),
-                distance_m,
-            )
-            for k, (distance_m, texture) in enumerate(zip(self.distances_m, textures, strict=True))
-        )
+        planes = stacked(self.distances_m, textures, self.size_px)
         pose = Pose((Rest(), Scaled(motion, -1.0), Rest()), (pitch, Rest(), roll))
-        return Posed(pose, planes, (self.size_px * len(planes), self.size_px), focal_px=5000.0, k1=-0.05)
+        return Posed(pose, planes, (self.size_px * len(planes), self.size_px), FOCAL_PX, motion, k1=-0.05)
+
+
+@dataclass(frozen=True, slots=True)
+class Tower:
+    """Pose and planes of a box on a tower's top that looks down at the tower's side and foot, these distances below.
+
+    Of the motion's parts, first mode, second mode and wind, each leans by its slope: lean over displacement times the
+    height, of a cantilever's modes and of its bending under an even load.
+    """
+
+    height_m: float = 60.0
+    distances_m: tuple[float, ...] = (20.0, 60.0)
+    slopes: tuple[float, ...] = (1.377, -4.78, 1.333)
+    size_px: int = 128
+
+    def __call__(self, motion: Motion, rng: np.random.Generator) -> Posed:
+        """The camera's pose with the tower's motion, and what it looks at."""
+        drawn, *textures = rng.spawn(1 + len(self.distances_m))
+        assert isinstance(motion, Sum)
+        sun = random_motion((0.004, 0.02), 3.0 * MDEG, rng=drawn, lines=6)
+        leans = (Scaled(part, slope / self.height_m) for part, slope in zip(motion.parts, self.slopes, strict=True))
+        lean = Sum((*leans, sun))
+        # The picture's top is where the tower moves to: tipping that way turns the view the other way.
+        pose = Pose((Rest(), Scaled(motion, -1.0), Rest()), (Scaled(lean, -1.0), Rest(), Rest()))
+        planes = stacked(self.distances_m, textures, self.size_px)
+        return Posed(pose, planes, (self.size_px * len(planes), self.size_px), FOCAL_PX, Leaning(motion, lean))
+
+
+def stacked(distances_m: tuple[float, ...], rngs: list[np.random.Generator], size_px: int) -> tuple[Plane, ...]:
+    """Planes one below the other in the picture, each a square of `size_px`."""
+    return tuple(
+        Plane(
+            Region(0, k * size_px, size_px, size_px),
+            textured_scene("natural", (size_px, size_px), rng=rng),
+            distance_m,
+        )
+        for k, (distance_m, rng) in enumerate(zip(distances_m, rngs, strict=True))
+    )
+
+
+def _swaying(rng: np.random.Generator) -> Motion:
+    """Two modes and the wind's slow push."""
+    bands = ((0.24, 0.26, 8e-3, 40), (1.48, 1.52, 0.3e-3, 40), (0.003, 0.02, 5e-3, 8))
+    return Sum(tuple(random_motion((low, high), std_m, rng=rng, lines=n) for low, high, std_m, n in bands))
 
 
 def _walked(rng: np.random.Generator) -> Motion:
@@ -72,6 +110,20 @@ TILTING_SCENARIOS: dict[str, Scenario] = {
             camera=Camera(exposure_s=0.004),
             targets=_regions(("near", "far"), 128),
             posed=TiltingFootbridge(),
+        ),
+    ),
+    "tower": Scenario(
+        line="60 m tower in wind, camera on its top at 30 Hz looks down at targets at 20 and 60 m; gravity and lean",
+        title="simulated tower, two targets",
+        duration_s=100.0,
+        motion=_swaying,
+        accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-3, bias_m_s2=0.03),
+        camera=CameraSetup(
+            rate_hz=30.0,
+            time_offset_s=0.114,
+            camera=Camera(exposure_s=0.004),
+            targets=_regions(("side", "foot"), 128),
+            posed=Tower(),
         ),
     ),
 }
