@@ -42,7 +42,7 @@ def test_a_papers_calibration_and_method_are_one_option(folders, tmp_path, capsy
 @pytest.mark.parametrize(
     ("kind", "options", "words"),
     [
-        ("camera", ["--paper", "000", "--method", "kalman"], "leave --method out"),
+        ("camera", ["--paper", "000", "--method", "kalman"], "remove --method"),
         ("camera", ["--paper", "002"], "has no [radar], which this paper needs"),
         ("displacement", ["--paper", "001"], "has no [camera] or [infrared]"),
         ("displacement", ["--method", "kalman", "--literal"], "literal = true needs the method of a paper"),

@@ -29,7 +29,7 @@ def test_lost_rows_are_reported_from_the_first_unsupported_one_on():
     begun, back = reported(rows_of("tttccllcltt"))
     assert (begun.kind, begun.time_ns, back.kind, back.time_ns) == ("lost", 3 * 10**9, "seen", 9 * 10**9)
     assert "from 3.000 s on" in begun.text
-    assert back.text.endswith("for 6.0 s.")
+    assert "for 6.0 s" in back.text
     assert reported(rows_of("tttccctt")) == []
     assert [event.kind for event in reported(rows_of("ccltccll"))] == ["lost", "seen", "lost"]
 

@@ -98,7 +98,7 @@ def test_an_unchanged_region_of_a_compressed_film_is_not_called_a_repeated_frame
     )
     (compressed,) = TargetTracking(chain).warnings("y", compressed=True)
     (plain,) = TargetTracking(chain).warnings("y")
-    assert "compression left out what hardly changed" in compressed
-    assert "repeat the picture" not in compressed
-    assert "15 frames repeat the picture" in plain
+    assert "compression drops small changes" in compressed
+    assert "repeat the previous image" not in compressed
+    assert "15 frames repeat the previous image" in plain
     assert compressed.code == plain.code == "frozen"

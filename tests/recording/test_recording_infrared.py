@@ -325,7 +325,7 @@ def test_a_camera_that_is_black_all_the_time_is_left_out_with_a_warning(day_copy
     np.savez(day_copy / "camera.npz", frames=np.clip(noise, 0, 255).astype(np.uint8), time_s=stored["time_s"])
     found = midspan.calibrate(midspan.open_recording(day_copy))
     assert found.camera is None
-    assert any(line.startswith("[camera] is left out of the result. It is dark") for line in found.warnings)
+    assert any(line.startswith("[camera] is left out of the result. All frames are dark") for line in found.warnings)
 
 
 @pytest.fixture(scope="module")

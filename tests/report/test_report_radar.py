@@ -116,7 +116,7 @@ def test_the_section_shows_the_profile_the_targets_the_circle_and_the_phase(resu
     truth_mm_s = np.abs(
         np.genfromtxt(result.recording.folder / "truth.csv", delimiter=",", names=True)["velocity_mm_s"]
     )
-    reported = float(re.search(r"reached ([\d.]+) mm/s", section)[1])
+    reported = float(re.search(r"at most ([\d.]+) mm/s", section)[1])
     # The largest speed over 0.03 s with the phase's noise of 0.02 rad: 0.3 mm/s.
     assert reported == pytest.approx(truth_mm_s.max() / 1.06, rel=0.1)
 

@@ -140,7 +140,7 @@ FRAMES_AT_A_TIME = 1024
 ADVICE = {
     "Sort or correct the rows, or give rate_hz instead.": "Choose a span without them (--from, --to).",
     "Correct the file.": "Choose a span without it (--from, --to).",
-    "Give a time stamp for each frame, or cut the recording where its clock is set.": "Choose a span without it "
+    "Give a time stamp for each frame, or cut the recording where the clock is set.": "Choose a span without it "
     "(--from, --to).",
     "Check for lost frames, or split the recording there.": "Choose a span that ends or begins there (--from, --to).",
     "Check the calibration's time_offset_s and the start_s of both.": "Choose another span (--from, --to), or check "

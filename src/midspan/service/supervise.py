@@ -291,7 +291,7 @@ class Supervisor:
         sizes_px = {} if self._service is None else self._service.sizes_px()
         await asyncio.to_thread(checked, site, changes.beginning, sizes_px)
         text = _needs_restart(restart) if restart else changes.text
-        return {"text": f"Not written. {text}", "restart": restart, **changes.to_dict()}
+        return {"text": f"Not saved. {text}", "restart": restart, **changes.to_dict()}
 
     async def _reload(self) -> Tree:
         """New settings of the file come into force, where that can be without a new start."""
