@@ -281,7 +281,11 @@ fn without_zeros(p: &Matrix, d: usize, x: usize, (first, others): (usize, &[usiz
     for i in (0..n).rev() {
         let known: f64 = (i + 1..n).map(|j| system[(i, j)] * share[j]).sum();
         // A zero that the others tell has no share of its own.
-        share[i] = if system[(i, i)] > 1e-9 * p[(zeros[i], zeros[i])] { (system[(i, n)] - known) / system[(i, i)] } else { 0.0 };
+        share[i] = if system[(i, i)] > 1e-9 * p[(zeros[i], zeros[i])] {
+            (system[(i, n)] - known) / system[(i, i)]
+        } else {
+            0.0
+        };
     }
     let mut variance = p[(d, d)];
     for (i, &z) in zeros.iter().enumerate() {
@@ -313,4 +317,28 @@ pub fn mixed(runs: &[Rows], weights: &[f64]) -> Rows {
         }
     }
     whole
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of x = 2 z₁ − z₂ + own and datum = x at another instant, with the same zeros, the own parts alone are left.
+    #[test]
+    fn what_zeros_move_all_rows_by_is_no_part_of_the_datum() {
+        let (first, second, own, earlier) = (0.3, 0.7, 0.05, 0.02);
+        let mut p = Matrix::zeros(4, 4);
+        // Displacement, datum, both zeros.
+        let shared = 4.0 * first + second;
+        p[(0, 0)] = shared + own;
+        p[(1, 1)] = shared + earlier;
+        p.set_both(0, 1, shared);
+        for d in 0..2 {
+            p.set_both(d, 2, 2.0 * first);
+            p.set_both(d, 3, -second);
+        }
+        p[(2, 2)] = first;
+        p[(3, 3)] = second;
+        assert!((without_zeros(&p, 1, 0, (2, &[3])) - earlier).abs() < 1e-12);
+    }
 }

@@ -32,7 +32,7 @@ impl Scene<'_> {
 /// First sample and the weights of it and those after it, for reading at a pixel; samples: their number.
 fn taps(pixel: f64, samples: usize) -> Option<(usize, [f32; TAPS])> {
     let place = SAMPLES as f64 * pixel;
-    if !(place.abs() < 1e9) {
+    if !place.is_finite() || place.abs() > 1e9 {
         return None;
     }
     let start = place.floor() as i64 - BEFORE;
