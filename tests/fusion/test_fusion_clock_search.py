@@ -91,10 +91,9 @@ def test_a_search_does_not_become_dearer_while_it_lasts(make):
         stream.push(block)
         if stream.seeks_clock:
             costs[block.time_ns[-1] / 1e9] = time.process_time() - begun_s
-    early, late = (
-        np.median([cost for at, cost in costs.items() if a < at < b]) for a, b in ((12.0, 14.0), (18.0, 20.5))
-    )
-    assert late < 2.0 * early
+    early, late = (min(cost for at, cost in costs.items() if a < at < b) for a, b in ((12.0, 14.0), (18.0, 20.5)))
+    # A run over all seconds of the search would cost four times as much; a machine that is shared doubles a time.
+    assert late < 3.0 * early
 
 
 def test_rows_of_all_methods_hold_the_doubt_about_the_samples_clock():

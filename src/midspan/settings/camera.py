@@ -69,8 +69,8 @@ class TargetSettings(Section):
     distance_m: Annotated[float | Literal["far"], BeforeValidator(_distance), Form('number, m, or "far"')] | None = (
         Field(
             None,
-            description="distance from the camera; far: only a rotation moves it. Between different distances slow "
-            "image motion is attributed to tilt; default: the motion decides",
+            description="distance from the camera, far: only rotation moves it; different ones attribute slow common "
+            "motion to tilt",
         )
     )
     distance_std_m: Annotated[float, IsNumber, limited(0.0, 1e6, "m")] = Field(

@@ -30,6 +30,8 @@ from midspan.vision.region_choice import USELESS
 # distance shows: by this many times what it sways by at its own frequency. Footbridges of the kind of the scenario
 # `tilting-footbridge` need 1.6 to 3.
 SLOW_TILT = 3.0
+# What sways more slowly than this, Hz, is a mast, whose slow tilt is the sway itself.
+BRACKET_HZ = 1.0
 
 CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
@@ -315,8 +317,14 @@ def _contradicted_m(found: ScaleCalibration, *, tilt_seen: bool) -> tuple[float,
     slow_m = own.std * scale
     # Nothing tells whose error it is.
     unknown_m = 0.0 if own.alone and own.taken and not tilt_seen else slow_m
-    tilt_m = SLOW_TILT * slow_m if own.sways and not tilt_seen else 0.0
+    tilt_m = SLOW_TILT * slow_m if _tilts_unseen(found, tilt_seen=tilt_seen) else 0.0
     return float(np.hypot(unknown_m, tilt_m)), slow_m
+
+
+def _tilts_unseen(found: ScaleCalibration, *, tilt_seen: bool) -> bool:
+    """Whether the camera sways on its bracket, and its slow tilt is not seen."""
+    own = found.own
+    return own is not None and own.sways and own.hertz > BRACKET_HZ and not tilt_seen
 
 
 def _left_out(camera: CameraCalibration) -> list[Notice]:
@@ -339,7 +347,7 @@ def _apart_warnings(
     """What camera and accelerometer differ by besides noise, in a sentence; tilt_seen: whether the targets show it."""
     if found.own is not None:
         text = found.own.text("camera", slow_m)
-        if found.own.sways and not tilt_seen:
+        if _tilts_unseen(found, tilt_seen=tilt_seen):
             text += (
                 f" It may tilt slowly as well: the error band includes {rounded(1e3 * SLOW_TILT * slow_m)} mm for "
                 "that. A second target at another distance would show the tilt."
