@@ -18,6 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
+from midspan.calibration.camera.disagreement import SAME_DISTANCE
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
@@ -28,8 +29,8 @@ from midspan.notices import Notice, rounded
 from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, ScaleFactor, Source
 from midspan.signals.stamps import inside
 
-# Declared distances differ where they do so by this many standard deviations, and by this share.
-CERTAIN, SAME_DISTANCE = 2.0, 0.1
+# Declared distances differ where they do so by this many standard deviations (95 %), and by `SAME_DISTANCE`.
+CERTAIN = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
