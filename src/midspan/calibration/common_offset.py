@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +10,6 @@ from midspan.calibration.fit import best_corner
 from midspan.calibration.scale import ScaleCalibration
 from midspan.calibration.time_offset import curvature
 from midspan.records import Floats, NoiseLevel, ScaleFactor, TimeOffset
-
-if TYPE_CHECKING:
-    from midspan.calibration.camera.tilt import Tilt
 
 # A target whose clock offset leaves the others' by more than this many standard deviations, and this much, is wrong.
 OFFSET_STD = 5.0
@@ -28,7 +25,8 @@ class Fitted:
 
     found: tuple[ScaleCalibration | None, ...]
     reasons: tuple[str, ...]
-    tilt: "Tilt | None" = None
+    # Of `calibration.camera.tilt`, which a radar's calibration must not import.
+    tilt: Any = None
 
     @property
     def used(self) -> list[ScaleCalibration]:
