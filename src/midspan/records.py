@@ -321,6 +321,15 @@ class PhaseMeasurement:
     earlier: tuple["PhaseMeasurement", ...] = ()
 
 
+class Quantity(IntEnum):
+    """What a channel measures: see `core/src/estimator/settings.rs`."""
+
+    DISPLACEMENT = 0
+    VELOCITY = 1
+    TILT = 2
+    TILT_RATE = 3
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One target of one sensor along one axis, as the estimator sees it; its measurements are in the sensor's own unit.
@@ -334,6 +343,8 @@ class Channel:
     age of the last accepted measurement from which on rows are marked so. interval_s: its usual interval between
     measurements; 0: unknown. slow_std_m, slow_time_s, slow_hz: standard deviation, the time in which it decays and
     natural frequency of its sensor's slow error (0 Hz: first-order Gauss-Markov; else a damped oscillator).
+    measures: what; of a tilt or its rate, units_per_m counts per metre of the slow error of the sensor tilt_of, whose
+    tilt that error is, and its rate needs an oscillator. "": of its own sensor.
     """
 
     sensor: str
@@ -352,6 +363,8 @@ class Channel:
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
     slow_hz: float = 0.0
+    measures: Quantity = Quantity.DISPLACEMENT
+    tilt_of: str = ""
 
 
 @dataclass(frozen=True, slots=True)

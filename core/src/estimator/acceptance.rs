@@ -22,7 +22,7 @@ use super::update::{begin_zero, update};
 #[inline]
 pub fn accept(hyp: &mut Hypothesis, scene: &Scene, innovation: &Innovation, work: &mut Work) -> f64 {
     let (model, row, c) = (scene.model, &scene.channel.row, scene.row.channel);
-    if model.looks_for_steps() {
+    if model.looks_for_steps() && scene.channel.places {
         ask_for_step(hyp, scene, innovation.predicted / (innovation.predicted + innovation.noise));
     }
     hyp.memory.met.size = innovation.error;

@@ -132,6 +132,7 @@ impl Cause {
             Self::Shift(Prior::Reverting(pace)) if at.asked() => {
                 weight_of_shift(at) + at.share_of_shifts(Some(pace)).ln()
             }
+            Self::Wrong | Self::Lost if !at.scene.channel.places => f64::NEG_INFINITY,
             Self::Wrong if at.asked() => met_within(rates.wrong, at.lapse).ln() + at.any_size(),
             Self::Lost => weight_of_lost(at),
             Self::Noise if at.asked() => noise_within(at).ln() + at.any_size(),

@@ -6,9 +6,9 @@
 //! have come to agree are one again, and no more than a fixed number is kept.
 
 use super::cause::{Cause, Decision, apply, log_ends};
-use super::hypothesis::Hypothesis;
+use super::hypothesis::{Hypothesis, Mark};
 use super::innovation::{Scene, Work, look, meet_zero};
-use super::model::Model;
+use super::model::{ChannelModel, Model};
 use super::situation::Situation;
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +60,8 @@ impl Hypotheses {
     /// Leaves the best one alone where all sensors are lost at a time (s).
     pub fn end_where_lost(&mut self, time_s: f64, model: &Model) {
         let mut marks = self.best().marks.iter().zip(&model.channels);
-        if self.count > 1 && marks.all(|(mark, channel)| time_s - mark.met_s > channel.lost_s) {
+        let is_lost = |(mark, channel): (&Mark, &ChannelModel)| !channel.places || time_s - mark.met_s > channel.lost_s;
+        if self.count > 1 && marks.all(is_lost) {
             self.count = 1;
         }
     }

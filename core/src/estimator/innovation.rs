@@ -129,8 +129,14 @@ pub fn meet_zero(hyp: &mut Hypothesis, scene: &Scene) -> Scaled {
             }
             None => {
                 let (g, i) = (channel.row.units_per_m, channel.row.motion());
-                let off = row.value / g - hyp.x[(i, 0)];
-                hyp.p[(z, z)] = UNKNOWN_ZERO * (off * off + row.variance / (g * g)) + hyp.p[(i, i)];
+                let (off, known) = if channel.places {
+                    (row.value / g - hyp.x[(i, 0)], hyp.p[(i, i)])
+                } else {
+                    let mut ph = vec![0.0; hyp.p.width()];
+                    let known = project(&hyp.p, &channel.row, &mut ph) / (g * g);
+                    ((row.value - channel.row.of_column(hyp.x.elements(), hyp.x.width(), 0)) / g, known)
+                };
+                hyp.p[(z, z)] = UNKNOWN_ZERO * (off * off + row.variance / (g * g)) + known;
             }
         }
     }

@@ -33,9 +33,6 @@ pub enum State {
     Slow(usize),
     /// Its velocity over its angular frequency, where it is an oscillator, m.
     SlowVelocity(usize),
-    /// Rotation about the sensor's foot, rad.
-    #[cfg(test)]
-    Tilt,
 }
 
 /// The states in their order, with the densities of their random walks.

@@ -10,6 +10,8 @@ use super::slow::SlowError;
 pub struct ChannelModel {
     /// What each state moves its measurement by.
     pub row: Row,
+    /// Whether it tells where the structure is.
+    pub places: bool,
     /// Place of its zero.
     pub zero: usize,
     /// Place of the shift of its zero.
@@ -133,8 +135,9 @@ impl Model {
 fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel {
     let channel = &settings.channels[c];
     let place = |name: State| layout.place(name).unwrap_or(0);
-    let (row, apart_m2) = (Row::of_displacement(c, settings, layout), settings.apart_m2(channel));
+    let (row, apart_m2) = (Row::new(c, settings, layout), settings.apart_m2(channel));
     ChannelModel {
+        places: channel.places(),
         zero: place(State::Zero(c)),
         shift: place(State::Shift(c)),
         reverting: layout.place(State::ShiftVelocity(c)).map(|velocity| SlowError {

@@ -5,7 +5,7 @@
 
 use super::layout::{Layout, State, motion_of};
 use super::motion::AxisMotion;
-use super::settings::{Channel, ParameterKind, Settings};
+use super::settings::{Channel, ParameterKind, Quantity, Settings};
 
 /// What a parameter is to a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,8 +59,30 @@ pub struct Row {
 }
 
 impl Row {
+    /// The row of a channel.
+    pub fn new(c: usize, settings: &Settings, layout: &Layout) -> Self {
+        let channel = &settings.channels[c];
+        let (a, g, zero) = (channel.axis, channel.units_per_m, [State::Zero(c), State::Shift(c)]);
+        let lead = settings.slow_lead(c).unwrap_or(c);
+        let (state, factor) = match channel.measures {
+            Quantity::Displacement => return Self::of_displacement(c, settings, layout),
+            Quantity::Velocity => (State::Velocity(a), g),
+            Quantity::Tilt => (State::Slow(lead), g),
+            Quantity::TiltRate => {
+                (State::SlowVelocity(lead), g * std::f64::consts::TAU * settings.channels[lead].slow_hz)
+            }
+        };
+        let places = [(state, factor), (zero[0], g), (zero[1], g)].map(|(name, factor)| (layout.place(name), factor));
+        let entries =
+            places.into_iter().filter_map(|(state, factor)| state.map(|state| Entry { state, factor })).collect();
+        // The velocity state is ahead of the true one.
+        let velocity = if channel.measures == Quantity::Velocity { g } else { 0.0 };
+        let effects = vec![Effect::Nothing; settings.parameters.len()];
+        Self { entries, input: 0.0, velocity, axis: a, units_per_m: g, effects }
+    }
+
     /// The row of a channel that measures displacement, averaged over its exposure.
-    pub fn of_displacement(c: usize, settings: &Settings, layout: &Layout) -> Self {
+    fn of_displacement(c: usize, settings: &Settings, layout: &Layout) -> Self {
         let channel = &settings.channels[c];
         let (a, g, blur) = (channel.axis, channel.units_per_m, blur(channel));
         let mut entries = Vec::new();

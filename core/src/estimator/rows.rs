@@ -211,7 +211,7 @@ impl Standing {
         let mut standing = Self { until_s: f64::INFINITY, ..Self::default() };
         let mut best = f64::INFINITY;
         let marks = hyp.marks.iter().zip(&model.channels).enumerate();
-        for (c, (mark, channel)) in marks.filter(|(_, one)| one.1.row.axis == axis) {
+        for (c, (mark, channel)) in marks.filter(|(_, one)| one.1.places && one.1.row.axis == axis) {
             let accepted_s = mark.accepted_s + ahead_s.get(c).unwrap_or(&0.0);
             let age = time_s - accepted_s;
             if age <= channel.coasting_s {
@@ -239,7 +239,7 @@ impl Standing {
 #[inline]
 pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     let (p, misfit) = (&hyp.p, model.misfit[axis]);
-    let mut own = model.channels.iter().filter(|one| one.row.axis == axis);
+    let mut own = model.channels.iter().filter(|one| one.places && one.row.axis == axis);
     let Some(first) = own.next() else {
         return model.datum.as_ref().map_or(0.0, |datum| misfit * p[(datum[axis], datum[axis])]);
     };

@@ -9,14 +9,31 @@ pub const NANOSECONDS: f64 = 1e9;
 /// No more axes than a body has.
 pub const MAX_AXES: usize = 3;
 
+/// What a channel measures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Quantity {
+    /// The displacement along its axis.
+    Displacement,
+    /// The velocity along its axis.
+    Velocity,
+    /// The slow error that moves all of an image, as an angle: of an inclinometer.
+    Tilt,
+    /// The rate of that, which must be an oscillator: of a gyroscope.
+    TiltRate,
+}
+
 /// One target of one sensor along one axis; its measurements are in the sensor's own unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Channel {
     /// Number of its sensor; all targets of a sensor have the same.
     pub sensor: usize,
+    /// What it measures.
+    pub measures: Quantity,
+    /// Number of the sensor whose slow error a tilt or its rate is; of others their own.
+    pub tilt_of: usize,
     /// Code of the kind of sensor that marks its rows.
     pub source: u8,
-    /// Measured units per metre of displacement, signed.
+    /// Measured units per metre of displacement, signed; of a tilt per metre of the slow error.
     pub units_per_m: f64,
     /// Number of the axis that it measures along.
     pub axis: usize,
@@ -43,6 +60,11 @@ pub struct Channel {
 }
 
 impl Channel {
+    /// Whether it tells where the structure is; other channels neither start the filter nor mark rows.
+    pub fn places(&self) -> bool {
+        self.measures == Quantity::Displacement
+    }
+
     /// Whether something is known of its zero before its first measurement.
     pub fn zero_known(&self) -> bool {
         self.zero_std_m < f64::INFINITY
@@ -150,6 +172,9 @@ impl Settings {
     /// Variance (m²) of the difference between two instants of a channel's motion that are far apart; 0: clocks do not
     /// step.
     pub fn apart_m2(&self, channel: &Channel) -> f64 {
+        if !channel.places() {
+            return 0.0;
+        }
         let (std_m, _) = self.motion.get(channel.axis).copied().unwrap_or((0.0, 0.0));
         2.0 * std_m * std_m
     }
@@ -158,8 +183,23 @@ impl Settings {
     /// none.
     pub fn slow_lead(&self, c: usize) -> Option<usize> {
         let own = &self.channels[c];
-        let shares = |one: &Channel| one.sensor == own.sensor && one.axis == own.axis && one.slow_std_m > 0.0;
-        if shares(own) { self.channels.iter().position(shares) } else { None }
+        let shares =
+            |one: &Channel| one.places() && one.sensor == own.tilt_of && one.axis == own.axis && one.slow_std_m > 0.0;
+        let has = match own.measures {
+            Quantity::Displacement => shares(own),
+            Quantity::Velocity => false,
+            Quantity::Tilt | Quantity::TiltRate => true,
+        };
+        if has { self.channels.iter().position(shares) } else { None }
+    }
+
+    /// Whether the slow error that a channel measures exists, as an oscillator where it measures its rate.
+    fn has_its_tilt(&self, c: usize) -> bool {
+        match self.channels[c].measures {
+            Quantity::Displacement | Quantity::Velocity => true,
+            Quantity::Tilt => self.slow_lead(c).is_some(),
+            Quantity::TiltRate => self.slow_lead(c).is_some_and(|lead| self.channels[lead].slow_hz > 0.0),
+        }
     }
 
     /// Whether all arrays are as long as there are axes, and all channels and axes exist.
@@ -174,6 +214,7 @@ impl Settings {
             && self.motion.len() >= self.axes
             && self.velocity_std_m_s.as_deref().is_none_or(long)
             && self.channels.iter().all(|one| one.axis < self.axes)
+            && (0..self.channels.len()).all(|c| self.has_its_tilt(c))
             && self.parameters.iter().all(|one| {
                 one.channels.iter().all(|&c| c < self.channels.len())
                     && !matches!(one.kind, ParameterKind::GainError { axis } if axis >= self.axes)

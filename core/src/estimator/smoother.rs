@@ -460,7 +460,7 @@ impl Counting {
 
 /// The unknown zero that an axis counts from on the way back, its first channel's, and the other unknown ones.
 fn common_zero(model: &Model, a: usize, before: &Hypothesis, parts: &[&Decided]) -> Option<(usize, Vec<usize>)> {
-    let own = |c: usize| model.channels[c].row.axis == a;
+    let own = |c: usize| model.channels[c].places && model.channels[c].row.axis == a;
     let begun = |c: &usize| own(*c) && before.marks[*c].begun;
     let known = |c: &usize| model.channels[*c].zero_variance.is_some();
     let all = || 0..model.channels.len();

@@ -215,8 +215,9 @@ impl Estimator {
         held.view().seconds(origin_ns, &mut time_s);
         let (Some(&sampled_s), Some(&end_s)) = (time_s.first(), time_s.last()) else { return };
         self.memory.waiting.retain(|one| one.at_s >= sampled_s - BEFORE_SAMPLES_S);
-        let count = self.count_due(end_s);
-        let first_s = if count > 0 { self.memory.waiting[0].at_s } else { end_s };
+        let placed = self.placed(end_s);
+        let count = placed.len();
+        let first_s = placed.first().copied().unwrap_or(end_s);
         let start_s = self.start_s(first_s, sampled_s);
         let dropped = time_s.partition_point(|&one| one <= start_s).saturating_sub(1);
         held.drop_first(dropped);
@@ -226,7 +227,7 @@ impl Estimator {
             return;
         }
         let is_enough = count >= FIRST_MEASUREMENTS && self.tells_zero(count, first_s);
-        let enough = is_enough.then(|| self.memory.waiting[FIRST_MEASUREMENTS - 1].at_s);
+        let enough = is_enough.then(|| placed[FIRST_MEASUREMENTS - 1]);
         // What the acceleration was before its first sample, the samples of some time tell.
         let until_s = if first_s >= time_s[0] {
             enough.unwrap_or(f64::INFINITY).min(first_s + FIRST_S)
@@ -263,11 +264,22 @@ impl Estimator {
     fn tells_zero(&self, count: usize, first_s: f64) -> bool {
         let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
         zero_s.is_none_or(|zero_s| zero_s > first_s + FIRST_S)
-            || !self.settings.channels.iter().any(|channel| channel.zero_known())
-            || self.memory.waiting.iter().take(count).any(|one| match &one.item {
+            || !self.settings.channels.iter().any(|channel| channel.places() && channel.zero_known())
+            || self.memory.waiting.iter().filter(|one| self.is_placed(one)).take(count).any(|one| match &one.item {
                 Item::Measured(row) => self.settings.channels[row.channel].zero_known(),
                 _ => false,
             })
+    }
+
+    /// Whether an item is a measurement that tells where the structure is.
+    fn is_placed(&self, item: &Timed) -> bool {
+        item.channel().is_some_and(|c| self.settings.channels[c].places())
+    }
+
+    /// When those that wait up to an instant were measured, s.
+    fn placed(&self, until_s: f64) -> Vec<f64> {
+        let due = self.memory.waiting.iter().take_while(|one| one.at_s <= until_s);
+        due.filter(|one| self.is_placed(one)).map(|one| one.at_s).collect()
     }
 
     /// Judges the first measurements, and takes the rows from a second run with what was decided.
@@ -280,6 +292,8 @@ impl Estimator {
         let (start_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
         self.take_due(end_s);
         let mut items = std::mem::take(&mut self.items);
+        // What else is measured tells nothing of where the filter starts.
+        items.retain(|one| one.channel().is_none_or(|c| self.settings.channels[c].places()));
         let begin = Beginning::new(samples, &time_s, &items, &self.settings, &self.model);
         if let Some(zero_ns) = self.settings.zero_ns {
             let datum = Timed { at_s: since(zero_ns, origin_ns).max(start_s), item: Item::Datum };

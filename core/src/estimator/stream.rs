@@ -165,10 +165,11 @@ impl Estimator {
         let marks = &filter.hyps.best().marks;
         let is_known = |c: usize| self.model.channels[c].zero_variance.is_some();
         let axis = self.model.channels[c].row.axis;
-        if !is_known(c) {
+        if !is_known(c) || !self.model.channels[c].places {
             return marks[c].begun;
         }
-        (0..marks.len()).any(|k| is_known(k) && self.model.channels[k].row.axis == axis && marks[k].begun)
+        let own = |k: usize| self.model.channels[k].places && self.model.channels[k].row.axis == axis;
+        (0..marks.len()).any(|k| is_known(k) && own(k) && marks[k].begun)
     }
 
     /// Holds samples until rows are given out.

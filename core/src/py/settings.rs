@@ -1,6 +1,6 @@
 //! The estimator's settings as Python holds them: read field by field.
 
-use crate::estimator::settings::{self, ParameterKind, Rates};
+use crate::estimator::settings::{self, ParameterKind, Quantity, Rates};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -29,6 +29,8 @@ pub struct PySettings {
 #[derive(FromPyObject)]
 struct PyChannel {
     sensor: String,
+    measures: i64,
+    tilt_of: String,
     source: u8,
     units_per_m: f64,
     axis: usize,
@@ -62,7 +64,11 @@ impl PySettings {
         sensors.sort_unstable();
         sensors.dedup();
         let sensor = |name: &String| sensors.binary_search(name).unwrap_or(0);
-        let channels = self.channels.iter().map(|one| one.converted(sensor(&one.sensor))).collect();
+        let channels = self.channels.iter().map(|one| {
+            let tilt_of = if one.tilt_of.is_empty() { &one.sensor } else { &one.tilt_of };
+            one.converted(sensor(&one.sensor), sensor(tilt_of))
+        });
+        let channels = channels.collect::<PyResult<_>>()?;
         let parameters = self.parameters.into_iter().map(PyParameter::converted).collect::<PyResult<_>>()?;
         let own = |std: &f64| if self.zero_ns.is_some() { std * std } else { 0.0 };
         let both = self.unseen_std_m.iter().zip(&self.unseen_zero_std_m);
@@ -90,9 +96,18 @@ impl PySettings {
 }
 
 impl PyChannel {
-    fn converted(&self, sensor: usize) -> settings::Channel {
-        settings::Channel {
+    fn converted(&self, sensor: usize, tilt_of: usize) -> PyResult<settings::Channel> {
+        let measures = match self.measures {
+            0 => Quantity::Displacement,
+            1 => Quantity::Velocity,
+            2 => Quantity::Tilt,
+            3 => Quantity::TiltRate,
+            other => return Err(PyValueError::new_err(format!("what a channel measures: {other}"))),
+        };
+        Ok(settings::Channel {
             sensor,
+            measures,
+            tilt_of,
             source: self.source,
             units_per_m: self.units_per_m,
             axis: self.axis,
@@ -106,7 +121,7 @@ impl PyChannel {
             slow_std_m: self.slow_std_m,
             slow_time_s: self.slow_time_s,
             slow_hz: self.slow_hz,
-        }
+        })
     }
 }
 
