@@ -330,6 +330,11 @@ class Quantity(IntEnum):
     TILT_RATE = 3
 
 
+def places(channels: "Sequence[Channel]") -> "tuple[Channel, ...]":
+    """The channels that tell where the structure is."""
+    return tuple(one for one in channels if one.measures is Quantity.DISPLACEMENT)
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One target of one sensor along one axis, as the estimator sees it; its measurements are in the sensor's own unit.

@@ -112,7 +112,8 @@ impl Reports {
     pub fn after(&mut self, decided: &Decided, model: &Model, origin_ns: i64) -> Vec<Report> {
         let mut reports = Vec::new();
         for ((item, decision), evidence) in decided.items.iter().zip(&decided.decisions).zip(&decided.evidence) {
-            let Some(c) = item.channel() else { continue };
+            // What helps others is told of by the values alone.
+            let Some(c) = item.channel().filter(|&c| model.channels[c].places) else { continue };
             let before = decision.cause == Cause::StepBefore;
             let unit = if before { 1.0 } else { model.channels[c].row.units_per_m.abs() };
             let (size_mm, std_mm) = (1e3 * evidence.size / unit, 1e3 * evidence.variance.sqrt() / unit);

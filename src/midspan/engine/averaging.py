@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.engine.sensors import Seen
-from midspan.records import NANOSECONDS, Channel, Measured, Samples, Source, joined, part
+from midspan.records import NANOSECONDS, Channel, Measured, Samples, Source, joined, part, places
 from midspan.signals.averaging import taken_by_averaging
 
 
@@ -19,7 +19,7 @@ def in_displacement_alone(channels: Sequence[Channel]) -> bool:
     """Whether all that measures are displacement sensors: a camera or radar is predicted up to its own instant, so that
     no samples may wait, and averaging is taken by its first term.
     """
-    return all(one.source == Source.DISPLACEMENT for one in channels)
+    return all(one.source == Source.DISPLACEMENT for one in places(channels))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
+from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.auxiliary import AuxiliarySensor
 from midspan.engine.averaging import in_displacement_alone
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.radar import RadarChain
@@ -21,7 +23,16 @@ from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
 from midspan.radar.chirp import RadarInfo
 from midspan.radar.frames import bin_m_of
-from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
+from midspan.records import (
+    NANOSECONDS,
+    Channel,
+    Nanoseconds,
+    Quantity,
+    Source,
+    TimeOffset,
+    TimeSeries,
+    places,
+)
 from midspan.signals.clipping import resolution
 
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
@@ -120,7 +131,8 @@ class Table:
             for number in self.in_true_metres:
                 self.scaled([number], 0.0)
         for axis, std in enumerate(stds):
-            compared = [number for number, one in enumerate(self.channels) if one.axis == axis]
+            placing = set(places(self.channels))
+            compared = [number for number, one in enumerate(self.channels) if one.axis == axis and one in placing]
             learned = tuple(number for number in compared if number not in self.in_true_metres)
             if estimated and len(learned) < len(compared) and (self.given or std == 0.0):
                 wide = float(np.hypot(std, GIVEN_SCALE_STD))
@@ -192,6 +204,31 @@ def plain_channel(
         sensor, number, known.noise_std_m**2, step_s, step_m, known.scale, low_m=known.low_m, high_m=known.high_m
     )
     return PlainSensor(sensor, PlainChain(settings))
+
+
+def auxiliary_channel(
+    table: Table, calibration: AuxiliaryCalibration, tilting: Channel | None = None
+) -> AuxiliarySensor | None:
+    """A sensor that helps others, and its channel in the table.
+
+    tilting: of the first target of the camera whose tilt it measures; None for a velocity. None where no slow error of
+    that camera is a tilt.
+    """
+    units_per_m = 1.0
+    if calibration.measures is not Quantity.VELOCITY:
+        if tilting is None or tilting.slow_std_m == 0.0:
+            return None
+        units_per_m = tilting.units_per_m / calibration.focal_px
+    channel = Channel(
+        sensor=calibration.kind,
+        source=Source.PREDICTION,
+        units_per_m=units_per_m,
+        measures=calibration.measures,
+        tilt_of="" if tilting is None else tilting.sensor,
+        zero_std_m=calibration.zero_std / abs(units_per_m),
+        zero_walk_m2_s=calibration.zero_walk / units_per_m**2,
+    )
+    return AuxiliarySensor(calibration.kind, table.add(channel), calibration.noise_std**2)
 
 
 def camera_channels(

@@ -15,6 +15,7 @@ from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
+from midspan.recording.auxiliary import calibrate_auxiliary
 from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -110,6 +111,7 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
             warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
     calibration = replace(
         main,
+        auxiliary=calibrate_auxiliary(recording),
         accelerometer_scale=gain,
         sensor_axis=axis,
         warnings=(*warnings, *implausible(recording.settings, main)),

@@ -479,7 +479,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
         *(line for view, _ in known_sensors(first.sides[0]) if view.sensor in radars for line in view.radar_notices),
         *(renamed(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
-        *unmeasured_ends(recording.acceleration.time_ns, first.outcome.measured, main),
+        *unmeasured_ends(recording.acceleration.time_ns, first.outcome.placed, main),
         *shares(found.innovations[0], main),
         *more,
     )

@@ -8,7 +8,8 @@ from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.records import Frame, Nanoseconds, RangeFrame, Readings
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.kinds import KINDS
+from midspan.settings.kinds import AUXILIARY, KINDS
+from midspan.sources.accelerometer.units import SI_UNITS
 from midspan.sources.inspect import Tree, acceleration_tree, frames_tree, overlap, radar_tree, series_tree
 
 
@@ -52,5 +53,8 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
     }
     for view in recording.views:
         yield view.sensor, view.own.settings.file, partial(readers[KINDS[view.kind].brings], view)
+    for kind, own in settings.auxiliary.items():
+        unit = SI_UNITS[AUXILIARY[kind][1]]
+        yield kind, own.file, partial(lambda kind, unit: series_tree(recording.auxiliary[kind], unit), kind, unit)
     if settings.reference is not None:
         yield "reference", settings.reference.file, lambda: series_tree(recording.reference, "m")

@@ -9,7 +9,7 @@ import numpy as np
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
-from midspan.engine.channels import Table, camera_channels, interval_s
+from midspan.engine.channels import Table, auxiliary_channel, camera_channels, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point, Switch
@@ -24,7 +24,7 @@ from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors, offsets_of
-from midspan.records import NANOSECONDS, ClockOffset, RangeFrame, Source, Status
+from midspan.records import NANOSECONDS, Channel, ClockOffset, RangeFrame, Source, Status
 from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.lines import unresolved
@@ -112,6 +112,12 @@ def zero_instant(
     return min(stamps) if tracked_cameras and tracked_cameras[0].begins_dark else next(iter(stamps), None)
 
 
+def tilting(channels: Sequence[Channel]) -> Channel | None:
+    """The first target of the first camera along the main axis, whose tilt moves all of an image; None without one."""
+    cameras = (Source.CAMERA, Source.INFRARED)
+    return next((one for one in channels if one.source in cameras and one.axis == 0), None)
+
+
 def unseen_std_m(main: Side, tracked_cameras: Sequence[TrackedCamera], axis: int) -> float:
     """What the tilt of the cameras, their contradiction of the accelerometer and its logger's low-pass make of the
     displacement along an axis, m: of several the most.
@@ -192,6 +198,9 @@ def measuring_point(
         more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
     table.by_first_terms()
+    for known in () if on_series else main.calibration.auxiliary:
+        if known.kind in recording.auxiliary and (helper := auxiliary_channel(table, known, tilting(table.channels))):
+            sensors[known.kind] = helper
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=recording.accelerometer.estimate_scale)
     offsets_ns = clock_offsets_ns(main, tracked_cameras)

@@ -33,7 +33,9 @@ from midspan.records import (
     Tracked,
     joined,
     part,
+    places,
 )
+from midspan.settings.kinds import AUXILIARY
 from midspan.settings.messages import in_words_of, worded
 
 # Readings are pushed this many seconds at once: of a day at once, every stage would hold all of it several times.
@@ -110,9 +112,14 @@ class Outcome:
         return part(found, order[last])
 
     @property
+    def placed(self) -> dict[str, Blocks[Measured]]:
+        """What was measured by the sensors that tell where the structure is."""
+        return {name: blocks for name, blocks in self.measured.items() if name not in AUXILIARY}
+
+    @property
     def measured_ns(self) -> Nanoseconds:
-        """Stamps (n,) of all measurements, sensor by sensor."""
-        blocks = [block for listed in self.measured.values() for block in listed]
+        """Stamps (n,) of all measurements of where the structure is, sensor by sensor."""
+        blocks = [block for listed in self.placed.values() for block in listed]
         return np.concatenate([np.empty(0, dtype=np.int64), *(one.time_ns[np.isfinite(one.value)] for one in blocks)])
 
     @property
@@ -126,7 +133,9 @@ class Outcome:
 
     def innovation_along(self, channels: Sequence[Channel], axis: int) -> Innovation:
         """Those of all channels along an axis in the order of time."""
-        found = joined([self.innovation(k) for k, channel in enumerate(channels) if channel.axis == axis])
+        own = set(places(channels))
+        along = [k for k, channel in enumerate(channels) if channel.axis == axis and channel in own]
+        found = joined([self.innovation(k) for k in along])
         return part(found, np.argsort(found.time_ns, kind="stable"))
 
 
@@ -182,6 +191,9 @@ def records_of(
         else:
             series = view.displacement
             readings[view.sensor] = Readings(known.even(series.time_ns), series.value[:, None])
+    for kind, series in main.auxiliary.items():
+        if kind in point.sensors:
+            readings[kind] = Readings(series.time_ns, series.value[:, None])
     offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], tracked_cameras)}
     blocks, frames = blocks_of(readings, offsets_ns, block_s), in_time(feeds, offsets_ns)
     # At equal stamps the blocks come first.

@@ -67,7 +67,8 @@ def known_sensors(main: Side) -> list[tuple[Recording, Any]]:
 def offsets_of(main: Side, tracked_cameras: Sequence[TrackedCamera]) -> dict[str, TimeOffset]:
     """The calibrated clock offset of each sensor, by its name."""
     found = {tracked_camera.sensor: tracked_camera.calibrations[0].offset for tracked_camera in tracked_cameras}
-    return found | {view.sensor: known.offset for view, known in known_sensors(main)}
+    found |= {view.sensor: known.offset for view, known in known_sensors(main)}
+    return found | {one.kind: one.offset for one in main.calibration.auxiliary}
 
 
 def side_of(recording: Recording, calibration: Calibration) -> Side:

@@ -9,7 +9,15 @@ from typing import Any
 from midspan.records import Frame, RangeFrame, Readings
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import Section
-from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
+from midspan.settings.sensors import (
+    AccelerometerSettings,
+    DisplacementSettings,
+    GyroscopeSettings,
+    InclinometerSettings,
+    RadarSettings,
+    SeriesSettings,
+    VelocitySettings,
+)
 from midspan.settings.stored.cameras import StoredCamera
 from midspan.settings.stored.radar import StoredRadar
 from midspan.settings.stored.sections import StoredAccelerometer, StoredDisplacement
@@ -68,10 +76,16 @@ _ACCELERATION = _CHANNEL(
     AccelerometerSettings, StoredAccelerometer, captured="acceleration.npz", quantity="acceleration", block=ACCELERATION
 )
 LIVE = {ACCELEROMETER: _ACCELERATION, **KINDS}
+# What helps the sensors above, one of a kind, with what is read of it: none tells where the structure is.
+AUXILIARY: dict[str, tuple[type[SeriesSettings], str]] = {
+    "velocity": (VelocitySettings, "velocity"),
+    "gyroscope": (GyroscopeSettings, "rotation rate"),
+    "inclinometer": (InclinometerSettings, "angle"),
+}
 # Words of the files and of results that mean something else than one sensor.
 _OF_FILES = ("name", "calibration", "fusion", "reference", "site")
 _OF_RESULTS = ("accelerometer_x", "accelerometer_y", "overlap", "recording", "prediction")
-TAKEN = (*LIVE, *_OF_FILES, *_OF_RESULTS)
+TAKEN = (*LIVE, *AUXILIARY, *_OF_FILES, *_OF_RESULTS)
 
 
 def sensors_of(of_kind: Callable[[str], Sequence[Any]]) -> tuple[tuple[str, str, Any], ...]:

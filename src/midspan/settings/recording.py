@@ -11,8 +11,18 @@ from midspan.checks import RATE_HZ
 from midspan.fusion.methods import MAX_TAPS, METHODS, MIN_HALF_WINDOW, MIN_TAPS, SPLINE_FRAMES, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import Form, IsNumber, Listed, Section, Time, known, limited, second_is_larger
-from midspan.settings.kinds import ACCELEROMETER, KINDS, sensors_of
-from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
+from midspan.settings.kinds import ACCELEROMETER, AUXILIARY, KINDS, sensors_of
+from midspan.settings.sensors import (
+    AccelerometerSettings,
+    DisplacementSettings,
+    GyroscopeSettings,
+    InclinometerSettings,
+    RadarSettings,
+    ReferenceSettings,
+    RotationSettings,
+    SeriesSettings,
+    VelocitySettings,
+)
 
 if TYPE_CHECKING:
     from midspan.fusion.streams import KalmanSettings, MethodSettings
@@ -196,6 +206,9 @@ class RecordingSettings(Section):
     infrareds: Annotated[tuple[InfraredSettings, ...], Listed] = Field((), alias="infrared")
     radars: Annotated[tuple[RadarSettings, ...], Listed] = Field((), alias="radar")
     displacements: Annotated[tuple[DisplacementSettings, ...], Listed] = Field((), alias="displacement")
+    velocity: VelocitySettings | None = None
+    gyroscope: GyroscopeSettings | None = None
+    inclinometer: InclinometerSettings | None = None
     calibration: CalibrationSettings = Field(default_factory=lambda: CalibrationSettings.model_validate({}))
     fusion: FusionSettings = Field(default_factory=lambda: FusionSettings.model_validate({}))
     reference: ReferenceSettings | None = None
@@ -234,6 +247,7 @@ class RecordingSettings(Section):
                 'must have direction = "x" or "y" in each [camera] and [infrared] where there are several; "xy" is for '
                 "one of them alone"
             )
+        self._auxiliary_fits()
         sensors_of(self.of_kind)
         for kind in KINDS if self.fusion.literal else ():
             if len(listed := self.of_kind(kind)) > 1:
@@ -247,6 +261,20 @@ class RecordingSettings(Section):
                 "[infrared] and [displacement], or fusion.literal"
             )
         return self
+
+    def _auxiliary_fits(self) -> None:
+        """ValueError where a sensor that helps others cannot."""
+        for kind, section in self.auxiliary.items():
+            if self.fusion.literal:
+                raise ValueError(f"must not have [{kind}] with fusion.literal: remove one of them")
+            if isinstance(section, RotationSettings) and not section.about((*self.axes, "")[0]):
+                if self.first_camera is None:
+                    raise ValueError(f"must have [camera] or [infrared] with [{kind}]: it measures the camera's tilt")
+                name, about = ("value_x", "x") if self.axes[0] == "y" else ("value_y", "y")
+                raise ValueError(
+                    f"must name {kind}.{name} with camera.direction = {self.axes[0]!r}: a rotation about the image's "
+                    f"{about} axis moves the image along {self.axes[0]}"
+                )
 
     @model_serializer(mode="wrap")
     def _as_written(self, plain: Callable[[Any], dict[str, Any]], info: SerializationInfo) -> dict[str, Any]:
@@ -277,6 +305,11 @@ class RecordingSettings(Section):
     def sensors(self) -> tuple[Sensor, ...]:
         """All sensors besides the accelerometer: cameras, thermal cameras, radars, displacement sensors."""
         return tuple(Sensor(*one) for one in sensors_of(self.of_kind))
+
+    @property
+    def auxiliary(self) -> dict[str, SeriesSettings]:
+        """The sections of AUXILIARY that there are, by their kind."""
+        return {kind: section for kind in AUXILIARY if (section := getattr(self, kind)) is not None}
 
     @property
     def streams(self) -> tuple[tuple[str, str, Any], ...]:

@@ -21,8 +21,8 @@ from midspan.settings.fields import (
 )
 
 
-class ChannelSettings(Section):
-    """Where a channel comes from: a file, its time and value columns, its unit, or a rate where it has no time."""
+class SeriesSettings(Section):
+    """Where a series comes from: a file and its time column, or a rate where it has none."""
 
     file: FileName = Field(description="file of the channel; its suffix or first bytes select the reader")
     time: Name | None = Field(
@@ -30,14 +30,19 @@ class ChannelSettings(Section):
         description="column, variable or channel of time (seconds, epoch, ISO 8601); default: detected by name, else "
         "rate_hz",
     )
-    value: Name | None = Field(
-        None, description="column, variable or channel of the values; default: the only suitable one"
-    )
-    unit: Name | None = Field(None, description="unit of the values; overrides the file's; default: the file's")
     rate_hz: Rate | None = Field(None, description="sample rate, if there is no time column; default: the file's rate")
     start_s: Time = Field(
         0.0, description="time of the first sample, or added to the file's clock; ignored with a time column"
     )
+
+
+class ChannelSettings(SeriesSettings):
+    """One channel of a file, with its unit and noise."""
+
+    value: Name | None = Field(
+        None, description="column, variable or channel of the values; default: the only suitable one"
+    )
+    unit: Name | None = Field(None, description="unit of the values; overrides the file's; default: the file's")
     noise_std: Noise | None = Field(
         None,
         description="σ of the white noise per sample, in m/s² or the displacement's unit; higher lowers the sensor's "
@@ -132,6 +137,51 @@ class DisplacementSettings(ChannelSettings):
         None,
         description="correlation time of its slow error; longer gives slow changes less weight; 0: none; default: "
         "estimated if observable",
+    )
+
+
+class VelocitySettings(ChannelSettings):
+    """Velocity along the accelerometer's axis, positive in its direction: laser vibrometer, Doppler radar."""
+
+
+class RotationSettings(SeriesSettings):
+    """A series of rotation about the camera's axes."""
+
+    value_x: Name | None = Field(None, description="column of the rotation about the image's x axis (right): pitch")
+    value_y: Name | None = Field(None, description="column of the rotation about the image's y axis (down): yaw")
+    value_z: Name | None = Field(None, description="column of the rotation about the line of sight: roll")
+    unit: Name | None = Field(None, description="unit of the values; overrides the file's; default: the file's")
+
+    @model_validator(mode="after")
+    def _names_a_column(self) -> "RotationSettings":
+        if not (self.value_x or self.value_y or self.value_z):
+            raise ValueError(
+                "must name value_x, value_y or value_z: a column of the rotation about one of the camera's axes, "
+                "right-handed"
+            )
+        return self
+
+    def about(self, direction: str) -> str | None:
+        """The column of the rotation that moves the image along its axis "x" or "y"."""
+        return self.value_x if direction == "y" else self.value_y
+
+
+class GyroscopeSettings(RotationSettings):
+    """A gyroscope in the camera's box, on the accelerometer's clock."""
+
+    noise_density: Annotated[float, IsNumber, limited(1e-9, 1e6)] | None = Field(
+        None, description="white noise in unit/√Hz; higher lowers its weight; default: estimated"
+    )
+    bias_std: Annotated[float, IsNumber, limited(0.0, 1e6)] | None = Field(
+        None, description="σ of its bias in unit; larger takes longer to settle; default: 0.3 °/s"
+    )
+
+
+class InclinometerSettings(RotationSettings):
+    """An inclinometer in the camera's box, on the accelerometer's clock: slow angles."""
+
+    noise_std: Noise | None = Field(
+        None, description="σ of the white noise per sample, in unit; higher lowers its weight; default: estimated"
     )
 
 

@@ -19,10 +19,10 @@ from midspan.notices import Notice
 from midspan.recording.streams.radar_clock import steps_of
 from midspan.records import NANOSECONDS, Nanoseconds, RangeFrame, Readings, TimeSeries
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.kinds import CAMERAS, KINDS
+from midspan.settings.kinds import AUXILIARY, CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
-from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
+from midspan.settings.sensors import AccelerometerSettings, RotationSettings, SeriesSettings
 from midspan.signals.acceleration import PreparedAcceleration, prepare_acceleration, still, with_cross
 from midspan.signals.lines import Line, without_lines
 from midspan.sources.accelerometer.formats import list_channels
@@ -81,7 +81,8 @@ class Recording:
     def streams(self) -> list[tuple[str, str]]:
         """Name and file of each stream, the accelerometer's first and the reference's last."""
         last = self.settings.reference
-        named = [*self.settings.streams, *([] if last is None else [("reference", "", last)])]
+        helping: list[tuple[str, str, Any]] = [(kind, kind, one) for kind, one in self.settings.auxiliary.items()]
+        named = [*self.settings.streams, *helping, *([] if last is None else [("reference", "", last)])]
         return [(name, section.file) for name, _, section in named]
 
     @property
@@ -299,6 +300,20 @@ class Recording:
         section, key = self._section("displacement")
         return self._series(key, section, "displacement")
 
+    @cached_property
+    def auxiliary(self) -> dict[str, TimeSeries]:
+        """What helps the sensors, by its kind, in SI units; a rotation as that which moves the image down or right."""
+        if self._root is not self:
+            return self._root.auxiliary
+        found = {}
+        for kind, section in self.settings.auxiliary.items():
+            if isinstance(section, RotationSettings):
+                own = self._series(kind, section, AUXILIARY[kind][1], section.about(self.axis))
+                found[kind] = own if self.axis == "y" else replace(own, value=-own.value)
+            else:
+                found[kind] = self._series(kind, section, AUXILIARY[kind][1])
+        return found
+
     @property
     def max_offset_s(self) -> float:
         """The largest clock offset that a camera's or radar's calibration looks for, s.
@@ -327,6 +342,10 @@ class Recording:
                 where = f"{view.sensor} ({view.own.settings.file})"
                 reported += [Notice("file-damaged", f"{where}: {line}.") for line in view.displacement.damage]
                 reported += [one.worded(f"{where}: {one}.") for one in view.displacement.notices]
+        for kind, series in self.auxiliary.items():
+            where = f"{kind} ({self.settings.auxiliary[kind].file})"
+            reported += [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
+            reported += [one.worded(f"{where}: {one}.") for one in series.notices]
         return tuple(reported)
 
     @cached_property
@@ -411,21 +430,24 @@ class Recording:
     @property
     def own_files(self) -> set[Path]:
         """The files that make up the recording, resolved: results must not be written over them."""
-        parts = [self.settings.reference, *(section for _, _, section in self.settings.streams)]
+        own = (section for _, _, section in self.settings.streams)
+        parts: list[Any] = [self.settings.reference, *own, *self.settings.auxiliary.values()]
         lenses = [getattr(part, "lens", None) for part in parts]
         keys = ("file", "times", "config")
         names = [name for part in (*parts, *lenses) for key in keys if (name := getattr(part, key, None))]
         return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
-    def _series(self, section: str, channel: ChannelSettings | None, quantity: str) -> TimeSeries:
+    def _series(
+        self, section: str, channel: SeriesSettings | None, quantity: str, column: str | None = None
+    ) -> TimeSeries:
         if channel is None:
             raise DataError(f"{self.file}: has no [{section}] section.")
         request = SeriesRequest(
             quantity=quantity,
             time=channel.time,
             # Where columns are named by the image's axes that of the main one.
-            value=channel.value or getattr(channel, f"value_{self.axis}", None),
-            unit=channel.unit,
+            value=column or getattr(channel, "value", None) or getattr(channel, f"value_{self.axis}", None),
+            unit=getattr(channel, "unit", None),
             sensitivity=getattr(channel, "sensitivity", 0.0) or None,
             rate_hz=channel.rate_hz,
             start_s=channel.start_s,

@@ -14,6 +14,7 @@ from midspan._version import __version__
 from midspan.calibration.direction import Direction
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
+from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
@@ -23,10 +24,11 @@ from midspan.errors import DataError
 from midspan.notebook import table
 from midspan.notices import NOTICES, Notice, Severity, notice_trees, worst_first
 from midspan.settings.fields import Form, Listed
-from midspan.settings.kinds import KINDS, sensors_of
+from midspan.settings.kinds import AUXILIARY, KINDS, sensors_of
 from midspan.settings.messages import explain
 from midspan.settings.recording import Sensor
 from midspan.settings.stored import sections
+from midspan.settings.stored.auxiliary import StoredAuxiliary
 from midspan.settings.stored.cameras import StoredAxis, StoredCamera
 from midspan.settings.stored.radar import StoredRadar
 from midspan.signals.lines import Line
@@ -55,12 +57,12 @@ class Calibration:
     deviation, which then is that of its sensitivity as given; it is in the scales' standard deviations. misfit: factor
     on the band's variance, as innovations that are not white show. slope: by which the accelerometer leans as it moves,
     so that gravity reaches it, radians a metre. sensor_axis: direction of the other sensors' axis among the
-    accelerometer's, None where only one was recorded. across: the same along the second image axis, with
-    camera.direction = "xy"; where that has no accelerometer, the noise is the motion's own acceleration. left_out: the
-    second axis "x" or "y" where nothing could be estimated of it, else empty. usual: what is usual of the acceleration,
-    None where the file does not tell it. lines: narrow ones of the acceleration that are no motion; noise and all else
-    are those without them. diagnostics: what the estimates rest on, for the report; not stored in the
-    file.
+    accelerometer's, None where only one was recorded. auxiliary: what helps the sensors. across: the same along the
+    second image axis, with camera.direction = "xy"; where that has no accelerometer, the noise is the motion's own
+    acceleration. left_out: the second axis "x" or "y" where nothing could be estimated of it, else empty. usual: what
+    is usual of the acceleration, None where the file does not tell it. lines: narrow ones of the acceleration that are
+    no motion; noise and all else are those without them. diagnostics: what the estimates rest on, for the report; not
+    stored in the file.
     """
 
     noise_std_m_s2: float
@@ -83,6 +85,7 @@ class Calibration:
     misfit: float = 1.0
     slope: float = 0.0
     sensor_axis: Direction | None = None
+    auxiliary: tuple[AuxiliaryCalibration, ...] = ()
     usual: AxisFigures | None = None
     lines: tuple[Line, ...] = ()
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
@@ -98,6 +101,7 @@ class Calibration:
         """What was estimated of each sensor with its standard deviations, as text; a row a sensor."""
         rows = [(name, KINDS[kind].stored.summary(sensor)) for name, kind, sensor in self.sensors]
         gain_std = self.accelerometer_scale_std
+        rows += [(one.kind, StoredAuxiliary.summary(one)) for one in self.auxiliary]
         gain = f", gain {self.accelerometer_scale:.5g} ± {gain_std:.2g}" if gain_std > 0.0 else ""
         return [*rows, ("accelerometer", f"noise {1e3 * self.noise_std_m_s2:.3g} mm/s² per sample{gain}")]
 
@@ -125,6 +129,10 @@ class Calibration:
     def sensors(self) -> tuple[tuple[str, str, SensorCalibration], ...]:
         """Name, kind and values of all sensors, in the order camera, infrared, radar, displacement."""
         return sensors_of(self.of_kind)
+
+    def helped_by(self, kind: str) -> AuxiliaryCalibration | None:
+        """The values of a sensor that helps others; None where there is none of this kind."""
+        return next((one for one in self.auxiliary if one.kind == kind), None)
 
     def with_even_clocks(self) -> "Calibration":
         """The same for readings that have the rates of their clocks taken out of the stamps."""
@@ -200,7 +208,7 @@ class Calibration:
                 listed[0] |= self._second_axis()
             if listed:
                 tree[kind] = listed if len(listed) > 1 else listed[0]
-        return tree
+        return tree | {one.kind: StoredAuxiliary.tree(one) for one in self.auxiliary}
 
     def _second_axis(self) -> dict[str, Any]:
         """What the first camera's section has besides where both image axes are measured, or one was left out."""
@@ -234,6 +242,9 @@ class StoredCalibration(sections.Stored):
     infrared: Annotated[tuple[StoredCamera, ...], Listed] = ()
     radar: Annotated[tuple[StoredRadar, ...], Listed] = ()
     displacement: Annotated[tuple[sections.StoredDisplacement, ...], Listed] = ()
+    velocity: StoredAuxiliary | None = None
+    gyroscope: StoredAuxiliary | None = None
+    inclinometer: StoredAuxiliary | None = None
 
     @model_validator(mode="after")
     def _sensors_are_reported_apart(self) -> "StoredCalibration":
@@ -277,6 +288,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
     codes = {one.text: one.code for one in stored.notices if one.code in NOTICES}
     own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
     sensors = [part.record(kind) for kind in KINDS for part in getattr(stored, kind)]
+    helping = tuple(part.record(kind) for kind in AUXILIARY if (part := getattr(stored, kind)) is not None)
     made: dict[str, Any] = {"created": stored.created, "version": stored.version}
     found = Calibration(
         **own.values(Calibration),
@@ -284,6 +296,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         **made,
         warnings=tuple(Notice(codes.get(text, "uncoded"), text) for text in stored.warnings),
         left_out="" if first is None else first.left_out,
+        auxiliary=helping,
         sensor_axis=Direction(own.direction, own.direction_std) if own.direction else None,
     )
     main = found.first_camera

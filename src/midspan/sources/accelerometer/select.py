@@ -37,6 +37,9 @@ _TIME_NAMES = (
 _VALUE_NAMES = {
     "acceleration": re.compile(r"acc|beschl|(^|[_./ ])a([xyz]|_|$)", re.IGNORECASE),
     "displacement": re.compile(r"disp|defl|height|hoehe|höhe|level|verschieb|durchbieg|lvdt|laser|pos", re.IGNORECASE),
+    "velocity": re.compile(r"vel|speed|geschw|vitesse|(^|[_./ ])v([xyz]|_|$)", re.IGNORECASE),
+    "angle": re.compile(r"pitch|roll|yaw|tilt|angle|incl|neig|winkel", re.IGNORECASE),
+    "rotation rate": re.compile(r"gyr|omega|rot|rate|(^|[_./ ])g([xyz])", re.IGNORECASE),
 }
 _NOT_VALUES = re.compile(r"(^|[_ ])(std|sigma|err|error|var|variance)([_ ]|$)", re.IGNORECASE)
 _COLUMN = re.compile(r"^(?P<name>.+)\[(?::\s*,)?\s*(?P<index>\d+)\s*\]$")
@@ -50,8 +53,8 @@ RATE_TOLERANCE = 0.01
 class SeriesRequest:
     """What to take from a file: the channel of `time` and of `value` (None: found by name, unit or being the only one).
 
-    `quantity` is "acceleration" or "displacement". `unit` wins over the file's. `sensitivity` in V per SI unit with a
-    voltage. `rate_hz` and `start_s` (s) make the time where no time channel is named; `start_s` shifts a clock that
+    `quantity` is one of `SI_UNITS`, as "acceleration". `unit` wins over the file's. `sensitivity` in V per SI unit with
+    a voltage. `rate_hz` and `start_s` (s) make the time where no time channel is named; `start_s` shifts a clock that
     comes with the file's own rate.
     """
 

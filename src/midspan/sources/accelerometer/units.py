@@ -17,16 +17,23 @@ _SPELLINGS = {
     **dict.fromkeys(("mg", "milli-g"), "millistandard_gravity"),
     **dict.fromkeys(("ug", "µg"), "microstandard_gravity"),
     **{"gal": "galileo", "gals": "galileo", "mgal": "milligalileo"},
+    **{"dps": "degree/second", "mdps": "millidegree/second"},
     **{'"': "inch", "'": "foot", "mil": "thou", "mils": "thou"},
 }
 
 ACCELERATION_UNITS = ("m/s^2", "m/s2", "m/s**2", "mm/s^2", "cm/s^2", "ft/s^2", "in/s^2", "g", "mg", "gal", "mgal")
 LENGTH_UNITS = ("m", "mm", "cm", "um", "µm", "nm", "km", "in", "ft", "mil")
+VELOCITY_UNITS = ("m/s", "mm/s", "cm/s", "um/s", "µm/s", "in/s", "ft/s")
+ANGLE_UNITS = ("deg", "mdeg", "rad", "mrad", "mm/m")
+RATE_UNITS = ("deg/s", "mdeg/s", "rad/s", "dps", "mdps")
 VOLTAGE_UNITS = ("V", "mV", "uV", "µV", "kV")
 
 _QUANTITIES = {
     "acceleration": ("m/s^2", "[length] / [time] ** 2", ACCELERATION_UNITS),
     "displacement": ("m", "[length]", LENGTH_UNITS),
+    "velocity": ("m/s", "[length] / [time]", VELOCITY_UNITS),
+    "angle": ("rad", "[]", ANGLE_UNITS),
+    "rotation rate": ("rad/s", "1 / [time]", RATE_UNITS),
     "voltage": ("V", "[mass] * [length] ** 2 / [current] / [time] ** 3", VOLTAGE_UNITS),
 }
 # What most files hold, as the library spells it and to the bits that it gives: reading its definitions takes a third of
@@ -34,6 +41,9 @@ _QUANTITIES = {
 _COMMON = {
     "acceleration": {"m/s**2": 1.0, "standard_gravity": GRAVITY_M_S2},
     "displacement": {"m": 1.0, "mm": 0.001},
+    "velocity": {"m/s": 1.0, "mm/s": 0.001},
+    "angle": {"rad": 1.0},
+    "rotation rate": {"rad/s": 1.0},
     "time": {"s": 1.0, "ms": 0.001},
     "voltage": {"V": 1.0},
 }
@@ -60,7 +70,7 @@ def _spelt(unit: str) -> str:
 
 @cache
 def factor_to_si(unit: str, quantity: str) -> float | None:
-    """The factor from `unit` to SI if it measures `quantity` ("acceleration", "displacement", "voltage"), else None.
+    """The factor from `unit` to SI if it measures `quantity` (see `SI_UNITS`), else None.
 
     Raises UsageError for a unit that is not known at all.
     """
@@ -89,7 +99,7 @@ def measures(unit: str | None, quantity: str) -> bool:
 
 
 def si_factor(unit: str, quantity: str, sensitivity: float | None) -> float:
-    """The factor from the file's numbers to m/s² or m.
+    """The factor from the file's numbers to the SI unit of a quantity.
 
     `unit` measures `quantity`, or is a voltage with `sensitivity` in V per SI unit of the quantity (above zero).
     Raises UsageError for an unknown unit, one of another dimension, or a voltage without its sensitivity.

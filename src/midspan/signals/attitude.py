@@ -1,0 +1,55 @@
+"""Tilt from gravity and a gyroscope: what an accelerometer's other axis shows slowly, and the gyroscope quickly.
+
+The complementary filter of two sensors (W. T. Higgins, A comparison of complementary and Kalman filtering, IEEE Trans.
+Aerosp. Electron. Syst. 11 (1975) 321-325, doi 10.1109/TAES.1975.308081) with a window that is symmetric, so that it
+delays nothing: gravity through the window, the integrated rotation rate less what the window leaves of it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.records import NANOSECONDS, Floats, Nanoseconds
+
+# Length of the Hann window, s: its stop band begins at 0.5 Hz, where structures begin to vibrate along the view. Longer
+# leaves more of the gyroscope's angle random walk.
+WINDOW_S = 4.0
+# The results follow each other at this interval, s.
+INTERVAL_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attitude:
+    """An angle (rad, n) at time_ns (n,), and the standard deviation of its noise from one value to the next."""
+
+    time_ns: Nanoseconds
+    value: Floats
+    noise_std: float
+
+
+def attitude(
+    time_ns: Nanoseconds, leaning: Floats, rate: Floats, rate_std: float, gravity_m_s2: float
+) -> Attitude | None:
+    """The angle whose sine gravity shows along an axis at right angles to it.
+
+    time_ns (n,): at even intervals; leaning (n,): acceleration along that axis, m/s², finite; rate (n,): rotation rate,
+    rad/s; rate_std: white noise of a value of it; gravity_m_s2: what turning by a radian adds, signed. None where the
+    record is shorter than the window.
+    """
+    step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS
+    window = np.hanning(2 * (round(0.5 * WINDOW_S / step_s) // 1) + 3)[1:-1]
+    window /= window.sum()
+    half, every = len(window) // 2, max(round(INTERVAL_S / step_s), 1)
+    if len(time_ns) < len(window) + every:
+        return None
+    angle = step_s * np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))))
+    slow = np.convolve(leaning / gravity_m_s2 - angle, window, mode="valid")
+    inner = slice(half, len(time_ns) - half)
+    places = np.arange(0, len(slow), every)
+    # What of the rate's noise is in the angle less its windowed course: the window's step response, less a step.
+    response = np.cumsum(window) - (np.arange(len(window)) >= half)
+    of_rate = rate_std * step_s * float(np.sqrt(np.sum(response**2)))
+    vibration = np.diff(leaning, 2) / np.sqrt(6.0) / gravity_m_s2
+    of_gravity = float(np.std(vibration) * np.sqrt(np.sum(window**2)))
+    value = slow + angle[inner]
+    return Attitude(time_ns[inner][places], value[places], float(np.hypot(of_rate, of_gravity)))
