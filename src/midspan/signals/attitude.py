@@ -20,21 +20,27 @@ INTERVAL_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attitude:
-    """An angle (rad, n) at time_ns (n,), and the standard deviation of its noise from one value to the next."""
+    """An angle (n,), rad, at time_ns (n,).
+
+    own_std: standard deviation of a value's noise by the acceleration's; share_of_rate: what that of a rate (rad/s)
+    makes besides, rad.
+    """
 
     time_ns: Nanoseconds
     value: Floats
-    noise_std: float
+    own_std: float
+    share_of_rate: float
+
+    def noise_std(self, rate_std: float) -> float:
+        """Of a value, rad; rate_std: white noise of the rotation rate, rad/s."""
+        return float(np.hypot(self.own_std, self.share_of_rate * rate_std))
 
 
-def attitude(
-    time_ns: Nanoseconds, leaning: Floats, rate: Floats, rate_std: float, gravity_m_s2: float
-) -> Attitude | None:
+def attitude(time_ns: Nanoseconds, leaning: Floats, rate: Floats, gravity_m_s2: float) -> Attitude | None:
     """The angle whose sine gravity shows along an axis at right angles to it.
 
     time_ns (n,): at even intervals; leaning (n,): acceleration along that axis, m/s², finite; rate (n,): rotation rate,
-    rad/s; rate_std: white noise of a value of it; gravity_m_s2: what turning by a radian adds, signed. None where the
-    record is shorter than the window.
+    rad/s; gravity_m_s2: what turning by a radian adds, signed. None where the record is shorter than the window.
     """
     step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS
     window = np.hanning(2 * (round(0.5 * WINDOW_S / step_s) // 1) + 3)[1:-1]
@@ -48,8 +54,8 @@ def attitude(
     places = np.arange(0, len(slow), every)
     # What of the rate's noise is in the angle less its windowed course: the window's step response, less a step.
     response = np.cumsum(window) - (np.arange(len(window)) >= half)
-    of_rate = rate_std * step_s * float(np.sqrt(np.sum(response**2)))
+    of_rate = step_s * float(np.sqrt(np.sum(response**2)))
     vibration = np.diff(leaning, 2) / np.sqrt(6.0) / gravity_m_s2
     of_gravity = float(np.std(vibration) * np.sqrt(np.sum(window**2)))
     value = slow + angle[inner]
-    return Attitude(time_ns[inner][places], value[places], float(np.hypot(of_rate, of_gravity)))
+    return Attitude(time_ns[inner][places], value[places], of_gravity, of_rate)
