@@ -1,0 +1,475 @@
+"""A gyroscope on the box of a camera: the focal length by which the image shows its rotation, and scales without tilt.
+
+Along an image axis a target's translation is that of the displacement u and of the rotation θ about the other axis,
+with the focal length f in px; accelerometer and gyroscope give both but for their noise:
+
+    p = r u + f θ + n,   u'' = a − b − w,   θ' = ω − c − g
+
+The integrals D of a and Θ of ω go through the filter of `whitening` with p. There the gyroscope's integrated noise is a
+coloured error of the translation, a random walk, which a Gauss-Markov process of a long correlation time is. All three
+columns are noisy, so r and f are a total least squares estimate: the eigenvector of the smallest eigenvalue of the
+columns' products relative to those of their noises (S. Van Huffel and J. Vandewalle, The total least squares problem,
+1991, chapter 8, doi 10.1137/1.9781611971002). A regression on D alone would take a tilt in proportion to the
+displacement for scale. Products of the random walk are known from draws of it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from midspan.calibration.agreement import clearly_better, misfit
+from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
+from midspan.calibration.camera.turning import DRAWS, SEEN_HZ, Turning, turning_of
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair
+from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner
+from midspan.calibration.outliers import cleaned
+from midspan.calibration.scale import ScaleCalibration, calibrate_scale
+from midspan.calibration.time_offset import search_offset
+from midspan.calibration.whitening import Whitened, inverse_of
+from midspan.errors import UntrustedError
+from midspan.notices import Notice, rounded
+from midspan.records import NANOSECONDS, Floats, ScaleFactor, TimeSeries
+
+# Where nothing is declared: a gyroscope's bias, rad/s, and how its bias drifts: by 3 °/h in an hour, rad²/s³.
+BIAS_STD = float(np.radians(0.3))
+BIAS_WALK = float(np.radians(3.0 / 3600.0)) ** 2 / 3600.0
+# Largest offset of the gyroscope's clock against the accelerometer's, s, and the step in which it is looked for.
+MAX_LATE_S, LATE_STEP_S = 0.1, 5e-3
+# By this much, s, the clock is moved to see where both go together best: the noise of readings averages out, tilts up
+# to 10 Hz do not.
+CLOCK_STEP_S = 0.02
+# The random walk of the integrated noise is a process of this correlation time, s.
+WALK_TIME_S = 100.0
+# Rounds in which focal length, clock offsets and noise levels are found in turn, and how well the first is known then.
+ROUNDS, SETTLED = 12, 1e-3
+# A noise of the gyroscope that is not declared is right to this share of its density.
+FLOOR_SHARE = 0.25
+# A focal length that is less certain, relative, is none.
+MAX_FOCAL_STD = 0.1
+# Rotation shows where it exceeds the scatter of the noise's power by this factor.
+SHOWS = 4.0
+# Focal lengths of cameras, in widths of the picture: fields of view of 127° and 0.6°.
+FOCAL_WIDTHS = (0.25, 100.0)
+# What is right to this many standard deviations is certain.
+CERTAIN = 3.0
+# Largest step of the frames' clock offset in a round, s.
+MAX_STEP_S = 0.02
+# Least share of the innovations that is a frame's own noise.
+MIN_OWN = 0.02
+# A tilt is no less than this share of the gyroscope's noise.
+MIN_TILT = 0.1
+# Two focal lengths contradict each other by this many standard deviations and this share.
+CONTRADICT_STD, CONTRADICT_SHARE = 5.0, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroscopeFit:
+    """A gyroscope relative to the camera on its box, along one image axis.
+
+    focal_px, focal_std_px: by which the image shows the rotation; noise_rad_s: of one sample; bias_rad_s: the mean of
+    the calibration window, bias_std_rad_s: how well that is the bias; bias_walk: rad²/s³; offset_s, offset_std_s: what
+    is to be added to the gyroscope's stamps, infinite where the motion does not tell it; scales, found, reasons: of
+    each target without the tilt, None and a reason where it has none; tilt_std_px: rms of the tilt in the image above
+    `turning.SEEN_HZ`, which the gyroscope sees; slow_tilt_px: what is taken for the slower part.
+    """
+
+    focal_px: float
+    focal_std_px: float
+    noise_rad_s: float
+    bias_rad_s: float
+    bias_std_rad_s: float
+    bias_walk: float
+    offset_s: float
+    offset_std_s: float
+    scales: tuple[ScaleFactor | None, ...]
+    found: tuple[ScaleCalibration | None, ...]
+    reasons: tuple[str, ...]
+    tilt_std_px: float
+    slow_tilt_px: float
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where columns are compared: by how much the accelerometer's clock and the gyroscope's are ahead of the frames'
+    (s), the corner frequency (rad/s), r, f, the noise of a frame (px²), and what the angle jumps by at gaps (k,), px.
+    """
+
+    offset_s: float
+    turned_s: float
+    corner: float
+    ratio: float
+    focal: float
+    noise: float
+    jumps: Floats
+
+    def slow(self, density: float) -> tuple[float, float, float]:
+        """The gyroscope's integrated noise in the image, as of `Pair`; density: (rad/s)²/Hz, two-sided."""
+        return 0.5 * WALK_TIME_S * density * self.focal**2 / self.noise, 1.0 / WALK_TIME_S, 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joint:
+    """Displacement and rotation in a target's translation.
+
+    ratio, focal: r and f; covariance (3, 3): of both and the frames' clock offset; step_s: what that gains; misfit: power
+    of the residual over that of the noises; drag: d(ratio)/d(focal); known: power of Θ beyond its noise and what goes
+    with D, in standard deviations of that noise's power; jumps (k,): of the angle at gaps, px.
+    """
+
+    ratio: float
+    focal: float
+    covariance: Floats
+    step_s: float
+    misfit: float
+    drag: float
+    known: float
+    jumps: Floats = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def shows(self) -> bool:
+        """Whether the rotation is more than the gyroscope's noise."""
+        return self.known > SHOWS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settled:
+    """A target's estimate: focal length and its variance, and variances of the clock offsets, s²."""
+
+    place: _Place
+    joint: _Joint
+    variance: float
+    late_variance: float
+
+    def widened(self, scale: ScaleFactor, focal_std: float) -> ScaleFactor:
+        """A scale factor with what the focal length makes of it."""
+        more = self.joint.drag * focal_std * scale.value_m_per_px**2
+        return ScaleFactor(scale.value_m_per_px, scale.variance + more**2)
+
+
+class _Compared:
+    """A target's translation, the acceleration and a rotation, in the calibration window."""
+
+    def __init__(self, view: View, target: SeenTarget, turning: Turning) -> None:
+        self.view, self.target, self.turning = view, target, turning
+        pair = camera_pair(view, target.rows, target.blur_s)
+        usable = np.isfinite(pair.rows[:, 2])
+        if np.count_nonzero(usable) < MIN_FRAMES:
+            raise UntrustedError(
+                f"Only {np.count_nonzero(usable)} usable frames of target {target.name} lie in the calibration "
+                f"window; at least {MIN_FRAMES} are needed."
+            )
+        self.typical = float(np.median(pair.rows[usable, 2]))
+        self.pair = pair.changed(rows=pair.rows / np.array([1.0, 1.0, self.typical]))
+
+    def start(self, fits: Sequence[CameraFit]) -> _Place:
+        """Clock offset and noise levels without the rotation."""
+        known = [fit.calibration.offset.value_s for fit in fits if fit.calibration.direction == self.view.axis]
+        if known:
+            fit = best_corner(self.pair, known[0] - self.view.late_ns / NANOSECONDS)
+        else:
+            fit = self._searched()
+        usable = self.turning.seen(self.pair.rows[:, 0] + fit.offset_s, MAX_LATE_S + self.pair.exposure_s)
+        rows = self.pair.rows.copy()
+        rows[~usable, 2] = np.inf
+        self.pair = self.pair.changed(rows=rows)
+        if np.count_nonzero(np.isfinite(rows[:, 2])) < MIN_FRAMES:
+            raise UntrustedError(
+                "gyroscope: its readings and the frames of the calibration window hardly overlap. Check the time "
+                "stamps of both and gyroscope.start_s."
+            )
+        jumps = np.zeros(len(self.turning.gaps))
+        return _Place(fit.offset_s, fit.offset_s, fit.corner, fit.ratio, 0.0, fit.noise, jumps)
+
+    def _searched(self) -> Fit:
+        """The fit at the frames' clock offset, without the rotation."""
+        found = search_offset(self.pair, self.view.max_offset_s)
+        other = found.runner_up
+        if other is not None and not clearly_better(found.fit, other):
+            raise UntrustedError(
+                f"The clock offset is ambiguous: {found.fit.offset_s:+.4f} s and {other.offset_s:+.4f} s fit almost "
+                "equally well. Set a smaller calibration.max_offset_s that excludes one of them."
+            )
+        return best_corner(self.pair, found.fit.offset_s)
+
+    def without_tilt(self, place: _Place) -> Pair:
+        """The pair whose translation is without the tilt, and noisier by the gyroscope's."""
+        rows, time_s = self.pair.rows.copy(), self.pair.rows[:, 0] + place.turned_s
+        rows[:, 1] -= place.focal * self.turning.angle(time_s, self.pair.exposure_s)
+        for number, jump in enumerate(place.jumps):
+            rows[:, 1] -= jump * self.turning.jumped(time_s, number)
+        return self.pair.changed(rows=rows, slow=place.slow(self.turning.density))
+
+    def joint(self, place: _Place, density_share: float = 1.0) -> _Joint:
+        """Displacement and rotation in the translation; density_share: of Θ's noise as it is reckoned with."""
+        turning, gaps = self.turning, len(self.turning.gaps)
+        pair, apart_s = self.pair.changed(slow=place.slow(turning.density)), place.turned_s - place.offset_s
+        columns = [lambda time_s: turning.angle(time_s + apart_s, pair.exposure_s)]
+        columns += [partial(lambda time_s, k: turning.jumped(time_s + apart_s, k), k=k) for k in range(gaps)]
+        columns += [partial(lambda time_s, k: turning.walk(time_s + apart_s, k), k=k) for k in range(DRAWS)]
+        w = aligned(pair, place.offset_s, *columns).whitened(place.corner)
+        white = w.columns / np.sqrt(w.variance)[:, None]
+        angle, jumped, walks = np.split(white[:, -len(columns) :], (1, 1 + gaps), axis=1)
+        other = np.column_stack((jumped, white[:, 3 : -len(columns)]))
+        noisy = np.column_stack((white[:, :2], angle, white[:, 2], walks))
+        free = noisy - other @ np.linalg.lstsq(other, noisy, rcond=None)[0] if other.shape[1] else noisy
+        walked = np.sum(free[:, 4:] ** 2, axis=0)
+        noises = _noises(w, place, float(np.mean(walked))) * np.array([1.0, 1.0, density_share])
+        found = _solved(free[:, :4], noises, float(np.std(walked)))
+        left = noisy[:, 0] - noisy[:, 1:3] @ np.array([found.ratio, found.focal])
+        return replace(found, jumps=np.linalg.lstsq(other, left, rcond=None)[0][:gaps] if gaps else np.empty(0))
+
+    def settled(self, fits: Sequence[CameraFit], lens: tuple[float, float] | None) -> _Settled:
+        """The likeliest r, f, clock offsets and noise levels; where the rotation does not show, the lens' focal length."""
+        place = self.start(fits)
+        place = replace(place, turned_s=place.offset_s + self._scanned(place))
+        factor = 1.0
+        for turn in range(ROUNDS):
+            before, found = place, self.joint(place)
+            focal = found.focal if lens is None or found.shows else lens[0]
+            place = replace(place, ratio=found.ratio, focal=focal, jumps=found.jumps)
+            step_s = float(np.clip(found.step_s, -MAX_STEP_S, MAX_STEP_S))
+            place = replace(place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0])
+            pair = self.without_tilt(place)
+            fit = best_corner(pair, place.offset_s, place.corner if turn else None)
+            place = replace(place, corner=fit.corner, noise=fit.noise)
+            if turn == 1:
+                unusable = np.isinf(cleaned(pair, fit).rows[:, 2])
+                rows = np.column_stack((self.pair.rows[:, :2], np.where(unusable, np.inf, self.pair.rows[:, 2])))
+                self.pair = self.pair.changed(rows=rows)
+            if turn > 1 and abs(place.focal - before.focal) < SETTLED * abs(place.focal):
+                factor = misfit(pair, fit).factor
+                break
+        return self._judged(place, factor)
+
+    def _alike(self, place: _Place, aheads_s: Floats, draws: int = 0) -> Floats:
+        """Products (k, 1 + draws) of what the displacement and its clock leave of the translation with Θ and draws of
+        its noise at clocks of the gyroscope that are so much farther ahead (k,), s.
+        """
+        turning, apart_s = self.turning, place.turned_s - place.offset_s
+        columns = list[Callable[[Floats], Floats]]()
+        for ahead_s in apart_s + aheads_s:
+            columns.append(partial(lambda t, late: turning.angle(t + late, self.pair.exposure_s), late=ahead_s))
+            columns += [partial(lambda t, late, k: turning.walk(t + late, k), late=ahead_s, k=k) for k in range(draws)]
+        gaps = [partial(lambda t, k: turning.jumped(t + apart_s, k), k=k) for k in range(len(turning.gaps))]
+        pair = self.pair.changed(slow=place.slow(turning.density))
+        w = aligned(pair, place.offset_s, *gaps, *columns).whitened(place.corner)
+        white = w.columns / np.sqrt(w.variance)[:, None]
+        known = white[:, 1 : -len(columns)]
+        left = white[:, 0] - known @ np.linalg.lstsq(known, white[:, 0], rcond=None)[0]
+        return np.asarray(left @ white[:, -len(columns) :]).reshape(len(aheads_s), 1 + draws)
+
+    def _scanned(self, place: _Place) -> float:
+        """By how much the gyroscope's clock is ahead of the accelerometer's where both go together best, s."""
+        count = round(MAX_LATE_S / LATE_STEP_S)
+        tried = LATE_STEP_S * np.arange(-count, count + 1)
+        return float(tried[int(np.argmax(np.abs(self._alike(place, tried)[:, 0])))])
+
+    def _clock_step(self, place: _Place) -> tuple[float, float]:
+        """Step (s) of the gyroscope's clock to where both go together best, and its variance, s²."""
+        before, here, after = np.sign(place.focal) * self._alike(place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS)
+        curved = float(2.0 * here[0] - before[0] - after[0]) / CLOCK_STEP_S**2
+        if not curved > 0.0:
+            return 0.0, MAX_LATE_S**2 / 3.0
+        slopes = 0.5 * (after - before) / CLOCK_STEP_S
+        variance = float(np.mean(slopes[1:] ** 2)) / curved**2 + place.noise / (abs(place.focal) * curved)
+        step_s = float(np.clip(slopes[0] / curved, -CLOCK_STEP_S, CLOCK_STEP_S))
+        # Where nothing shows the offset, it may be any.
+        return (step_s, variance) if variance < MAX_LATE_S**2 / 3.0 else (0.0, MAX_LATE_S**2 / 3.0)
+
+    def _judged(self, place: _Place, factor: float) -> _Settled:
+        """What was found with its variances; factor: of the residual's power where that is not white."""
+        found, turned = self.joint(place), self._clock_step(place)[1]
+        aside = [self.joint(replace(place, turned_s=place.turned_s + k * LATE_STEP_S)).focal for k in (-1, 1)]
+        late = 0.5 * (aside[1] - aside[0]) / LATE_STEP_S * np.sqrt(turned)
+        more = self.joint(place, density_share=1.0 + FLOOR_SHARE).focal - found.focal
+        variance = factor * found.covariance[1, 1] + more**2 + late**2
+        return _Settled(place, found, float(variance), float(turned + factor * found.covariance[2, 2]))
+
+    def scale(self, place: _Place) -> ScaleCalibration:
+        """The scale factor without the tilt, of a focal length that is certain."""
+        pair, late_s = self.without_tilt(place), np.array([place.offset_s, 0.0, 0.0])
+        pair = pair.changed(rows=pair.rows * np.array([1.0, 1.0, self.typical]) + late_s)
+        declared = self.view.exposure_s is not None
+        # The tilt was taken out at this clock offset.
+        reach_s = min(self.view.max_offset_s, MAX_LATE_S)
+        found = calibrate_scale(pair, reach_s, exposure_declared=declared, slow_errors=False)
+        return replace(found, search=found.search.on_clock(-place.offset_s))
+
+
+def _noises(w: Whitened, place: _Place, walked: float) -> Floats:
+    """Sums of the noises of translation, D and Θ, whitened; walked: that of Θ."""
+    count = float(len(w.variance))
+    of_input, of_walk = w.input_share, place.focal**2 * walked / place.noise
+    own = place.noise * max(count - of_input - of_walk, MIN_OWN * count)
+    return np.array([own, place.noise * of_input / place.ratio**2, walked])
+
+
+def _solved(columns: Floats, noises: Floats, scatter: float) -> _Joint:
+    """Total least squares of translation, D, Θ and D' (n, 4), whitened; noises (3,): in the sums of the first three."""
+    from scipy.linalg import eigh
+
+    power = columns[:, :3].T @ columns[:, :3]
+    noises = np.maximum(noises, 1e-12 * np.diag(power))
+    # Columns of very different units.
+    unit = np.sqrt(noises)
+    values, vectors = eigh(power / np.outer(unit, unit))
+    least = vectors[:, 0] / unit
+    ratio, focal = -least[1:] / least[0]
+    left = columns[:, 0] - columns[:, 1:3] @ np.array([ratio, focal])
+    own = np.column_stack((columns[:, 1:3], ratio * columns[:, 3]))
+    taken = values[0] * np.array([noises[1], noises[2], 0.0])
+    inverse = inverse_of(own.T @ own - np.diag(taken))
+    step = inverse @ (own.T @ left + taken * np.array([ratio, focal, 0.0]))
+    white = float(left @ left) / len(left)
+    covariance = inverse @ (white * (own.T @ own)) @ inverse
+    covariance[1, 1] += (focal * scatter * inverse[1, 1]) ** 2
+    drag = -float(power[1, 2] / power[1, 1])
+    known = power[2, 2] + drag * power[1, 2] - noises[2]
+    return _Joint(ratio, focal, covariance, float(step[2]), float(values[0]), drag, known / max(scatter, 1e-300))
+
+
+def fit_gyroscope(
+    view: View,
+    targets: Sequence[SeenTarget],
+    gyroscope: TimeSeries,
+    fits: Sequence[CameraFit] = (),
+    *,
+    noise_density: float | None = None,
+    bias_std: float | None = None,
+    focal_px: tuple[float, float] | None = None,
+) -> GyroscopeFit:
+    """Calibrate a gyroscope against the camera on its box.
+
+    gyroscope: rad/s, on the accelerometer's clock up to MAX_LATE_S, of the rotation that moves the picture along the
+    view's axis towards positive; fits: of the camera without it, for its clock offset; empty: it is looked for.
+    noise_density: one-sided, rad/s/√Hz; bias_std: rad/s; focal_px: of a lens, and its standard deviation.
+    Raises UntrustedError where the gyroscope does not go with the picture, or neither tells the focal length.
+    """
+    turning = turning_of(gyroscope, view.window_ns, noise_density)
+    width = max(target.frame_px[0] for target in targets)
+    compared, reasons = _compared(view, targets, turning)
+    settled = [one and one.settled(fits, focal_px) for one in compared]
+    focal = _focal([one for one in settled if one is not None], focal_px, width)
+    found, scales = list[ScaleCalibration | None](), list[ScaleFactor | None]()
+    for k, (one, at) in enumerate(zip(compared, settled, strict=True)):
+        scale = None
+        if one is not None and at is not None:
+            try:
+                scale = one.scale(replace(at.place, focal=focal[0]))
+            except UntrustedError as error:
+                reasons[k] = str(error)
+        found.append(scale)
+        scales.append(None if scale is None or at is None else at.widened(scale.scale, focal[1]))
+    if not any(found):
+        raise UntrustedError(" ".join(reasons))
+    return _fit_of(turning, focal, [at for at in settled if at is not None], bias_std, (scales, found, reasons))
+
+
+def _compared(view: View, targets: Sequence[SeenTarget], turning: Turning) -> tuple[list[_Compared | None], list[str]]:
+    """Each target with the rotation, None and a reason where it is not seen."""
+    compared, reasons = list[_Compared | None](), list[str]()
+    for target in targets:
+        try:
+            compared.append(_Compared(view, target, turning))
+            reasons.append("")
+        except UntrustedError as error:
+            compared.append(None)
+            reasons.append(str(error))
+    if not any(compared):
+        raise UntrustedError(" ".join(reasons))
+    return compared, reasons
+
+
+def _focal(settled: Sequence[_Settled], lens: tuple[float, float] | None, width: int) -> tuple[float, float]:
+    """The focal length of all targets and the lens, and its standard deviation, px."""
+    known = [at for at in settled if at.joint.shows]
+    value, std = np.nan, np.inf
+    if known:
+        weight = np.array([1.0 / at.variance for at in known])
+        weight /= np.sum(weight)
+        # What the gyroscope errs by is in all of them.
+        value = float(weight @ [at.joint.focal for at in known])
+        std = float(weight @ [np.sqrt(at.variance) for at in known])
+    if lens is None:
+        if known:
+            _refuse_focal(value, std, width)
+        if not std <= MAX_FOCAL_STD * abs(value):
+            raise UntrustedError(
+                "gyroscope: the camera rotates too little, apart from what goes with the displacement, to show the "
+                "focal length. Give camera.lens, or choose a calibration.window_s with more rotation."
+            )
+        return value, std
+    apart = abs(value - lens[0])
+    if apart > CONTRADICT_STD * np.hypot(std, lens[1]) and apart > CONTRADICT_SHARE * lens[0]:
+        _refuse_focal(value, std, 0)
+        raise UntrustedError(
+            f"gyroscope: by it the focal length is {value:.4g} ± {std:.2g} px, by camera.lens {lens[0]:.4g} ± "
+            f"{lens[1]:.2g} px. Check gyroscope.unit (deg/s and rad/s differ by a factor of 57.3), its sensitivity and "
+            "axes, and the lens."
+        )
+    if not known or lens[1] == 0.0:
+        return lens
+    weight = np.array([std**-2.0, lens[1] ** -2.0])
+    return float(weight @ [value, lens[0]] / np.sum(weight)), float(np.sum(weight) ** -0.5)
+
+
+def _refuse_focal(value: float, std: float, width: int) -> None:
+    """UntrustedError for a focal length that no camera with pictures of a width (px, 0: unknown) has."""
+    low, high = (share * width for share in FOCAL_WIDTHS)
+    if value < -CERTAIN * std:
+        raise UntrustedError(
+            f"gyroscope: its rotation has the wrong sign, the focal length would be {value:.4g} ± {std:.2g} px. Its "
+            "axes are the camera's: x right, y down, z along the view, right-handed. Change the channel's sign."
+        )
+    if abs(value) < CERTAIN * std and abs(value) + CERTAIN * std < max(low, std * CERTAIN * 2.0 if width == 0 else low):
+        raise UntrustedError(
+            "gyroscope: the image does not show the rotation that it measures (focal length "
+            f"{value:.2g} ± {std:.2g} px). Its axes are probably permuted: x right, y down, z along the view; image "
+            "axis y shows the rotation about x, and image axis x that about y."
+        )
+    if width and not low < value < high:
+        raise UntrustedError(
+            f"gyroscope: by it the focal length is {value:.3g} ± {std:.2g} px in an image {width} px wide, which is "
+            "implausible. Check gyroscope.unit: deg/s and rad/s differ by a factor of 57.3."
+        )
+
+
+def _fit_of(
+    turning: Turning,
+    focal: tuple[float, float],
+    settled: Sequence[_Settled],
+    bias_std: float | None,
+    of_targets: tuple[Sequence[ScaleFactor | None], Sequence[ScaleCalibration | None], Sequence[str]],
+) -> GyroscopeFit:
+    best = min(settled, key=lambda at: at.late_variance)
+    fast, noise = turning.fast
+    tilt_px = focal[0] * max(fast, MIN_TILT * noise)
+    slow_px = SLOW_TILT * tilt_px
+    length_s = float(turning.time_s[-1] - turning.time_s[0])
+    # The mean holds what the camera has turned by from end to end.
+    mean_std = float(np.hypot(np.sqrt(turning.density / length_s), np.sqrt(2.0) * slow_px / focal[0] / length_s))
+    known_std = BIAS_STD if bias_std is None else bias_std
+    scales, found, reasons = of_targets
+    text = (
+        f"gyroscope: the camera tilts by {rounded(tilt_px)} px rms in the image above {SEEN_HZ:g} Hz, which the scale "
+        f"factors are without; focal length {focal[0]:.4g} ± {rounded(focal[1])} px."
+    )
+    return GyroscopeFit(
+        focal_px=focal[0],
+        focal_std_px=focal[1],
+        noise_rad_s=turning.noise,
+        bias_rad_s=turning.bias,
+        bias_std_rad_s=float((known_std**-2.0 + mean_std**-2.0) ** -0.5),
+        bias_walk=BIAS_WALK,
+        offset_s=best.place.offset_s - best.place.turned_s,
+        offset_std_s=float(np.sqrt(best.late_variance)),
+        scales=tuple(scales),
+        found=tuple(found),
+        reasons=tuple(reasons),
+        tilt_std_px=tilt_px,
+        slow_tilt_px=slow_px,
+        notices=(Notice("tilt", text), *turning.notices),
+    )
