@@ -63,6 +63,9 @@ OTHER_ZERO_STD_M = 0.1
 CLOCK_WALK = 3.6e-9
 # A tilt is taken as independent from frame to frame: nothing is assumed of how fast a camera nods.
 TILT_INTERVALS = 0.25
+# Where it is measured it is critically damped at this frequency, Hz: cameras nod with their structure's modes and more
+# slowly. By simulations of footbridges 1 to 4 Hz differ by a fifth.
+TILT_HZ = 2.0
 # A target calibrated for another radar, or moved since, differs in carrier by this share or in range by this many bins.
 SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
@@ -73,7 +76,8 @@ class Table:
 
     given: the calibration was not estimated from this recording. gain_std: relative standard deviation of the gain of
     each axis's accelerometer, which is in the scales' of the calibration. in_true_metres: channels of sensors whose
-    unit is right, unlike the accelerometer's. motion_hz: middle frequency of the acceleration.
+    unit is right, unlike the accelerometer's. motion_hz: middle frequency of the acceleration. turning: whether a camera's tilt,
+    or its rate, is measured.
     """
 
     channels: list[Channel] = field(default_factory=list)
@@ -81,6 +85,7 @@ class Table:
     in_true_metres: list[int] = field(default_factory=list)
     given: bool = False
     motion_hz: float = 0.0
+    turning: bool = False
     gain_std: tuple[float, ...] = (0.0, 0.0)
 
     def add(self, channel: Channel) -> int:
@@ -255,7 +260,7 @@ def camera_channels(
         own_s = camera.exposure_s if exposure_s is None else exposure_s
         mappings = camera.mappings()
         noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
-        best, slow = camera.best_used, _slow_error(camera, step_s)
+        best, slow = camera.best_used, _slow_error(camera, step_s, turning=table.turning)
         for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
             zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
             channel = Channel(
@@ -288,12 +293,17 @@ def camera_channels(
     return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px, levers_px=arms)
 
 
-def _slow_error(camera: CameraCalibration, step_s: float) -> tuple[float, float, float]:
-    """Standard deviation (m by the first target), time (s) and frequency (Hz) of what moves all of an image."""
+def _slow_error(camera: CameraCalibration, step_s: float, *, turning: bool) -> tuple[float, float, float]:
+    """Standard deviation (m by the first target), time (s) and frequency (Hz) of what moves all of an image.
+
+    turning: whether the tilt, or its rate, is measured: then it goes on from frame to frame.
+    """
     if camera.tilt_std_px == 0.0:
         return camera.slow_std_m, camera.slow_time_s, camera.slow_hz
     # Relative to the tilt of the first frame it is as uncertain again.
     std_m = np.sqrt(2.0) * camera.tilt_std_px * abs(camera.mappings()[0].scale_m_per_px)
+    if turning:
+        return float(std_m), 1.0 / (2.0 * np.pi * TILT_HZ), TILT_HZ
     return float(std_m), TILT_INTERVALS * step_s, 0.0
 
 

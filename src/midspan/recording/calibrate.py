@@ -111,7 +111,7 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
             warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
     calibration = replace(
         main,
-        auxiliary=calibrate_auxiliary(recording),
+        auxiliary=calibrate_auxiliary(recording, seen[0].parts[0].gyroscope if seen else None),
         accelerometer_scale=gain,
         sensor_axis=axis,
         warnings=(*warnings, *implausible(recording.settings, main)),

@@ -8,7 +8,10 @@ import numpy as np
 
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
+from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
+from midspan.calibration.camera.turning import turning_of
+from midspan.calibration.camera.untilted import untilted
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
 from midspan.engine.target_opening import ThermalTarget
@@ -23,9 +26,13 @@ from midspan.records import Source, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.signals.lines import Line
+from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.region_choice import Judge
+
+# Relative standard deviation of a lens's focal length: focusing changes it by some per mille.
+LENS_STD = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,9 +215,49 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
         _require_no_lines(recording, seen)
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
     reported = lambda: [*chosen_text(tracking), *tracking.warnings()]  # noqa: E731
+    seen, found, said = _without_rotation(recording, views[0], seen)
     parts = fit_camera(views, seen, reported, "" if across is None else across.axis)
+    main = parts[0] if found is None else _with_tilt(parts[0], found)
+    parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
+
+
+def _without_rotation(
+    recording: Recording, view: View, seen: list[SeenTarget]
+) -> tuple[list[SeenTarget], GyroscopeFit | None, tuple[Notice, ...]]:
+    """The targets without the tilt that a gyroscope measures, what was found of it, and notices."""
+    series, section = recording.auxiliary.get("gyroscope"), recording.root.settings.gyroscope
+    if series is None or section is None or recording.root.cameras[0].sensor != recording.sensor:
+        return seen, None, ()
+    factor = si_factor(section.unit or series.unit, "rotation rate", None)
+    density = None if section.noise_density is None else factor * section.noise_density
+    bias_std = None if section.bias_std is None else factor * section.bias_std
+    lens = seen[0].lens
+    focal_px = None if lens is None else (float(lens.matrix["xy".index(view.axis)]), LENS_STD * lens.matrix[0])
+    try:
+        found = fit_gyroscope(view, seen, series, noise_density=density, bias_std=bias_std, focal_px=focal_px)
+    except UntrustedError as error:
+        text = f"[gyroscope] is left out of the result. {error}"
+        return seen, None, (Notice("part-left-out", text),)
+    return untilted(view, seen, turning_of(series, view.window_ns, density), found), found, found.notices
+
+
+def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:
+    """The calibration with the tilt's size, and scale factors as uncertain as the focal length leaves them."""
+    targets, scale = [], part.calibration.scale
+    for target, own in zip(part.calibration.targets, found.scales, strict=True):
+        if target.scale is None or own is None:
+            targets.append(target)
+            continue
+        relative = own.variance / own.value_m_per_px**2 * target.scale.value_m_per_px**2
+        wider = replace(target.scale, variance=max(target.scale.variance, relative))
+        targets.append(replace(target, scale=wider))
+        if target.region == part.calibration.region:
+            scale = wider
+    tilt_px = float(np.hypot(found.tilt_std_px, found.slow_tilt_px))
+    camera = replace(part.calibration, scale=scale, targets=tuple(targets), tilt_std_px=tilt_px)
+    return replace(part, calibration=camera, gyroscope=found)
 
 
 def _require_no_lines(recording: Recording, seen: Sequence[SeenTarget]) -> None:

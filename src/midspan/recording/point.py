@@ -24,7 +24,7 @@ from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors, offsets_of
-from midspan.records import NANOSECONDS, Channel, ClockOffset, RangeFrame, Source, Status
+from midspan.records import NANOSECONDS, Channel, ClockOffset, Quantity, RangeFrame, Source, Status
 from midspan.settings.plausible import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.lines import unresolved
@@ -180,9 +180,12 @@ def measuring_point(
     main = sides[0]
     recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
     gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
-    table, moved_m = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds), usual.moved_m
-    sensors: dict[str, Sensor] = {}
     on_series = method.takes_series(literal=wanted.literal)
+    helping = () if on_series else tuple(one for one in main.calibration.auxiliary if one.kind in recording.auxiliary)
+    turning = any(one.measures in (Quantity.TILT, Quantity.TILT_RATE) for one in helping)
+    table = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds, turning=turning)
+    moved_m = usual.moved_m
+    sensors: dict[str, Sensor] = {}
     # As printed, the filter's own deviation bounds the search, however small it is.
     min_std_px = 0.0 if on_series and method.predicts else MIN_STD_PX
     for number, tracked_camera in enumerate(tracked_cameras):
@@ -198,8 +201,8 @@ def measuring_point(
         more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
     table.by_first_terms()
-    for known in () if on_series else main.calibration.auxiliary:
-        if known.kind in recording.auxiliary and (helper := auxiliary_channel(table, known, tilting(table.channels))):
+    for known in helping:
+        if (helper := auxiliary_channel(table, known, tilting(table.channels))) is not None:
             sensors[known.kind] = helper
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=recording.accelerometer.estimate_scale)

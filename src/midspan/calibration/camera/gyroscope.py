@@ -231,7 +231,9 @@ class _Compared:
             focal = found.focal if lens is None or found.shows else lens[0]
             place = replace(place, ratio=found.ratio, focal=focal, jumps=found.jumps)
             step_s = float(np.clip(found.step_s, -MAX_STEP_S, MAX_STEP_S))
-            place = replace(place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0])
+            place = replace(
+                place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0]
+            )
             pair = self.without_tilt(place)
             fit = best_corner(pair, place.offset_s, place.corner if turn else None)
             place = replace(place, corner=fit.corner, noise=fit.noise)
@@ -269,7 +271,9 @@ class _Compared:
 
     def _clock_step(self, place: _Place) -> tuple[float, float]:
         """Step (s) of the gyroscope's clock to where both go together best, and its variance, s²."""
-        before, here, after = np.sign(place.focal) * self._alike(place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS)
+        before, here, after = np.sign(place.focal) * self._alike(
+            place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS
+        )
         curved = float(2.0 * here[0] - before[0] - after[0]) / CLOCK_STEP_S**2
         if not curved > 0.0:
             return 0.0, MAX_LATE_S**2 / 3.0

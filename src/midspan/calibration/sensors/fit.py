@@ -7,7 +7,7 @@ bias is averaged over the noise by how likely each value is, with the prior of `
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it. misfit: how far the
     innovations are from white. slope: by which the accelerometer leans as it moves, radians a metre. direction: of the
     sensor's axis, None where the accelerometer's other axes were not recorded. parts: what the relative standard
-    deviation of the scale is made of, by the names of `scale.PARTS`.
+    deviation of the scale is made of, by the names of `scale.PARTS`. gyroscope: what was found of one on a camera's box.
     """
 
     calibration: Calibrated
@@ -97,3 +97,4 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     slope: float = 0.0
     direction: Direction | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
+    gyroscope: Any = None

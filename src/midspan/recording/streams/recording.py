@@ -147,18 +147,18 @@ class Recording:
     @property
     def companions(self) -> tuple[Sensor, ...]:
         """The other sensors of the recording that this is a view of."""
-        return tuple(sensor for sensor in self._root.sensors if sensor.name != self.sensor)
+        return tuple(sensor for sensor in self.root.sensors if sensor.name != self.sensor)
 
     @property
     def gives_zero(self) -> bool:
         """Whether the zero of this view's sensor is that of the displacement: the first one's."""
-        return self._root.sensors[0].name == self.sensor
+        return self.root.sensors[0].name == self.sensor
 
     @property
-    def _root(self) -> "Recording":
+    def root(self) -> "Recording":
         """The recording that this is a view of."""
         above = self._alongside or self._whole
-        return self if above is None else above._root
+        return self if above is None else above.root
 
     @cached_property
     def views(self) -> "tuple[Recording, ...]":
@@ -303,8 +303,8 @@ class Recording:
     @cached_property
     def auxiliary(self) -> dict[str, TimeSeries]:
         """What helps the sensors, by its kind, in SI units; a rotation as that which moves the image down or right."""
-        if self._root is not self:
-            return self._root.auxiliary
+        if self.root is not self:
+            return self.root.auxiliary
         found = {}
         for kind, section in self.settings.auxiliary.items():
             if isinstance(section, RotationSettings):
@@ -424,7 +424,7 @@ class Recording:
         own = self._own or next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
         if own is None:
             raise DataError(f"{self.file}: has no [{kinds[0]}] section.")
-        listed = self._root.settings.of_kind(own.kind)
+        listed = self.root.settings.of_kind(own.kind)
         return own.settings, own.kind if len(listed) < 2 else f"{own.kind}[{1 + listed.index(own.settings)}]"
 
     @property
