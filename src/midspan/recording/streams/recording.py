@@ -33,6 +33,7 @@ from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, Restamped
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.temperatures import ThermalRequest
+from midspan.sources.zipped import is_inside
 from midspan.vision.frame_source import FrameSource
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
@@ -107,7 +108,7 @@ class Recording:
         """The file that a setting names; DataError where it is missing. Globs and folders are left to the reader."""
         path = self.folder / name
         try:
-            found = path.exists()
+            found = path.exists() or is_inside(path)
         except OSError as error:
             raise DataError(f"{self.file}: {key} = {name!r}: cannot be read ({error.strerror}).") from None
         if not found and not any(sign in name for sign in "*?["):
