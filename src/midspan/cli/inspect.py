@@ -210,7 +210,7 @@ def _show_phone(console: Console, tree: dict[str, Any]) -> None:
         value, angle = upright["gravity_m_s2"], upright["angle_deg"]
         rows.append(("vertical", f"{upright['column']!r} ({value:+.3f} m/s²), {angle:.1f} degrees from gravity"))
     if tree["pauses"]:
-        rows.append(("warning", f"paused {tree['pauses']} times; the clock leaves the pauses out"))
+        rows.append(("warning", f"pauses: {tree['pauses']}, left out by the clock"))
     console.table(rows)
     for film in tree["films"]:
         _show_stream(console, "film", film)

@@ -48,7 +48,8 @@ def put_acceleration(found: "Draft", log: "PhoneLog", film: Path, given: "Choice
     found.put("accelerometer", "time", table.time)
     found.put("accelerometer", "value", column, remark)
     found.put("accelerometer", "unit", given.unit or table.unit, "" if given.unit else f"of {log.app}")
-    paused = f" It was paused {log.pauses} times; its clock leaves the pauses out." if log.pauses else ""
+    count = f"{log.pauses} pause{'s' if log.pauses > 1 else ''}"
+    paused = f" Its clock leaves out {count}, which a film's does not." if log.pauses else ""
     found.said.append(f"{log.path.name} ({log.app}): {table.path.name}, axis {column!r}: {why}.{paused}")
     return column
 

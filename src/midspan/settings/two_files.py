@@ -172,15 +172,18 @@ def _found(accel: Path, second: Path | None) -> "tuple[PhoneLog | None, Path]":
     from midspan.sources.accelerometer.phone import is_phone_log, open_phone_log
     from midspan.sources.boundary import require_file
     from midspan.sources.camera.formats import is_table, is_video
+    from midspan.sources.zipped import is_inside
 
     if second is not None and is_video(accel) and (is_table(second) or is_phone_log(second)):
+        what = "a table of numbers" if is_table(second) else "an archive of a phone"
         raise UsageError(
-            f"{accel} is a video and {second} a table of numbers. Name the accelerometer's file first, then the video."
+            f"{accel} is a video and {second} {what}. Name the accelerometer's file first, then the video."
         )
     if is_phone_log(accel):
         log = open_phone_log(accel)
         return log, film_of(log, second)
-    require_file(accel)
+    if not is_inside(accel):
+        require_file(accel)
     if second is None:
         raise UsageError(f"{accel}: is no archive of a phone. Give the video or table that goes with it after it.")
     if is_phone_log(second):

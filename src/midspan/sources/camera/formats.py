@@ -119,7 +119,7 @@ class GuardedFrames(FrameSource):
 
 def require_readable(path: Path) -> None:
     """Raise DataError for a path that is missing, or no regular file or folder: a pipe would be waited for."""
-    if not _is_glob(path):
+    if not _is_glob(path) and not is_inside(path):
         require_file(path, folder=True)
 
 
