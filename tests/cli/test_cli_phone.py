@@ -64,6 +64,11 @@ def test_a_zip_with_its_film_is_a_result(walk, tmp_path, capsys, monkeypatch):
     assert "positive is up" in text
     check(tmp_path / "result.csv", BEGUN_NS * 1e-9)
     assert "temporary" not in (tmp_path / "result.json").read_text()
+    # With its calibration, from Python.
+    result = midspan.estimate(path)
+    result.calibration.save(tmp_path / "calibration.json")
+    again = midspan.estimate(path, tmp_path / "calibration.json")
+    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=0.05)
     assert run(["inspect", str(path)]) == 0
     text = capsys.readouterr().out
     for words in ("gyroscope", "Gyroscope.csv: x, y, z in rad/s, 1600 samples", "'x' (+9.8", "film: Camera/"):
@@ -111,6 +116,8 @@ def test_the_axis_of_a_horizontal_motion(walk, tmp_path, capsys):
     assert run(["init", str(path), "--direction", "x"]) == 0
     assert "axis 'y': the horizontal one of the phone's picture" in capsys.readouterr().out
     assert load_settings(path).accelerometer.value == "y"
+    flat = zip_of(tmp_path / "flat.zip", sensor_logger(time_s, axes_of(value, "z")) | {FILM: folder / "film.mp4"})
+    assert "its camera looked up or down. Select" in refusal(["estimate", flat], capsys, 2)
     # A film of another camera does not show how the phone lay.
     other = zip_of(tmp_path / "walk.zip", sensor_logger(time_s, axes_of(value)))
     asked = ["estimate", other, folder / "film.mp4", "--direction", "x"]

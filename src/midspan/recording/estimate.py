@@ -58,7 +58,14 @@ from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
-from midspan.settings.two_files import Choices, draft, in_words_of_two_files, is_sensor_file, settings_of
+from midspan.settings.two_files import (
+    Choices,
+    draft,
+    in_words_of_two_files,
+    is_second_file,
+    is_sensor_file,
+    settings_of,
+)
 from midspan.signals.stamps import inside, shown
 from midspan.sources.accelerometer.phone import is_phone_log
 
@@ -93,7 +100,7 @@ def estimate(
     for each accelerometer sample in the streams' common span. Raises UntrustedError when calibration is refused,
     DataError for unusable streams.
     """
-    if video is None and is_sensor_file(recording) and isinstance(calibration, str | Path):
+    if video is None and is_sensor_file(recording) and is_second_file(calibration):
         video, calibration = calibration, None
     if calibration is not None and not isinstance(calibration, Calibration):
         calibration = load_calibration(path_of("calibration", calibration))

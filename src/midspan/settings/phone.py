@@ -65,17 +65,25 @@ def _chosen(log: "PhoneLog", film: Path, given: "Choices", choose: bool) -> tupl
                 f"{', '.join(map(repr, columns))}."
             )
         return named[0], "as given by --value" + _sense(vertical, columns.index(named[0]))
-    ask = f"Select the axis along the measured motion with --value: {', '.join(map(repr, columns))}."
+    own, ask = (
+        film in log.films,
+        f"Select the axis along the measured motion with --value: {', '.join(map(repr, columns))}.",
+    )
     if vertical is None or vertical.angle_deg > MAX_TILT_DEG:
         if choose:
             return columns[1], "gravity shows no vertical axis"
         why = "the log has no gravity" if vertical is None else "no axis is within 45 degrees of gravity"
         raise UsageError(f"{log.path}: {why}, which shows the vertical axis. {ask}")
+    if own and AXES[vertical.axis] == "z":
+        # Its picture shows horizontal motion alone.
+        if choose:
+            return columns[1], "the phone's camera looks up or down"
+        raise UsageError(f"{log.path}: the phone lay flat, so that its camera looked up or down. {ask}")
     if given.direction != "x":
         tilt = f", {vertical.angle_deg:.0f} degrees from it" if vertical.angle_deg > SAID_TILT_DEG else ""
         sense = _sense(vertical, vertical.axis)
         return columns[vertical.axis], f"the vertical one by gravity ({vertical.gravity_m_s2:+.2f} m/s²){tilt}{sense}"
-    if AXES[vertical.axis] == "z" or film not in log.films:
+    if not own:
         if choose:
             return columns[0], "the horizontal axis of the image is not known"
         raise UsageError(f"{log.path}: gravity does not show which axis is horizontal in the image. {ask}")

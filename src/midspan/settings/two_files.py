@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from midspan.errors import MidspanError, UsageError
 from midspan.settings.load import validate
@@ -119,6 +119,11 @@ def is_sensor_file(given: object) -> bool:
 
     is_file = isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
     return is_file or is_phone_log(given)
+
+
+def is_second_file(given: object) -> TypeGuard[str | Path]:
+    """Whether what stands in the place of a calibration is the path of a video or table: no JSON."""
+    return isinstance(given, str | Path) and Path(given).suffix.lower() != ".json"
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from midspan.errors import DataError
-from midspan.records import Nanoseconds
+from midspan.records import Floats, Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.clock import TIME_UNITS, numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
@@ -17,6 +17,8 @@ from midspan.sources.camera.formats import is_video
 from midspan.sources.zipped import SUFFIX, members, on_disk, zip_of
 
 SENSOR_LOGGER, PHYPHOX = "Sensor Logger", "phyphox"
+FORMATS = ((f"{SENSOR_LOGGER}, {PHYPHOX}: CSV exports", (SUFFIX,), "midspan"),)
+"""Rows of (name, suffixes, what it is read with)."""
 AXES = ("x", "y", "z")
 # Sensor Logger names its files after the sensors; the raw reading comes first, as no filter has been over it.
 ACCELERATIONS = ("TotalAcceleration.csv", "Accelerometer.csv", "AccelerometerUncalibrated.csv")
@@ -27,6 +29,8 @@ TIME, ELAPSED = "time", "seconds_elapsed"
 # What either app always writes.
 SIGNS = re.compile(rf"(^|/)({'|'.join((*ACCELERATIONS, 'Raw Data.csv', 'meta/(time|device).csv'))})$", re.IGNORECASE)
 NO_TABLES = ("meta", "camera")
+# An app has one table for each sensor.
+MAX_TABLES = 64
 AXIS = re.compile(r"(?P<what>.*?)(^|[ _])(?P<axis>[xyz])$", re.IGNORECASE)
 REMEDY = (
     "Record the acceleration with Sensor Logger (Accelerometer.csv or TotalAcceleration.csv) or phyphox (Acceleration) "
@@ -53,6 +57,11 @@ class ThreeAxes:
     def mean(self) -> tuple[float, ...]:
         """The mean along each axis, in the unit."""
         return tuple(float(np.nanmean(one.values)) for one in self.channels[1:])
+
+    @property
+    def mean_m_s2(self) -> Floats:
+        """The mean (3,) of an acceleration, m/s²."""
+        return np.array(self.mean) * si_factor(self.unit, "acceleration", None)
 
     @property
     def time_ns(self) -> Nanoseconds:
@@ -87,14 +96,15 @@ class PhoneLog:
 
     @property
     def vertical(self) -> Vertical | None:
-        """The axis along gravity; None where the log has no gravity."""
-        shows = self.gravity or self.acceleration
-        mean = np.array(shows.mean) * si_factor(shows.unit, "acceleration", None)
-        size = float(np.linalg.norm(mean))
-        if not size > WITH_GRAVITY_M_S2:
-            return None
-        axis = int(np.argmax(np.abs(mean)))
-        return Vertical(axis, float(mean[axis]), float(np.degrees(np.arccos(min(1.0, abs(mean[axis]) / size)))))
+        """The axis along gravity, which the acceleration itself shows, or its own table; None where neither does."""
+        for table in (self.acceleration, self.gravity):
+            mean = np.zeros(3) if table is None else table.mean_m_s2
+            size = float(np.linalg.norm(mean))
+            if size > WITH_GRAVITY_M_S2:
+                axis = int(np.argmax(np.abs(mean)))
+                angle = np.arccos(min(1.0, abs(mean[axis]) / size))
+                return Vertical(axis, float(mean[axis]), float(np.degrees(angle)))
+        return None
 
 
 def is_phone_log(path: object) -> bool:
@@ -118,11 +128,11 @@ def open_phone_log(path: Path) -> PhoneLog:
     tables = {one.name: one for one in inside if one.parent == top and _is_table(one.name)}
     known = [name for name in (*ACCELERATIONS, *GYROSCOPES, GRAVITY) if name in tables]
     failed: list[str] = []
-    read = {name: found for name in known or sorted(tables) if (found := _read(tables[name], failed))}
+    read = {name: found for name in known or sorted(tables)[:MAX_TABLES] if (found := _read(tables[name], failed))}
     if (known and not read) or any(ELAPSED in one.names for one in read.values()):
         log = _sensor_logger(path, tables, read)
     else:
-        read |= {name: one for name in sorted(set(tables) - {*known}) if (one := _read(tables[name], []))}
+        read |= {name: one for name in sorted(set(tables) - {*known})[:MAX_TABLES] if (one := _read(tables[name], []))}
         log = _phyphox(path, tables, read)
     if log is None:
         raise DataError(f"{path} holds no acceleration that can be used: {_what(names, failed)}. {REMEDY}")
@@ -225,9 +235,7 @@ def _phyphox(path: Path, tables: dict[str, Path], read: dict[str, ChannelSet]) -
     if not measured:
         return None
     # The reading with gravity in it comes first, as no filter has been over it.
-    acceleration = max(
-        measured, key=lambda one: float(np.linalg.norm(one.mean)) * si_factor(one.unit, "acceleration", None)
-    )
+    acceleration = max(measured, key=lambda one: float(np.linalg.norm(one.mean_m_s2)))
     gyroscope = next(iter(groups(lambda one: (one.unit or "").lower() in ("rad/s", "deg/s", "°/s"))), None)
     return PhoneLog(path, PHYPHOX, acceleration, gravity, gyroscope, films=())
 
