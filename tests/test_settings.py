@@ -252,9 +252,55 @@ def test_columns_of_axes_and_direction_must_fit_each_other():
     both = {"file": "camera.mkv", "direction": "xy"}
     assert "accelerometer.value_x" in message_of(tree_with(camera=both))
     named = {"file": "accel.csv", "value_x": "ax"}
-    assert 'camera.direction = "xy"' in message_of({"accelerometer": named, "camera": CAMERA})
-    assert 'camera.direction = "xy"' in message_of({"accelerometer": named, "displacement": {"file": "gnss.csv"}})
+    text = message_of({"accelerometer": named, "camera": CAMERA})
+    assert "accelerometer.value_y" in text
+    assert "Add it, or correct camera.direction" in text
     assert "not both" in message_of({"accelerometer": {**named, "value": "az"}, "camera": both})
+
+
+THREE = {"file": "accel.csv", "value_x": "ax", "value_y": "ay", "value_z": "az"}
+
+
+def test_three_axes_go_with_any_direction_and_the_axis_names_the_main_columns():
+    def found(sensor, direction, **more):
+        settings = validate({"accelerometer": sensor, "camera": {**CAMERA, "direction": direction}, **more}, "r")
+        return settings.axes, settings.acceleration_column
+
+    assert found(THREE, "y") == (("y",), "ay")
+    assert found(THREE, "x") == (("x",), "ax")
+    assert found({**THREE, "axis": "y"}, "y") == (("y",), "ay")
+    assert found(THREE, "xy") == (("y", "x"), "ay")
+    assert found({**THREE, "axis": "x"}, "xy") == (("x", "y"), "ax")
+    without_camera = {"accelerometer": {**THREE, "axis": "z"}, "radar": {"file": "r.npy"}}
+    assert validate(without_camera, "r").acceleration_column == "az"
+    one = {"accelerometer": {"file": "accel.csv", "value_z": "az"}, "radar": {"file": "r.npy"}}
+    assert validate(one, "r").acceleration_column == "az"
+
+
+@pytest.mark.parametrize(
+    ("sensor", "camera", "words"),
+    [
+        ({**THREE, "axis": "w"}, "y", ("accelerometer.axis = 'w'", "'x', 'y' or 'z'")),
+        (
+            {**THREE, "axis": "x"},
+            "y",
+            ('accelerometer.axis = "x"', 'camera.direction = "y"', 'use camera.direction = "x"'),
+        ),
+        ({**THREE, "axis": "z"}, "xy", ('accelerometer.axis = "z"', "Remove axis")),
+        ({"file": "a.csv", "value_y": "ay", "axis": "x"}, "xy", ("must have value_x", "axis = 'x'")),
+        ({"file": "a.csv", "value": "ay", "axis": "y"}, "y", ("must have value_y",)),
+        ({"file": "a.csv", "value_x": "ax", "value_z": "az"}, "y", ("must have accelerometer.value_y", "Add it")),
+        ({"file": "a.csv", "value": "a", "value_z": "az"}, "y", ("not both",)),
+        ({**THREE, "value_z": "ax"}, "y", ("value_x, value_y and value_z that differ",)),
+        (THREE, None, ("must have accelerometer.axis", "accelerometer.value_x")),
+    ],
+)
+def test_an_axis_that_does_not_fit_is_refused_with_what_to_do(sensor, camera, words):
+    other = {"radar": {"file": "r.npy"}} if camera is None else {"camera": {**CAMERA, "direction": camera}}
+    text = message_of({"accelerometer": sensor, **other})
+    assert "\n" not in text
+    for word in words:
+        assert word in text
 
 
 def test_several_targets_are_accepted_and_numbered_where_they_have_no_name():

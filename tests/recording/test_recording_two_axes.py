@@ -296,3 +296,29 @@ def test_a_result_draws_both_axes(result):
 
     labels = [line.get_label() for line in result.plot(Figure().subplots()).axes[0].get_lines()]
     assert labels == ["displacement along y", "displacement along x"]
+
+
+def test_one_direction_takes_its_own_column_of_several(site_copy):
+    set_keys(site_copy, "camera", direction="y")
+    opened = midspan.open_recording(site_copy)
+    assert list(opened.accelerometer_axes) == ["x", "y"]
+    known = list_channels(site_copy / opened.accelerometer.file)
+    for axis, series in opened.accelerometer_axes.items():
+        (column,) = [one for one in known.channels if one.name == f"accel_{axis}"]
+        np.testing.assert_array_equal(series.value, column.values)
+        np.testing.assert_array_equal(series.time_ns, opened.acceleration.time_ns)
+    np.testing.assert_array_equal(opened.acceleration.value, opened.accelerometer_axes["y"].value)
+    tree = inspect_recording(opened)
+    assert (tree["accelerometer"]["channel"], tree["accelerometer_x"]["channel"]) == ("accel_y", "accel_x")
+    several = midspan.estimate(opened)
+    set_keys(site_copy, "accelerometer", value="accel_y", value_x=None, value_y=None)
+    one = midspan.estimate(site_copy)
+    np.testing.assert_array_equal(several.displacement_mm, one.displacement_mm)
+
+
+def test_the_axis_of_the_main_columns_is_named(site_copy):
+    set_keys(site_copy, "accelerometer", axis="x")
+    opened = midspan.open_recording(site_copy)
+    assert (opened.axis, opened.across.axis) == ("x", "y")
+    np.testing.assert_array_equal(opened.acceleration.value, opened.accelerometer_axes["x"].value)
+    np.testing.assert_array_equal(opened.across.acceleration.value, opened.accelerometer_axes["y"].value)

@@ -62,9 +62,10 @@ def command(recording: str, file2: str | None, quiet: bool, as_json: bool, **opt
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation.
 
     RECORDING is a folder with recording.toml, a store, or an accelerometer file followed by FILE2: a video, or the
-    table of a displacement sensor.
+    table of a displacement sensor. A phone's log (folder or zip of Sensor Logger or phyphox) may hold its video.
     """
     from midspan.settings.two_files import Choices, in_words_of_two_files
+    from midspan.sources.accelerometer.phone import is_phone_log
 
     console = Console(quiet, as_json)
     options["every"] = options["method"] == ALL
@@ -73,9 +74,10 @@ def command(recording: str, file2: str | None, quiet: bool, as_json: bool, **opt
     elif options["reference"] or options["reference_unit"]:
         raise click.UsageError("--reference: needs --method all. For one result use `midspan compare`.")
     choices = Choices(**{one.name: options.pop(one.name) for one in fields(Choices)})
-    if file2 is not None:
-        with in_words_of_two_files(Path(recording), Path(file2)):
-            _of_two_files(Path(recording), Path(file2), choices, console, options)
+    if file2 is not None or is_phone_log(recording):
+        second = None if file2 is None else Path(file2)
+        with in_words_of_two_files(Path(recording), second):
+            _of_two_files(Path(recording), second, choices, console, options)
         return
     if choices.named:
         option = f"--{choices.named[0].replace('_', '-')}"
@@ -124,8 +126,10 @@ def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> 
     _of_opened(opened, console, options)
 
 
-def _of_two_files(accel: Path, second: Path, choices: "Choices", console: Console, options: dict[str, Any]) -> None:
-    """Estimate an accelerometer's file and that of another sensor."""
+def _of_two_files(
+    accel: Path, second: Path | None, choices: "Choices", console: Console, options: dict[str, Any]
+) -> None:
+    """Estimate an accelerometer's file and that of another sensor, or a phone's log."""
     from midspan.recording.streams.recording import Recording
     from midspan.settings.two_files import ACCELERATION, DISPLACEMENT, draft, settings_of
 
@@ -139,10 +143,12 @@ def _of_two_files(accel: Path, second: Path, choices: "Choices", console: Consol
     for section, key in ((found.second, "tracker"), ("fusion", "method")):
         if options[key]:
             tree[section][key] = options[key]
-    for file, section in ((accel, ACCELERATION.section), (second, DISPLACEMENT.section)):
+    for line in found.said:
+        console.say(line)
+    for section in (ACCELERATION.section, DISPLACEMENT.section) if not found.said else ():
         for channel in ("value", "unit"):
             if channel in tree.get(section, {}):
-                console.say(f"{file.name}: {channel} {tree[section][channel]}")
+                console.say(f"{Path(tree[section]['file']).name}: {channel} {tree[section][channel]}")
 
     where, settings = settings_of(found)
     settings = settings.calibrated_as_printed() if options["literal"] else settings

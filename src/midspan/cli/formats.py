@@ -11,6 +11,7 @@ def command(quiet: bool, as_json: bool) -> None:
     """File formats that midspan reads and writes."""
     from midspan.sinks.write import FORMATS as WRITTEN
     from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
+    from midspan.sources.accelerometer.phone import FORMATS as PHONES
     from midspan.sources.camera.formats import FORMATS as CAMERAS
     from midspan.sources.radar.formats import FORMATS as RADARS
     from midspan.sources.thermal.formats import FORMATS as THERMAL
@@ -18,6 +19,7 @@ def command(quiet: bool, as_json: bool) -> None:
     console = Console(quiet, as_json)
     groups = {
         "accelerometer, displacement, reference": CHANNELS,
+        "phone's log (folder or zip)": PHONES,
         "camera": CAMERAS,
         "infrared": THERMAL,
         "radar": RADARS,

@@ -21,13 +21,24 @@ if TYPE_CHECKING:
 )
 @common_options
 def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
-    """Check a recording or a single file: streams, rates, gaps, clipping, frozen frames, overlap, units."""
+    """Check a recording, a phone's log or a file: streams, rates, gaps, clipping, frozen frames, overlap, units."""
     from midspan.cli.targets import check_picture
     from midspan.recording.inspect import inspect_recording
     from midspan.recording.streams.recording import open_recording
-    from midspan.sources.inspect import inspect_file
+    from midspan.sources.accelerometer.phone import is_phone_log
+    from midspan.sources.inspect import inspect_file, inspect_phone
 
     console, path = Console(quiet, as_json), Path(recording)
+    if is_phone_log(path):
+        if picture is not None:
+            raise click.UsageError(
+                "--picture: needs a recording or a film; give the film, or run `midspan init` first."
+            )
+        tree = inspect_phone(path, console.progress)
+        console.done()
+        _show_phone(console, tree)
+        console.document(tree)
+        return
     opened = None if _is_single(path) else open_recording(path)
     # Refused before the work where it could not be written.
     target = None if picture is None else check_picture(picture, "--picture", *([] if opened is None else [opened]))
@@ -181,6 +192,28 @@ def _radar(branch: dict[str, Any]) -> list[tuple[str, str]]:
         place = "" if peak["range_m"] is None or peak["range_m"] != peak["range_m"] else f" at {peak['range_m']:.3f} m"
         rows.append(("peak", f"{peak['level_db']:.0f} dB{place} (bin {peak['bin']:.2f})"))
     return rows
+
+
+def _show_phone(console: Console, tree: dict[str, Any]) -> None:
+    """Print what `inspect_phone` found."""
+    console.say(f"{tree['file']} ({tree['app']})")
+    rows: list[tuple[str, str]] = []
+    for name in ("acceleration", "gravity", "gyroscope"):
+        if name in tree:
+            one = tree[name]
+            mean = ", ".join(f"{value:.4g}" for value in one["mean"])
+            columns = ", ".join(one["columns"])
+            rows.append((name, f"{one['file']}: {columns} in {one['unit']}, {one['samples']} samples, mean {mean}"))
+            rows += _times(one)
+    upright = tree["vertical"]
+    if upright is not None:
+        value, angle = upright["gravity_m_s2"], upright["angle_deg"]
+        rows.append(("vertical", f"{upright['column']!r} ({value:+.3f} m/s²), {angle:.1f} degrees from gravity"))
+    if tree["pauses"]:
+        rows.append(("warning", f"pauses: {tree['pauses']}, left out by the clock"))
+    console.table(rows)
+    for film in tree["films"]:
+        _show_stream(console, "film", film)
 
 
 def _show_file(console: Console, tree: dict[str, Any]) -> None:

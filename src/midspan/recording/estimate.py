@@ -58,8 +58,16 @@ from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
 from midspan.settings.stored.calibration import Calibration, load_calibration
-from midspan.settings.two_files import Choices, draft, in_words_of_two_files, is_sensor_file, settings_of
+from midspan.settings.two_files import (
+    Choices,
+    draft,
+    in_words_of_two_files,
+    is_second_file,
+    is_sensor_file,
+    settings_of,
+)
 from midspan.signals.stamps import inside, shown
+from midspan.sources.accelerometer.phone import is_phone_log
 
 # Events of a first pass that may come of values that are wrong.
 CONTRADICTS = frozenset({"rejected", "clock", "level_shift", "acceleration", "reacquired", "frozen", "lost", "noise"})
@@ -86,18 +94,19 @@ def estimate(
     calibration: or its file; left out, it is made first (and the camera is tracked once for both). method: a name of
     `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. given:
     whether the calibration is that of another record; left out: where there is no tracking. video: with an
-    accelerometer's file as `recording`, a video or a displacement sensor's table; the second argument is taken for it.
+    accelerometer's file as `recording`, a video or a displacement sensor's table; the second argument is taken for it,
+    and a phone's log may hold it.
     value to displacement_unit: with two files, see `Choices` of midspan.settings.two_files. Returns one row
     for each accelerometer sample in the streams' common span. Raises UntrustedError when calibration is refused,
     DataError for unusable streams.
     """
-    if video is None and is_sensor_file(recording) and isinstance(calibration, str | Path):
+    if video is None and is_sensor_file(recording) and is_second_file(calibration):
         video, calibration = calibration, None
     if calibration is not None and not isinstance(calibration, Calibration):
         calibration = load_calibration(path_of("calibration", calibration))
     choices = Choices(value, unit, direction, rate_hz, displacement_value, displacement_unit)
-    if video is not None:
-        accel, second = path_of("recording", recording), path_of("video", video)
+    if video is not None or is_phone_log(recording):
+        accel, second = path_of("recording", recording), None if video is None else path_of("video", video)
         with in_words_of_two_files(accel, second):
             files = Recording(*settings_of(draft(accel, second, choices)))
             return estimate(files, calibration, method=method, progress=progress)

@@ -35,15 +35,21 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
 Reader = Callable[[], tuple[Tree, Nanoseconds]]
 
 
+def _axis_tree(recording: Recording, axis: str) -> tuple[Tree, Nanoseconds]:
+    """What is in the column of another axis of the accelerometer."""
+    return acceleration_tree(recording.accelerometer_axes[axis])
+
+
 def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Iterator[tuple[str, str, Reader]]:
     """Name, file and reader of each stream; a sensor's name is its section where there is one of its kind."""
-    settings, across = recording.settings, recording.across
+    settings = recording.settings
     if settings.accelerometer is not None:
         file = settings.accelerometer.file
         yield "accelerometer", file, lambda: acceleration_tree(recording.acceleration)
-        if across is not None and across.fused:
-            # The column along the second image axis.
-            yield f"accelerometer_{across.axis}", file, lambda: acceleration_tree(across.acceleration)
+        main = settings.acceleration_column
+        for axis in settings.accelerometer.named_axes:
+            if settings.accelerometer.column(axis) != main:
+                yield f"accelerometer_{axis}", file, partial(_axis_tree, recording, axis)
     readers: dict[type, Callable[[Recording], tuple[Tree, Nanoseconds]]] = {
         Frame: lambda view: frames_tree(
             view.frames, every_frame, progress, thermal=isinstance(view.own.settings, InfraredSettings)

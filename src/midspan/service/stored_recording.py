@@ -254,11 +254,11 @@ def _accelerometer(section: dict[str, Any], acceleration: Chunk) -> dict[str, An
     own: dict[str, Any] = {"file": ACCELERATION_FILE, "time": "time_ns", "unit": "m/s^2", **kept}
     named = [key for key in ("value_x", "value_y") if key in section]
     if acceleration.columns["value"].ndim == 1:
-        return {**own, (named[0] if named else "value"): "value"}
-    # The main axis comes first: y where the recording has a column along it.
-    order = ["value_y", "value_x"] if "value_y" in section else ["value_x", "value_y"]
-    own.update({key: f"value_{k}" for k, key in enumerate(order)})
-    return own
+        return {**own, (named[0] if len(named) == 1 else "value"): "value"}
+    # The main axis comes first: y where the recording has a column along it and names no other.
+    main = section.get("axis") or "y"
+    own.update({f"value_{axis}": f"value_{k}" for k, axis in enumerate((main, "x" if main == "y" else "y"))})
+    return {**own, "axis": main}
 
 
 def _save_slow_time(file: Path, found: Chunk, radar: RadarCalibration, profile: ChirpProfile | None) -> None:

@@ -19,7 +19,11 @@ OPTIONAL_SECTIONS = ("calibration", "fusion")
 
 def settings_file(path: str | Path) -> Path:
     """The `recording.toml` meant by a folder or by the file itself; DataError where there is none."""
+    from midspan.sources.accelerometer.phone import is_phone_log
+
     path = path_of("path", path)
+    if is_phone_log(path):
+        raise DataError(f"{path}: is the log of a phone, no recording. Make one with `midspan init {path} [VIDEO]`.")
     hint = f"A recording is a folder with {RECORDING_FILE}, or that file; `midspan demo` writes an example."
     try:
         file = path / RECORDING_FILE if path.is_dir() else path

@@ -233,11 +233,8 @@ class RecordingSettings(Section):
                 'must name accelerometer.value_x, accelerometer.value_y or both with camera.direction = "xy": the '
                 "columns along the image's axes"
             )
-        if own is not None and not both and (own.value_x or own.value_y):
-            raise ValueError(
-                'must have camera.direction = "xy" with accelerometer.value_x or value_y; for one axis give '
-                "accelerometer.value"
-            )
+        if own is not None and own.named_axes:
+            self._check_axis(own)
         if own is not None and own.cross_values and (self.fusion.literal or self.calibration.band_hz is not None):
             key = "fusion.literal" if self.fusion.literal else "calibration.band_hz"
             raise ValueError(f"must not have accelerometer.cross_values with {key}: remove one of them")
@@ -275,6 +272,26 @@ class RecordingSettings(Section):
                     f"must name {kind}.{name} with camera.direction = {self.axes[0]!r}: a rotation about the image's "
                     f"{about} axis moves the image along {self.axes[0]}"
                 )
+
+    def _check_axis(self, own: AccelerometerSettings) -> None:
+        """ValueError where the columns along the axes do not fit what the camera sees."""
+        camera, names = self.first_camera, ", ".join(f"accelerometer.value_{axis}" for axis in own.named_axes)
+        if camera is None:
+            if not own.axis and len(own.named_axes) > 1:
+                raise ValueError(f"must have accelerometer.axis, the axis of the motion, with {names} and no camera")
+            return
+        seen = camera.direction
+        if own.axis and own.axis not in seen:
+            remedy = f'camera.direction = "{own.axis}"' if own.axis != "z" else "another sensor for motion along it"
+            raise ValueError(
+                f'accelerometer.axis = "{own.axis}" must be an axis of camera.direction = "{seen}", as the camera '
+                f"sees no motion along {own.axis}. Remove axis, or use {remedy}"
+            )
+        if seen not in ("xy", *own.named_axes):
+            raise ValueError(
+                f'must have accelerometer.value_{seen}, the column along camera.direction = "{seen}", with {names}. '
+                "Add it, or correct camera.direction"
+            )
 
     @model_serializer(mode="wrap")
     def _as_written(self, plain: Callable[[Any], dict[str, Any]], info: SerializationInfo) -> dict[str, Any]:
@@ -349,4 +366,14 @@ class RecordingSettings(Section):
             return ()
         if self.first_camera.direction != "xy":
             return (self.first_camera.direction,)
-        return ("y", "x") if self.accelerometer is not None and self.accelerometer.value_y else ("x", "y")
+        own = self.accelerometer
+        main = "x" if own is None else own.axis or ("y" if own.value_y else "x")
+        return (main, "x" if main == "y" else "y")
+
+    @property
+    def acceleration_column(self) -> str | None:
+        """The column of the acceleration along the main axis; None where none is named."""
+        own = self.accelerometer
+        if own is None or not own.named_axes:
+            return None if own is None else own.value
+        return own.column((*self.axes, own.axis or own.named_axes[0])[0])

@@ -20,6 +20,9 @@ from midspan.settings.fields import (
     limited,
 )
 
+# Axes of the camera: right, down, along the view.
+ALONG = ("x", "y", "z")
+
 
 class SeriesSettings(Section):
     """Where a series comes from: a file and its time column, or a rate where it has none."""
@@ -54,10 +57,14 @@ class AccelerometerSettings(ChannelSettings):
     """The accelerometer's file."""
 
     value_x: Name | None = Field(
-        None, description='column along the image\'s x axis (right), instead of value, with camera.direction = "xy"'
+        None,
+        description="column along the image's x axis (right), instead of value; each reads +1 g where it points up",
     )
-    value_y: Name | None = Field(
-        None, description='column along the image\'s y axis (down), instead of value, with camera.direction = "xy"'
+    value_y: Name | None = Field(None, description="column along the image's y axis (down), instead of value")
+    value_z: Name | None = Field(None, description="column along the view, instead of value")
+    axis: Literal["x", "y", "z"] | None = Field(
+        None,
+        description="with value_x, value_y, value_z: axis of the result's main columns; default: camera.direction",
     )
     cross_values: Annotated[tuple[Name, ...], Field(max_length=2), Form("1 or 2 texts")] = Field(
         (),
@@ -79,13 +86,30 @@ class AccelerometerSettings(ChannelSettings):
 
     @model_validator(mode="after")
     def _one_way_to_name_a_column(self) -> "AccelerometerSettings":
-        if self.value and (self.value_x or self.value_y):
-            raise ValueError("must have value for one axis, or value_x and value_y for the image's axes, not both")
+        if self.value and self.named_axes:
+            raise ValueError("must have value for one axis, or value_x, value_y and value_z for several, not both")
+        if self.axis and self.axis not in self.named_axes:
+            raise ValueError(f"must have value_{self.axis}, the column of that axis, with axis = {self.axis!r}")
+        if len({self.column(axis) for axis in self.named_axes}) < len(self.named_axes):
+            raise ValueError("must have columns in value_x, value_y and value_z that differ from each other")
         if self.cross_values and not self.value:
             raise ValueError("must have value, the column of the main axis, with cross_values")
         if len({self.value, *self.cross_values}) < 1 + len(self.cross_values):
             raise ValueError("must have columns in cross_values that differ from each other and from value")
         return self
+
+    @property
+    def named_axes(self) -> tuple[str, ...]:
+        """The axes x, y, z, of which a column is named."""
+        return tuple(axis for axis in ALONG if getattr(self, f"value_{axis}"))
+
+    def column(self, axis: str) -> str | None:
+        """The column along an axis x, y or z; that of `value` where no axes are named."""
+        return getattr(self, f"value_{axis}") if self.named_axes else self.value
+
+    def of_column(self, column: str | None) -> "AccelerometerSettings":
+        """The same with one axis, that of a column."""
+        return self.model_copy(update={"value": column, "axis": None, **{f"value_{axis}": None for axis in ALONG}})
 
 
 class RadarSettings(Section):

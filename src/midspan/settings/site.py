@@ -25,7 +25,7 @@ from midspan.trees import TreeError, read_toml
 
 SITE_FILE = "SITE.toml"
 # Keys of a recording's section that say where its file is: a live section has `source` instead.
-FILE_KEYS = ("file", "times", "time", "value", "value_x", "value_y", "start_s", "cross_values")
+FILE_KEYS = ("file", "times", "time", "value", "value_x", "value_y", "value_z", "axis", "start_s", "cross_values")
 VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 

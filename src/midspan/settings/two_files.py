@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from midspan.errors import MidspanError, UsageError
 from midspan.settings.load import validate
@@ -17,6 +17,7 @@ from midspan.trees import toml_value
 if TYPE_CHECKING:
     from midspan.records import TimeSeries
     from midspan.sources.accelerometer.channel import Channel
+    from midspan.sources.accelerometer.phone import PhoneLog
     from midspan.sources.accelerometer.select import SeriesRequest
     from midspan.vision.frame_source import FrameSource
 
@@ -73,13 +74,15 @@ DISPLACEMENT = Table("displacement", "displacement", "--displacement-value", "--
 class Draft:
     """Settings of a recording of two files: keys of each section, with a remark on some of them.
 
-    left_out: keys that the files do not tell, with what they mean; needed: those of them that cannot be done without.
+    left_out: keys that the files do not tell, with what they mean; needed: those of them that cannot be done without;
+    said: what was chosen for the person.
     """
 
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
     remarks: dict[tuple[str, str], str] = field(default_factory=dict)
     left_out: dict[tuple[str, str], str] = field(default_factory=dict)
     needed: list[str] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
 
     @property
     def second(self) -> str:
@@ -111,50 +114,52 @@ class Draft:
 
 
 def is_sensor_file(given: object) -> bool:
-    """Whether this is the path of a file that is no recording.toml."""
-    return isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
+    """Whether this is the path of a file that is no recording.toml, or of a phone's log."""
+    from midspan.sources.accelerometer.phone import is_phone_log
+
+    is_file = isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
+    return is_file or is_phone_log(given)
+
+
+def is_second_file(given: object) -> TypeGuard[str | Path]:
+    """Whether what stands in the place of a calibration is the path of a video or table: no JSON."""
+    return isinstance(given, str | Path) and Path(given).suffix.lower() != ".json"
 
 
 @contextmanager
-def in_words_of_two_files(accel: Path, second: Path) -> Iterator[None]:
+def in_words_of_two_files(accel: Path, second: Path | None) -> Iterator[None]:
     """Let a refusal that names keys say where two files have them."""
     try:
         yield
     except MidspanError as error:
-        text = str(error)
+        text, files = str(error), [one for one in (accel, second) if one is not None]
         named = KEYS.search(text)
         if named and "midspan init" not in text:
-            where = f"the recording.toml that `{shlex.join(('midspan', 'init', str(accel), str(second)))}` writes"
+            where = f"the recording.toml that `{shlex.join(('midspan', 'init', *map(str, files)))}` writes"
             error.args = (f"{text.rstrip()} Set keys such as {named[0]} in {where}.",)
         raise
 
 
-def draft(accel: Path, second: Path, given: Choices, *, choose: bool = False) -> Draft:
+def draft(accel: Path, second: Path | None, given: Choices, *, choose: bool = False) -> Draft:
     """The settings of a recording of an accelerometer's file and a video, an infrared sequence or a table.
 
-    choose: take one of several channels, for a person to look at; else UsageError names them. Raises what reading the
-    files does.
+    accel: or a phone's log, which may hold its film: second can be left out then. choose: take one of several channels,
+    for a person to look at; else UsageError names them. Raises what reading the files does.
     """
     from midspan.settings.keys import described, recording_sections
     from midspan.sources.accelerometer.select import SeriesRequest
-    from midspan.sources.boundary import require_file
-    from midspan.sources.camera.formats import is_table, is_video
+    from midspan.sources.camera.formats import is_table
     from midspan.sources.camera.track_table import holds_tracks
 
-    if is_video(accel) and is_table(second):
-        raise UsageError(
-            f"{accel} is a video and {second} a table of numbers. Name the accelerometer's file first, then the video."
-        )
     found = Draft()
-    require_file(accel)
-    request = SeriesRequest("acceleration", value=given.value, unit=given.unit)
+    log, second = _found(accel, second)
     if not (is_table(second) and second.is_file()) or holds_tracks(second):
         _refuse(second, "no table", given, ("displacement_value", "displacement_unit"))
         frames = _frames(second, given.rate_hz)
-        _camera(found, second, frames, _series(found, ACCELERATION, accel, request, choose), given)
+        _camera(found, second, frames, _acceleration(found, log or accel, second, given, choose), given)
         return found
     _refuse(second, "a table, no pictures", given, ("direction",))
-    _series(found, ACCELERATION, accel, request, choose)
+    _acceleration(found, log or accel, second, given, choose)
     request = SeriesRequest(
         "displacement", value=given.displacement_value, unit=given.displacement_unit, rate_hz=given.rate_hz
     )
@@ -164,6 +169,46 @@ def draft(accel: Path, second: Path, given: Choices, *, choose: bool = False) ->
     for key in ("receiver", "noise_time_s"):
         found.left_out["displacement", key] = described(recording_sections(), f"displacement.{key}")
     return found
+
+
+def _found(accel: Path, second: Path | None) -> "tuple[PhoneLog | None, Path]":
+    """The phone's log that the first file is, and the second file; UsageError where they are in the wrong order."""
+    from midspan.settings.phone import film_of
+    from midspan.sources.accelerometer.phone import is_phone_log, open_phone_log
+    from midspan.sources.boundary import require_file
+    from midspan.sources.camera.formats import is_table, is_video
+    from midspan.sources.zipped import is_inside
+
+    if second is not None and is_video(accel) and (is_table(second) or is_phone_log(second)):
+        what = "a table of numbers" if is_table(second) else "an archive of a phone"
+        raise UsageError(
+            f"{accel} is a video and {second} {what}. Name the accelerometer's file first, then the video."
+        )
+    if is_phone_log(accel):
+        log = open_phone_log(accel)
+        return log, film_of(log, second)
+    if not is_inside(accel):
+        require_file(accel)
+    if second is None:
+        raise UsageError(f"{accel}: is no archive of a phone. Give the video or table that goes with it after it.")
+    if is_phone_log(second):
+        raise UsageError(f"{second} is an archive of a phone, with an acceleration of its own. Remove {accel}.")
+    return None, second
+
+
+def _acceleration(
+    found: Draft, source: "PhoneLog | Path", second: Path, given: Choices, choose: bool
+) -> "TimeSeries | None":
+    """The keys of the accelerometer; its series as of `_series`."""
+    from midspan.settings.phone import put_acceleration
+    from midspan.sources.accelerometer.select import SeriesRequest, read_series
+
+    request = SeriesRequest("acceleration", value=given.value, unit=given.unit)
+    if isinstance(source, Path):
+        return _series(found, ACCELERATION, source, request, choose)
+    table, column = source.acceleration, put_acceleration(found, source, second, given, choose)
+    request = replace(request, time=table.time, value=column, unit=given.unit or table.unit)
+    return _read(found, ACCELERATION, table.path, request, choose, read_series)
 
 
 def _refuse(second: Path, kind: str, given: Choices, names: tuple[str, ...]) -> None:
@@ -293,12 +338,13 @@ def _camera(
 
 def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]) -> None:
     """When the video began on the accelerometer's clock, where the two count from different instants."""
+    from midspan.settings.phone import named_s
     from midspan.sources.camera.video import made_s
 
     camera_s, accelerometer_s = first_s
     if accelerometer_s < DATED_FROM_S or camera_s >= DATED_FROM_S:
         return
-    made = made_s(video)
+    made = named_s(video) or made_s(video)
     if made is not None and abs(made - accelerometer_s) < BY_HAND_S:
         found.put(section, "start_s", made - camera_s, "the video's date, on the accelerometer's clock")
     else:
@@ -320,4 +366,6 @@ def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
             f"{where}: {', '.join(found.needed)} is in neither file. {option} `midspan init {accel} {second}` and "
             "add the value to recording.toml."
         )
-    return accel.parent / where, validate(found.sections, where)
+    from midspan.sources.zipped import zip_of
+
+    return (zip_of(accel) or accel).parent / where, validate(found.sections, where)

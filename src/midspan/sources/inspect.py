@@ -1,6 +1,7 @@
 """What is in a file, stream by stream, as trees of plain values: nothing is changed or judged."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from midspan.signals.stamps import shown
 from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.phone import open_phone_log
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
 from midspan.sources.boundary import available_bytes, shown_bytes
 from midspan.sources.camera.formats import IMAGES, is_stack, is_table, open_frames, require_readable
@@ -75,6 +77,22 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
         for one, values_range in zip(found.channels, _ranges(found.channels), strict=True)
     ]
     return {"file": str(path), "notes": list(found.notes), "warnings": list(found.damage), "channels": channels}
+
+
+def inspect_phone(path: Path, progress: Progress = silent) -> Tree:
+    """What is in a phone's log: its tables, which axis is vertical, and its films."""
+    log = open_phone_log(path)
+    tree: Tree = {"file": str(path), "app": log.app, "pauses": log.pauses}
+    for name, table in (("acceleration", log.acceleration), ("gravity", log.gravity), ("gyroscope", log.gyroscope)):
+        if table is not None:
+            own = {"file": table.path.relative_to(path).as_posix(), "columns": list(table.columns), "unit": table.unit}
+            tree[name] = {**own, "samples": table.channels[0].size, "mean": list(table.mean), **_clock(table.time_ns)}
+    upright = log.vertical
+    tree["vertical"] = (
+        None if upright is None else {"column": log.acceleration.columns[upright.axis], **asdict(upright)}
+    )
+    films = [(film.relative_to(path).as_posix(), _file_of_frames(film, progress)) for film in log.films]
+    return {**tree, "films": [{"file": name, **branch} for name, branch in films]}
 
 
 def _file_of_frames(path: Path, progress: Progress) -> Tree:

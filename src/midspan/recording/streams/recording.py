@@ -33,6 +33,7 @@ from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, Restamped
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.temperatures import ThermalRequest
+from midspan.sources.zipped import is_inside
 from midspan.vision.frame_source import FrameSource
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
@@ -108,7 +109,7 @@ class Recording:
         """The file that a setting names; DataError where it is missing. Globs and folders are left to the reader."""
         path = self.folder / name
         try:
-            found = path.exists()
+            found = path.exists() or is_inside(path)
         except OSError as error:
             raise DataError(f"{self.file}: {key} = {name!r}: cannot be read ({error.strerror}).") from None
         if not found and not any(sign in name for sign in "*?["):
@@ -221,9 +222,8 @@ class Recording:
         if self.views[0] is not self:
             return self.views[0].across
         axis, accelerometer = self.settings.axes[1], self.accelerometer
-        column = accelerometer.value_x if axis == "x" else accelerometer.value_y
         assert self.settings.camera is not None
-        sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
+        sensor = accelerometer.of_column(getattr(accelerometer, f"value_{axis}"))
         camera = self.settings.camera.model_copy(update={"direction": axis})
         changed = {"accelerometer": sensor, "cameras": (camera,), "reference": None}
         # Lines were found along the main axis alone.
@@ -259,12 +259,25 @@ class Recording:
         """The accelerometer's channel, m/s², on its own clock."""
         if self._alongside is not None:
             return self._alongside.acceleration
-        main = self._series("accelerometer", self.accelerometer, "acceleration")
+        own = self.accelerometer.of_column(self.settings.acceleration_column)
+        main = self._series("accelerometer", own, "acceleration")
         main = replace(main, value=without_lines(main.time_ns, main.value, self.lines))
         if self._axis is None:
             return main
         every = self._with_cross(main)
         return replace(main, value=np.where(every.missing, np.nan, every.along(self._axis.components).value_m_s2))
+
+    @cached_property
+    def accelerometer_axes(self) -> dict[str, TimeSeries]:
+        """The acceleration along each axis x, y, z of the camera whose column is named, m/s², at common times."""
+        own = self.root.accelerometer
+        sections = {axis: own.of_column(own.column(axis)) for axis in own.named_axes}
+        series = {axis: self._series("accelerometer", one, "acceleration") for axis, one in sections.items()}
+        if len({one.time_ns.tobytes() for one in series.values()}) > 1:
+            raise DataError(
+                f"{own.file}: the columns along {', '.join(series)} must have the same times. Export them in one table."
+            )
+        return series
 
     @cached_property
     def prepared(self) -> PreparedAcceleration:
@@ -445,8 +458,7 @@ class Recording:
         request = SeriesRequest(
             quantity=quantity,
             time=channel.time,
-            # Where columns are named by the image's axes that of the main one.
-            value=column or getattr(channel, "value", None) or getattr(channel, f"value_{self.axis}", None),
+            value=column or getattr(channel, "value", None),
             unit=getattr(channel, "unit", None),
             sensitivity=getattr(channel, "sensitivity", 0.0) or None,
             rate_hz=channel.rate_hz,

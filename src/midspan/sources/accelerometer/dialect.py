@@ -90,7 +90,8 @@ def find_dialect(path: Path) -> Dialect:
             f"{path} has no columns of numbers in its first {len(lines)} lines. Text columns with comma, semicolon, "
             "tab, blanks or | between them are expected."
         )
-    best = _single_decimal_comma(lines, max(guesses, key=lambda guess: guess.score), guesses)
+    best = _tab_among_blanks(max(guesses, key=lambda guess: guess.score), guesses)
+    best = _single_decimal_comma(lines, best, guesses)
     row = split(lines[best.first], best.delimiter)
     joined = next((k for k in range(len(row) - 1) if is_date(row[k]) and is_clock(row[k + 1])), None)
     names, units, notes = _headings(lines, best, joined)
@@ -157,6 +158,13 @@ def _are_units(fields: list[str]) -> bool:
     """Whether these are units of columns, with how a time is written among them."""
     units = [unit for field in fields if (unit := _unit_text(field))]
     return bool(units) and all(unit.lower() in _KNOWN_UNITS or _TIME_FORM.fullmatch(unit) for unit in units)
+
+
+def _tab_among_blanks(best: _Guess, guesses: list[_Guess]) -> _Guess:
+    """Tabs, where these part the same numbers as blanks do: names may have blanks in them."""
+    same = (best.decimal, best.first, best.width, best.rows)
+    tabs = [one for one in guesses if one.delimiter == "\t" and same == (one.decimal, one.first, one.width, one.rows)]
+    return tabs[0] if best.delimiter == BLANKS and tabs else best
 
 
 def _single_decimal_comma(lines: list[str], best: _Guess, guesses: list[_Guess]) -> _Guess:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
 from midspan.sources.boundary import head_of, reading, require_file, require_memory
+from midspan.sources.zipped import on_disk
 
 
 class Format(NamedTuple):
@@ -63,11 +64,21 @@ def list_channels(path: Path) -> ChannelSet:
     The suffix chooses the reader; without a known one, as of miniSEED in archives, what the file begins with.
     Raises UsageError for an unknown suffix and DataError for a missing, unreadable or empty file.
     """
+    with on_disk(path) as file:
+        found = _channels(file)
+        if file != path:
+            # Nothing is left to be read later.
+            found = replace(found, channels=tuple(replace(one, stored=one.values) for one in found.channels))
+    return found
+
+
+def _channels(path: Path) -> ChannelSet:
+    """The same of a file on the disk."""
     row = _BY_SUFFIX.get(path.suffix.lower()) or _by_head(path)
     if row is None:
         raise UsageError(
             f"{path}: the suffix must be one of {', '.join(_BY_SUFFIX)}; received {path.suffix!r}. "
-            "Rename or convert the file."
+            f"{'Save it as .xlsx or .csv' if path.suffix.lower() == '.xls' else 'Rename or convert the file'}."
         )
     require_file(path)
     if path.stat().st_size == 0:

@@ -4,6 +4,7 @@ import importlib
 import os
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
@@ -11,6 +12,7 @@ from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.formats import FORMATS as TABLE_FORMATS
 from midspan.sources.boundary import reading, require_file
 from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.zipped import ZippedFrames, is_inside
 from midspan.vision.frame_source import FrameInfo, FrameSource
 
 
@@ -64,6 +66,8 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     Raises UsageError for settings out of range, DataError for a missing or unreadable source.
     """
     request.check(path)
+    if is_inside(path):
+        return ZippedFrames(path, partial(open_frames, request=request))
     if (is_table(path) or path.suffix.lower() == ".npz") and path.is_file():
         from midspan.sources.camera.track_table import TrackFrames, holds_tracks
 
@@ -115,7 +119,7 @@ class GuardedFrames(FrameSource):
 
 def require_readable(path: Path) -> None:
     """Raise DataError for a path that is missing, or no regular file or folder: a pipe would be waited for."""
-    if not _is_glob(path):
+    if not _is_glob(path) and not is_inside(path):
         require_file(path, folder=True)
 
 
