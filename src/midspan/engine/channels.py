@@ -76,8 +76,8 @@ class Table:
 
     given: the calibration was not estimated from this recording. gain_std: relative standard deviation of the gain of
     each axis's accelerometer, which is in the scales' of the calibration. in_true_metres: channels of sensors whose
-    unit is right, unlike the accelerometer's. motion_hz: middle frequency of the acceleration. turning: whether a camera's tilt,
-    or its rate, is measured.
+    unit is right, unlike the accelerometer's. motion_hz: middle frequency of the acceleration. turning: whether a
+    camera's tilt, or its rate, is measured.
     """
 
     channels: list[Channel] = field(default_factory=list)

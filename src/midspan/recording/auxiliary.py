@@ -1,41 +1,86 @@
-"""The part of a calibration of the sensors that help others: a velocity, a gyroscope, an inclinometer."""
+"""The sensors that help others: what is estimated of a velocity or a gyroscope, and what they measured."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from midspan.calibration.camera.gyroscope import GyroscopeFit
 from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.velocity import fit_velocity
+from midspan.errors import UntrustedError
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import within_window
-from midspan.records import TimeOffset
+from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
 from midspan.settings.sensors import VelocitySettings
+from midspan.signals.acceleration import prepare_acceleration
+from midspan.signals.attitude import Attitude, attitude
 from midspan.sources.accelerometer.units import si_factor
+
+# What gravity shows beside a gyroscope; no section of its own.
+GRAVITY = "gravity"
+# The zero of gravity's angle drifts by so much (rad) in so long (s): 10 µg of a quiet accelerometer whose temperature
+# is compensated. By the data sheet 0.15 mg/K are usual, which a settled temperature leaves out.
+GRAVITY_STD, GRAVITY_S = 1e-5, 60.0
+# The axis along the view shows the pitch where the measured one carries this share of gravity at least.
+MIN_UPRIGHT = 0.5
+USUAL_GRAVITY = 9.81
 
 
 def calibrate_auxiliary(recording: Recording, gyroscope: GyroscopeFit | None) -> tuple[AuxiliaryCalibration, ...]:
-    """What is estimated of each; UntrustedError, with the reason, where one contradicts the others.
+    """What is estimated of each; gyroscope: as found with the camera on its box.
 
-    gyroscope: as found with the camera on its box.
+    Raises UntrustedError, with the reason, where a velocity contradicts the acceleration.
     """
     found = []
-    if gyroscope is not None:
-        focal = {"focal_px": gyroscope.focal_px, "focal_std_px": gyroscope.focal_std_px}
-        known_s = gyroscope.offset_std_s if np.isfinite(gyroscope.offset_std_s) else 0.0
-        found.append(
-            AuxiliaryCalibration(
-                "gyroscope",
-                gyroscope.noise_rad_s,
-                TimeOffset(gyroscope.offset_s, known_s**2),
-                gyroscope.bias_std_rad_s + abs(gyroscope.bias_rad_s),
-                gyroscope.bias_walk,
-                **focal,
-            )
-        )
-    for kind, section in recording.settings.auxiliary.items():
-        if isinstance(section, VelocitySettings):
-            series, given = recording.auxiliary[kind], section.noise_std
-            noise = None if given is None else given * si_factor(section.unit or series.unit, "velocity", None)
-            reach_s = recording.max_offset_s
-            series = within_window(recording, series)
-            found.append(fit_velocity(recording.prepared, series, max_offset_s=reach_s, noise_std=noise))
+    section = recording.settings.velocity
+    if isinstance(section, VelocitySettings):
+        series, given = recording.auxiliary["velocity"], section.noise_std
+        noise = None if given is None else given * si_factor(section.unit or series.unit, "velocity", None)
+        reach_s = recording.max_offset_s
+        series = within_window(recording, series)
+        found.append(fit_velocity(recording.prepared, series, max_offset_s=reach_s, noise_std=noise))
+    if gyroscope is None:
+        return tuple(found)
+    focal = {"focal_px": gyroscope.focal_px, "focal_std_px": gyroscope.focal_std_px}
+    known_s = gyroscope.offset_std_s if np.isfinite(gyroscope.offset_std_s) else 0.0
+    offset, zero_std = TimeOffset(gyroscope.offset_s, known_s**2), gyroscope.bias_std_rad_s + abs(gyroscope.bias_rad_s)
+    of_gyroscope = AuxiliaryCalibration(
+        "gyroscope", gyroscope.noise_rad_s, offset, zero_std, gyroscope.bias_walk, **focal
+    )
+    found.append(of_gyroscope)
+    if (leaning := _gravity(recording, of_gyroscope)) is not None:
+        noise, walk = leaning.noise_std(gyroscope.noise_rad_s), 2.0 * GRAVITY_STD**2 / GRAVITY_S
+        found.append(AuxiliaryCalibration(GRAVITY, noise, TimeOffset(0.0, 0.0), np.inf, walk, **focal))
     return tuple(found)
+
+
+def auxiliary_series(recording: Recording, known: Sequence[AuxiliaryCalibration]) -> dict[str, TimeSeries]:
+    """What each calibrated one measured, by its kind, as far as the recording has it."""
+    found = {one.kind: recording.auxiliary[one.kind] for one in known if one.kind in recording.auxiliary}
+    own = next((one for one in known if one.kind == "gyroscope"), None)
+    if own is not None and any(one.kind == GRAVITY for one in known):
+        leaning = _gravity(recording, own)
+        if leaning is not None:
+            found[GRAVITY] = TimeSeries(leaning.time_ns, leaning.value, GRAVITY, "rad")
+    return found
+
+
+def _gravity(recording: Recording, gyroscope: AuxiliaryCalibration) -> Attitude | None:
+    """The camera's pitch by gravity along its view and by its gyroscope; None where nothing shows it."""
+    named = recording.accelerometer.named_axes
+    rate = recording.auxiliary.get("gyroscope")
+    if rate is None or "z" not in named or recording.axis not in named:
+        return None
+    own = recording.accelerometer_axes
+    # A rotation about the image's x axis adds to z what the y axis carries of gravity, less its sign; about -y the
+    # x axis.
+    upright = -float(np.nanmean(own[recording.axis].value))
+    if abs(upright) < MIN_UPRIGHT * USUAL_GRAVITY:
+        return None
+    along = prepare_acceleration(own["z"], "accelerometer along the view")
+    time_ns = rate.time_ns + round(NANOSECONDS * gyroscope.offset.value_s)
+    finite = np.isfinite(rate.value)
+    if not finite.any() or time_ns[finite][0] > along.time_ns[-1]:
+        raise UntrustedError("gyroscope: none of its values lies within the accelerometer's record.")
+    rates = np.interp(along.time_ns, time_ns[finite], rate.value[finite])
+    return attitude(along.time_ns, along.value_m_s2, rates, upright)

@@ -20,6 +20,7 @@ from midspan.fusion.methods import Method, Pass, named
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.on_series import MakeMethod, OnSeries, SeriesMethod, Usual
 from midspan.fusion.streams import KalmanSettings, MethodSettings
+from midspan.recording.auxiliary import auxiliary_series
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
@@ -181,7 +182,9 @@ def measuring_point(
     recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
     gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
     on_series = method.takes_series(literal=wanted.literal)
-    helping = () if on_series else tuple(one for one in main.calibration.auxiliary if one.kind in recording.auxiliary)
+    known_helping = () if on_series else main.calibration.auxiliary
+    measured = auxiliary_series(recording, known_helping)
+    helping = tuple(one for one in known_helping if one.kind in measured)
     turning = any(one.measures in (Quantity.TILT, Quantity.TILT_RATE) for one in helping)
     table = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds, turning=turning)
     moved_m = usual.moved_m

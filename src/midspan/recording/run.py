@@ -8,11 +8,13 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from midspan.calibration.sensors.auxiliary import MEASURES
 from midspan.engine.point import ACCELEROMETER, Output, Point
 from midspan.engine.radar_trace import RadarLog
 from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
 from midspan.fusion.blocks import REJECTED, Rows, joined_rows
+from midspan.recording.auxiliary import auxiliary_series
 from midspan.recording.point import clock_offsets_ns, radar_frames
 from midspan.recording.tracked import Side, TrackedCamera, known_sensors
 from midspan.records import (
@@ -35,7 +37,6 @@ from midspan.records import (
     part,
     places,
 )
-from midspan.settings.kinds import AUXILIARY
 from midspan.settings.messages import in_words_of, worded
 
 # Readings are pushed this many seconds at once: of a day at once, every stage would hold all of it several times.
@@ -114,7 +115,7 @@ class Outcome:
     @property
     def placed(self) -> dict[str, Blocks[Measured]]:
         """What was measured by the sensors that tell where the structure is."""
-        return {name: blocks for name, blocks in self.measured.items() if name not in AUXILIARY}
+        return {name: blocks for name, blocks in self.measured.items() if name not in MEASURES}
 
     @property
     def measured_ns(self) -> Nanoseconds:
@@ -191,7 +192,7 @@ def records_of(
         else:
             series = view.displacement
             readings[view.sensor] = Readings(known.even(series.time_ns), series.value[:, None])
-    for kind, series in main.auxiliary.items():
+    for kind, series in auxiliary_series(main, sides[0].calibration.auxiliary).items():
         if kind in point.sensors:
             readings[kind] = Readings(series.time_ns, series.value[:, None])
     offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], tracked_cameras)}

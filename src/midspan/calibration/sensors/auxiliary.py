@@ -9,6 +9,7 @@ MEASURES = {
     "velocity": Quantity.VELOCITY,
     "gyroscope": Quantity.TILT_RATE,
     "inclinometer": Quantity.TILT,
+    "gravity": Quantity.TILT,
 }
 
 

@@ -83,7 +83,8 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it. misfit: how far the
     innovations are from white. slope: by which the accelerometer leans as it moves, radians a metre. direction: of the
     sensor's axis, None where the accelerometer's other axes were not recorded. parts: what the relative standard
-    deviation of the scale is made of, by the names of `scale.PARTS`. gyroscope: what was found of one on a camera's box.
+    deviation of the scale is made of, by the names of `scale.PARTS`. gyroscope: what was found of one on a camera's
+    box.
     """
 
     calibration: Calibrated

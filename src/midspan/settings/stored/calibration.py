@@ -14,7 +14,7 @@ from midspan._version import __version__
 from midspan.calibration.direction import Direction
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
-from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
+from midspan.calibration.sensors.auxiliary import MEASURES, AuxiliaryCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
@@ -24,7 +24,7 @@ from midspan.errors import DataError
 from midspan.notebook import table
 from midspan.notices import NOTICES, Notice, Severity, notice_trees, worst_first
 from midspan.settings.fields import Form, Listed
-from midspan.settings.kinds import AUXILIARY, KINDS, sensors_of
+from midspan.settings.kinds import KINDS, sensors_of
 from midspan.settings.messages import explain
 from midspan.settings.recording import Sensor
 from midspan.settings.stored import sections
@@ -245,6 +245,7 @@ class StoredCalibration(sections.Stored):
     velocity: StoredAuxiliary | None = None
     gyroscope: StoredAuxiliary | None = None
     inclinometer: StoredAuxiliary | None = None
+    gravity: StoredAuxiliary | None = None
 
     @model_validator(mode="after")
     def _sensors_are_reported_apart(self) -> "StoredCalibration":
@@ -288,7 +289,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
     codes = {one.text: one.code for one in stored.notices if one.code in NOTICES}
     own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
     sensors = [part.record(kind) for kind in KINDS for part in getattr(stored, kind)]
-    helping = tuple(part.record(kind) for kind in AUXILIARY if (part := getattr(stored, kind)) is not None)
+    helping = tuple(part.record(kind) for kind in MEASURES if (part := getattr(stored, kind)) is not None)
     made: dict[str, Any] = {"created": stored.created, "version": stored.version}
     found = Calibration(
         **own.values(Calibration),
