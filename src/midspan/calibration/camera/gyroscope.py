@@ -15,7 +15,7 @@ displacement for scale. Products of the random walk are known from draws of it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -23,9 +23,10 @@ from midspan.calibration.agreement import clearly_better, misfit
 from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
 from midspan.calibration.camera.turning import DRAWS, SEEN_HZ, Turning, turning_of
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair
-from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner
-from midspan.calibration.outliers import cleaned
-from midspan.calibration.scale import ScaleCalibration, calibrate_scale
+from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, evaluate
+from midspan.calibration.minimum import global_minimum
+from midspan.calibration.outliers import cleaned, without_lonely_outliers
+from midspan.calibration.scale import REFUSED_ABOVE, ScaleCalibration, calibrate_scale, too_vague
 from midspan.calibration.time_offset import search_offset
 from midspan.calibration.whitening import Whitened, inverse_of
 from midspan.errors import UntrustedError
@@ -37,6 +38,10 @@ BIAS_STD = float(np.radians(0.3))
 BIAS_WALK = float(np.radians(3.0 / 3600.0)) ** 2 / 3600.0
 # Largest offset of the gyroscope's clock against the accelerometer's, s, and the step in which it is looked for.
 MAX_LATE_S, LATE_STEP_S = 0.1, 5e-3
+# What goes together at the largest offset counts for less than at none, by this share.
+FARTHER_COSTS = 0.3
+# An offset that is known to no better than this, s, is none; clocks of one logger are as far apart as that then (σ).
+MAX_CLOCK_STD_S, USUAL_LATE_S = 0.01, 0.02
 # By this much, s, the clock is moved to see where both go together best: the noise of readings averages out, tilts up
 # to 10 Hz do not.
 CLOCK_STEP_S = 0.02
@@ -44,8 +49,11 @@ CLOCK_STEP_S = 0.02
 WALK_TIME_S = 100.0
 # Rounds in which focal length, clock offsets and noise levels are found in turn, and how well the first is known then.
 ROUNDS, SETTLED = 12, 1e-3
-# A noise of the gyroscope that is not declared is right to this share of its density.
-FLOOR_SHARE = 0.25
+# The density of the gyroscope's noise as declared, or as fast readings have it, is right to this (logarithm); around it
+# the likeliest one is looked for.
+DENSITY_STD = 0.3
+# So is the noise of a frame as the tracker has it; sizes of the gyroscope's noise over it that are tried (logarithms).
+NOISE_STD, SIZES = 1.5, (-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0)
 # A focal length that is less certain, relative, is none.
 MAX_FOCAL_STD = 0.1
 # Rotation shows where it exceeds the scatter of the noise's power by this factor.
@@ -95,6 +103,8 @@ class GyroscopeFit:
 class _Place:
     """Where columns are compared: by how much the accelerometer's clock and the gyroscope's are ahead of the frames'
     (s), the corner frequency (rad/s), r, f, the noise of a frame (px²), and what the angle jumps by at gaps (k,), px.
+
+    density: of the gyroscope's noise, two-sided, (rad/s)²/Hz; doubt: standard deviation of its logarithm.
     """
 
     offset_s: float
@@ -104,26 +114,29 @@ class _Place:
     focal: float
     noise: float
     jumps: Floats
+    density: float
+    doubt: float = DENSITY_STD
 
-    def slow(self, density: float) -> tuple[float, float, float]:
-        """The gyroscope's integrated noise in the image, as of `Pair`; density: (rad/s)²/Hz, two-sided."""
-        return 0.5 * WALK_TIME_S * density * self.focal**2 / self.noise, 1.0 / WALK_TIME_S, 0.0
+    @property
+    def slow(self) -> tuple[float, float, float]:
+        """The gyroscope's integrated noise in the image, as of `Pair`."""
+        return 0.5 * WALK_TIME_S * self.density * self.focal**2 / self.noise, 1.0 / WALK_TIME_S, 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Joint:
     """Displacement and rotation in a target's translation.
 
-    ratio, focal: r and f; covariance (3, 3): of both and the frames' clock offset; step_s: what that gains; misfit: power
-    of the residual over that of the noises; drag: d(ratio)/d(focal); known: power of Θ beyond its noise and what goes
-    with D, in standard deviations of that noise's power; jumps (k,): of the angle at gaps, px.
+    ratio, focal: r and f; focal_variance; step_s: what the frames' clock offset gains, step_variance: of that; drag:
+    d(ratio)/d(focal); known: power of Θ beyond its noise and what goes with D, in standard deviations of the noise's
+    power; jumps (k,): of the angle at gaps, px.
     """
 
     ratio: float
     focal: float
-    covariance: Floats
+    focal_variance: float
     step_s: float
-    misfit: float
+    step_variance: float
     drag: float
     known: float
     jumps: Floats = field(default_factory=lambda: np.empty(0))
@@ -143,10 +156,18 @@ class _Settled:
     variance: float
     late_variance: float
 
+    @property
+    def tells(self) -> bool:
+        """Whether the focal length is certain enough."""
+        return self.joint.shows and np.sqrt(self.variance) <= MAX_FOCAL_STD * abs(self.joint.focal)
+
     def widened(self, scale: ScaleFactor, focal_std: float) -> ScaleFactor:
         """A scale factor with what the focal length makes of it."""
-        more = self.joint.drag * focal_std * scale.value_m_per_px**2
-        return ScaleFactor(scale.value_m_per_px, scale.variance + more**2)
+        value = scale.value_m_per_px
+        variance = scale.variance + (self.joint.drag * focal_std * value**2) ** 2
+        if (relative := float(np.sqrt(variance)) / abs(value)) > REFUSED_ABOVE:
+            raise UntrustedError(f"The scale factor is too uncertain: {too_vague(value, relative)}.")
+        return ScaleFactor(value, variance)
 
 
 class _Compared:
@@ -167,10 +188,11 @@ class _Compared:
     def start(self, fits: Sequence[CameraFit]) -> _Place:
         """Clock offset and noise levels without the rotation."""
         known = [fit.calibration.offset.value_s for fit in fits if fit.calibration.direction == self.view.axis]
-        if known:
-            fit = best_corner(self.pair, known[0] - self.view.late_ns / NANOSECONDS)
-        else:
-            fit = self._searched()
+        self.pair = without_lonely_outliers(self.pair)
+        offset_s = known[0] - self.view.late_ns / NANOSECONDS if known else self._searched_s()
+        fit = best_corner(self.pair, offset_s)
+        self.pair = cleaned(self.pair, fit)
+        fit = best_corner(self.pair, offset_s, fit.corner)
         usable = self.turning.seen(self.pair.rows[:, 0] + fit.offset_s, MAX_LATE_S + self.pair.exposure_s)
         rows = self.pair.rows.copy()
         rows[~usable, 2] = np.inf
@@ -181,10 +203,10 @@ class _Compared:
                 "stamps of both and gyroscope.start_s."
             )
         jumps = np.zeros(len(self.turning.gaps))
-        return _Place(fit.offset_s, fit.offset_s, fit.corner, fit.ratio, 0.0, fit.noise, jumps)
+        return _Place(fit.offset_s, fit.offset_s, fit.corner, fit.ratio, 0.0, fit.noise, jumps, self.turning.density)
 
-    def _searched(self) -> Fit:
-        """The fit at the frames' clock offset, without the rotation."""
+    def _searched_s(self) -> float:
+        """The frames' clock offset without the rotation, s."""
         found = search_offset(self.pair, self.view.max_offset_s)
         other = found.runner_up
         if other is not None and not clearly_better(found.fit, other):
@@ -192,7 +214,7 @@ class _Compared:
                 f"The clock offset is ambiguous: {found.fit.offset_s:+.4f} s and {other.offset_s:+.4f} s fit almost "
                 "equally well. Set a smaller calibration.max_offset_s that excludes one of them."
             )
-        return best_corner(self.pair, found.fit.offset_s)
+        return found.fit.offset_s
 
     def without_tilt(self, place: _Place) -> Pair:
         """The pair whose translation is without the tilt, and noisier by the gyroscope's."""
@@ -200,12 +222,15 @@ class _Compared:
         rows[:, 1] -= place.focal * self.turning.angle(time_s, self.pair.exposure_s)
         for number, jump in enumerate(place.jumps):
             rows[:, 1] -= jump * self.turning.jumped(time_s, number)
-        return self.pair.changed(rows=rows, slow=place.slow(self.turning.density))
+        return self.pair.changed(rows=rows, slow=place.slow)
 
-    def joint(self, place: _Place, density_share: float = 1.0) -> _Joint:
-        """Displacement and rotation in the translation; density_share: of Θ's noise as it is reckoned with."""
+    def joint(self, place: _Place, focal: float | None = None, density_share: float = 1.0) -> _Joint:
+        """Displacement and rotation in the translation, with a focal length where one is given.
+
+        density_share: of Θ's noise as it is reckoned with.
+        """
         turning, gaps = self.turning, len(self.turning.gaps)
-        pair, apart_s = self.pair.changed(slow=place.slow(turning.density)), place.turned_s - place.offset_s
+        pair, apart_s = self.pair.changed(slow=place.slow), place.turned_s - place.offset_s
         columns = [lambda time_s: turning.angle(time_s + apart_s, pair.exposure_s)]
         columns += [partial(lambda time_s, k: turning.jumped(time_s + apart_s, k), k=k) for k in range(gaps)]
         columns += [partial(lambda time_s, k: turning.walk(time_s + apart_s, k), k=k) for k in range(DRAWS)]
@@ -215,36 +240,60 @@ class _Compared:
         other = np.column_stack((jumped, white[:, 3 : -len(columns)]))
         noisy = np.column_stack((white[:, :2], angle, white[:, 2], walks))
         free = noisy - other @ np.linalg.lstsq(other, noisy, rcond=None)[0] if other.shape[1] else noisy
-        walked = np.sum(free[:, 4:] ** 2, axis=0)
+        walked = place.density / turning.density * np.sum(free[:, 4:] ** 2, axis=0)
         noises = _noises(w, place, float(np.mean(walked))) * np.array([1.0, 1.0, density_share])
-        found = _solved(free[:, :4], noises, float(np.std(walked)))
+        found = _solved(free[:, :4], noises, (float(np.std(walked)), place.doubt * float(np.mean(walked))), focal)
         left = noisy[:, 0] - noisy[:, 1:3] @ np.array([found.ratio, found.focal])
         return replace(found, jumps=np.linalg.lstsq(other, left, rcond=None)[0][:gaps] if gaps else np.empty(0))
 
-    def settled(self, fits: Sequence[CameraFit], lens: tuple[float, float] | None) -> _Settled:
-        """The likeliest r, f, clock offsets and noise levels; where the rotation does not show, the lens' focal length."""
-        place = self.start(fits)
-        place = replace(place, turned_s=place.offset_s + self._scanned(place))
+    def settled(self, fits: Sequence[CameraFit]) -> _Settled:
+        """The likeliest r, f, clock offsets and noise levels."""
+        self.begun = place = self.start(fits)
+        return self.near(replace(place, turned_s=place.offset_s + self._scanned(place)))
+
+    def near(self, place: _Place, focal: float | None = None) -> _Settled:
+        """The same near a place, with a focal length where one is given."""
         factor = 1.0
         for turn in range(ROUNDS):
-            before, found = place, self.joint(place)
-            focal = found.focal if lens is None or found.shows else lens[0]
-            place = replace(place, ratio=found.ratio, focal=focal, jumps=found.jumps)
+            before, found = place.focal, self.joint(place, focal)
+            place = replace(place, ratio=found.ratio, focal=found.focal, jumps=found.jumps)
             step_s = float(np.clip(found.step_s, -MAX_STEP_S, MAX_STEP_S))
-            place = replace(
-                place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0]
-            )
+            place = replace(place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0])
+            place, fit = self._with_noise(place)
             pair = self.without_tilt(place)
-            fit = best_corner(pair, place.offset_s, place.corner if turn else None)
-            place = replace(place, corner=fit.corner, noise=fit.noise)
             if turn == 1:
                 unusable = np.isinf(cleaned(pair, fit).rows[:, 2])
                 rows = np.column_stack((self.pair.rows[:, :2], np.where(unusable, np.inf, self.pair.rows[:, 2])))
                 self.pair = self.pair.changed(rows=rows)
-            if turn > 1 and abs(place.focal - before.focal) < SETTLED * abs(place.focal):
+            if turn > 1 and abs(place.focal - before) < SETTLED * abs(place.focal):
                 factor = misfit(pair, fit).factor
                 break
-        return self._judged(place, factor)
+        return self._judged(place, factor, focal)
+
+    def _with_noise(self, place: _Place) -> tuple[_Place, Fit]:
+        """The place with the likeliest noise levels, and its fit."""
+        pair, unit = self.without_tilt(place), 0.5 * WALK_TIME_S * place.focal**2
+        if unit == 0.0:
+            fit = best_corner(pair, place.offset_s)
+            return replace(place, corner=fit.corner, noise=fit.noise), fit
+
+        @cache
+        def fit_of(log_size: float) -> tuple[Fit, float, float]:
+            size = float(np.exp(log_size))
+            fit = best_corner(pair.changed(slow=(size, *place.slow[1:])), place.offset_s, place.corner)
+            density = float(np.log(size * fit.noise / (unit * self.turning.density)))
+            own = float(np.log(fit.noise / self.typical))
+            return fit, density, 0.5 * ((density / DENSITY_STD) ** 2 + (own / NOISE_STD) ** 2) - fit.likelihood
+
+        middle = float(np.log(unit * self.turning.density / self.typical))
+        tried = middle + np.array(SIZES)
+        best = global_minimum(lambda one: fit_of(one)[2], *tried[[0, -1]].tolist(), tried=len(tried), tolerance=0.1)
+        fit, density, least = fit_of(best)
+        weight = np.exp(least - np.array([fit_of(float(one))[2] for one in tried]))
+        apart = np.array([fit_of(float(one))[1] for one in tried]) - density
+        doubt = np.sqrt(weight @ apart**2 / np.sum(weight) + 2.0 / len(fit.whitened.variance))
+        density = self.turning.density * float(np.exp(density))
+        return replace(place, corner=fit.corner, noise=fit.noise, density=density, doubt=float(doubt)), fit
 
     def _alike(self, place: _Place, aheads_s: Floats, draws: int = 0) -> Floats:
         """Products (k, 1 + draws) of what the displacement and its clock leave of the translation with Θ and draws of
@@ -256,7 +305,7 @@ class _Compared:
             columns.append(partial(lambda t, late: turning.angle(t + late, self.pair.exposure_s), late=ahead_s))
             columns += [partial(lambda t, late, k: turning.walk(t + late, k), late=ahead_s, k=k) for k in range(draws)]
         gaps = [partial(lambda t, k: turning.jumped(t + apart_s, k), k=k) for k in range(len(turning.gaps))]
-        pair = self.pair.changed(slow=place.slow(turning.density))
+        pair = self.pair.changed(slow=place.slow)
         w = aligned(pair, place.offset_s, *gaps, *columns).whitened(place.corner)
         white = w.columns / np.sqrt(w.variance)[:, None]
         known = white[:, 1 : -len(columns)]
@@ -267,40 +316,54 @@ class _Compared:
         """By how much the gyroscope's clock is ahead of the accelerometer's where both go together best, s."""
         count = round(MAX_LATE_S / LATE_STEP_S)
         tried = LATE_STEP_S * np.arange(-count, count + 1)
-        return float(tried[int(np.argmax(np.abs(self._alike(place, tried)[:, 0])))])
+        # Half a period of a tone farther off the opposite sign is as good.
+        alike = np.abs(self._alike(place, tried)[:, 0]) * (1.0 - FARTHER_COSTS * np.abs(tried) / MAX_LATE_S)
+        return float(tried[int(np.argmax(alike))])
 
     def _clock_step(self, place: _Place) -> tuple[float, float]:
         """Step (s) of the gyroscope's clock to where both go together best, and its variance, s²."""
-        before, here, after = np.sign(place.focal) * self._alike(
-            place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS
-        )
+        before, here, after = np.sign(place.focal) * self._alike(place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS)
         curved = float(2.0 * here[0] - before[0] - after[0]) / CLOCK_STEP_S**2
-        if not curved > 0.0:
-            return 0.0, MAX_LATE_S**2 / 3.0
-        slopes = 0.5 * (after - before) / CLOCK_STEP_S
-        variance = float(np.mean(slopes[1:] ** 2)) / curved**2 + place.noise / (abs(place.focal) * curved)
-        step_s = float(np.clip(slopes[0] / curved, -CLOCK_STEP_S, CLOCK_STEP_S))
         # Where nothing shows the offset, it may be any.
-        return (step_s, variance) if variance < MAX_LATE_S**2 / 3.0 else (0.0, MAX_LATE_S**2 / 3.0)
+        unknown = place.offset_s - place.turned_s, USUAL_LATE_S**2
+        if not curved > 0.0:
+            return unknown
+        slopes = 0.5 * (after - before) / CLOCK_STEP_S
+        drawn = place.density / self.turning.density * float(np.mean(slopes[1:] ** 2))
+        variance = drawn / curved**2 + place.noise / (abs(place.focal) * curved)
+        step_s = float(np.clip(slopes[0] / curved, -CLOCK_STEP_S, CLOCK_STEP_S))
+        return (step_s, variance) if variance < MAX_CLOCK_STD_S**2 else unknown
 
-    def _judged(self, place: _Place, factor: float) -> _Settled:
+    def _judged(self, place: _Place, factor: float, focal: float | None) -> _Settled:
         """What was found with its variances; factor: of the residual's power where that is not white."""
-        found, turned = self.joint(place), self._clock_step(place)[1]
+        found, turned = self.joint(place, focal), self._clock_step(place)[1]
+        late_variance = turned + factor * found.step_variance
+        if focal is not None:
+            return _Settled(place, found, 0.0, late_variance)
         aside = [self.joint(replace(place, turned_s=place.turned_s + k * LATE_STEP_S)).focal for k in (-1, 1)]
         late = 0.5 * (aside[1] - aside[0]) / LATE_STEP_S * np.sqrt(turned)
-        more = self.joint(place, density_share=1.0 + FLOOR_SHARE).focal - found.focal
-        variance = factor * found.covariance[1, 1] + more**2 + late**2
-        return _Settled(place, found, float(variance), float(turned + factor * found.covariance[2, 2]))
+        more = self.joint(place, density_share=1.0 + place.doubt).focal - found.focal
+        return _Settled(place, found, float(factor * found.focal_variance + more**2 + late**2), late_variance)
 
-    def scale(self, place: _Place) -> ScaleCalibration:
+    def scale(self, at: _Settled) -> ScaleCalibration:
         """The scale factor without the tilt, of a focal length that is certain."""
+        place = at.place
         pair, late_s = self.without_tilt(place), np.array([place.offset_s, 0.0, 0.0])
         pair = pair.changed(rows=pair.rows * np.array([1.0, 1.0, self.typical]) + late_s)
         declared = self.view.exposure_s is not None
         # The tilt was taken out at this clock offset.
         reach_s = min(self.view.max_offset_s, MAX_LATE_S)
         found = calibrate_scale(pair, reach_s, exposure_declared=declared, slow_errors=False)
-        return replace(found, search=found.search.on_clock(-place.offset_s))
+        relative = float(np.hypot(found.response.relative_std, self._doubt(at)))
+        response = replace(found.response, relative_std=relative)
+        return replace(found, search=found.search.on_clock(-place.offset_s), response=response)
+
+    def _doubt(self, at: _Settled) -> float:
+        """What the gyroscope's clock offset makes of r, relative standard deviation."""
+        place, late_s = at.place, float(np.sqrt(at.late_variance))
+        shifted = [replace(place, turned_s=place.turned_s + k * late_s) for k in (-1.0, 0.0, 1.0)]
+        before, here, after = (evaluate(self.without_tilt(one), one.offset_s, one.corner).ratio for one in shifted)
+        return float(np.sqrt(0.5 * ((before - here) ** 2 + (after - here) ** 2))) / abs(here)
 
 
 def _noises(w: Whitened, place: _Place, walked: float) -> Floats:
@@ -311,28 +374,49 @@ def _noises(w: Whitened, place: _Place, walked: float) -> Floats:
     return np.array([own, place.noise * of_input / place.ratio**2, walked])
 
 
-def _solved(columns: Floats, noises: Floats, scatter: float) -> _Joint:
-    """Total least squares of translation, D, Θ and D' (n, 4), whitened; noises (3,): in the sums of the first three."""
-    from scipy.linalg import eigh
+def _solved(columns: Floats, noises: Floats, walked: tuple[float, float], focal: float | None) -> _Joint:
+    """Total least squares of translation, D, Θ and D' (n, 4), whitened; of all but f where that is given.
 
-    power = columns[:, :3].T @ columns[:, :3]
-    noises = np.maximum(noises, 1e-12 * np.diag(power))
-    # Columns of very different units.
-    unit = np.sqrt(noises)
-    values, vectors = eigh(power / np.outer(unit, unit))
-    least = vectors[:, 0] / unit
-    ratio, focal = -least[1:] / least[0]
-    left = columns[:, 0] - columns[:, 1:3] @ np.array([ratio, focal])
-    own = np.column_stack((columns[:, 1:3], ratio * columns[:, 3]))
-    taken = values[0] * np.array([noises[1], noises[2], 0.0])
+    noises (3,): in the sums of the first three; walked: scatter and doubt of the last one.
+    """
+    moved, angle = columns[:, 1], columns[:, 2]
+    power, shared = float(moved @ moved), float(moved @ angle)
+    known = float(angle @ angle) - shared**2 / power - float(noises[2])
+    noisy = columns[:, :3]
+    if focal is not None:
+        noisy = np.column_stack((columns[:, 0] - focal * angle, moved))
+        noises = np.array([noises[0] + focal**2 * noises[2], noises[1]])
+    found, misfit = _least(noisy, noises)
+    left, taken = noisy[:, 0] - noisy[:, 1:] @ found, np.append(misfit * noises[1:], 0.0)
+    own = np.column_stack((noisy[:, 1:], found[0] * columns[:, 3]))
     inverse = inverse_of(own.T @ own - np.diag(taken))
-    step = inverse @ (own.T @ left + taken * np.array([ratio, focal, 0.0]))
-    white = float(left @ left) / len(left)
-    covariance = inverse @ (white * (own.T @ own)) @ inverse
-    covariance[1, 1] += (focal * scatter * inverse[1, 1]) ** 2
-    drag = -float(power[1, 2] / power[1, 1])
-    known = power[2, 2] + drag * power[1, 2] - noises[2]
-    return _Joint(ratio, focal, covariance, float(step[2]), float(values[0]), drag, known / max(scatter, 1e-300))
+    step = inverse @ (own.T @ left + taken * np.append(found, 0.0))
+    covariance = inverse @ (float(left @ left) / len(left) * (own.T @ own)) @ inverse
+    variance = 0.0
+    if focal is None:
+        focal = float(found[1])
+        variance = float(covariance[1, 1] + (focal * walked[0] * inverse[1, 1]) ** 2)
+    return _Joint(
+        ratio=float(found[0]),
+        focal=focal,
+        focal_variance=variance,
+        step_s=float(step[-1]),
+        step_variance=float(covariance[-1, -1]),
+        drag=-shared / power,
+        known=known / max(float(np.hypot(*walked)), 1e-300),
+    )
+
+
+def _least(columns: Floats, noises: Floats) -> tuple[Floats, float]:
+    """Coefficients (k,) of the columns after the first one (n, 1 + k) that give it, and the power of what is left over
+    that of the noises.
+    """
+    # In units of the noises, as columns are of very different ones.
+    power = columns.T @ columns
+    unit = np.sqrt(np.maximum(noises, 1e-12 * np.diag(power)))
+    values, vectors = np.linalg.eigh(power / np.outer(unit, unit))
+    least = vectors[:, 0] / unit
+    return -least[1:] / least[0], float(values[0])
 
 
 def fit_gyroscope(
@@ -355,19 +439,23 @@ def fit_gyroscope(
     turning = turning_of(gyroscope, view.window_ns, noise_density)
     width = max(target.frame_px[0] for target in targets)
     compared, reasons = _compared(view, targets, turning)
-    settled = [one and one.settled(fits, focal_px) for one in compared]
+    settled = [one and one.settled(fits) for one in compared]
     focal = _focal([one for one in settled if one is not None], focal_px, width)
     found, scales = list[ScaleCalibration | None](), list[ScaleFactor | None]()
     for k, (one, at) in enumerate(zip(compared, settled, strict=True)):
-        scale = None
-        if one is not None and at is not None:
-            try:
-                scale = one.scale(replace(at.place, focal=focal[0]))
-            except UntrustedError as error:
-                reasons[k] = str(error)
-        found.append(scale)
-        scales.append(None if scale is None or at is None else at.widened(scale.scale, focal[1]))
-    if not any(found):
+        found.append(None)
+        scales.append(None)
+        if one is None or at is None:
+            continue
+        try:
+            # With another focal length the noise levels are others.
+            place = at.place if at.tells else one.begun
+            at = one.near(replace(place, focal=focal[0]), focal[0])
+            found[k] = own = one.scale(at)
+            scales[k] = at.widened(own.scale.wider(own.response.relative_std), focal[1])
+        except UntrustedError as error:
+            reasons[k] = str(error)
+    if not any(scales):
         raise UntrustedError(" ".join(reasons))
     return _fit_of(turning, focal, [at for at in settled if at is not None], bias_std, (scales, found, reasons))
 
@@ -397,10 +485,12 @@ def _focal(settled: Sequence[_Settled], lens: tuple[float, float] | None, width:
         # What the gyroscope errs by is in all of them.
         value = float(weight @ [at.joint.focal for at in known])
         std = float(weight @ [np.sqrt(at.variance) for at in known])
+    certain = std <= MAX_FOCAL_STD * abs(value)
     if lens is None:
         if known:
             _refuse_focal(value, std, width)
-        if not std <= MAX_FOCAL_STD * abs(value):
+            _refuse_width(value, std, width)
+        if not certain:
             raise UntrustedError(
                 "gyroscope: the camera rotates too little, apart from what goes with the displacement, to show the "
                 "focal length. Give camera.lens, or choose a calibration.window_s with more rotation."
@@ -408,33 +498,38 @@ def _focal(settled: Sequence[_Settled], lens: tuple[float, float] | None, width:
         return value, std
     apart = abs(value - lens[0])
     if apart > CONTRADICT_STD * np.hypot(std, lens[1]) and apart > CONTRADICT_SHARE * lens[0]:
-        _refuse_focal(value, std, 0)
+        _refuse_focal(value, std, lens[0])
         raise UntrustedError(
             f"gyroscope: by it the focal length is {value:.4g} ± {std:.2g} px, by camera.lens {lens[0]:.4g} ± "
             f"{lens[1]:.2g} px. Check gyroscope.unit (deg/s and rad/s differ by a factor of 57.3), its sensitivity and "
             "axes, and the lens."
         )
-    if not known or lens[1] == 0.0:
+    if not certain or lens[1] == 0.0:
         return lens
     weight = np.array([std**-2.0, lens[1] ** -2.0])
     return float(weight @ [value, lens[0]] / np.sum(weight)), float(np.sum(weight) ** -0.5)
 
 
-def _refuse_focal(value: float, std: float, width: int) -> None:
-    """UntrustedError for a focal length that no camera with pictures of a width (px, 0: unknown) has."""
-    low, high = (share * width for share in FOCAL_WIDTHS)
+def _refuse_focal(value: float, std: float, usual: float) -> None:
+    """UntrustedError for a focal length that is negative, or none while a usual one would show."""
     if value < -CERTAIN * std:
         raise UntrustedError(
             f"gyroscope: its rotation has the wrong sign, the focal length would be {value:.4g} ± {std:.2g} px. Its "
             "axes are the camera's: x right, y down, z along the view, right-handed. Change the channel's sign."
         )
-    if abs(value) < CERTAIN * std and abs(value) + CERTAIN * std < max(low, std * CERTAIN * 2.0 if width == 0 else low):
+    if value < CERTAIN * std and value + CERTAIN * std < usual:
         raise UntrustedError(
             "gyroscope: the image does not show the rotation that it measures (focal length "
             f"{value:.2g} ± {std:.2g} px). Its axes are probably permuted: x right, y down, z along the view; image "
             "axis y shows the rotation about x, and image axis x that about y."
         )
-    if width and not low < value < high:
+
+
+def _refuse_width(value: float, std: float, width: int) -> None:
+    """UntrustedError for a focal length that no camera with pictures of this width (px) has."""
+    low, high = (share * width for share in FOCAL_WIDTHS)
+    # Of a table of a track the width is not known.
+    if width > 1 and not low < value < high:
         raise UntrustedError(
             f"gyroscope: by it the focal length is {value:.3g} ± {std:.2g} px in an image {width} px wide, which is "
             "implausible. Check gyroscope.unit: deg/s and rad/s differ by a factor of 57.3."

@@ -30,7 +30,7 @@ MAX_CLIPPED = 0.01
 MIN_RATE_HZ = 20.0
 # The noise of readings is the least of this many bands between these shares of their rate: below is motion, above what
 # an anti-alias filter leaves.
-BANDS, FROM_SHARE, TO_SHARE = 6, 0.1, 0.4
+BANDS, FROM_SHARE, TO_SHARE = 3, 0.1, 0.4
 # Draws of the integrated noise; the same ones each time.
 DRAWS, SEED = 16, 1
 # Seconds of readings on either side of what is looked at.
