@@ -127,6 +127,11 @@ def unseen_std_m(main: Side, tracked_cameras: Sequence[TrackedCamera], axis: int
     for tracked_camera in tracked_cameras:
         camera, known = tracked_camera.view.settings.camera, tracked_camera.calibrations[axis]
         seen.append(hypot(0.0 if camera is None else tilt_std_m(camera, known), known.apart_std_m))
+        # By the focal length's error the tilt that is taken off is too large or too small.
+        turning = main.calibration.helped_by("gyroscope") if len(seen) == 1 and len(known.used) == 1 else None
+        if turning is not None:
+            off = turning.focal_std_px / turning.focal_px * known.tilt_std_px
+            seen[-1] = hypot(seen[-1], off * abs(known.scale.value_m_per_px))
     # A displacement sensor's own zero has no part of it, and each row holds it once, not twice.
     lost = [known.apart_std_m / sqrt(2.0) for _, known in known_sensors(main) if known.kind == Source.DISPLACEMENT.word]
     return max((*seen, *(lost if axis == 0 else ())), default=0.0)

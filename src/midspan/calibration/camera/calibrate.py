@@ -177,8 +177,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     apart_s: list[float] = []
     for target in targets:
         try:
-            pair = camera_pair(view, target.rows, target.blur_s)
-            own = scale_of(view, pair)
+            own = target.untilted or scale_of(view, camera_pair(view, target.rows, target.blur_s))
             _refuse_pattern(target.tracker.scale_share_std, own.scale)
             _refuse_compression(target.with_picture_error(own.scale, view.axis), own.scale)
             found.append(own)

@@ -22,7 +22,7 @@ def untilted(view: View, targets: Sequence[SeenTarget], turning: Turning, fit: G
     offset_s = next(one.search.offset.value_s for one in fit.found if one is not None) - fit.offset_s
     fast = _fast(turning)
     found = []
-    for target in targets:
+    for target, known in zip(targets, fit.found, strict=True):
         time_s = seconds(target.rows.time_ns + view.late_ns, view.window_ns[0]) + offset_s
         angle = np.interp(time_s, turning.time_s, fast)
         if target.blur_s > 0.0:
@@ -37,7 +37,7 @@ def untilted(view: View, targets: Sequence[SeenTarget], turning: Turning, fit: G
             if view.axis == "x"
             else replace(target.rows, y_px=moved, variance_y_px2=own)
         )
-        found.append(replace(target, rows=rows))
+        found.append(replace(target, rows=rows, untilted=known))
     return found
 
 
