@@ -7,7 +7,8 @@ import numpy as np
 from midspan.calibration.camera.gyroscope import GyroscopeFit
 from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.velocity import fit_velocity
-from midspan.errors import UntrustedError
+from midspan.errors import UntrustedError, UsageError
+from midspan.recording.cameras import LENS_STD
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import within_window
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
@@ -15,19 +16,26 @@ from midspan.settings.sensors import VelocitySettings
 from midspan.signals.acceleration import prepare_acceleration
 from midspan.signals.attitude import Attitude, attitude
 from midspan.sources.accelerometer.units import si_factor
+from midspan.vision.lens import Lens
 
 # What gravity shows beside a gyroscope; no section of its own.
 GRAVITY = "gravity"
 # The zero of gravity's angle drifts by so much (rad) in so long (s): 10 µg of a quiet accelerometer whose temperature
 # is compensated. By the data sheet 0.15 mg/K are usual, which a settled temperature leaves out.
 GRAVITY_STD, GRAVITY_S = 1e-5, 60.0
+# The same of an inclinometer: its data sheets give some mdeg per K.
+INCLINOMETER_STD, INCLINOMETER_S = 2e-5, 600.0
+# An angle is no sharper than this, rad.
+MIN_ANGLE_STD = 1e-7
 # The axis along the view shows the pitch where the measured one carries this share of gravity at least.
 MIN_UPRIGHT = 0.5
 USUAL_GRAVITY = 9.81
 
 
-def calibrate_auxiliary(recording: Recording, gyroscope: GyroscopeFit | None) -> tuple[AuxiliaryCalibration, ...]:
-    """What is estimated of each; gyroscope: as found with the camera on its box.
+def calibrate_auxiliary(
+    recording: Recording, gyroscope: GyroscopeFit | None, lens: Lens | None
+) -> tuple[AuxiliaryCalibration, ...]:
+    """What is estimated of each; gyroscope: as found with the camera on its box; lens: of the camera.
 
     Raises UntrustedError, with the reason, where a velocity contradicts the acceleration.
     """
@@ -40,8 +48,10 @@ def calibrate_auxiliary(recording: Recording, gyroscope: GyroscopeFit | None) ->
         series = within_window(recording, series)
         found.append(fit_velocity(recording.prepared, series, max_offset_s=reach_s, noise_std=noise))
     if gyroscope is None:
-        return tuple(found)
+        return (*found, *_inclinometer(recording, lens))
     focal = {"focal_px": gyroscope.focal_px, "focal_std_px": gyroscope.focal_std_px}
+    if recording.settings.inclinometer is not None:
+        found.append(_of_inclinometer(recording, **focal))
     known_s = gyroscope.offset_std_s if np.isfinite(gyroscope.offset_std_s) else 0.0
     offset, zero_std = TimeOffset(gyroscope.offset_s, known_s**2), gyroscope.bias_std_rad_s + abs(gyroscope.bias_rad_s)
     of_gyroscope = AuxiliaryCalibration(
@@ -52,6 +62,33 @@ def calibrate_auxiliary(recording: Recording, gyroscope: GyroscopeFit | None) ->
         noise, walk = leaning.noise_std(gyroscope.noise_rad_s), 2.0 * GRAVITY_STD**2 / GRAVITY_S
         found.append(AuxiliaryCalibration(GRAVITY, noise, TimeOffset(0.0, 0.0), np.inf, walk, **focal))
     return tuple(found)
+
+
+def _inclinometer(recording: Recording, lens: Lens | None) -> list[AuxiliaryCalibration]:
+    """An inclinometer beside a camera whose lens tells what a tilt moves; none: none in the recording."""
+    if recording.settings.inclinometer is None:
+        return []
+    if lens is None:
+        raise UsageError(
+            "inclinometer: needs the focal length, by which a tilt moves the image. Add [camera.lens], or [gyroscope]."
+        )
+    focal_px = float(lens.matrix["xy".index(recording.axis)])
+    return [_of_inclinometer(recording, focal_px, LENS_STD * focal_px)]
+
+
+def _of_inclinometer(recording: Recording, focal_px: float, focal_std_px: float) -> AuxiliaryCalibration:
+    section, series = recording.settings.inclinometer, recording.auxiliary["inclinometer"]
+    assert section is not None
+    given = section.noise_std
+    if given is not None:
+        noise = given * si_factor(section.unit or series.unit, "angle", None)
+    else:
+        steps = np.diff(series.value[np.isfinite(series.value)], 2)
+        noise = max(float(np.median(np.abs(steps)) / 0.6745 / np.sqrt(6.0)), MIN_ANGLE_STD)
+    walk = 2.0 * INCLINOMETER_STD**2 / INCLINOMETER_S
+    return AuxiliaryCalibration(
+        "inclinometer", noise, TimeOffset(0.0, 0.0), np.inf, walk, focal_px=focal_px, focal_std_px=focal_std_px
+    )
 
 
 def auxiliary_series(recording: Recording, known: Sequence[AuxiliaryCalibration]) -> dict[str, TimeSeries]:

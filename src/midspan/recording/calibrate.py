@@ -16,7 +16,7 @@ from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.auxiliary import calibrate_auxiliary
-from midspan.recording.cameras import calibrate_cameras, together
+from midspan.recording.cameras import SeenBy, calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.streams.window import calibration_window, liveliest_minute
@@ -111,7 +111,7 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
             warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
     calibration = replace(
         main,
-        auxiliary=calibrate_auxiliary(recording, seen[0].parts[0].gyroscope if seen else None),
+        auxiliary=calibrate_auxiliary(recording, *_of_box(seen)),
         accelerometer_scale=gain,
         sensor_axis=axis,
         warnings=(*warnings, *implausible(recording.settings, main)),
@@ -119,6 +119,11 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
         left_out=view.axis if view is not None and across is None else "",
     )
     return calibration, together(seen)
+
+
+def _of_box(seen: Sequence[SeenBy]) -> tuple[Any, Any]:
+    """What was found of a gyroscope on the first camera's box, and the camera's lens."""
+    return (seen[0].parts[0].gyroscope, seen[0].parts[0].calibration.lens) if seen else (None, None)
 
 
 def _fitted(view: Recording, progress: Progress) -> SensorFit[Any, Any]:

@@ -217,7 +217,7 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
     reported = lambda: [*chosen_text(tracking), *tracking.warnings()]  # noqa: E731
     seen, found, said = _without_rotation(recording, views[0], seen)
     parts = fit_camera(views, seen, reported, "" if across is None else across.axis)
-    main = parts[0] if found is None else _with_tilt(parts[0], found)
+    main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
@@ -241,6 +241,17 @@ def _without_rotation(
         text = f"[gyroscope] is left out of the result. {error}"
         return seen, None, (Notice("part-left-out", text),)
     return untilted(view, seen, turning_of(series, view.window_ns, density), found), found, found.notices
+
+
+def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
+    """The calibration with the size of the tilt that an inclinometer measures, where a lens tells what it moves."""
+    series, lens = recording.auxiliary.get("inclinometer"), part.calibration.lens
+    if series is None or lens is None or part.calibration.tilt_std_px > 0.0:
+        return part
+    focal_px = float(lens.matrix["xy".index(part.calibration.direction)])
+    # The first frame's tilt is one as large as any.
+    size_px = max(focal_px * float(np.nanstd(series.value)), part.calibration.noise_std_px)
+    return replace(part, calibration=replace(part.calibration, tilt_std_px=size_px))
 
 
 def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:

@@ -258,7 +258,9 @@ class _Compared:
             before, found = place.focal, self.joint(place, focal)
             place = replace(place, ratio=found.ratio, focal=found.focal, jumps=found.jumps)
             step_s = float(np.clip(found.step_s, -MAX_STEP_S, MAX_STEP_S))
-            place = replace(place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0])
+            place = replace(
+                place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0]
+            )
             place, fit = self._with_noise(place)
             pair = self.without_tilt(place)
             if turn == 1:
@@ -322,7 +324,9 @@ class _Compared:
 
     def _clock_step(self, place: _Place) -> tuple[float, float]:
         """Step (s) of the gyroscope's clock to where both go together best, and its variance, s²."""
-        before, here, after = np.sign(place.focal) * self._alike(place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS)
+        before, here, after = np.sign(place.focal) * self._alike(
+            place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS
+        )
         curved = float(2.0 * here[0] - before[0] - after[0]) / CLOCK_STEP_S**2
         # Where nothing shows the offset, it may be any.
         unknown = place.offset_s - place.turned_s, USUAL_LATE_S**2
