@@ -1,4 +1,4 @@
-"""A velocity sensor beside a slow displacement: what it adds, and what a wrong one is refused by."""
+"""A velocity sensor with a slow displacement: what it adds, and what a wrong one is refused by."""
 
 import numpy as np
 import pytest

@@ -112,7 +112,7 @@ impl Reports {
     pub fn after(&mut self, decided: &Decided, model: &Model, origin_ns: i64) -> Vec<Report> {
         let mut reports = Vec::new();
         for ((item, decision), evidence) in decided.items.iter().zip(&decided.decisions).zip(&decided.evidence) {
-            // What helps others is told of by the values alone.
+            // Causes of auxiliary channels are no events: their sizes are no displacements.
             let Some(c) = item.channel().filter(|&c| model.channels[c].places) else { continue };
             let before = decision.cause == Cause::StepBefore;
             let unit = if before { 1.0 } else { model.channels[c].row.units_per_m.abs() };

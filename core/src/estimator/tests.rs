@@ -226,7 +226,7 @@ impl Plain {
     }
 }
 
-/// A camera that tilts, with an inclinometer and a gyroscope beside it and a vibrometer on the beam: all measured as the
+/// A camera that tilts, with an inclinometer and a gyroscope on its box and a vibrometer on the beam: all measured as the
 /// filter takes them, against matrices that are written down here.
 #[test]
 fn velocity_tilt_and_its_rate_are_a_row_each() {

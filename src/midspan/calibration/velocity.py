@@ -1,4 +1,4 @@
-"""A velocity sensor beside an accelerometer: noise, clock offset and sign.
+"""A velocity sensor and an accelerometer: noise, clock offset and sign.
 
 Acceleration integrated is the velocity but for a bias that drifts. Both are compared without their running means, which
 the integration's drift is in; sampled at the same instants, both lose the same motion with them.

@@ -7,7 +7,7 @@ import numpy as np
 from midspan.engine.sensors import Expect, Seen
 from midspan.records import NANOSECONDS, Event, Measured, Readings
 
-# Equal values for so long (s), and so many, are a sensor that has stopped: noise changes the last digit before.
+# Equal values for this time (s), and this number, are a sensor that has stopped: noise changes the last digit before.
 FROZEN_S, FROZEN_COUNT = 0.5, 10
 
 

@@ -18,7 +18,7 @@ from midspan.signals.attitude import Attitude, attitude
 from midspan.sources.accelerometer.units import si_factor
 from midspan.vision.lens import Lens
 
-# What gravity shows beside a gyroscope; no section of its own.
+# What gravity shows together with a gyroscope; no section of its own.
 GRAVITY = "gravity"
 # The zero of gravity's angle drifts by so much (rad) in so long (s): 10 µg of a quiet accelerometer whose temperature
 # is compensated. By the data sheet 0.15 mg/K are usual, which a settled temperature leaves out.
@@ -65,7 +65,7 @@ def calibrate_auxiliary(
 
 
 def _inclinometer(recording: Recording, lens: Lens | None) -> list[AuxiliaryCalibration]:
-    """An inclinometer beside a camera whose lens tells what a tilt moves; none: none in the recording."""
+    """An inclinometer on a camera whose lens tells what a tilt moves; none: none in the recording."""
     if recording.settings.inclinometer is None:
         return []
     if lens is None:

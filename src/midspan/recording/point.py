@@ -7,6 +7,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from midspan.calibration.one_clock import OneClock
+from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.channels import Table, auxiliary_channel, camera_channels, interval_s
@@ -187,31 +188,15 @@ def measuring_point(
     recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
     gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
     on_series = method.takes_series(literal=wanted.literal)
-    known_helping = () if on_series else main.calibration.auxiliary
-    measured = auxiliary_series(recording, known_helping)
-    helping = tuple(one for one in known_helping if one.kind in measured)
+    helping = () if on_series else _helping(main)
     turning = any(one.measures in (Quantity.TILT, Quantity.TILT_RATE) for one in helping)
     table = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds, turning=turning)
-    moved_m = usual.moved_m
-    sensors: dict[str, Sensor] = {}
     # As printed, the filter's own deviation bounds the search, however small it is.
     min_std_px = 0.0 if on_series and method.predicts else MIN_STD_PX
-    for number, tracked_camera in enumerate(tracked_cameras):
-        sensors[tracked_camera.sensor] = camera_channels(
-            table,
-            tracked_camera.tracking,
-            tracked_camera.calibrations,
-            tracked_camera.view.exposure_s,
-            first=number == 0,
-            min_std_px=min_std_px,
-        )
-    for view, known in known_sensors(main):
-        more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
-        sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
+    sensors = _stages(table, main, tracked_cameras, usual.moved_m, min_std_px)
     table.by_first_terms()
-    for known in helping:
-        if (helper := auxiliary_channel(table, known, tilting(table.channels))) is not None:
-            sensors[known.kind] = helper
+    made = {one.kind: auxiliary_channel(table, one, tilting(table.channels)) for one in helping}
+    sensors |= {kind: sensor for kind, sensor in made.items() if sensor is not None}
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=recording.accelerometer.estimate_scale)
     offsets_ns = clock_offsets_ns(main, tracked_cameras)
@@ -236,6 +221,33 @@ def measuring_point(
     else:
         estimator = Estimator(settings, log=log)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
+
+
+def _stages(
+    table: Table, main: Side, tracked_cameras: Sequence[TrackedCamera], moved_m: float, min_std_px: float
+) -> dict[str, Sensor]:
+    """The stages of all sensors that tell where the structure is, by name, and their channels in the table."""
+    sensors: dict[str, Sensor] = {}
+    for number, tracked_camera in enumerate(tracked_cameras):
+        sensors[tracked_camera.sensor] = camera_channels(
+            table,
+            tracked_camera.tracking,
+            tracked_camera.calibrations,
+            tracked_camera.view.exposure_s,
+            first=number == 0,
+            min_std_px=min_std_px,
+        )
+    for view, known in known_sensors(main):
+        more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
+        sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
+    return sensors
+
+
+def _helping(main: Side) -> tuple[AuxiliaryCalibration, ...]:
+    """The calibrated sensors that help others, as far as the recording has them."""
+    known = main.calibration.auxiliary
+    measured = auxiliary_series(main.recording, known)
+    return tuple(one for one in known if one.kind in measured)
 
 
 def _along(
