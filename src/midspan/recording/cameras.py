@@ -1,6 +1,6 @@
 """The part of a calibration that rests on pictures: one camera, a thermal one, or both, each where it sees."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -14,6 +14,7 @@ from midspan.calibration.camera.turning import turning_of
 from midspan.calibration.camera.untilted import untilted
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import NoAgreementError, UntrustedError
@@ -22,7 +23,7 @@ from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
-from midspan.records import Source, seconds
+from midspan.records import ScaleFactor, Source, TimeSeries, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.signals.lines import Line
@@ -211,24 +212,53 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
     """
     tracking.until(window_ends(recording)[1] - recording.late_ns)
     across, seen = recording.across, seen_targets(recording, tracking)
-    if not recording.lines and recording.settings.calibration.printed(recording.settings.first_camera) is None:
-        _require_no_lines(recording, seen)
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
     reported = lambda: [*chosen_text(tracking), *tracking.warnings()]  # noqa: E731
-    seen, found, said = _without_rotation(recording, views[0], seen)
-    parts = fit_camera(views, seen, reported, "" if across is None else across.axis)
+    fitted = lambda targets: fit_camera(views, targets, reported, "" if across is None else across.axis)  # noqa: E731
+    parts = _by_distances(recording, fitted, seen)
+    seen, found, said = _without_rotation(recording, views[0], seen, parts)
+    if not recording.lines and recording.settings.calibration.printed(recording.settings.first_camera) is None:
+        _require_no_lines(recording, seen)
+    parts = parts or fitted(seen)
     main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
 
 
+def _gyroscope_of(recording: Recording) -> TimeSeries | None:
+    """The readings of the gyroscope on this view's camera, which is the first one."""
+    if recording.root.cameras[0].sensor != recording.sensor:
+        return None
+    return recording.auxiliary.get("gyroscope")
+
+
+def _by_distances(
+    recording: Recording,
+    fitted: Callable[[Sequence[SeenTarget]], tuple[CameraFit, ...]],
+    seen: Sequence[SeenTarget],
+) -> tuple[CameraFit, ...]:
+    """The calibration where a camera with a gyroscope has targets at different distances, whose difference is sharper
+    than any gyroscope; nothing where they tell no tilt.
+    """
+    if _gyroscope_of(recording) is None or len(seen) < 2:
+        return ()
+    try:
+        parts = fitted(seen)
+    except UntrustedError:
+        return ()
+    return parts if parts[0].calibration.tilt_std_px > 0.0 else ()
+
+
 def _without_rotation(
-    recording: Recording, view: View, seen: list[SeenTarget]
+    recording: Recording, view: View, seen: list[SeenTarget], parts: Sequence[CameraFit]
 ) -> tuple[list[SeenTarget], GyroscopeFit | None, tuple[Notice, ...]]:
-    """The targets without the tilt that a gyroscope measures, what was found of it, and notices."""
-    series, section = recording.auxiliary.get("gyroscope"), recording.root.settings.gyroscope
-    if series is None or section is None or recording.root.cameras[0].sensor != recording.sensor:
+    """The targets without the tilt that a gyroscope measures, what was found of it, and notices.
+
+    parts: calibrated by targets at different distances; where there are such, the targets stay as they are.
+    """
+    series, section = _gyroscope_of(recording), recording.root.settings.gyroscope
+    if series is None or section is None:
         return seen, None, ()
     factor = si_factor(section.unit or series.unit, "rotation rate", None)
     density = None if section.noise_density is None else factor * section.noise_density
@@ -236,10 +266,12 @@ def _without_rotation(
     lens = seen[0].lens
     focal_px = None if lens is None else (float(lens.matrix["xy".index(view.axis)]), LENS_STD * lens.matrix[0])
     try:
-        found = fit_gyroscope(view, seen, series, noise_density=density, bias_std=bias_std, focal_px=focal_px)
+        found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=focal_px)
     except UntrustedError as error:
         text = f"[gyroscope] is left out of the result. {error}"
         return seen, None, (Notice("part-left-out", text),)
+    if parts:
+        return seen, found, found.notices[1:]
     return untilted(view, seen, turning_of(series, view.window_ns, density), found), found, found.notices
 
 
@@ -255,7 +287,12 @@ def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
 
 
 def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:
-    """The calibration with the tilt's size, and scale factors as uncertain as the focal length leaves them."""
+    """The calibration with the tilt's size, and scale factors as uncertain as the focal length leaves them.
+
+    Of targets at different distances the differences are sharp, and a gyroscope tells what is added to all of them.
+    """
+    if part.calibration.tilt_std_px > 0.0:
+        return replace(part, calibration=_regauged(part.calibration, found), gyroscope=found)
     targets, scale = [], part.calibration.scale
     for target, own in zip(part.calibration.targets, found.scales, strict=True):
         if target.scale is None or own is None:
@@ -269,6 +306,22 @@ def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:
     tilt_px = float(np.hypot(found.tilt_std_px, found.slow_tilt_px))
     camera = replace(part.calibration, scale=scale, targets=tuple(targets), tilt_std_px=tilt_px)
     return replace(part, calibration=camera, gyroscope=found)
+
+
+def _regauged(camera: CameraCalibration, found: GyroscopeFit) -> CameraCalibration:
+    """The scale factors with what goes with the displacement of a tilt in the tilt, where the gyroscope has it."""
+    pairs = zip(camera.targets, found.scales, strict=True)
+    known = [(own.scale, other) for own, other in pairs if own.scale is not None and other is not None]
+    moved = [1.0 / other.value_m_per_px - 1.0 / own.value_m_per_px for own, other in known]
+    weight = [other.value_m_per_px**4 / other.variance for _, other in known]
+    added = float(np.average(moved, weights=weight))
+
+    def new(scale: ScaleFactor) -> ScaleFactor:
+        value = 1.0 / (1.0 / scale.value_m_per_px + added)
+        return ScaleFactor(value, scale.variance * (value / scale.value_m_per_px) ** 2)
+
+    targets = tuple(one if one.scale is None else replace(one, scale=new(one.scale)) for one in camera.targets)
+    return replace(camera, scale=new(camera.scale), targets=targets)
 
 
 def _require_no_lines(recording: Recording, seen: Sequence[SeenTarget]) -> None:
