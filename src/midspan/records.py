@@ -347,7 +347,8 @@ class Channel:
     which a shift of its zero may revert; 0: a zero that has shifted stays. coasting_s, lost_s:
     age of the last accepted measurement from which on rows are marked so. interval_s: its usual interval between
     measurements; 0: unknown. slow_std_m, slow_time_s, slow_hz: standard deviation, the time in which it decays and
-    natural frequency of its sensor's slow error (0 Hz: first-order Gauss-Markov; else a damped oscillator).
+    natural frequency of its sensor's slow error (0 Hz: first-order Gauss-Markov; else a damped oscillator);
+    slow_walk_m2_s: density of the random walk that this error has besides.
     measures: what; of a tilt or its rate, units_per_m counts per metre of the slow error of the sensor tilt_of, whose
     tilt that error is, and its rate needs an oscillator. "": of its own sensor.
     """
@@ -368,6 +369,7 @@ class Channel:
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
     slow_hz: float = 0.0
+    slow_walk_m2_s: float = 0.0
     measures: Quantity = Quantity.DISPLACEMENT
     tilt_of: str = ""
 

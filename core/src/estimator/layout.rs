@@ -33,6 +33,8 @@ pub enum State {
     Slow(usize),
     /// Its velocity over its angular frequency, where it is an oscillator, m.
     SlowVelocity(usize),
+    /// The part of it that walks at random, m.
+    SlowWalk(usize),
 }
 
 /// The states in their order, with the densities of their random walks.
@@ -68,6 +70,9 @@ impl Layout {
                 layout.add(State::Slow(c), 0.0);
                 if channel.slow_hz > 0.0 {
                     layout.add(State::SlowVelocity(c), 0.0);
+                }
+                if channel.slow_walk_m2_s > 0.0 {
+                    layout.add(State::SlowWalk(c), channel.slow_walk_m2_s);
                 }
             }
         }

@@ -72,9 +72,12 @@ impl Row {
                 (State::SlowVelocity(lead), g * std::f64::consts::TAU * settings.channels[lead].slow_hz)
             }
         };
-        let places = [(state, factor), (zero[0], g), (zero[1], g)].map(|(name, factor)| (layout.place(name), factor));
-        let entries =
-            places.into_iter().filter_map(|(state, factor)| state.map(|state| Entry { state, factor })).collect();
+        let mut named = vec![(state, factor), (zero[0], g), (zero[1], g)];
+        if channel.measures == Quantity::Tilt {
+            named.push((State::SlowWalk(lead), g));
+        }
+        let places = named.into_iter().map(|(name, factor)| (layout.place(name), factor));
+        let entries = places.filter_map(|(state, factor)| state.map(|state| Entry { state, factor })).collect();
         // The velocity state is ahead of the true one.
         let velocity = if channel.measures == Quantity::Velocity { g } else { 0.0 };
         let effects = vec![Effect::Nothing; settings.parameters.len()];
@@ -101,6 +104,7 @@ impl Row {
         if let Some(lead) = settings.slow_lead(c) {
             // What nods turns all of a picture by as many pixels.
             add(State::Slow(lead), settings.channels[lead].units_per_m);
+            add(State::SlowWalk(lead), settings.channels[lead].units_per_m);
         }
         let effects = settings.parameters.iter().map(|one| effect(one.kind, one.channels.contains(&c))).collect();
         Self { entries, input: g * blur, velocity: 0.0, axis: a, units_per_m: g, effects }

@@ -57,6 +57,8 @@ pub struct Channel {
     pub slow_time_s: f64,
     /// Natural frequency of its slow error, Hz; 0: it is no oscillator.
     pub slow_hz: f64,
+    /// Density of the random walk that its slow error has besides, m²/s.
+    pub slow_walk_m2_s: f64,
 }
 
 impl Channel {

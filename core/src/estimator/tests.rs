@@ -36,6 +36,7 @@ pub fn channel() -> Channel {
         slow_std_m: 0.0,
         slow_time_s: f64::INFINITY,
         slow_hz: 0.0,
+        slow_walk_m2_s: 0.0,
         reverting_s: 0.0,
     }
 }

@@ -44,6 +44,7 @@ struct PyChannel {
     slow_std_m: f64,
     slow_time_s: f64,
     slow_hz: f64,
+    slow_walk_m2_s: f64,
 }
 
 #[derive(FromPyObject)]
@@ -121,6 +122,7 @@ impl PyChannel {
             slow_std_m: self.slow_std_m,
             slow_time_s: self.slow_time_s,
             slow_hz: self.slow_hz,
+            slow_walk_m2_s: self.slow_walk_m2_s,
         })
     }
 }

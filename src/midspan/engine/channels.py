@@ -278,6 +278,7 @@ def camera_channels(
                 slow_std_m=slow[0],
                 slow_time_s=slow[1],
                 slow_hz=slow[2],
+                slow_walk_m2_s=camera.tilt_walk_px2_s * mapping.scale_m_per_px**2,
             )
             along[axis].append(table.add(channel))
     for numbers, camera in zip(along, calibrations, strict=True):

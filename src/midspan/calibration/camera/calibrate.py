@@ -246,7 +246,8 @@ def _judged(
     assert found is not None
     camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
     if fit.tilt is not None:
-        return replace(camera, tilt_std_px=fit.tilt.std_px), (fit.tilt.text([target.name for target in targets]),)
+        tilts = {"tilt_std_px": fit.tilt.std_px, "tilt_walk_px2_s": fit.tilt.walk_px2_s}
+        return replace(camera, **tilts), (fit.tilt.text([target.name for target in targets]),)
     return agreed(view, targets, camera, fit)
 
 
@@ -274,6 +275,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
         _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 and fit.tilt is None else None,
         tilt_std_px=camera.tilt_std_px,
+        tilt_walk_px2_s=camera.tilt_walk_px2_s,
         exposure_s=found.response.exposure_s,
         apart_std_m=float(np.sqrt(apart_m**2 + tilt_m**2 + start_m**2 + found.response.other_m**2)),
         slow_std_m=0.0 if taken is None else slow_m,

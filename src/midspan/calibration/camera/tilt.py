@@ -31,6 +31,9 @@ from midspan.signals.stamps import inside
 
 # Declared distances differ where they do so by this many standard deviations (95 %), and by `SAME_DISTANCE`.
 CERTAIN = 2.0
+# A tilt is a random walk as steep as it moves over these times, s, apart from what it does within a second; a hundredth
+# where that hides the rest.
+WALK_LAGS_S, WALK_SHARE = (2, 4, 8, 16), 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +42,8 @@ class Tilt:
 
     found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one constant
     added to their inverses; noise_px (k,): of one frame of each target; std_px: standard deviation of the tilt in the
-    image; pair: numbers of the two targets whose difference is the sharpest.
+    image; pair: numbers of the two targets whose difference is the sharpest; walk_px2_s: density of the random walk
+    that it goes on by from second to second, px²/s.
     """
 
     found: ScaleCalibration
@@ -47,6 +51,7 @@ class Tilt:
     noise_px: tuple[float, ...]
     std_px: float
     pair: tuple[int, int]
+    walk_px2_s: float
 
     def scale(self, number: int) -> ScaleFactor:
         """The scale factor of a target, as uncertain as that of the difference."""
@@ -93,7 +98,25 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | No
     if not shared > 0.0:
         return None
     noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
-    return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair)
+    first, other = (left[k] for k in pair)
+    step_s = float(np.median(np.diff(targets[0].rows.time_ns))) / NANOSECONDS
+    walk = _walk(first, other, step_s)
+    return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair, walk)
+
+
+def _walk(one: Floats, other: Floats, step_s: float) -> float:
+    """Density (px²/s) of a random walk that what two targets (n,) have in common goes on by; step_s: between frames.
+
+    By their structure functions, whose product holds no noise of either: what is added to that of a second.
+    """
+
+    def moved(lag: int) -> float:
+        return float(np.nanmean((one[lag:] - one[:-lag]) * (other[lag:] - other[:-lag])))
+
+    second = max(round(1.0 / step_s), 1)
+    fast = max(moved(lag) for lag in {1, max(second // 2, 1), second})
+    lags = [k * second for k in WALK_LAGS_S if k * second < len(one) // 2]
+    return max((max(moved(lag) - fast, WALK_SHARE * moved(lag)) / (lag * step_s) for lag in lags), default=0.0)
 
 
 def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:

@@ -95,6 +95,7 @@ class StoredScale(Stored):
     slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
     tilt_std_px: Std = Field(0.0, description="standard deviation of the tilt that the targets show; 0: none")
+    tilt_walk_px2_s: Std = Field(0.0, description="density of the tilt's random walk, px²/s")
     noise_std_px: Noise = Field(0.02, description="noise of one frame's translation")
     variance_factor: Ratio = Field(1.0, description="estimated variance over the tracker's own")
     targets: tuple[StoredTarget, ...] = ()
