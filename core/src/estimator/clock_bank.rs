@@ -338,7 +338,8 @@ impl Bank {
             let before = &self.befores[member.before];
             let since: Vec<Timed> = self.items.iter().filter(|one| one.at_s > before.clock.time_s).copied().collect();
             // What one measurement came to without a step, on the mean.
-            let usual = (self.none - starts[member.before]) / since.len().max(1) as f64;
+            let places = |one: &&Timed| one.channel().is_some_and(|c| model.channels[c].places);
+            let usual = (self.none - starts[member.before]) / since.iter().filter(places).count().max(1) as f64;
             let (items, untaken) = member.step.applied(&since, model, origin_ns);
             let (mut items, untaken, unseen) = member.step.without_unseen(items, untaken);
             let due = items.partition_point(|one| one.at_s <= now_s);
@@ -355,7 +356,7 @@ impl Bank {
                 (&mut items[..due], &untaken),
                 (self.keeps_rows, work),
             );
-            let pending = unseen.iter().chain(&items[due..]).filter_map(|one| one.item.measured());
+            let pending = unseen.iter().chain(&items[due..]).filter(places).filter_map(|one| one.item.measured());
             let (pending, most) = log_later(pending, member.filter.hyps.best(), usual, model);
             (member.weight, member.open) =
                 (member.prior + starts[member.before] + log_likelihood + pending, most - pending);

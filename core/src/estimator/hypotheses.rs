@@ -121,7 +121,17 @@ impl Hypotheses {
     }
 
     /// Splits, weighs and prunes all by one measurement; first: it is one of the first, any of which may be outliers.
+    ///
+    /// A channel that tells nothing of where the structure is gives no evidence of a clock.
     pub fn split(&mut self, scene: &Scene, work: &mut Work, first: bool) {
+        let before = self.evidence();
+        self.split_by(scene, work, first);
+        if !scene.channel.places {
+            self.evidence += before - self.evidence();
+        }
+    }
+
+    fn split_by(&mut self, scene: &Scene, work: &mut Work, first: bool) {
         let rates = &scene.model.rates;
         let (most, odds) = if first { (MAX_FIRST, FIRST_ODDS * rates.odds) } else { (MAX_LATER, rates.odds) };
         self.weigh(scene, work, first);

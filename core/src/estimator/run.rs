@@ -421,6 +421,9 @@ fn judge_open(
         if let Some(back) = back {
             back.leave_record(scene.at_s, c, Some(total), made, work);
         }
+        if !scene.channel.places {
+            return true;
+        }
         let is_step = scene.model.looks_for_steps() && find_step(best, scene, SURE);
         hyps.add_evidence(log_normal(innovation.error, innovation.total()));
         return !is_step;
