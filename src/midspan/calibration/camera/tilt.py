@@ -31,9 +31,8 @@ from midspan.signals.stamps import inside
 
 # Declared distances differ where they do so by this many standard deviations (95 %), and by `SAME_DISTANCE`.
 CERTAIN = 2.0
-# A tilt is a random walk as steep as it moves over these times, s, apart from what it does within a second; a hundredth
-# where that hides the rest.
-WALK_LAGS_S, WALK_SHARE = (2, 4, 8, 16), 0.01
+# A tilt is a random walk as steep as it moves over these times, s.
+WALK_LAGS_S = (2, 4, 8, 16)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,16 +106,20 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | No
 def _walk(one: Floats, other: Floats, step_s: float) -> float:
     """Density (px²/s) of a random walk that what two targets (n,) have in common goes on by; step_s: between frames.
 
-    By their structure functions, whose product holds no noise of either: what is added to that of a second.
+    By the steps between means over a second that one of twenty exceeds, as walkers come now and then.
     """
-
-    def moved(lag: int) -> float:
-        return float(np.nanmean((one[lag:] - one[:-lag]) * (other[lag:] - other[:-lag])))
-
     second = max(round(1.0 / step_s), 1)
-    fast = max(moved(lag) for lag in {1, max(second // 2, 1), second})
-    lags = [k * second for k in WALK_LAGS_S if k * second < len(one) // 2]
-    return max((max(moved(lag) - fast, WALK_SHARE * moved(lag)) / (lag * step_s) for lag in lags), default=0.0)
+    count = len(one) // second
+    blocks = 0.5 * (one + other)[: count * second].reshape(count, second)
+    seen = np.isfinite(blocks).any(axis=1)
+    mean = np.full(count, np.nan)
+    mean[seen] = np.nanmean(blocks[seen], axis=1)
+    found = []
+    for lag in (k for k in WALK_LAGS_S if k < count // 2):
+        steps = np.abs(mean[lag:] - mean[:-lag])
+        if np.isfinite(steps).any():
+            found.append(float(np.nanquantile(steps, 0.95) / CERTAIN) ** 2 / (lag * second * step_s))
+    return max(found, default=0.0)
 
 
 def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:

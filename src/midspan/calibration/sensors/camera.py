@@ -68,7 +68,8 @@ class CameraCalibration:
     temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
     0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
     where nothing tells which is wrong. slow_std_m, slow_time_s, slow_hz: of its slow error, see `records.Channel`.
-    tilt_std_px: standard deviation of its tilt in the image, where targets at several distances show it; else 0. tilt_walk_px2_s: density of the random walk that it goes on by.
+    tilt_std_px: standard deviation of its tilt in the image, where targets at several distances show it; else 0.
+    tilt_walk_px2_s: density of the random walk that it goes on by.
     name: where there are several sensors of a kind. literal: scale and offset are as printed (see
     `papers/printed/camera.py`). diagnostics: what the best target's values rest on, for the report; not in the file.
     """
