@@ -247,6 +247,16 @@ def test_a_large_bias_changes_nothing():
     assert shifted.bias_rad_s - found.bias_rad_s == pytest.approx(np.radians(3.0))
 
 
+def test_a_bias_that_drifts_is_in_its_band():
+    view, targets, gyroscope = recorded(Site())
+    drift = np.linspace(0.0, np.radians(0.5), len(gyroscope.value))
+    found = fit_gyroscope(view, targets, replace(gyroscope, value=gyroscope.value + drift))
+    check_right(found)
+    # It is the mean's at first and last within the band, and drifts on.
+    assert 0.5 * np.radians(0.25) < found.bias_std_rad_s < np.radians(0.25)
+    assert found.bias_walk * 100.0 == pytest.approx(3.0 * np.radians(0.25) ** 2, rel=0.1)
+
+
 def test_a_lens_makes_the_focal_length_sharper():
     view, targets, gyroscope = recorded(Site())
     alone = fit_gyroscope(view, targets, gyroscope)
@@ -300,6 +310,14 @@ def test_a_wrong_axis_is_named(focal_px):
     *_, other = recorded(Site(11))
     with pytest.raises(UntrustedError, match=r"does not show the rotation.*permuted"):
         fit_gyroscope(view, targets, other, focal_px=focal_px)
+
+
+@pytest.mark.parametrize("which", [slice(0, 1000), slice(19_000, None), slice(12_000, None)])
+def test_readings_that_begin_late_or_end_early_are_enough(which):
+    view, targets, gyroscope = recorded(Site(3))
+    kept = np.delete(np.arange(len(gyroscope.value)), which)
+    cut = replace(gyroscope, time_ns=gyroscope.time_ns[kept], value=gyroscope.value[kept])
+    check_right(fit_gyroscope(view, targets, cut), Site(3))
 
 
 @pytest.mark.parametrize("kind", ["missing", "frozen", "hole"])
@@ -368,6 +386,14 @@ def test_occluded_and_wrong_frames_change_little():
 def test_a_band_of_the_acceleration_decides():
     view, targets, gyroscope = recorded(Site())
     check_right(fit_gyroscope(replace(view, band_hz=(1.0, 4.5)), targets, gyroscope))
+
+
+def test_targets_that_are_not_seen_are_refused():
+    view, targets, gyroscope = recorded(Site())
+    rows = targets[0].rows
+    gone = replace(targets[0], rows=replace(rows, y_px=np.full(len(rows.y_px), np.nan)))
+    with pytest.raises(UntrustedError, match="Only 0 usable frames"):
+        fit_gyroscope(view, (gone, gone), gyroscope)
 
 
 def test_noise_is_read_where_there_is_no_motion():

@@ -12,6 +12,7 @@ from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
 from midspan.calibration.camera.rotation import CONTRADICT_SHARE, CONTRADICT_STD, MAX_FOCAL_STD, Compared, Settled
 from midspan.calibration.camera.turning import SEEN_HZ, Turning, turning_of
 from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.camera.zoom import without_zoom
 from midspan.calibration.common_offset import Fitted, weighted_median
 from midspan.calibration.scale import ScaleCalibration
 from midspan.errors import UntrustedError
@@ -82,17 +83,24 @@ def fit_gyroscope(
     """
     turning = turning_of(gyroscope, view.window_ns, noise_density)
     width = max(target.frame_px[0] for target in targets)
-    compared = [_compared(view, target, turning, fits) for target in targets]
+    compared = [_compared(view, without_zoom([view], target), turning, fits) for target in targets]
     settled = [one for one in compared if not isinstance(one, UntrustedError)]
     if not settled:
-        raise UntrustedError(" ".join(map(str, compared)))
+        raise UntrustedError(_reasons(targets, compared))
     usual = _usual([at for _, at in settled], focal_px)
     agreeing = [at for _, at in settled if not at.contradicts(usual)]
     focal = _focal(agreeing or [at for _, at in settled], focal_px, width)
     scaled = [one if isinstance(one, UntrustedError) else _scaled(*one, focal) for one in compared]
     if all(isinstance(one, UntrustedError) for one in scaled):
-        raise UntrustedError(" ".join(map(str, scaled)))
+        raise UntrustedError(_reasons(targets, scaled))
     return _fit_of(turning, focal, [at for _, at in settled], BIAS_STD if bias_std is None else bias_std, scaled)
+
+
+def _reasons(targets: Sequence[SeenTarget], why: Sequence[object]) -> str:
+    """Why no target is calibrated, each reason once."""
+    if len(set(map(str, why))) == 1:
+        return str(why[0])
+    return " ".join(f"Target {target.name}: {one}" for target, one in zip(targets, why, strict=True))
 
 
 def _compared(
@@ -215,6 +223,7 @@ def _fit_of(
     slow_px, length_s = SLOW_TILT * tilt_px, float(turning.time_s[-1] - turning.time_s[0])
     # The mean holds what the camera has turned by from end to end.
     mean_std = float(np.hypot(np.sqrt(density / length_s), np.sqrt(2.0) * slow_px / focal[0] / length_s))
+    drift2 = max(turning.drift**2 - (2.0 * CERTAIN * mean_std) ** 2, 0.0)
     text = (
         f"gyroscope: the camera tilts by {rounded(tilt_px)} px rms in the image above {SEEN_HZ:g} Hz, which the scale "
         f"factors are without; focal length {focal[0]:.4g} ± {rounded(focal[1])} px."
@@ -224,8 +233,9 @@ def _fit_of(
         focal_std_px=focal[1],
         noise_rad_s=float(np.sqrt(density * turning.rate_hz)),
         bias_rad_s=turning.bias,
-        bias_std_rad_s=float((bias_std**-2.0 + mean_std**-2.0) ** -0.5),
-        bias_walk=BIAS_WALK,
+        bias_std_rad_s=float(np.sqrt(1.0 / (bias_std**-2.0 + mean_std**-2.0) + 0.25 * drift2)),
+        # Means of both halves of a random walk differ by a third of its variance over all.
+        bias_walk=max(BIAS_WALK, 3.0 * drift2 / length_s),
         offset_s=best.place.offset_s - best.place.turned_s,
         offset_std_s=float(np.sqrt(best.late_variance)),
         scales=tuple(None if isinstance(one, UntrustedError) else one[0] for one in scaled),

@@ -53,6 +53,12 @@ class Turning:
     gaps: Floats
     notices: tuple[Notice, ...] = ()
 
+    @property
+    def drift(self) -> float:
+        """By how much the mean of the second half exceeds that of the first, rad/s."""
+        middle = len(self.rate) // 2
+        return float(np.mean(self.rate[middle:]) - np.mean(self.rate[:middle]))
+
     @cached_property
     def _spline(self) -> "CubicHermiteSpline":
         from scipy.interpolate import CubicHermiteSpline
