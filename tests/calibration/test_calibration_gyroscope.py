@@ -10,7 +10,7 @@ import pytest
 from midspan.calibration.camera.calibrate import SLOW_TILT, fit_camera
 from midspan.calibration.camera.gyroscope import BIAS_STD, BIAS_WALK, fit_gyroscope
 from midspan.calibration.camera.turning import noise_floor
-from midspan.calibration.camera.view import SeenTarget, View, camera_pair
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair, scale_of
 from midspan.calibration.fit import best_corner
 from midspan.errors import UntrustedError
 from midspan.records import PixelTrack, Region, TimeSeries
@@ -131,9 +131,10 @@ def check_right(found, site=Site()):
     assert abs(error) < 3.0 * std < 0.05
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("frames_hz", [10.0, 30.0])
-@pytest.mark.parametrize("distance_m", [3.0, 10.0])
+@pytest.mark.parametrize(
+    ("distance_m", "frames_hz", "seed"),
+    [(3.0, 10.0, 0), (3.0, 10.0, 1), (10.0, 10.0, 0), (10.0, 10.0, 1), (3.0, 30.0, 0), (10.0, 30.0, 1)],
+)
 def test_focal_length_and_scale_are_right_where_the_slope_goes_with_the_displacement(distance_m, frames_hz, seed):
     site = Site(seed, frames_hz=frames_hz, distances_m=(distance_m,))
     view, targets, gyroscope = recorded(site)
@@ -150,7 +151,7 @@ def test_focal_length_and_scale_are_right_where_the_slope_goes_with_the_displace
 
 def test_errors_are_as_large_as_their_standard_deviations():
     standard = []
-    for seed in range(10, 18):
+    for seed in range(10, 16):
         site = Site(seed, duration_s=60.0)
         view, targets, gyroscope = recorded(site)
         found = fit_gyroscope(view, targets, gyroscope)
@@ -229,6 +230,16 @@ def test_a_camera_that_the_accelerometer_alone_refuses_is_calibrated():
     assert abs(error) < 3.0 * std < 0.03
     assert camera.calibration.offset.value_s == pytest.approx(FRAMES_LATE_S, abs=1e-3)
     assert camera.calibration.noise_std_px < 0.02
+
+
+def test_the_gyroscope_decides_between_two_clock_offsets():
+    site = Site(1, distances_m=(10.0,), max_offset_s=0.5)
+    view, targets, gyroscope = recorded(site)
+    with pytest.raises(UntrustedError, match="ambiguous"):
+        scale_of(view, camera_pair(view, targets[0].rows, 0.0))
+    found = fit_gyroscope(view, targets, gyroscope)
+    check_right(found, site)
+    assert found.found[0].search.offset.value_s == pytest.approx(FRAMES_LATE_S, abs=3e-3)
 
 
 @pytest.mark.parametrize("late_s", [0.02, -0.05])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.agreement import clearly_better
 from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
 from midspan.calibration.camera.rotation import CONTRADICT_SHARE, CONTRADICT_STD, MAX_FOCAL_STD, Compared, Settled
 from midspan.calibration.camera.turning import SEEN_HZ, Turning, turning_of
@@ -108,8 +109,20 @@ def _compared(
 ) -> tuple[Compared, Settled] | UntrustedError:
     """A target's estimate, or why there is none."""
     try:
-        compared = Compared(view, target, turning)
-        return compared, compared.settled(fits)
+        tried = []
+        for offset_s in Compared(view, target, turning).offsets_s(fits):
+            compared = Compared(view, target, turning)
+            at = compared.settled(offset_s)
+            tried.append((compared, at, compared.fit(at)))
+        best, *others = sorted(tried, key=lambda one: -one[2].likelihood)
+        for _, at, other in others:
+            if not clearly_better(best[2], other):
+                offsets = f"{best[1].place.offset_s:+.4f} s and {at.place.offset_s:+.4f} s"
+                raise UntrustedError(
+                    f"The clock offset is ambiguous: {offsets} fit almost equally well. Set a smaller "
+                    "calibration.max_offset_s that excludes one of them."
+                )
+        return best[:2]
     except UntrustedError as error:
         return error
 

@@ -158,11 +158,9 @@ class Compared:
         self.typical = float(np.median(pair.rows[usable, 2]))
         self.pair = pair.changed(rows=pair.rows / np.array([1.0, 1.0, self.typical]))
 
-    def start(self, fits: Sequence[CameraFit]) -> Place:
-        """Clock offset and noise levels without the rotation."""
-        known = [fit.calibration.offset.value_s for fit in fits if fit.calibration.direction == self.view.axis]
+    def start(self, offset_s: float) -> Place:
+        """Noise levels without the rotation, at a clock offset of the frames."""
         self.pair = without_lonely_outliers(self.pair)
-        offset_s = known[0] - self.view.late_ns / NANOSECONDS if known else self._searched_s()
         fit = best_corner(self.pair, offset_s)
         self.pair = cleaned(self.pair, fit)
         fit = best_corner(self.pair, offset_s, fit.corner)
@@ -178,16 +176,16 @@ class Compared:
         jumps = np.zeros(len(self.turning.gaps))
         return Place(fit.offset_s, fit.offset_s, fit.corner, fit.ratio, 0.0, fit.noise, jumps, self.turning.density)
 
-    def _searched_s(self) -> float:
-        """The frames' clock offset without the rotation, s."""
+    def offsets_s(self, fits: Sequence[CameraFit]) -> list[float]:
+        """The frames' clock offset, s, as calibrated or without the rotation; two where both fit alike."""
+        known = [fit.calibration.offset.value_s for fit in fits if fit.calibration.direction == self.view.axis]
+        if known:
+            return [known[0] - self.view.late_ns / NANOSECONDS]
         found = search_offset(self.pair, self.view.max_offset_s)
         other = found.runner_up
-        if other is not None and not clearly_better(found.fit, other):
-            raise UntrustedError(
-                f"The clock offset is ambiguous: {found.fit.offset_s:+.4f} s and {other.offset_s:+.4f} s fit almost "
-                "equally well. Set a smaller calibration.max_offset_s that excludes one of them."
-            )
-        return found.fit.offset_s
+        if other is None or clearly_better(found.fit, other):
+            return [found.fit.offset_s]
+        return [found.fit.offset_s, other.offset_s]
 
     def without_tilt(self, place: Place) -> Pair:
         """The pair whose translation is without the tilt, and noisier by the gyroscope's."""
@@ -219,9 +217,9 @@ class Compared:
         left = noisy[:, 0] - noisy[:, 1:3] @ np.array([found.ratio, found.focal])
         return replace(found, jumps=np.linalg.lstsq(other, left, rcond=None)[0][:gaps] if gaps else np.empty(0))
 
-    def settled(self, fits: Sequence[CameraFit]) -> Settled:
-        """The likeliest r, f, clock offsets and noise levels."""
-        self.begun = place = self.start(fits)
+    def settled(self, offset_s: float) -> Settled:
+        """The likeliest r, f, clock offsets and noise levels near a clock offset of the frames."""
+        self.begun = place = self.start(offset_s)
         return self.near(replace(place, turned_s=place.offset_s + self._scanned(place)))
 
     def near(self, place: Place, focal: float | None = None) -> Settled:
@@ -320,6 +318,10 @@ class Compared:
         late = 0.5 * (aside[1].focal - aside[0].focal) / LATE_STEP_S * np.sqrt(turned)
         more = self.joint(place, density_share=1.0 + place.doubt).focal - found.focal
         return Settled(place, found, float(factor * found.focal_variance + more**2 + late**2), *clocks)
+
+    def fit(self, at: Settled) -> Fit:
+        """The fit without the tilt."""
+        return best_corner(self.without_tilt(at.place), at.place.offset_s, at.place.corner)
 
     def scale(self, at: Settled) -> ScaleCalibration:
         """The scale factor without the tilt, of a focal length that is certain."""
