@@ -10,8 +10,6 @@ from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
-from midspan.calibration.camera.turning import turning_of
-from midspan.calibration.camera.untilted import untilted
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
 from midspan.calibration.sensors.camera import CameraCalibration
@@ -213,13 +211,16 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
     tracking.until(window_ends(recording)[1] - recording.late_ns)
     across, seen = recording.across, seen_targets(recording, tracking)
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
+    second = "" if across is None else across.axis
     reported = lambda: [*chosen_text(tracking), *tracking.warnings()]  # noqa: E731
-    fitted = lambda targets: fit_camera(views, targets, reported, "" if across is None else across.axis)  # noqa: E731
-    parts = _by_distances(recording, fitted, seen)
-    seen, found, said = _without_rotation(recording, views[0], seen, parts)
-    if not recording.lines and recording.settings.calibration.printed(recording.settings.first_camera) is None:
+    turns = _gyroscope_of(recording) is not None
+    # The difference of targets at different distances is sharper than any gyroscope.
+    parts = _by_distances(lambda: fit_camera(views, seen, reported, second)) if turns and len(seen) > 1 else ()
+    found, said = _gyroscope_fit(recording, views[0], seen, parts) if turns else (None, ())
+    if found is None and not recording.lines and not _is_printed(recording):
         _require_no_lines(recording, seen)
-    parts = parts or fitted(seen)
+    without_tilt = {} if found is None else {views[0].axis: found.fitted}
+    parts = parts or fit_camera(views, seen, reported, second, without_tilt)
     main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
@@ -233,46 +234,39 @@ def _gyroscope_of(recording: Recording) -> TimeSeries | None:
     return recording.auxiliary.get("gyroscope")
 
 
-def _by_distances(
-    recording: Recording,
-    fitted: Callable[[Sequence[SeenTarget]], tuple[CameraFit, ...]],
-    seen: Sequence[SeenTarget],
-) -> tuple[CameraFit, ...]:
-    """The calibration where a camera with a gyroscope has targets at different distances, whose difference is sharper
-    than any gyroscope; nothing where they tell no tilt.
-    """
-    if _gyroscope_of(recording) is None or len(seen) < 2:
-        return ()
+def _is_printed(recording: Recording) -> bool:
+    """Whether scale and clock offset are calibrated as printed."""
+    return recording.settings.calibration.printed(recording.settings.first_camera) is not None
+
+
+def _by_distances(fitted: Callable[[], tuple[CameraFit, ...]]) -> tuple[CameraFit, ...]:
+    """The calibration without a gyroscope where the targets' distances tell the tilt; nothing where they do not."""
     try:
-        parts = fitted(seen)
+        parts = fitted()
     except UntrustedError:
         return ()
     return parts if parts[0].calibration.tilt_std_px > 0.0 else ()
 
 
-def _without_rotation(
-    recording: Recording, view: View, seen: list[SeenTarget], parts: Sequence[CameraFit]
-) -> tuple[list[SeenTarget], GyroscopeFit | None, tuple[Notice, ...]]:
-    """The targets without the tilt that a gyroscope measures, what was found of it, and notices.
-
-    parts: calibrated by targets at different distances; where there are such, the targets stay as they are.
-    """
+def _gyroscope_fit(
+    recording: Recording, view: View, seen: Sequence[SeenTarget], parts: Sequence[CameraFit]
+) -> tuple[GyroscopeFit | None, tuple[Notice, ...]]:
+    """What is found of the gyroscope, and notices; parts: calibrated by targets at different distances."""
     series, section = _gyroscope_of(recording), recording.root.settings.gyroscope
-    if series is None or section is None:
-        return seen, None, ()
+    assert series is not None
+    assert section is not None
     factor = si_factor(section.unit or series.unit, "rotation rate", None)
     density = None if section.noise_density is None else factor * section.noise_density
     bias_std = None if section.bias_std is None else factor * section.bias_std
     lens = seen[0].lens
-    focal_px = None if lens is None else (float(lens.matrix["xy".index(view.axis)]), LENS_STD * lens.matrix[0])
+    focal_px = None if lens is None else float(lens.matrix["xy".index(view.axis)])
+    known = None if focal_px is None else (focal_px, LENS_STD * focal_px)
     try:
-        found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=focal_px)
+        found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=known)
     except UntrustedError as error:
-        text = f"[gyroscope] is left out of the result. {error}"
-        return seen, None, (Notice("part-left-out", text),)
-    if parts:
-        return seen, found, found.notices[1:]
-    return untilted(view, seen, turning_of(series, view.window_ns, density), found), found, found.notices
+        return None, (Notice("part-left-out", f"[gyroscope] is left out of the result. {error}"),)
+    # Of the tilt the targets' own notice says the size.
+    return found, tuple(line for line in found.notices if line.code != "tilt" or not parts)
 
 
 def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
@@ -287,25 +281,14 @@ def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
 
 
 def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:
-    """The calibration with the tilt's size, and scale factors as uncertain as the focal length leaves them.
+    """The calibration with the tilt's size.
 
     Of targets at different distances the differences are sharp, and a gyroscope tells what is added to all of them.
     """
     if part.calibration.tilt_std_px > 0.0:
         return replace(part, calibration=_regauged(part.calibration, found), gyroscope=found)
-    targets, scale = [], part.calibration.scale
-    for target, own in zip(part.calibration.targets, found.scales, strict=True):
-        if target.scale is None or own is None:
-            targets.append(target)
-            continue
-        relative = own.variance / own.value_m_per_px**2 * target.scale.value_m_per_px**2
-        wider = replace(target.scale, variance=max(target.scale.variance, relative))
-        targets.append(replace(target, scale=wider))
-        if target.region == part.calibration.region:
-            scale = wider
     tilt_px = float(np.hypot(found.tilt_std_px, found.slow_tilt_px))
-    camera = replace(part.calibration, scale=scale, targets=tuple(targets), tilt_std_px=tilt_px)
-    return replace(part, calibration=camera, gyroscope=found)
+    return replace(part, calibration=replace(part.calibration, tilt_std_px=tilt_px), gyroscope=found)
 
 
 def _regauged(camera: CameraCalibration, found: GyroscopeFit) -> CameraCalibration:

@@ -1,6 +1,6 @@
 """The camera's part of a calibration: every target, along every measured image axis, relative to the accelerometer."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,21 +42,27 @@ PRINTED = (
 
 
 def fit_camera(
-    views: Sequence[View], targets: Sequence[SeenTarget], reported: Callable[[], Sequence[str]], second: str = ""
+    views: Sequence[View],
+    targets: Sequence[SeenTarget],
+    reported: Callable[[], Sequence[str]],
+    second: str = "",
+    without_tilt: Mapping[str, Fitted] | None = None,
 ) -> tuple[CameraFit, ...]:
     """Calibrate a camera along its image axes, the main one first.
 
     views: the axes with an acceleration of their own, one or two; targets: as tracked through the window; reported:
-    what of the frames is worth reporting, for a refusal; second: the second axis, fused or only tracked (empty: none).
+    what of the frames is worth reporting, for a refusal; second: the second axis, fused or only tracked (empty: none);
+    without_tilt: by image axes, the targets as a gyroscope has them.
     A second axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError
     where no target can be calibrated along the main axis.
     """
     targets = [without_zoom(views, target) for target in targets]
     main, across, refused = views[0], (*views[1:], None)[0], ""
-    fits = [_fitted(main, targets, reported)]
+    turned = without_tilt or {}
+    fits = [turned[main.axis] if main.axis in turned else _fitted(main, targets, reported)]
     if across is not None:
         try:
-            fits.append(_fitted(across, targets, reported))
+            fits.append(turned[across.axis] if across.axis in turned else _fitted(across, targets, reported))
         except UntrustedError as error:
             refused = f"Along {second} the target is only tracked, without the accelerometer. {error}"
     fits = one_offset(fits)
@@ -177,7 +183,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     apart_s: list[float] = []
     for target in targets:
         try:
-            own = target.untilted or scale_of(view, camera_pair(view, target.rows, target.blur_s))
+            own = scale_of(view, camera_pair(view, target.rows, target.blur_s))
             _refuse_pattern(target.tracker.scale_share_std, own.scale)
             _refuse_compression(target.with_picture_error(own.scale, view.axis), own.scale)
             found.append(own)

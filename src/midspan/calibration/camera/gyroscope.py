@@ -1,75 +1,34 @@
 """A gyroscope on the box of a camera: the focal length by which the image shows its rotation, and scales without tilt.
 
-Along an image axis a target's translation is that of the displacement u and of the rotation θ about the other axis,
-with the focal length f in px; accelerometer and gyroscope give both but for their noise:
-
-    p = r u + f θ + n,   u'' = a − b − w,   θ' = ω − c − g
-
-The integrals D of a and Θ of ω go through the filter of `whitening` with p. There the gyroscope's integrated noise is a
-coloured error of the translation, a random walk, which a Gauss-Markov process of a long correlation time is. All three
-columns are noisy, so r and f are a total least squares estimate: the eigenvector of the smallest eigenvalue of the
-columns' products relative to those of their noises (S. Van Huffel and J. Vandewalle, The total least squares problem,
-1991, chapter 8, doi 10.1137/1.9781611971002). A regression on D alone would take a tilt in proportion to the
-displacement for scale. Products of the random walk are known from draws of it.
+How both are found is in `rotation`; here all targets are taken together, and what does not fit is named.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better, misfit
+from midspan.calibration.agreement import clearly_better
 from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
-from midspan.calibration.camera.turning import DRAWS, SEEN_HZ, Turning, turning_of
-from midspan.calibration.camera.view import SeenTarget, View, camera_pair
-from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, evaluate
-from midspan.calibration.minimum import global_minimum
-from midspan.calibration.outliers import cleaned, without_lonely_outliers
-from midspan.calibration.scale import REFUSED_ABOVE, ScaleCalibration, calibrate_scale, too_vague
-from midspan.calibration.time_offset import search_offset
-from midspan.calibration.whitening import Whitened, inverse_of
+from midspan.calibration.camera.rotation import CONTRADICT_SHARE, CONTRADICT_STD, MAX_FOCAL_STD, Compared, Settled
+from midspan.calibration.camera.turning import SEEN_HZ, Turning, turning_of
+from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.camera.zoom import without_zoom
+from midspan.calibration.common_offset import Fitted, weighted_median
+from midspan.calibration.scale import ScaleCalibration
 from midspan.errors import UntrustedError
 from midspan.notices import Notice, rounded
-from midspan.records import NANOSECONDS, Floats, ScaleFactor, TimeSeries
+from midspan.records import ScaleFactor, TimeSeries
 
 # Where nothing is declared: a gyroscope's bias, rad/s, and how its bias drifts: by 3 °/h in an hour, rad²/s³.
 BIAS_STD = float(np.radians(0.3))
 BIAS_WALK = float(np.radians(3.0 / 3600.0)) ** 2 / 3600.0
-# Largest offset of the gyroscope's clock against the accelerometer's, s, and the step in which it is looked for.
-MAX_LATE_S, LATE_STEP_S = 0.1, 5e-3
-# What goes together at the largest offset counts for less than at none, by this share.
-FARTHER_COSTS = 0.3
-# An offset that is known to no better than this, s, is none; clocks of one logger are as far apart as that then (σ).
-MAX_CLOCK_STD_S, USUAL_LATE_S = 0.01, 0.02
-# By this much, s, the clock is moved to see where both go together best: the noise of readings averages out, tilts up
-# to 10 Hz do not.
-CLOCK_STEP_S = 0.02
-# The random walk of the integrated noise is a process of this correlation time, s.
-WALK_TIME_S = 100.0
-# Rounds in which focal length, clock offsets and noise levels are found in turn, and how well the first is known then.
-ROUNDS, SETTLED = 12, 1e-3
-# The density of the gyroscope's noise as declared, or as fast readings have it, is right to this (logarithm); around it
-# the likeliest one is looked for.
-DENSITY_STD = 0.3
-# So is the noise of a frame as the tracker has it; sizes of the gyroscope's noise over it that are tried (logarithms).
-NOISE_STD, SIZES = 1.5, (-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0)
-# A focal length that is less certain, relative, is none.
-MAX_FOCAL_STD = 0.1
-# Rotation shows where it exceeds the scatter of the noise's power by this factor.
-SHOWS = 4.0
 # Focal lengths of cameras, in widths of the picture: fields of view of 127° and 0.6°.
 FOCAL_WIDTHS = (0.25, 100.0)
 # What is right to this many standard deviations is certain.
 CERTAIN = 3.0
-# Largest step of the frames' clock offset in a round, s.
-MAX_STEP_S = 0.02
-# Least share of the innovations that is a frame's own noise.
-MIN_OWN = 0.02
 # A tilt is no less than this share of the gyroscope's noise.
 MIN_TILT = 0.1
-# Two focal lengths contradict each other by this many standard deviations and this share.
-CONTRADICT_STD, CONTRADICT_SHARE = 5.0, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +37,8 @@ class GyroscopeFit:
 
     focal_px, focal_std_px: by which the image shows the rotation; noise_rad_s: of one sample; bias_rad_s: the mean of
     the calibration window, bias_std_rad_s: how well that is the bias; bias_walk: rad²/s³; offset_s, offset_std_s: what
-    is to be added to the gyroscope's stamps, infinite where the motion does not tell it; scales, found, reasons: of
-    each target without the tilt, None and a reason where it has none; tilt_std_px: rms of the tilt in the image above
+    is to be added to the gyroscope's stamps; scales, found, reasons: of each target without the tilt, None and a reason
+    where it has none; tilt_std_px: rms of the tilt in the image above
     `turning.SEEN_HZ`, which the gyroscope sees; slow_tilt_px: what is taken for the slower part.
     """
 
@@ -98,329 +57,10 @@ class GyroscopeFit:
     slow_tilt_px: float
     notices: tuple[Notice, ...] = ()
 
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where columns are compared: by how much the accelerometer's clock and the gyroscope's are ahead of the frames'
-    (s), the corner frequency (rad/s), r, f, the noise of a frame (px²), and what the angle jumps by at gaps (k,), px.
-
-    density: of the gyroscope's noise, two-sided, (rad/s)²/Hz; doubt: standard deviation of its logarithm.
-    """
-
-    offset_s: float
-    turned_s: float
-    corner: float
-    ratio: float
-    focal: float
-    noise: float
-    jumps: Floats
-    density: float
-    doubt: float = DENSITY_STD
-
     @property
-    def slow(self) -> tuple[float, float, float]:
-        """The gyroscope's integrated noise in the image, as of `Pair`."""
-        return 0.5 * WALK_TIME_S * self.density * self.focal**2 / self.noise, 1.0 / WALK_TIME_S, 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Joint:
-    """Displacement and rotation in a target's translation.
-
-    ratio, focal: r and f; focal_variance; step_s: what the frames' clock offset gains, step_variance: of that; drag:
-    d(ratio)/d(focal); known: power of Θ beyond its noise and what goes with D, in standard deviations of the noise's
-    power; jumps (k,): of the angle at gaps, px.
-    """
-
-    ratio: float
-    focal: float
-    focal_variance: float
-    step_s: float
-    step_variance: float
-    drag: float
-    known: float
-    jumps: Floats = field(default_factory=lambda: np.empty(0))
-
-    @property
-    def shows(self) -> bool:
-        """Whether the rotation is more than the gyroscope's noise."""
-        return self.known > SHOWS
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Settled:
-    """A target's estimate: focal length and its variance, and variances of the clock offsets, s²."""
-
-    place: _Place
-    joint: _Joint
-    variance: float
-    late_variance: float
-
-    @property
-    def tells(self) -> bool:
-        """Whether the focal length is certain enough."""
-        return self.joint.shows and np.sqrt(self.variance) <= MAX_FOCAL_STD * abs(self.joint.focal)
-
-    def widened(self, scale: ScaleFactor, focal_std: float) -> ScaleFactor:
-        """A scale factor with what the focal length makes of it."""
-        value = scale.value_m_per_px
-        variance = scale.variance + (self.joint.drag * focal_std * value**2) ** 2
-        if (relative := float(np.sqrt(variance)) / abs(value)) > REFUSED_ABOVE:
-            raise UntrustedError(f"The scale factor is too uncertain: {too_vague(value, relative)}.")
-        return ScaleFactor(value, variance)
-
-
-class _Compared:
-    """A target's translation, the acceleration and a rotation, in the calibration window."""
-
-    def __init__(self, view: View, target: SeenTarget, turning: Turning) -> None:
-        self.view, self.target, self.turning = view, target, turning
-        pair = camera_pair(view, target.rows, target.blur_s)
-        usable = np.isfinite(pair.rows[:, 2])
-        if np.count_nonzero(usable) < MIN_FRAMES:
-            raise UntrustedError(
-                f"Only {np.count_nonzero(usable)} usable frames of target {target.name} lie in the calibration "
-                f"window; at least {MIN_FRAMES} are needed."
-            )
-        self.typical = float(np.median(pair.rows[usable, 2]))
-        self.pair = pair.changed(rows=pair.rows / np.array([1.0, 1.0, self.typical]))
-
-    def start(self, fits: Sequence[CameraFit]) -> _Place:
-        """Clock offset and noise levels without the rotation."""
-        known = [fit.calibration.offset.value_s for fit in fits if fit.calibration.direction == self.view.axis]
-        self.pair = without_lonely_outliers(self.pair)
-        offset_s = known[0] - self.view.late_ns / NANOSECONDS if known else self._searched_s()
-        fit = best_corner(self.pair, offset_s)
-        self.pair = cleaned(self.pair, fit)
-        fit = best_corner(self.pair, offset_s, fit.corner)
-        usable = self.turning.seen(self.pair.rows[:, 0] + fit.offset_s, MAX_LATE_S + self.pair.exposure_s)
-        rows = self.pair.rows.copy()
-        rows[~usable, 2] = np.inf
-        self.pair = self.pair.changed(rows=rows)
-        if np.count_nonzero(np.isfinite(rows[:, 2])) < MIN_FRAMES:
-            raise UntrustedError(
-                "gyroscope: its readings and the frames of the calibration window hardly overlap. Check the time "
-                "stamps of both and gyroscope.start_s."
-            )
-        jumps = np.zeros(len(self.turning.gaps))
-        return _Place(fit.offset_s, fit.offset_s, fit.corner, fit.ratio, 0.0, fit.noise, jumps, self.turning.density)
-
-    def _searched_s(self) -> float:
-        """The frames' clock offset without the rotation, s."""
-        found = search_offset(self.pair, self.view.max_offset_s)
-        other = found.runner_up
-        if other is not None and not clearly_better(found.fit, other):
-            raise UntrustedError(
-                f"The clock offset is ambiguous: {found.fit.offset_s:+.4f} s and {other.offset_s:+.4f} s fit almost "
-                "equally well. Set a smaller calibration.max_offset_s that excludes one of them."
-            )
-        return found.fit.offset_s
-
-    def without_tilt(self, place: _Place) -> Pair:
-        """The pair whose translation is without the tilt, and noisier by the gyroscope's."""
-        rows, time_s = self.pair.rows.copy(), self.pair.rows[:, 0] + place.turned_s
-        rows[:, 1] -= place.focal * self.turning.angle(time_s, self.pair.exposure_s)
-        for number, jump in enumerate(place.jumps):
-            rows[:, 1] -= jump * self.turning.jumped(time_s, number)
-        return self.pair.changed(rows=rows, slow=place.slow)
-
-    def joint(self, place: _Place, focal: float | None = None, density_share: float = 1.0) -> _Joint:
-        """Displacement and rotation in the translation, with a focal length where one is given.
-
-        density_share: of Θ's noise as it is reckoned with.
-        """
-        turning, gaps = self.turning, len(self.turning.gaps)
-        pair, apart_s = self.pair.changed(slow=place.slow), place.turned_s - place.offset_s
-        columns = [lambda time_s: turning.angle(time_s + apart_s, pair.exposure_s)]
-        columns += [partial(lambda time_s, k: turning.jumped(time_s + apart_s, k), k=k) for k in range(gaps)]
-        columns += [partial(lambda time_s, k: turning.walk(time_s + apart_s, k), k=k) for k in range(DRAWS)]
-        w = aligned(pair, place.offset_s, *columns).whitened(place.corner)
-        white = w.columns / np.sqrt(w.variance)[:, None]
-        angle, jumped, walks = np.split(white[:, -len(columns) :], (1, 1 + gaps), axis=1)
-        other = np.column_stack((jumped, white[:, 3 : -len(columns)]))
-        noisy = np.column_stack((white[:, :2], angle, white[:, 2], walks))
-        free = noisy - other @ np.linalg.lstsq(other, noisy, rcond=None)[0] if other.shape[1] else noisy
-        walked = place.density / turning.density * np.sum(free[:, 4:] ** 2, axis=0)
-        noises = _noises(w, place, float(np.mean(walked))) * np.array([1.0, 1.0, density_share])
-        found = _solved(free[:, :4], noises, (float(np.std(walked)), place.doubt * float(np.mean(walked))), focal)
-        left = noisy[:, 0] - noisy[:, 1:3] @ np.array([found.ratio, found.focal])
-        return replace(found, jumps=np.linalg.lstsq(other, left, rcond=None)[0][:gaps] if gaps else np.empty(0))
-
-    def settled(self, fits: Sequence[CameraFit]) -> _Settled:
-        """The likeliest r, f, clock offsets and noise levels."""
-        self.begun = place = self.start(fits)
-        return self.near(replace(place, turned_s=place.offset_s + self._scanned(place)))
-
-    def near(self, place: _Place, focal: float | None = None) -> _Settled:
-        """The same near a place, with a focal length where one is given."""
-        factor = 1.0
-        for turn in range(ROUNDS):
-            before, found = place.focal, self.joint(place, focal)
-            place = replace(place, ratio=found.ratio, focal=found.focal, jumps=found.jumps)
-            step_s = float(np.clip(found.step_s, -MAX_STEP_S, MAX_STEP_S))
-            place = replace(
-                place, offset_s=place.offset_s + step_s, turned_s=place.turned_s + self._clock_step(place)[0]
-            )
-            place, fit = self._with_noise(place)
-            pair = self.without_tilt(place)
-            if turn == 1:
-                unusable = np.isinf(cleaned(pair, fit).rows[:, 2])
-                rows = np.column_stack((self.pair.rows[:, :2], np.where(unusable, np.inf, self.pair.rows[:, 2])))
-                self.pair = self.pair.changed(rows=rows)
-            if turn > 1 and abs(place.focal - before) < SETTLED * abs(place.focal):
-                factor = misfit(pair, fit).factor
-                break
-        return self._judged(place, factor, focal)
-
-    def _with_noise(self, place: _Place) -> tuple[_Place, Fit]:
-        """The place with the likeliest noise levels, and its fit."""
-        pair, unit = self.without_tilt(place), 0.5 * WALK_TIME_S * place.focal**2
-        if unit == 0.0:
-            fit = best_corner(pair, place.offset_s)
-            return replace(place, corner=fit.corner, noise=fit.noise), fit
-
-        @cache
-        def fit_of(log_size: float) -> tuple[Fit, float, float]:
-            size = float(np.exp(log_size))
-            fit = best_corner(pair.changed(slow=(size, *place.slow[1:])), place.offset_s, place.corner)
-            density = float(np.log(size * fit.noise / (unit * self.turning.density)))
-            own = float(np.log(fit.noise / self.typical))
-            return fit, density, 0.5 * ((density / DENSITY_STD) ** 2 + (own / NOISE_STD) ** 2) - fit.likelihood
-
-        middle = float(np.log(unit * self.turning.density / self.typical))
-        tried = middle + np.array(SIZES)
-        best = global_minimum(lambda one: fit_of(one)[2], *tried[[0, -1]].tolist(), tried=len(tried), tolerance=0.1)
-        fit, density, least = fit_of(best)
-        weight = np.exp(least - np.array([fit_of(float(one))[2] for one in tried]))
-        apart = np.array([fit_of(float(one))[1] for one in tried]) - density
-        doubt = np.sqrt(weight @ apart**2 / np.sum(weight) + 2.0 / len(fit.whitened.variance))
-        density = self.turning.density * float(np.exp(density))
-        return replace(place, corner=fit.corner, noise=fit.noise, density=density, doubt=float(doubt)), fit
-
-    def _alike(self, place: _Place, aheads_s: Floats, draws: int = 0) -> Floats:
-        """Products (k, 1 + draws) of what the displacement and its clock leave of the translation with Θ and draws of
-        its noise at clocks of the gyroscope that are so much farther ahead (k,), s.
-        """
-        turning, apart_s = self.turning, place.turned_s - place.offset_s
-        columns = list[Callable[[Floats], Floats]]()
-        for ahead_s in apart_s + aheads_s:
-            columns.append(partial(lambda t, late: turning.angle(t + late, self.pair.exposure_s), late=ahead_s))
-            columns += [partial(lambda t, late, k: turning.walk(t + late, k), late=ahead_s, k=k) for k in range(draws)]
-        gaps = [partial(lambda t, k: turning.jumped(t + apart_s, k), k=k) for k in range(len(turning.gaps))]
-        pair = self.pair.changed(slow=place.slow)
-        w = aligned(pair, place.offset_s, *gaps, *columns).whitened(place.corner)
-        white = w.columns / np.sqrt(w.variance)[:, None]
-        known = white[:, 1 : -len(columns)]
-        left = white[:, 0] - known @ np.linalg.lstsq(known, white[:, 0], rcond=None)[0]
-        return np.asarray(left @ white[:, -len(columns) :]).reshape(len(aheads_s), 1 + draws)
-
-    def _scanned(self, place: _Place) -> float:
-        """By how much the gyroscope's clock is ahead of the accelerometer's where both go together best, s."""
-        count = round(MAX_LATE_S / LATE_STEP_S)
-        tried = LATE_STEP_S * np.arange(-count, count + 1)
-        # Half a period of a tone farther off the opposite sign is as good.
-        alike = np.abs(self._alike(place, tried)[:, 0]) * (1.0 - FARTHER_COSTS * np.abs(tried) / MAX_LATE_S)
-        return float(tried[int(np.argmax(alike))])
-
-    def _clock_step(self, place: _Place) -> tuple[float, float]:
-        """Step (s) of the gyroscope's clock to where both go together best, and its variance, s²."""
-        before, here, after = np.sign(place.focal) * self._alike(
-            place, CLOCK_STEP_S * np.array([-1.0, 0.0, 1.0]), DRAWS
-        )
-        curved = float(2.0 * here[0] - before[0] - after[0]) / CLOCK_STEP_S**2
-        # Where nothing shows the offset, it may be any.
-        unknown = place.offset_s - place.turned_s, USUAL_LATE_S**2
-        if not curved > 0.0:
-            return unknown
-        slopes = 0.5 * (after - before) / CLOCK_STEP_S
-        drawn = place.density / self.turning.density * float(np.mean(slopes[1:] ** 2))
-        variance = drawn / curved**2 + place.noise / (abs(place.focal) * curved)
-        step_s = float(np.clip(slopes[0] / curved, -CLOCK_STEP_S, CLOCK_STEP_S))
-        return (step_s, variance) if variance < MAX_CLOCK_STD_S**2 else unknown
-
-    def _judged(self, place: _Place, factor: float, focal: float | None) -> _Settled:
-        """What was found with its variances; factor: of the residual's power where that is not white."""
-        found, turned = self.joint(place, focal), self._clock_step(place)[1]
-        late_variance = turned + factor * found.step_variance
-        if focal is not None:
-            return _Settled(place, found, 0.0, late_variance)
-        aside = [self.joint(replace(place, turned_s=place.turned_s + k * LATE_STEP_S)).focal for k in (-1, 1)]
-        late = 0.5 * (aside[1] - aside[0]) / LATE_STEP_S * np.sqrt(turned)
-        more = self.joint(place, density_share=1.0 + place.doubt).focal - found.focal
-        return _Settled(place, found, float(factor * found.focal_variance + more**2 + late**2), late_variance)
-
-    def scale(self, at: _Settled) -> ScaleCalibration:
-        """The scale factor without the tilt, of a focal length that is certain."""
-        place = at.place
-        pair, late_s = self.without_tilt(place), np.array([place.offset_s, 0.0, 0.0])
-        pair = pair.changed(rows=pair.rows * np.array([1.0, 1.0, self.typical]) + late_s)
-        declared = self.view.exposure_s is not None
-        # The tilt was taken out at this clock offset.
-        reach_s = min(self.view.max_offset_s, MAX_LATE_S)
-        found = calibrate_scale(pair, reach_s, exposure_declared=declared, slow_errors=False)
-        relative = float(np.hypot(found.response.relative_std, self._doubt(at)))
-        response = replace(found.response, relative_std=relative)
-        return replace(found, search=found.search.on_clock(-place.offset_s), response=response)
-
-    def _doubt(self, at: _Settled) -> float:
-        """What the gyroscope's clock offset makes of r, relative standard deviation."""
-        place, late_s = at.place, float(np.sqrt(at.late_variance))
-        shifted = [replace(place, turned_s=place.turned_s + k * late_s) for k in (-1.0, 0.0, 1.0)]
-        before, here, after = (evaluate(self.without_tilt(one), one.offset_s, one.corner).ratio for one in shifted)
-        return float(np.sqrt(0.5 * ((before - here) ** 2 + (after - here) ** 2))) / abs(here)
-
-
-def _noises(w: Whitened, place: _Place, walked: float) -> Floats:
-    """Sums of the noises of translation, D and Θ, whitened; walked: that of Θ."""
-    count = float(len(w.variance))
-    of_input, of_walk = w.input_share, place.focal**2 * walked / place.noise
-    own = place.noise * max(count - of_input - of_walk, MIN_OWN * count)
-    return np.array([own, place.noise * of_input / place.ratio**2, walked])
-
-
-def _solved(columns: Floats, noises: Floats, walked: tuple[float, float], focal: float | None) -> _Joint:
-    """Total least squares of translation, D, Θ and D' (n, 4), whitened; of all but f where that is given.
-
-    noises (3,): in the sums of the first three; walked: scatter and doubt of the last one.
-    """
-    moved, angle = columns[:, 1], columns[:, 2]
-    power, shared = float(moved @ moved), float(moved @ angle)
-    known = float(angle @ angle) - shared**2 / power - float(noises[2])
-    noisy = columns[:, :3]
-    if focal is not None:
-        noisy = np.column_stack((columns[:, 0] - focal * angle, moved))
-        noises = np.array([noises[0] + focal**2 * noises[2], noises[1]])
-    found, misfit = _least(noisy, noises)
-    left, taken = noisy[:, 0] - noisy[:, 1:] @ found, np.append(misfit * noises[1:], 0.0)
-    own = np.column_stack((noisy[:, 1:], found[0] * columns[:, 3]))
-    inverse = inverse_of(own.T @ own - np.diag(taken))
-    step = inverse @ (own.T @ left + taken * np.append(found, 0.0))
-    covariance = inverse @ (float(left @ left) / len(left) * (own.T @ own)) @ inverse
-    variance = 0.0
-    if focal is None:
-        focal = float(found[1])
-        variance = float(covariance[1, 1] + (focal * walked[0] * inverse[1, 1]) ** 2)
-    return _Joint(
-        ratio=float(found[0]),
-        focal=focal,
-        focal_variance=variance,
-        step_s=float(step[-1]),
-        step_variance=float(covariance[-1, -1]),
-        drag=-shared / power,
-        known=known / max(float(np.hypot(*walked)), 1e-300),
-    )
-
-
-def _least(columns: Floats, noises: Floats) -> tuple[Floats, float]:
-    """Coefficients (k,) of the columns after the first one (n, 1 + k) that give it, and the power of what is left over
-    that of the noises.
-    """
-    # In units of the noises, as columns are of very different ones.
-    power = columns.T @ columns
-    unit = np.sqrt(np.maximum(noises, 1e-12 * np.diag(power)))
-    values, vectors = np.linalg.eigh(power / np.outer(unit, unit))
-    least = vectors[:, 0] / unit
-    return -least[1:] / least[0], float(values[0])
+    def fitted(self) -> Fitted:
+        """What `fit_camera` takes along the axis instead of what the targets alone tell."""
+        return Fitted(self.found, self.reasons)
 
 
 def fit_gyroscope(
@@ -435,51 +75,91 @@ def fit_gyroscope(
 ) -> GyroscopeFit:
     """Calibrate a gyroscope against the camera on its box.
 
-    gyroscope: rad/s, on the accelerometer's clock up to MAX_LATE_S, of the rotation that moves the picture along the
-    view's axis towards positive; fits: of the camera without it, for its clock offset; empty: it is looked for.
+    gyroscope: rad/s, on the accelerometer's clock up to `rotation.MAX_LATE_S`, of the rotation that moves the picture
+    along the view's axis towards positive: along y the one about x, along x the one about y with its sign changed (x
+    right, y down, z along the view, right-handed); fits: of the camera without it, for its clock offset; empty where
+    that was refused: the offset is looked for.
     noise_density: one-sided, rad/s/√Hz; bias_std: rad/s; focal_px: of a lens, and its standard deviation.
     Raises UntrustedError where the gyroscope does not go with the picture, or neither tells the focal length.
     """
     turning = turning_of(gyroscope, view.window_ns, noise_density)
     width = max(target.frame_px[0] for target in targets)
-    compared, reasons = _compared(view, targets, turning)
-    settled = [one and one.settled(fits) for one in compared]
-    focal = _focal([one for one in settled if one is not None], focal_px, width)
-    found, scales = list[ScaleCalibration | None](), list[ScaleFactor | None]()
-    for k, (one, at) in enumerate(zip(compared, settled, strict=True)):
-        found.append(None)
-        scales.append(None)
-        if one is None or at is None:
-            continue
-        try:
-            # With another focal length the noise levels are others.
-            place = at.place if at.tells else one.begun
-            at = one.near(replace(place, focal=focal[0]), focal[0])
-            found[k] = own = one.scale(at)
-            scales[k] = at.widened(own.scale.wider(own.response.relative_std), focal[1])
-        except UntrustedError as error:
-            reasons[k] = str(error)
-    if not any(scales):
-        raise UntrustedError(" ".join(reasons))
-    return _fit_of(turning, focal, [at for at in settled if at is not None], bias_std, (scales, found, reasons))
+    compared = [_compared(view, without_zoom([view], target), turning, fits) for target in targets]
+    settled = [one for one in compared if not isinstance(one, UntrustedError)]
+    if not settled:
+        raise UntrustedError(_reasons(targets, compared))
+    usual = _usual([at for _, at in settled], focal_px)
+    agreeing = [at for _, at in settled if not at.contradicts(usual)]
+    focal = _focal(agreeing or [at for _, at in settled], focal_px, width)
+    scaled = [one if isinstance(one, UntrustedError) else _scaled(*one, focal) for one in compared]
+    if all(isinstance(one, UntrustedError) for one in scaled):
+        raise UntrustedError(_reasons(targets, scaled))
+    return _fit_of(turning, focal, [at for _, at in settled], BIAS_STD if bias_std is None else bias_std, scaled)
 
 
-def _compared(view: View, targets: Sequence[SeenTarget], turning: Turning) -> tuple[list[_Compared | None], list[str]]:
-    """Each target with the rotation, None and a reason where it is not seen."""
-    compared, reasons = list[_Compared | None](), list[str]()
-    for target in targets:
-        try:
-            compared.append(_Compared(view, target, turning))
-            reasons.append("")
-        except UntrustedError as error:
-            compared.append(None)
-            reasons.append(str(error))
-    if not any(compared):
-        raise UntrustedError(" ".join(reasons))
-    return compared, reasons
+def _reasons(targets: Sequence[SeenTarget], why: Sequence[object]) -> str:
+    """Why no target is calibrated, each reason once."""
+    if len(set(map(str, why))) == 1:
+        return str(why[0])
+    return " ".join(f"Target {target.name}: {one}" for target, one in zip(targets, why, strict=True))
 
 
-def _focal(settled: Sequence[_Settled], lens: tuple[float, float] | None, width: int) -> tuple[float, float]:
+def _compared(
+    view: View, target: SeenTarget, turning: Turning, fits: Sequence[CameraFit]
+) -> tuple[Compared, Settled] | UntrustedError:
+    """A target's estimate, or why there is none."""
+    try:
+        tried = []
+        for offset_s in Compared(view, target, turning).offsets_s(fits):
+            compared = Compared(view, target, turning)
+            at = compared.settled(offset_s)
+            tried.append((compared, at, compared.fit(at)))
+        best, *others = sorted(tried, key=lambda one: -one[2].likelihood)
+        for _, at, other in others:
+            if not clearly_better(best[2], other):
+                offsets = f"{best[1].place.offset_s:+.4f} s and {at.place.offset_s:+.4f} s"
+                raise UntrustedError(
+                    f"The clock offset is ambiguous: {offsets} fit almost equally well. Set a smaller "
+                    "calibration.max_offset_s that excludes one of them."
+                )
+        return best[:2]
+    except UntrustedError as error:
+        return error
+
+
+def _scaled(
+    compared: Compared, at: Settled, focal: tuple[float, float]
+) -> tuple[ScaleFactor, ScaleCalibration] | UntrustedError:
+    """A target's scale with the focal length of all and its standard deviation, px; or why there is none."""
+    place = at.place if at.tells else compared.begun
+    try:
+        # With another focal length the noise levels are others.
+        at = compared.near(replace(place, focal=focal[0]), focal[0])
+        own = compared.joint(at.place)
+        if replace(at, joint=own, variance=own.focal_variance).contradicts(focal):
+            raise UntrustedError(
+                f"By the gyroscope its focal length is {own.focal:.4g} ± {np.sqrt(own.focal_variance):.2g} px, by the "
+                f"other targets or the lens {focal[0]:.4g} px: it moves on its own, or turns with the camera."
+            )
+        found = compared.scale(at)
+        found = replace(found, scale=at.widened(found.scale, focal[1]))
+        return found.scale.wider(found.response.relative_std), found
+    except UntrustedError as error:
+        return error
+
+
+def _usual(settled: Sequence[Settled], lens: tuple[float, float] | None) -> tuple[float, float]:
+    """The focal length that targets are compared with and its standard deviation, px: the lens', or of most of them."""
+    if lens is not None:
+        return lens
+    known = [at for at in settled if at.tells and at.joint.focal > 0.0]
+    if not known:
+        return np.nan, np.inf
+    value = weighted_median(np.array([at.joint.focal for at in known]), [1.0 / at.variance for at in known])
+    return value, float(min(np.sqrt(at.variance) for at in known))
+
+
+def _focal(settled: Sequence[Settled], lens: tuple[float, float] | None, width: int) -> tuple[float, float]:
     """The focal length of all targets and the lens, and its standard deviation, px."""
     known = [at for at in settled if at.joint.shows]
     value, std = np.nan, np.inf
@@ -493,12 +173,12 @@ def _focal(settled: Sequence[_Settled], lens: tuple[float, float] | None, width:
     if lens is None:
         if known:
             _refuse_focal(value, std, width)
-            _refuse_width(value, std, width)
         if not certain:
             raise UntrustedError(
                 "gyroscope: the camera rotates too little, apart from what goes with the displacement, to show the "
                 "focal length. Give camera.lens, or choose a calibration.window_s with more rotation."
             )
+        _refuse_width(value, std, width)
         return value, std
     apart = abs(value - lens[0])
     if apart > CONTRADICT_STD * np.hypot(std, lens[1]) and apart > CONTRADICT_SHARE * lens[0]:
@@ -532,8 +212,7 @@ def _refuse_focal(value: float, std: float, usual: float) -> None:
 def _refuse_width(value: float, std: float, width: int) -> None:
     """UntrustedError for a focal length that no camera with pictures of this width (px) has."""
     low, high = (share * width for share in FOCAL_WIDTHS)
-    # Of a table of a track the width is not known.
-    if width > 1 and not low < value < high:
+    if not low < value < high:
         raise UntrustedError(
             f"gyroscope: by it the focal length is {value:.3g} ± {std:.2g} px in an image {width} px wide, which is "
             "implausible. Check gyroscope.unit: deg/s and rad/s differ by a factor of 57.3."
@@ -543,19 +222,21 @@ def _refuse_width(value: float, std: float, width: int) -> None:
 def _fit_of(
     turning: Turning,
     focal: tuple[float, float],
-    settled: Sequence[_Settled],
-    bias_std: float | None,
-    of_targets: tuple[Sequence[ScaleFactor | None], Sequence[ScaleCalibration | None], Sequence[str]],
+    settled: Sequence[Settled],
+    bias_std: float,
+    scaled: Sequence[tuple[ScaleFactor, ScaleCalibration] | UntrustedError],
 ) -> GyroscopeFit:
     best = min(settled, key=lambda at: at.late_variance)
-    fast, noise = turning.fast
+    density = turning.density
+    if best.tells and np.log(best.place.density / density) > CERTAIN * best.place.doubt:
+        # It is noisier in the band of the tilt than as declared, or than fast readings are.
+        density = best.place.density
+    fast, noise = turning.fast(density)
     tilt_px = focal[0] * max(fast, MIN_TILT * noise)
-    slow_px = SLOW_TILT * tilt_px
-    length_s = float(turning.time_s[-1] - turning.time_s[0])
+    slow_px, length_s = SLOW_TILT * tilt_px, float(turning.time_s[-1] - turning.time_s[0])
     # The mean holds what the camera has turned by from end to end.
-    mean_std = float(np.hypot(np.sqrt(turning.density / length_s), np.sqrt(2.0) * slow_px / focal[0] / length_s))
-    known_std = BIAS_STD if bias_std is None else bias_std
-    scales, found, reasons = of_targets
+    mean_std = float(np.hypot(np.sqrt(density / length_s), np.sqrt(2.0) * slow_px / focal[0] / length_s))
+    drift2 = max(turning.drift**2 - (2.0 * CERTAIN * mean_std) ** 2, 0.0)
     text = (
         f"gyroscope: the camera tilts by {rounded(tilt_px)} px rms in the image above {SEEN_HZ:g} Hz, which the scale "
         f"factors are without; focal length {focal[0]:.4g} ± {rounded(focal[1])} px."
@@ -563,15 +244,16 @@ def _fit_of(
     return GyroscopeFit(
         focal_px=focal[0],
         focal_std_px=focal[1],
-        noise_rad_s=turning.noise,
+        noise_rad_s=float(np.sqrt(density * turning.rate_hz)),
         bias_rad_s=turning.bias,
-        bias_std_rad_s=float((known_std**-2.0 + mean_std**-2.0) ** -0.5),
-        bias_walk=BIAS_WALK,
+        bias_std_rad_s=float(np.sqrt(1.0 / (bias_std**-2.0 + mean_std**-2.0) + 0.25 * drift2)),
+        # Means of both halves of a random walk differ by a third of its variance over all.
+        bias_walk=max(BIAS_WALK, 3.0 * drift2 / length_s),
         offset_s=best.place.offset_s - best.place.turned_s,
         offset_std_s=float(np.sqrt(best.late_variance)),
-        scales=tuple(scales),
-        found=tuple(found),
-        reasons=tuple(reasons),
+        scales=tuple(None if isinstance(one, UntrustedError) else one[0] for one in scaled),
+        found=tuple(None if isinstance(one, UntrustedError) else one[1] for one in scaled),
+        reasons=tuple(str(one) if isinstance(one, UntrustedError) else "" for one in scaled),
         tilt_std_px=tilt_px,
         slow_tilt_px=slow_px,
         notices=(Notice("tilt", text), *turning.notices),

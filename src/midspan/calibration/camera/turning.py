@@ -1,4 +1,4 @@
-"""The rotation that a gyroscope measures: its readings checked and integrated, with its noise and where it is missing."""
+"""The rotation that a gyroscope measures: its readings checked and integrated, with their noise and gaps."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,8 +41,8 @@ MARGIN_S = 1.0
 class Turning:
     """A gyroscope's readings (n,), rad/s, without their mean; time_s (n,): after the window's begin.
 
-    bias: that mean; density: of the white noise, two-sided, (rad/s)²/Hz; declared: whether that was given; gaps (k, 2):
-    times between which nothing was measured; notices: what is worth reporting.
+    bias: that mean; density: of the white noise, two-sided, (rad/s)²/Hz; gaps (k, 2): times between which nothing was
+    measured; notices: what is worth reporting.
     """
 
     time_s: Floats
@@ -50,14 +50,14 @@ class Turning:
     rate_hz: float
     bias: float
     density: float
-    declared: bool
     gaps: Floats
     notices: tuple[Notice, ...] = ()
 
     @property
-    def noise(self) -> float:
-        """Standard deviation of one reading, rad/s."""
-        return float(np.sqrt(self.density * self.rate_hz))
+    def drift(self) -> float:
+        """By how much the mean of the second half exceeds that of the first, rad/s."""
+        middle = len(self.rate) // 2
+        return float(np.mean(self.rate[middle:]) - np.mean(self.rate[:middle]))
 
     @cached_property
     def _spline(self) -> "CubicHermiteSpline":
@@ -88,7 +88,7 @@ class Turning:
 
     def walk(self, time_s: Floats, number: int) -> Floats:
         """A draw of the angle's noise at instants (m,), rad."""
-        return np.interp(time_s, self.time_s, self._walks[number])
+        return np.asarray(np.interp(time_s, self.time_s, self._walks[number]))
 
     def jumped(self, time_s: Floats, number: int) -> Floats:
         """1 (m,) after a gap and 0 before it: by how much the box has turned meanwhile is unknown."""
@@ -101,9 +101,8 @@ class Turning:
             found &= (time_s < begin - margin_s) | (time_s > end + margin_s)
         return np.asarray(found)
 
-    @cached_property
-    def fast(self) -> tuple[float, float]:
-        """Rms of the angle above SEEN_HZ without its noise, and that of the noise, rad."""
+    def fast(self, density: float) -> tuple[float, float]:
+        """Rms of the angle above SEEN_HZ without its noise of this density, and that of the noise, rad."""
         n = len(self.rate)
         window = np.hanning(n)
         turned = (self.rate - np.mean(self.rate)) * window
@@ -112,7 +111,7 @@ class Turning:
         power = np.abs(np.fft.rfft(turned)) ** 2 / (np.sum(window**2) * self.rate_hz)
         above = hertz >= SEEN_HZ
         per = 2.0 * self.rate_hz / n / (2.0 * np.pi * hertz[above]) ** 2
-        noise = self.density * float(np.sum(per))
+        noise = density * float(np.sum(per))
         return float(np.sqrt(max(float(power[above] @ per) - noise, 0.0))), float(np.sqrt(noise))
 
 
@@ -150,7 +149,7 @@ def turning_of(series: TimeSeries, window_ns: tuple[int, int], noise_density: fl
     density = noise_floor(known, usual.rate_hz) if noise_density is None else 0.5 * noise_density**2
     # A resolution that is coarse makes noise of its own, and none no noise at all.
     density = max(density, 1e-12 * float(np.var(known)) / usual.rate_hz)
-    figures = (time_s, value - bias, usual.rate_hz, bias, density, noise_density is not None, gaps)
+    figures = (time_s, value - bias, usual.rate_hz, bias, density, gaps)
     return Turning(*figures, _reported(time_ns, time_s, gaps, int(np.count_nonzero(held))))
 
 
@@ -192,8 +191,8 @@ def _refuse_missing(time_s: Floats, gaps: Floats) -> None:
     share = float(np.sum(gaps[:, 1] - gaps[:, 0])) / float(time_s[-1] - time_s[0])
     if share > MAX_MISSING or len(gaps) > MAX_GAPS:
         raise UntrustedError(
-            f"gyroscope: readings are missing or frozen for {100 * share:.2g} % of the calibration window, in "
-            f"{len(gaps)} gaps; at most {100 * MAX_MISSING:g} % and {MAX_GAPS} gaps are accepted. Check its cable and "
+            f"gyroscope: readings are missing or frozen for {100 * share:.2g} % of the calibration window, "
+            f"gaps: {len(gaps)}; at most {100 * MAX_MISSING:g} % in {MAX_GAPS} gaps are accepted. Check its cable and "
             "logger, or choose another calibration.window_s."
         )
 
@@ -203,10 +202,10 @@ def _reported(time_ns: Nanoseconds, time_s: Floats, gaps: Floats, held: int) -> 
     if len(gaps):
         begin, end = max(gaps.tolist(), key=lambda gap: gap[1] - gap[0])
         at = shown(int(time_ns[np.searchsorted(time_s, begin)]))
-        text = f"{len(gaps)} gaps, the longest for {end - begin:.3g} s from {at} on; frames in them do not count."
+        text = f"gaps: {len(gaps)}, the longest {end - begin:.3g} s from {at} on; frames in them are not used."
         notices.append(Notice("samples-bridged", f"gyroscope: {text}"))
     if held:
-        text = f"{held} readings are clipped at the end of its range; they were drawn by their slopes."
+        text = f"{held} readings are clipped at the end of its range; their crests were bridged."
         notices.append(Notice("samples-bridged", f"gyroscope: {text}"))
     return tuple(notices)
 

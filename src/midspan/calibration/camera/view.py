@@ -104,8 +104,7 @@ class SeenTarget:
     y; blur_s: over which a translation is averaged; picture: what compression does, None where there is none;
     tracker, tracker_name, tracker_settings: what it was tracked with; lens: whose distortion was taken out; frame_px:
     width and height of the frames; levers: along image axes, of the zoom whose motion the rows are without.
-    inverse_distance: as declared, and its standard deviation, 1/m; None: unknown. untilted: calibrated without a tilt
-    that a gyroscope measures.
+    inverse_distance: as declared, and its standard deviation, 1/m; None: unknown.
     """
 
     name: str
@@ -121,7 +120,6 @@ class SeenTarget:
     frame_px: tuple[int, int]
     levers: Mapping[str, Lever] = field(default_factory=dict)
     inverse_distance: tuple[float, float] | None = None
-    untilted: ScaleCalibration | None = None
 
     def lever_px(self, axis: str) -> float:
         """The lever along an image axis, px; 0 where no zoom shows."""
