@@ -220,7 +220,12 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
     if found is None and not recording.lines and not _is_printed(recording):
         _require_no_lines(recording, seen)
     without_tilt = {} if found is None else {views[0].axis: found.fitted}
-    parts = parts or fit_camera(views, seen, reported, second, without_tilt)
+    try:
+        parts = parts or fit_camera(views, seen, reported, second, without_tilt)
+    except UntrustedError as error:
+        # What a gyroscope would have taken off may be the reason.
+        error.args = (" ".join((str(error), *said)),)
+        raise
     main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
