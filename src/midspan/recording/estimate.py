@@ -50,6 +50,7 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import no_overlap, refuse_rejections, require_same_sensors, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
+from midspan.recording.pose import camera_pose
 from midspan.recording.result import Result
 from midspan.recording.run import Blocks, Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -467,6 +468,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
     two, more = _second_axis(first, found, checked)
+    pose, unseen = camera_pose(tuple(zip(first.cameras, first.tracked_cameras, strict=True)), first.sides, main)
     warnings = (
         *recording.channel_warnings,
         *(
@@ -482,6 +484,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         *unmeasured_ends(recording.acceleration.time_ns, first.outcome.measured, main),
         *shares(found.innovations[0], main),
         *more,
+        *unseen,
     )
     result = Result(
         estimate=main,
@@ -493,6 +496,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         warnings=once(warnings, asked.calibration.warnings),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
+        pose=pose,
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
         zero_std_m=float(np.sqrt(found.zero_variance_m2[0])),
         used=found.used,
@@ -509,6 +513,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         innovation=found.innovations[1],
         events=tuple(event for event in found.events if event.axis == 1),
         cameras=(),
+        pose=None,
         measured=tuple(first.series[1].values()),
         radars={},
         zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),

@@ -20,6 +20,8 @@ from midspan.settings.fields import (
     limited,
 )
 
+Offset = Annotated[float, IsNumber, limited(-1e4, 1e4, "m")]
+
 
 class ChannelSettings(Section):
     """Where a channel comes from: a file, its time and value columns, its unit, or a rate where it has no time."""
@@ -70,6 +72,12 @@ class AccelerometerSettings(ChannelSettings):
         True,
         strict=True,
         description="together with [displacement]: its gain is estimated and corrected; false: the gain is 1",
+    )
+
+    camera_offset_m: Annotated[tuple[Offset, Offset, Offset], Form("3 numbers, m")] = Field(
+        (0.0, 0.0, 0.0),
+        description="from the accelerometer to the camera in the camera's axes x right, y down, z along the view; "
+        "times the rotation it enters the camera's translation",
     )
 
     @model_validator(mode="after")

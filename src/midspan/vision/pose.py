@@ -116,7 +116,8 @@ def _poses(geometry: Geometry, moved: Floats, variance: Floats) -> Poses:
 
 
 def _normal(by_pose: Floats, weight: Floats) -> Floats:
-    return np.einsum("nkap,nka,nkaq->npq", by_pose, weight, by_pose, optimize=True) + np.eye(6) / ANYWHERE**2
+    normal: Floats = np.einsum("nkap,nka,nkaq->npq", by_pose, weight, by_pose, optimize=True)
+    return normal + np.eye(6) / ANYWHERE**2
 
 
 def inflation(geometry: Geometry, variance_px2: Floats) -> Floats:
@@ -167,4 +168,6 @@ def rotation_vector(turned: Floats) -> Floats:
         axis=-1,
     )
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    return np.asarray(axis * np.where(sine > 0.0, np.arcsin(np.minimum(sine, 1.0)) / np.where(sine > 0.0, sine, 1.0), 1.0))
+    return np.asarray(
+        axis * np.where(sine > 0.0, np.arcsin(np.minimum(sine, 1.0)) / np.where(sine > 0.0, sine, 1.0), 1.0)
+    )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from midspan.checks import option
-from midspan.records import Floats, Region
+from midspan.records import Region
 from midspan.simulate.files.folder import (
     MARK,
     Progress,
