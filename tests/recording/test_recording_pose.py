@@ -1,0 +1,115 @@
+"""Translation and rotation of a camera as columns, from tracks of a pinhole that is written apart from the package."""
+
+import json
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.recording.pose import UNITS
+from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, written
+
+NAMES = [f"translation_{axis}_mm" for axis in "xyz"] + [f"rotation_{axis}_mdeg" for axis in "xyz"]
+STDS = [name.replace("_m", "_std_m", 1) for name in NAMES]
+
+
+def bound(targets=THREE):
+    """Cramér-Rao bound (6,) of one frame, mm and mdeg, by differences of the pinhole."""
+    places = np.array([one[:2] for one in targets.values()]) - 0.5 * (np.array(SIZE) - 1.0)
+    distance_m, step = np.array([one[2] for one in targets.values()]), 1e-5
+    slopes = [
+        (seen_px(places, distance_m, step * row) - seen_px(places, distance_m, -step * row)).ravel() / (2.0 * step)
+        for row in np.eye(6)[:, None]
+    ]
+    return np.sqrt(np.diag(np.linalg.inv(np.array(slopes) @ np.array(slopes).T))) * NOISE_PX * UNITS
+
+
+def errors(result, time_s, true):
+    """Errors and standard deviations (n, 6) of the columns, mm and mdeg."""
+    columns = result.table().columns
+    value, std = (np.column_stack([columns[name] for name in names]) for names in (NAMES, STDS))
+    expected = np.column_stack([np.interp(result.time_s, time_s, UNITS[k] * true[:, k]) for k in range(6)])
+    return value - expected, std
+
+
+def said(result):
+    return [one for one in result.warnings if one.code in ("pose-unseen", "geometry-wrong")]
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory):
+    """Distances exactly as declared, a target hidden for two seconds."""
+    lost = [("far", 300, 340)]
+    folder, time_s, true = written(tmp_path_factory.mktemp("pose"), off_m={}, lost=lost)
+    return midspan.estimate(folder), time_s, true
+
+
+def test_the_columns_are_at_the_bound_and_the_band_holds_the_truth(three):
+    result, time_s, true = three
+    error, std = errors(result, time_s, true)
+    hidden = (result.time_s > LATE_S + 300 / FRAME_HZ - 0.2) & (result.time_s < LATE_S + 340 / FRAME_HZ + 0.2)
+    own = error[~hidden] - np.mean(error[~hidden], axis=0)
+    # Rows between frames, smoothed: below the bound of a frame, along the accelerometer's axis far below it.
+    assert np.all(np.std(own, axis=0) < 1.3 * bound())
+    assert np.std(own[:, 1]) < 0.6 * bound()[1]
+    assert np.all(np.mean(np.abs(error) < 1.96 * std, axis=0) > 0.93)
+    # While a target is hidden nothing but the accelerometer tells.
+    assert np.all(std[hidden].max(axis=0)[[0, 2, 3, 4, 5]] > 20.0 * np.median(std, axis=0)[[0, 2, 3, 4, 5]])
+    assert std[hidden, 1].max() < 0.3 * std[hidden, 0].max()
+    assert said(result) == []
+
+
+def test_the_metadata_have_the_zeros_and_the_columns_their_units(three, tmp_path):
+    result, *_ = three
+    tree = json.loads(result.save(tmp_path / "result.csv").with_suffix(".json").read_text())
+    zero = np.array(tree["translation_zero_std_mm"] + tree["rotation_zero_std_mdeg"])
+    assert np.all((zero > 0.2 * bound()) & (zero < 1.5 * bound()))
+    header = (tmp_path / "result.csv").read_text().splitlines()[0].split(",")
+    assert header[6:] == [name for pair in zip(NAMES, STDS, strict=True) for name in pair]
+
+
+@pytest.mark.parametrize(
+    ("targets", "words"),
+    [
+        ({name: THREE[name] for name in ("1", "far")}, "2 targets give 4 equations"),
+        ({"1": (40, 100, 10.0), "2": (1660, 100, 10.0), "far": (950, 800, 10.0)}, "at a clearly different distance"),
+        # On a line in space: one over the distance goes with the place.
+        ({"1": (850, 100, 3.0), "2": (850, 450, 4.615), "far": (850, 800, 10.0)}, "lie on a line in space"),
+    ],
+)
+def test_targets_that_do_not_show_all_six_give_no_column_and_a_note(targets, words, tmp_path):
+    folder, *_ = written(tmp_path, targets=targets)
+    try:
+        result = midspan.estimate(folder)
+    except midspan.UntrustedError:
+        # The displacement itself may be refused.
+        return
+    assert result.pose is None
+    assert not any(name in result.table().columns for name in NAMES)
+    (note,) = said(result)
+    assert words in note
+    assert "Add a camera.target" in note
+
+
+@pytest.mark.parametrize("off_m", [{"far": 3.0}, {"1": 0.4}])
+def test_a_wrong_distance_is_refused_in_words(off_m, tmp_path):
+    folder, *_ = written(tmp_path, off_m=off_m)
+    result = midspan.estimate(folder)
+    assert result.pose is None
+    (note,) = said(result)
+    assert note.code == "geometry-wrong"
+    assert "Measure the distance" in note
+
+
+def test_distances_that_are_not_declared_follow_from_the_others(tmp_path):
+    folder, time_s, true = written(tmp_path, off_m={}, declared=("1", "far"))
+    error, std = errors(midspan.estimate(folder), time_s, true)
+    assert np.all(np.mean(np.abs(error) < 1.96 * std, axis=0) > 0.93)
+
+
+def test_the_camera_moves_besides_its_accelerometer_by_the_lever(tmp_path):
+    folder, time_s, true = written(tmp_path, off_m={}, lever_m=(0.4, 0.0, -0.3))
+    error, std = errors(midspan.estimate(folder), time_s, true)
+    own = error - np.mean(error, axis=0)
+    assert np.std(own[:, 1]) < bound()[1]
+    assert np.all(np.mean(np.abs(error) < 1.96 * std, axis=0) > 0.93)
