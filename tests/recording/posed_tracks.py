@@ -28,9 +28,9 @@ def waves(rng, *bands):
     return at
 
 
-def motions(rng):
-    """Of the six degrees, in m and rad: modes and slow parts."""
-    mdeg = np.radians(1e-3)
+def motions(rng, turns=1.0):
+    """Of the six degrees, in m and rad: modes and slow parts; turns: factor on the rotations."""
+    mdeg = turns * np.radians(1e-3)
     return [
         waves(rng, (1.0, 1.2, 0.8e-3), (0.01, 0.03, 1e-3)),
         waves(rng, (2.0, 2.2, 1.0e-3), (0.01, 0.03, 1.5e-3)),
@@ -51,14 +51,16 @@ def seen_px(place_px, distance_m, pose):
     return np.array(found)
 
 
-def written(folder, seed=1, targets=THREE, duration_s=40.0, declared=True, off_m=None, lost=(), lever_m=(0, 0, 0)):
+def written(
+    folder, seed=1, targets=THREE, duration_s=40.0, declared=True, off_m=None, lost=(), lever_m=(0, 0, 0), turns=1.0
+):
     """A recording's folder, and the true poses (n, 6) at the accelerometer's times (n,).
 
     declared: whether the settings have the distances; off_m: by target, what its true distance is more than declared;
-    lost: (target, first and last frame) that are not seen; lever_m: from the accelerometer to the camera.
+    lost: (target, first and last frame) that are not seen; lever_m: from the accelerometer to the camera; turns: see `motions`.
     """
     rng = np.random.default_rng(seed)
-    degrees, time_s = motions(rng), np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    degrees, time_s = motions(rng, turns), np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     frames_s = np.arange(0.05, duration_s - 0.2, 1.0 / FRAME_HZ) + LATE_S
     pose = np.column_stack([one(frames_s)[0] for one in degrees])
     names, places = list(targets), np.array([one[:2] for one in targets.values()], dtype=float)

@@ -74,16 +74,12 @@ def test_the_metadata_have_the_zeros_and_the_columns_their_units(three, tmp_path
         ({name: THREE[name] for name in ("1", "far")}, "2 targets give 4 equations"),
         ({"1": (40, 100, 10.0), "2": (1660, 100, 10.0), "far": (950, 800, 10.0)}, "at a clearly different distance"),
         # On a line in space: one over the distance goes with the place.
-        ({"1": (850, 100, 3.0), "2": (850, 450, 4.615), "far": (850, 800, 10.0)}, "lie on a line in space"),
+        ({"1": (850, 100, 3.0), "2": (850, 450, 4.615), "far": (850, 800, 10.0)}, "on a line in space"),
     ],
 )
 def test_targets_that_do_not_show_all_six_give_no_column_and_a_note(targets, words, tmp_path):
-    folder, *_ = written(tmp_path, targets=targets)
-    try:
-        result = midspan.estimate(folder)
-    except midspan.UntrustedError:
-        # The displacement itself may be refused.
-        return
+    folder, *_ = written(tmp_path, targets=targets, turns=0.02)
+    result = midspan.estimate(folder)
     assert result.pose is None
     assert not any(name in result.table().columns for name in NAMES)
     (note,) = said(result)

@@ -513,7 +513,6 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         innovation=found.innovations[1],
         events=tuple(event for event in found.events if event.axis == 1),
         cameras=(),
-        pose=None,
         measured=tuple(first.series[1].values()),
         radars={},
         zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),

@@ -76,8 +76,8 @@ class AccelerometerSettings(ChannelSettings):
 
     camera_offset_m: Annotated[tuple[Offset, Offset, Offset], Form("3 numbers, m")] = Field(
         (0.0, 0.0, 0.0),
-        description="from the accelerometer to the camera in the camera's axes x right, y down, z along the view; "
-        "times the rotation it enters the camera's translation",
+        description="from accelerometer to camera, along x (right), y (down), z (view); the rotation acts on the translation by "
+        "it",
     )
 
     @model_validator(mode="after")

@@ -19,8 +19,8 @@ from midspan.vision.pose import Geometry, inflation
 # Relative standard deviations of a focal length, and of a distance of which none is given.
 FOCAL_STD = 0.005
 DISTANCE_STD = 0.01
-# What a camera turns (rad/m) and moves (m/m) besides with its displacement, which the scale factors of targets beside
-# each other hold as well.
+# What a camera turns (rad/m) and moves (m/m) besides with its displacement, which the scale factors of targets apart
+# from each other in the picture hold as well.
 TURNS, MOVES = 0.1, 0.3
 # A degree of freedom is seen where not knowing the other five makes it this many times as uncertain at most.
 MAX_INFLATION = 20.0
@@ -60,8 +60,8 @@ class Surroundings:
         if count < 3:
             there = " and ".join(self.names)
             return (
-                f"{count} targets give {2 * count} equations for the six degrees. Add a camera.target beside the line "
-                f"through {there}, and at another distance than theirs."
+                f"{count} targets give {2 * count} equations for the six degrees. Add a camera.target away from the "
+                f"line through {there}, and at another distance than theirs."
             )
         grown = inflation(self.geometry, variance_px2)
         hidden = [name for name, one in zip(DEGREES, grown, strict=True) if one > MAX_INFLATION]
@@ -72,8 +72,8 @@ class Surroundings:
             )
         if hidden:
             return (
-                f"{', '.join(hidden)} cannot be told from the others by these targets, which lie on a line in space "
-                "or nearly so. Add a camera.target beside that line."
+                f"{', '.join(hidden)} cannot be distinguished from the others with these targets, which lie on a line "
+                "in space or nearly so. Add a camera.target away from that line."
             )
         return ""
 
