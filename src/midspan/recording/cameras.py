@@ -19,6 +19,7 @@ from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
+from midspan.recording.tracking.posed import PosedTracking, posed
 from midspan.records import Source, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
@@ -90,7 +91,11 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
     view, moved = where_it_sees(recording)
     with in_words_of(view.sensor):
         tracking = open_tracking(view, None, progress, judge=judge_of(view))
+        if view.posed:
+            tracking = posed(view.settings.first_camera, tracking)
         parts = calibrate_camera(view, tracking)
+        if isinstance(tracking, PosedTracking):
+            parts = tuple(_with_shape(part, tracking) for part in parts)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
         if tracking.learns_by_acceleration:
@@ -104,6 +109,13 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         reported += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
     reported += [line for part in parts for line in part.warnings]
     return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in reported))
+
+
+def _with_shape(part: CameraFit, tracking: PosedTracking) -> CameraFit:
+    """What errors of the distances make of the displacement, in its band."""
+    known = part.calibration
+    apart_m = float(np.hypot(known.apart_std_m, tracking.shape_std_m(known.direction)))
+    return replace(part, calibration=replace(known, apart_std_m=apart_m))
 
 
 def _in_best_range(

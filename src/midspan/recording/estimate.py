@@ -50,7 +50,7 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import no_overlap, refuse_rejections, require_same_sensors, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
-from midspan.recording.pose import camera_pose
+from midspan.recording.pose import Rows, camera_pose
 from midspan.recording.result import Result
 from midspan.recording.run import Blocks, Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -114,7 +114,7 @@ def estimate(
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given
     if calibration is None:
-        calibration, tracking = calibrate_and_track(recording, progress)
+        calibration, tracking = calibrate_and_track(recording.by_pose(), progress)
     recording = recording.without_lines(calibration.lines)
     with naming(recording):
         require_same_sensors(recording, calibration)
@@ -468,7 +468,11 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
     two, more = _second_axis(first, found, checked)
-    pose, unseen = camera_pose(tuple(zip(first.cameras, first.tracked_cameras, strict=True)), first.sides, main)
+    pose, unseen = camera_pose(
+        tuple(zip(first.cameras, first.tracked_cameras, strict=True)),
+        first.sides,
+        Rows(found.rows, found.zero_variance_m2),
+    )
     warnings = (
         *recording.channel_warnings,
         *(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.camera.geometry import Placed, Surroundings, contradicted, surroundings
+from midspan.calibration.camera.geometry import Surroundings, contradicted
 from midspan.calibration.camera.view import View, camera_pair, filter_settings, scale_of
 from midspan.calibration.minimum import global_minimum
 from midspan.calibration.scale import ScaleCalibration
@@ -21,6 +21,7 @@ from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
 from midspan.notices import Notice
 from midspan.recording.cameras import view_of
 from midspan.recording.tracked import Side, TrackedCamera
+from midspan.recording.tracking.posed import AXES, PosedTracking, known_surroundings, seen_frames
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -28,15 +29,11 @@ from midspan.records import (
     Estimate,
     Floats,
     Nanoseconds,
-    PixelTrack,
     Source,
-    seconds,
 )
 from midspan.signals.averaging import at_instants
-from midspan.vision.lens import Lens
-from midspan.vision.pose import Poses, by_geometry, poses
+from midspan.vision.pose import Poses, by_geometry
 
-AXES = ("x", "y")
 # Frames that the changes of a motion are estimated from.
 LEARNED_FRAMES = 4000
 # How far the density of the acceleration of such a motion may be from what its frames say at once, decades.
@@ -72,8 +69,16 @@ class CameraPose:
         return {"translation_zero_std_mm": zero[:3], "rotation_zero_std_mdeg": zero[3:]}
 
 
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Displacement along each axis, the main one first, with the variances of its zero."""
+
+    estimates: Sequence[Estimate]
+    zero_variance_m2: Sequence[float]
+
+
 def camera_pose(
-    seen: Sequence[tuple[CameraResult, TrackedCamera]], sides: Sequence[Side], rows: Estimate
+    seen: Sequence[tuple[CameraResult, TrackedCamera]], sides: Sequence[Side], rows: Rows
 ) -> tuple[CameraPose | None, tuple[Notice, ...]]:
     """The pose of the first camera whose targets show it; else why that of the first one is not seen, in a note.
 
@@ -88,154 +93,139 @@ def camera_pose(
     return None, notices
 
 
+@dataclass(frozen=True, slots=True)
+class Along:
+    """The motion along an axis compared with the acceleration: by what it is larger than the geometry says, with its
+    standard deviation; sign: 1 where the accelerometer reads more as the camera goes along the axis; variance_factor:
+    what the frames scatter by, over what the tracker says; offset_ns: of the camera's clock; fit: where it was not part
+    of the calibration.
+    """
+
+    gain: float
+    std: float
+    sign: float
+    variance_factor: float
+    offset_ns: int
+    fit: ScaleCalibration | None = None
+
+
 class _Camera:
     """One camera: what its targets show in each frame, on the accelerometer's clock."""
 
     def __init__(self, camera: CameraResult, tracked: TrackedCamera, sides: Sequence[Side]) -> None:
         self._camera, self._tracked, self._sides = camera, tracked, sides
-        self._settings = tracked.view.settings.first_camera
-        self._lens: Lens | None = camera.calibrations[0].lens
         own = sides[0].recording.settings.accelerometer
         self._lever_m = np.array((0.0, 0.0, 0.0) if own is None else own.camera_offset_m)
         self._scale_std = 0.0 if own is None else own.scale_std
-        best = self._best = camera.targets[camera.best].track
-        moved, variance = zip(*(_at_once(one.track, best.time_ns) for one in camera.targets), strict=True)
-        reference = np.array([one.reference_px2 for one in camera.targets]).swapaxes(0, 1)
-        self._moved_px = np.array(moved).swapaxes(0, 1)
-        self._variance_px2 = np.array(variance).swapaxes(0, 1) - reference
-        self._usual_px2 = np.median(self._variance_px2[np.isfinite(self._variance_px2).all(axis=(1, 2))], axis=0)
+        self._posed = tracked.tracking if isinstance(tracked.tracking, PosedTracking) else None
+        self._seen = seen_frames(camera.targets) if self._posed is None else self._posed.frames
 
-    def pose(self, rows: Estimate) -> tuple[CameraPose | None, tuple[Notice, ...]]:
+    def pose(self, rows: Rows) -> tuple[CameraPose | None, tuple[Notice, ...]]:
         """The pose at the rows, and what is worth reporting."""
         known, why = self._surroundings()
         if known is None:
             return None, (Notice("pose-unseen", f"{PREFIX}{why}"),) if why else ()
-        frames = self._solved(known)
+        frames, found = self._seen.poses(known), dict[int, Along]()
         # The accelerometer tells how large the motion along its axis is.
-        fits = dict[int, ScaleCalibration]()
-        for view, side in zip(self._views(), self._sides, strict=False):
+        for number, view in enumerate(self._views()):
             axis = AXES.index(view.axis)
             try:
-                fits[axis] = self._fit(view, frames, known)
+                along = (
+                    self._fit(view, frames, known, self._sides[number]) if self._posed is None else self._own(number)
+                )
             except UntrustedError:
                 continue
-            gain, std = self._gain(fits[axis], known, side)
-            sharper = known.with_gain(gain, std**2, self._slopes(known, frames, axis))
+            sharper = known.with_gain(along.gain, along.std**2, self._seen.slopes(known, frames, axis)[0])
             if sharper is None:
-                return None, (contradicted(known.names, view.axis, gain),)
-            known = sharper
-            frames = self._solved(known)
-        if why := known.unseen(self._usual_px2):
+                return None, (contradicted(known.names, view.axis, along.gain),)
+            known, found[axis] = sharper, along
+            frames = self._seen.poses(known)
+        if why := known.unseen(self._seen.usual_px2):
             return None, (Notice("pose-unseen", f"{PREFIX}{why}"),)
-        return self._at_rows(known, frames, fits, rows), ()
+        return self._at_rows(known, frames, found, rows), ()
 
     def _surroundings(self) -> tuple[Surroundings | None, str]:
-        """What the camera looks at; None where that is not known or does not do, and why; no word where not asked."""
-        camera, lens = self._settings, self._lens
-        declared = {} if camera is None else dict(zip(camera.target_names, camera.target, strict=True))
-        if not any(one.distance_m is not None for one in declared.values()):
-            return None, ""
-        if lens is None:
-            three = len(self._camera.targets) > 2
-            return None, "they need the focal length, in a section camera.lens." if three else ""
+        if self._posed is not None:
+            return self._posed.known, ""
         scales = {one.name: one.scale for one in self._camera.calibrations[0].used}
-        placed = []
-        for one in self._camera.targets:
-            middle = (one.region.x + 0.5 * (one.region.width - 1), one.region.y + 0.5 * (one.region.height - 1))
-            scale = scales.get(one.name)
-            inverse = declared[one.name].inverse_distance if one.name in declared else None
-            placed.append(Placed(one.name, middle, inverse, None if scale is None else 1.0 / scale.value_m_per_px))
-        if (known := surroundings(placed, lens)) is None:
-            return None, "the distances of the targets do not follow from those declared. Add distance_m to each."
-        why = known.unseen(self._usual_px2)
-        return (None, why) if why else (known, "")
+        moved = {name: 1.0 / scale.value_m_per_px for name, scale in scales.items() if scale is not None}
+        return known_surroundings(self._tracked.view.settings.first_camera, self._tracked.tracking, self._seen, moved)
 
     def _views(self) -> list[View]:
         """The axes with an acceleration of their own."""
         view = self._tracked.view
-        return [
-            replace(view_of(one), scale=None, printed=None)
-            for one in (view, view.across)
-            if one is not None and one.fused
-        ]
-
-    def _solved(self, known: Surroundings) -> Poses:
-        return poses(known.geometry, self._moved_px, self._variance_px2)
-
-    def _px_per_m(self, known: Surroundings) -> float:
-        """Of the nearest target."""
-        return float(np.mean(known.geometry.focal_px) * np.max(known.geometry.inverse_distance))
+        fused = [one for one in (view, view.across)[: len(self._sides)] if one is not None and one.fused]
+        return [replace(view_of(one), scale=None, printed=None) for one in fused]
 
     def _at_accelerometer(self, pose: Floats) -> Floats:
         """Translations (n, 3) of the accelerometer's place."""
         return np.asarray(pose[:, :3] - np.cross(pose[:, 3:], self._lever_m))
 
-    def _fit(self, view: View, frames: Poses, known: Surroundings) -> ScaleCalibration:
-        """The motion along an axis compared with the acceleration, in pixels of the nearest target."""
-        axis, scale = AXES.index(view.axis), self._px_per_m(known)
-        variance = scale**2 * frames.covariance[:, axis, axis]
-        moved = scale * self._at_accelerometer(frames.value)[:, axis]
+    def _own(self, number: int) -> Along:
+        """By the calibration of the poses' own translation."""
+        assert self._posed is not None
+        own = self._tracked.calibrations[number]
+        gain = abs(own.scale.value_m_per_px) * self._posed.px_per_m
+        offset_ns = round(NANOSECONDS * own.offset.value_s)
+        return Along(
+            gain, own.relative_std * gain, -float(np.sign(own.scale.value_m_per_px)), own.variance_factor, offset_ns
+        )
+
+    def _fit(self, view: View, frames: Poses, known: Surroundings, side: Side) -> Along:
+        """By the acceleration, in pixels of the nearest target."""
+        axis = AXES.index(view.axis)
+        px_per_m = float(np.mean(known.geometry.focal_px) * np.max(known.geometry.inverse_distance))
+        variance = px_per_m**2 * frames.covariance[:, axis, axis]
+        moved = px_per_m * self._at_accelerometer(frames.value)[:, axis]
         if axis == 0:
-            track = replace(self._best, x_px=moved, variance_x_px2=variance)
+            track = replace(self._seen.track, x_px=moved, variance_x_px2=variance)
         else:
-            track = replace(self._best, y_px=moved, variance_y_px2=variance)
-        return scale_of(view, camera_pair(view, track, self._blur_s()))
+            track = replace(self._seen.track, y_px=moved, variance_y_px2=variance)
+        fit = scale_of(view, camera_pair(view, track, self._blur_s()))
+        scale, own = fit.scale, side.calibration
+        gain = abs(scale.value_m_per_px) * px_per_m / own.accelerometer_scale
+        relative = np.sqrt(scale.variance) / abs(scale.value_m_per_px)
+        std = float(np.linalg.norm((relative, max(own.accelerometer_scale_std, self._scale_std)))) * gain
+        offset_ns = round(NANOSECONDS * view.offset(fit.search.offset).value_s)
+        return Along(gain, std, float(np.sign(scale.value_m_per_px)), fit.variance_factor, offset_ns, fit)
 
     def _blur_s(self) -> float:
         return self._tracked.view.exposure_s or self._camera.calibrations[0].exposure_s
 
-    def _gain(self, fit: ScaleCalibration, known: Surroundings, side: Side) -> tuple[float, float]:
-        """By what the motion is larger than the geometry says, and its standard deviation."""
-        scale, own = fit.scale, side.calibration
-        gain = abs(scale.value_m_per_px) * self._px_per_m(known) / own.accelerometer_scale
-        relative = np.sqrt(scale.variance) / abs(scale.value_m_per_px)
-        return gain, float(np.linalg.norm((relative, max(own.accelerometer_scale_std, self._scale_std)))) * gain
-
-    def _slopes(self, known: Surroundings, frames: Poses, axis: int) -> Floats:
-        """By how much the parameters of the geometry change the motion along an axis, relative (1 + k,)."""
-        seen = np.isfinite(frames.value[:, axis])
-        own = by_geometry(known.geometry, frames.value[seen], self._usual_px2)[:, axis]
-        # Slow motions of the others are no part of it.
-        change, moves = np.diff(own, axis=0), np.diff(frames.value[seen, axis])
-        return np.asarray(moves @ change / (moves @ moves))
-
-    def _at_rows(
-        self, known: Surroundings, frames: Poses, fits: dict[int, ScaleCalibration], rows: Estimate
-    ) -> CameraPose:
-        # What the frames scatter by, over what the tracker says.
-        factors = [one.variance_factor for one in fits.values()] or [self._camera.calibrations[0].variance_factor]
+    def _at_rows(self, known: Surroundings, frames: Poses, found: dict[int, Along], rows: Rows) -> CameraPose:
+        calibrated = self._camera.calibrations[0]
+        factors = [one.variance_factor for one in found.values()] or [calibrated.variance_factor]
         frames = replace(frames, covariance=float(np.mean(factors)) * frames.covariance)
-        stamps_ns = self._stamps_ns(fits)
+        offsets = [one.offset_ns for one in found.values()] or [round(NANOSECONDS * calibrated.offset.value_s)]
+        stamps_ns = self._seen.track.time_ns + offsets[0]
         # The zero is the first frame's place, as all frames show it: what that frame itself errs by is in all others.
-        time_ns = np.concatenate((stamps_ns[:1], rows.time_ns))
+        time_ns = np.concatenate((stamps_ns[:1], rows.estimates[0].time_ns))
         value, own = np.empty((len(time_ns), 6)), np.empty((len(time_ns), 6))
-        views = {AXES.index(view.axis): (view, side) for view, side in zip(self._views(), self._sides, strict=False)}
         for axis in (3, 4, 5, 0, 1, 2):
-            block = _block(stamps_ns, frames.value[:, axis], frames.covariance[:, axis, axis])
-            if axis not in fits:
+            if axis not in found:
+                block = _block(stamps_ns, frames.value[:, axis], frames.covariance[:, axis, axis])
                 value[:, axis], own[:, axis] = smoothed(block, time_ns)
                 continue
-            (view, side), fit = views[axis], fits[axis]
-            sign = np.sign(fit.scale.value_m_per_px)
-            moved = sign * self._at_accelerometer(frames.value)[:, axis]
-            block = _block(stamps_ns, moved, block.variance_m2)
-            moved, own[:, axis] = at(self._with_acceleration(view, side, fit, block), time_ns)
-            value[:, axis] = sign * moved + np.cross(value[:, 3:], self._lever_m)[:, axis]
-        value, zero, own = value[1:] - value[0], own[0], own[1:]
-        slopes = by_geometry(known.geometry, value, self._usual_px2)
+            number, along = list(found).index(axis), found[axis]
+            if self._posed is None:
+                moved = along.sign * self._at_accelerometer(frames.value)[:, axis]
+                block = _block(stamps_ns, moved, frames.covariance[:, axis, axis])
+                moved, own[:, axis] = at(self._with_acceleration(number, along, block), time_ns)
+            else:
+                # What is measured is the displacement itself.
+                zero, estimate = rows.zero_variance_m2[number], rows.estimates[number]
+                moved = np.concatenate(([0.0], estimate.displacement_m))
+                own[:, axis] = np.concatenate(([zero], estimate.variance_m2 - zero))
+            value[:, axis] = along.sign * moved + np.cross(value[:, 3:], self._lever_m)[:, axis]
+        value, zeros, own = value[1:] - value[0], own[0], np.maximum(own[1:], 0.0)
+        slopes = by_geometry(known.geometry, value, self._seen.usual_px2)
         shape = np.einsum("npk,kl,npl->np", slopes, known.covariance, slopes, optimize=True)
-        return CameraPose(value, np.sqrt(own + shape + zero), np.sqrt(zero))
+        return CameraPose(value, np.sqrt(own + shape + zeros), np.sqrt(zeros))
 
-    def _stamps_ns(self, fits: dict[int, ScaleCalibration]) -> Nanoseconds:
-        """The frames' stamps on the accelerometer's clock, by what the surest axis shows."""
-        offset = self._tracked.calibrations[0].offset
-        if fits:
-            sharpest = min(fits.values(), key=lambda fit: fit.search.offset.variance)
-            offset = self._views()[0].offset(sharpest.search.offset)
-        return self._best.time_ns + round(NANOSECONDS * offset.value_s)
-
-    def _with_acceleration(self, view: View, side: Side, fit: ScaleCalibration, block: Displacement) -> Estimate:
-        noise, gain = fit.input_noise, side.calibration.accelerometer_scale
+    def _with_acceleration(self, number: int, along: Along, block: Displacement) -> Estimate:
+        view, gain = self._views()[number], self._sides[number].calibration.accelerometer_scale
+        assert along.fit is not None
+        noise = along.fit.input_noise
         felt = view.prepared.with_noise(noise.density, noise.motion_s)
         felt = Acceleration(felt.time_ns, felt.value_m_s2 / gain, felt.noise_density / gain**2)
         block = at_instants(block, self._blur_s(), felt)
@@ -243,16 +233,6 @@ class _Camera:
 
 
 PREFIX = "camera: the result has no columns of its translation and rotation: "
-
-
-def _at_once(track: PixelTrack, time_ns: Nanoseconds) -> tuple[Floats, Floats]:
-    """Translations and variances (n, 2) of a target at these stamps, near its own, which a rolling shutter makes."""
-    place = np.column_stack((track.x_px, track.y_px))
-    variance = np.column_stack((track.variance_x_px2, track.variance_y_px2))
-    late_s = seconds(time_ns, 0) - seconds(track.time_ns, 0)
-    if np.any(late_s) and len(place) > 2:
-        place = place + late_s[:, None] * np.gradient(place, seconds(track.time_ns, int(track.time_ns[0])), axis=0)
-    return place, variance
 
 
 def _block(time_ns: Nanoseconds, value: Floats, variance: Floats) -> Displacement:

@@ -139,8 +139,9 @@ def _inverse_distances(
         assert known is not None
         inverse[k], std[k] = known[0], known[1] or DISTANCE_STD * known[0]
     moved = np.array([np.nan if one.px_per_m is None else one.px_per_m for one in placed]) / focal_px
-    sign = _sign(inverse, moved, declared)
-    for k in set(range(len(placed))) - set(declared):
+    others = sorted(set(range(len(placed))) - set(declared))
+    sign = _sign(inverse, moved, declared) if others else 1.0
+    for k in others:
         anchor = min(
             (one for one in declared if np.isfinite(moved[one])), key=lambda one: std[one], default=declared[0]
         )
