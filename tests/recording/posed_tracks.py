@@ -57,7 +57,8 @@ def written(
     """A recording's folder, and the true poses (n, 6) at the accelerometer's times (n,).
 
     declared: whether the settings have the distances; off_m: by target, what its true distance is more than declared;
-    lost: (target, first and last frame) that are not seen; lever_m: from the accelerometer to the camera; turns: see `motions`.
+    lost: (target, first and last frame) that are not seen; lever_m: from the accelerometer to the camera; turns: see
+    `motions`.
     """
     rng = np.random.default_rng(seed)
     degrees, time_s = motions(rng, turns), np.arange(round(duration_s * RATE_HZ)) / RATE_HZ

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from posed_tracks import FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, written
 
 import midspan
 from midspan.recording.pose import UNITS
-from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, written
 
 NAMES = [f"translation_{axis}_mm" for axis in "xyz"] + [f"rotation_{axis}_mdeg" for axis in "xyz"]
 STDS = [name.replace("_m", "_std_m", 1) for name in NAMES]

@@ -92,7 +92,7 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
     with in_words_of(view.sensor):
         tracking = open_tracking(view, None, progress, judge=judge_of(view))
         if view.posed:
-            tracking = posed(view.settings.first_camera, tracking)
+            tracking = posed(view.settings.first_camera, tracking, view.accelerometer.camera_offset_m)
         parts = calibrate_camera(view, tracking)
         if isinstance(tracking, PosedTracking):
             parts = tuple(_with_shape(part, tracking) for part in parts)

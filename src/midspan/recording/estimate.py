@@ -180,6 +180,11 @@ class FirstPass:
         """By how much a row needs what comes later, s."""
         return self.estimator.lag_samples * interval_s(self.sides[0].recording.acceleration.time_ns)
 
+    @property
+    def seen(self) -> tuple[tuple[CameraResult, TrackedCamera], ...]:
+        """The cameras with their tracking."""
+        return tuple(zip(self.cameras, self.tracked_cameras, strict=True))
+
     def at_instants(self, axis: int) -> dict[str, SensorSeries]:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
         are wrong.
@@ -468,11 +473,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
     two, more = _second_axis(first, found, checked)
-    pose, unseen = camera_pose(
-        tuple(zip(first.cameras, first.tracked_cameras, strict=True)),
-        first.sides,
-        Rows(found.rows, found.zero_variance_m2),
-    )
+    pose, unseen = camera_pose(first.seen, first.sides, Rows(found.rows, found.zero_variance_m2))
     warnings = (
         *recording.channel_warnings,
         *(

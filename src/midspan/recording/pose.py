@@ -220,6 +220,9 @@ class _Camera:
         value, zeros, own = value[1:] - value[0], own[0], np.maximum(own[1:], 0.0)
         slopes = by_geometry(known.geometry, value, self._seen.usual_px2)
         shape = np.einsum("npk,kl,npl->np", slopes, known.covariance, slopes, optimize=True)
+        if self._posed is not None:
+            # The displacement's band has it.
+            shape[:, list(found)] = 0.0
         return CameraPose(value, np.sqrt(own + shape + zeros), np.sqrt(zeros))
 
     def _with_acceleration(self, number: int, along: Along, block: Displacement) -> Estimate:

@@ -17,6 +17,7 @@ from midspan.notices import Notice
 from midspan.records import Floats, Nanoseconds, PixelTrack, Status, seconds
 from midspan.settings.camera import CameraSettings
 from midspan.vision.frame_source import StoredTrack
+from midspan.vision.lens import Lens
 from midspan.vision.pose import Poses, by_geometry, inflation, poses
 
 AXES = ("x", "y")
@@ -97,6 +98,8 @@ def known_surroundings(
         return None, ""
     if lens is None:
         return None, "they need the focal length, in a section camera.lens." if len(declared) > 2 else ""
+    if why := unseen_as_declared(camera, lens):
+        return None, why
     placed = [
         Placed(name, middle, declared[name].inverse_distance if name in declared else None, px_per_m.get(name))
         for name, middle in zip(seen.names, seen.middles_px, strict=True)
@@ -110,14 +113,33 @@ def known_surroundings(
     return (None, why) if why else (known, "")
 
 
+def unseen_as_declared(camera: CameraSettings | None, lens: Lens) -> str:
+    """Why the targets of the settings, all of them, do not show all six degrees; empty where they may."""
+    if camera is None or any(one.distance_m is None for one in camera.target):
+        return ""
+    middles = [
+        (x + 0.5 * (width - 1), y + 0.5 * (height - 1)) for x, y, width, height in (t.roi for t in camera.target)
+    ]
+    placed = [
+        Placed(name, middle, one.inverse_distance, None)
+        for name, middle, one in zip(camera.target_names, middles, camera.target, strict=True)
+    ]
+    known = surroundings(placed, lens) if placed else None
+    return "" if known is None else known.unseen(np.ones((len(placed), 2)))
+
+
 class PosedTracking(StoredTracking):
     """The tracking of one target at the distance of the nearest, as the translations of the poses move it.
 
-    inner: the tracking of the targets, which is at its end.
+    inner: the tracking of the targets, which is at its end; lever_m: from the accelerometer, whose translation it is,
+    to the camera.
     """
 
-    def __init__(self, inner: CameraTracking, known: Surroundings, frames: SeenFrames) -> None:
+    def __init__(
+        self, inner: CameraTracking, known: Surroundings, frames: SeenFrames, lever_m: Sequence[float]
+    ) -> None:
         self.inner, self.frames, self.known = inner, frames, known
+        self.lever_m = np.array(lever_m)
         self.source, self.progress = inner.source, inner.progress
         self.px_per_m = float(np.mean(known.geometry.focal_px) * np.max(known.geometry.inverse_distance))
         nearest = inner.targets[int(np.argmax(known.geometry.inverse_distance))]
@@ -134,7 +156,8 @@ class PosedTracking(StoredTracking):
 
     def _rows(self) -> PixelTrack:
         solved, track = self.frames.poses(self.known), self.frames.track
-        values = {axis: -self.px_per_m * solved.value[:, k] for k, axis in enumerate(AXES)}
+        moved = solved.value[:, :3] - np.cross(solved.value[:, 3:], self.lever_m)
+        values = {axis: -self.px_per_m * moved[:, k] for k, axis in enumerate(AXES)}
         variances = {axis: self.px_per_m**2 * solved.covariance[:, k, k] for k, axis in enumerate(AXES)}
         measured = np.isfinite(values["x"])
         unknown = np.full(len(measured), np.nan)
@@ -168,7 +191,7 @@ class PosedTracking(StoredTracking):
             one.close()
 
 
-def posed(camera: CameraSettings | None, tracking: CameraTracking) -> CameraTracking:
+def posed(camera: CameraSettings | None, tracking: CameraTracking, lever_m: Sequence[float]) -> CameraTracking:
     """The tracking by poses where all distances are declared and all six degrees show well; else as it is."""
     declared = () if camera is None else camera.target
     if len(declared) < 3 or any(one.distance_m is None for one in declared) or tracking.settings.lens is None:
@@ -180,4 +203,4 @@ def posed(camera: CameraSettings | None, tracking: CameraTracking) -> CameraTrac
     known, _ = known_surroundings(camera, tracking, frames, {})
     if known is None or np.max(inflation(known.geometry, frames.usual_px2)[:2]) > MAX_INFLATION:
         return tracking
-    return PosedTracking(tracking, known, frames)
+    return PosedTracking(tracking, known, frames, lever_m)
