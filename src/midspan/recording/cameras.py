@@ -93,9 +93,10 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         tracking = open_tracking(view, None, progress, judge=judge_of(view))
         if view.posed:
             tracking = posed(view.settings.first_camera, tracking, view.accelerometer.camera_offset_m)
-        parts = calibrate_camera(view, tracking)
         if isinstance(tracking, PosedTracking):
-            parts = tuple(_with_shape(part, tracking) for part in parts)
+            tracking, parts = _by_poses(view, tracking)
+        else:
+            parts = calibrate_camera(view, tracking)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
         if tracking.learns_by_acceleration:
@@ -109,6 +110,17 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         reported += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
     reported += [line for part in parts for line in part.warnings]
     return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in reported))
+
+
+def _by_poses(view: Recording, tracking: PosedTracking) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
+    """Tracking and calibration by the poses; by the targets where the accelerometer does not agree with these."""
+    try:
+        parts = calibrate_camera(view, tracking)
+    except UntrustedError:
+        return tracking.inner, calibrate_camera(view, tracking.inner)
+    if not all(tracking.agrees(part.calibration) for part in parts if part.calibration.fused):
+        return tracking.inner, calibrate_camera(view, tracking.inner)
+    return tracking, tuple(_with_shape(part, tracking) for part in parts)
 
 
 def _with_shape(part: CameraFit, tracking: PosedTracking) -> CameraFit:

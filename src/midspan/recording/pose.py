@@ -165,11 +165,8 @@ class _Camera:
         """By the calibration of the poses' own translation."""
         assert self._posed is not None
         own = self._tracked.calibrations[number]
-        gain = abs(own.scale.value_m_per_px) * self._posed.px_per_m
-        offset_ns = round(NANOSECONDS * own.offset.value_s)
-        return Along(
-            gain, own.relative_std * gain, -float(np.sign(own.scale.value_m_per_px)), own.variance_factor, offset_ns
-        )
+        sign, offset_ns = -float(np.sign(own.scale.value_m_per_px)), round(NANOSECONDS * own.offset.value_s)
+        return Along(*self._posed.gain(own), sign, own.variance_factor, offset_ns)
 
     def _fit(self, view: View, frames: Poses, known: Surroundings, side: Side) -> Along:
         """By the acceleration, in pixels of the nearest target."""
@@ -221,7 +218,7 @@ class _Camera:
         slopes = by_geometry(known.geometry, value, self._seen.usual_px2)
         shape = np.einsum("npk,kl,npl->np", slopes, known.covariance, slopes, optimize=True)
         if self._posed is not None:
-            # The displacement's band has it.
+            # The displacement's band has it already.
             shape[:, list(found)] = 0.0
         return CameraPose(value, np.sqrt(own + shape + zeros), np.sqrt(zeros))
 

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from midspan.calibration.camera.geometry import Placed, Surroundings, surroundings
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, StoredTarget, StoredTracking, TargetTracking
 from midspan.notices import Notice
-from midspan.records import Floats, Nanoseconds, PixelTrack, Status, seconds
+from midspan.records import Floats, Nanoseconds, PixelTrack, Region, Status, seconds
 from midspan.settings.camera import CameraSettings
 from midspan.vision.frame_source import StoredTrack
 from midspan.vision.lens import Lens
@@ -66,13 +67,15 @@ def seen_frames(targets: Sequence[Any]) -> SeenFrames:
     first = targets[0].track
     moved, variance = zip(*(_at_once(one.track, first.time_ns) for one in targets), strict=True)
     reference = np.array([one.reference_px2 for one in targets])
-    middles = [
-        (one.region.x + 0.5 * (one.region.width - 1), one.region.y + 0.5 * (one.region.height - 1)) for one in targets
-    ]
+    middles = [_middle(one.region) for one in targets]
     names = tuple(one.name for one in targets)
     shape = (1, 0, 2)
     single = np.transpose(np.array(variance) - reference, shape)
     return SeenFrames(names, tuple(middles), np.transpose(np.array(moved), shape), single, first)
+
+
+def _middle(region: Region) -> tuple[float, float]:
+    return region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1)
 
 
 def _at_once(track: PixelTrack, time_ns: Nanoseconds) -> tuple[Floats, Floats]:
@@ -117,12 +120,9 @@ def unseen_as_declared(camera: CameraSettings | None, lens: Lens) -> str:
     """Why the targets of the settings, all of them, do not show all six degrees; empty where they may."""
     if camera is None or any(one.distance_m is None for one in camera.target):
         return ""
-    middles = [
-        (x + 0.5 * (width - 1), y + 0.5 * (height - 1)) for x, y, width, height in (t.roi for t in camera.target)
-    ]
     placed = [
-        Placed(name, middle, one.inverse_distance, None)
-        for name, middle, one in zip(camera.target_names, middles, camera.target, strict=True)
+        Placed(name, _middle(Region(*one.roi)), one.inverse_distance, None)
+        for name, one in zip(camera.target_names, camera.target, strict=True)
     ]
     known = surroundings(placed, lens) if placed else None
     return "" if known is None else known.unseen(np.ones((len(placed), 2)))
@@ -179,6 +179,17 @@ class PosedTracking(StoredTracking):
         _, left = self.frames.slopes(self.known, solved, AXES.index(axis))
         left = left - np.mean(left, axis=0)
         return float(np.sqrt(np.mean(np.einsum("nk,kl,nl->n", left, self.known.covariance, left))))
+
+    def gain(self, calibration: CameraCalibration) -> tuple[float, float]:
+        """By what the accelerometer shows the motion to be larger than the geometry says, and its deviation."""
+        gain = abs(calibration.scale.value_m_per_px) * self.px_per_m
+        return gain, calibration.relative_std * gain
+
+    def agrees(self, calibration: CameraCalibration) -> bool:
+        """Whether the accelerometer shows the geometry to be as declared."""
+        gain, std = self.gain(calibration)
+        slopes, _ = self.frames.slopes(self.known, self.frames.poses(self.known), AXES.index(calibration.direction))
+        return self.known.with_gain(gain, std**2, slopes) is not None
 
     def warnings(self, axes: str | None = None) -> list[Notice]:
         """What of the targets' frames is worth reporting."""
