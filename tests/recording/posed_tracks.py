@@ -41,13 +41,13 @@ def motions(rng, turns=1.0):
     ]
 
 
-def seen_px(place_px, distance_m, pose):
+def seen_px(place_px, distance_m, pose, focal_px=FOCAL_PX):
     """Where a camera at each pose (n, 6) sees points, less where it sees them at rest."""
-    points = np.column_stack((place_px / FOCAL_PX * distance_m[:, None], distance_m))
+    points = np.column_stack((place_px / focal_px * distance_m[:, None], distance_m))
     found = []
     for row in pose:
         own = Rotation.from_rotvec(row[3:]).inv().apply(points - row[:3])
-        found.append(FOCAL_PX * own[:, :2] / own[:, 2:] - place_px)
+        found.append(focal_px * own[:, :2] / own[:, 2:] - place_px)
     return np.array(found)
 
 

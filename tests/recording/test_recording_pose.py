@@ -1,24 +1,32 @@
 """Translation and rotation of a camera as columns, from tracks of a pinhole that is written apart from the package."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from posed_tracks import FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, written
+from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, written
 
 import midspan
+from midspan.recording.inspect import inspect_recording
 from midspan.recording.pose import UNITS
+from midspan.recording.streams.recording import open_recording
+from midspan.recording.tracking.posed import six_degrees
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.tilting import SixDegrees
+from midspan.simulate.scenarios.write import write
 
 NAMES = [f"translation_{axis}_mm" for axis in "xyz"] + [f"rotation_{axis}_mdeg" for axis in "xyz"]
 STDS = [name.replace("_m", "_std_m", 1) for name in NAMES]
 
 
-def bound(targets=THREE):
+def bound(targets=THREE, size=SIZE, focal_px=FOCAL_PX):
     """Cramér-Rao bound (6,) of one frame, mm and mdeg, by differences of the pinhole."""
-    places = np.array([one[:2] for one in targets.values()]) - 0.5 * (np.array(SIZE) - 1.0)
+    places = np.array([one[:2] for one in targets.values()]) - 0.5 * (np.array(size) - 1.0)
     distance_m, step = np.array([one[2] for one in targets.values()]), 1e-5
     slopes = [
-        (seen_px(places, distance_m, step * row) - seen_px(places, distance_m, -step * row)).ravel() / (2.0 * step)
+        (seen_px(places, distance_m, step * row, focal_px) - seen_px(places, distance_m, -step * row, focal_px)).ravel()
+        / (2.0 * step)
         for row in np.eye(6)[:, None]
     ]
     return np.sqrt(np.diag(np.linalg.inv(np.array(slopes) @ np.array(slopes).T))) * NOISE_PX * UNITS
@@ -109,3 +117,38 @@ def test_the_camera_moves_besides_its_accelerometer_by_the_lever(tmp_path):
     own = error - np.mean(error, axis=0)
     assert np.std(own[:, 1]) < bound()[1]
     assert np.all(np.mean(np.abs(error) < 1.96 * std, axis=0) > 0.93)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    short = {"six-degrees": replace(SCENARIOS["six-degrees"], duration_s=20.0)}
+    return write("six-degrees", tmp_path_factory.mktemp("six") / "recording", seed=3, scenarios=short)
+
+
+def test_a_rendered_recording_end_to_end(rendered):
+    result = midspan.estimate(rendered)
+    truth = np.genfromtxt(rendered / "truth.csv", delimiter=",", names=True)
+    true = np.column_stack([truth[name] for name in NAMES])
+    error, std = errors(result, truth["time_s"], true / UNITS)
+    own = error - np.mean(error, axis=0)
+    known = json.loads((rendered / "known.json").read_text())["camera"]
+    # A tracker of a first frame reaches 1.5 times the Cramér-Rao bound of a picture.
+    noise_px = 1.5 * np.mean(known["cramer_rao_std_px"]["x"])
+    setup = SixDegrees()
+    rows, columns = setup.shape
+    places = [(r.x + 0.5 * (r.width - 1), r.y + 0.5 * (r.height - 1)) for r in setup.regions()]
+    least = bound(dict(zip("123", ((*p, d) for p, d in zip(places, setup.distances_m, strict=True)), strict=True)),
+                  (columns, rows), setup.focal_px) * noise_px / NOISE_PX  # fmt: skip
+    assert np.all(np.std(own, axis=0) < 1.3 * least)
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.9
+    off = result.displacement_mm - np.interp(result.time_s, truth["time_s"], truth["displacement_mm"])
+    assert np.std(off) < 0.005
+    assert np.mean(np.abs(off) < 1.96 * result.displacement_std_mm) > 0.9
+    assert said(result) == []
+
+
+def test_inspect_says_whether_the_targets_show_all_six(rendered, tmp_path):
+    (said,) = (one for one in inspect_recording(open_recording(rendered))["camera"]["notes"] if "six degrees" in one)
+    assert "all are seen" in said
+    two, *_ = written(tmp_path, duration_s=2.0, targets={name: THREE[name] for name in ("1", "far")})
+    assert "Add a camera.target" in six_degrees(open_recording(two).cameras[0])

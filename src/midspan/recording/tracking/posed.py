@@ -15,6 +15,8 @@ from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, StoredTarget, StoredTracking, TargetTracking
 from midspan.notices import Notice
+from midspan.recording.streams.recording import Recording
+from midspan.recording.tracking.opening import lens_of
 from midspan.records import Floats, Nanoseconds, PixelTrack, Region, Status, seconds
 from midspan.settings.camera import CameraSettings
 from midspan.vision.frame_source import StoredTrack
@@ -114,6 +116,17 @@ def known_surroundings(
         return None, "no frame shows all targets."
     why = known.unseen(usual)
     return (None, why) if why else (known, "")
+
+
+def six_degrees(view: Recording) -> str:
+    """Whether the targets of a camera's view show all six degrees of freedom as declared, in words; none where their
+    distances or the lens are not.
+    """
+    camera, lens = view.settings.first_camera, lens_of(view)
+    if camera is None or lens is None or not camera.target or any(one.distance_m is None for one in camera.target):
+        return ""
+    why = unseen_as_declared(camera, lens)
+    return f"six degrees of freedom of the camera: {why or 'all are seen by its targets.'}"
 
 
 def unseen_as_declared(camera: CameraSettings | None, lens: Lens) -> str:
