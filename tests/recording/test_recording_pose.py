@@ -152,3 +152,15 @@ def test_inspect_says_whether_the_targets_show_all_six(rendered, tmp_path):
     assert "all are seen" in said
     two, *_ = written(tmp_path, duration_s=2.0, targets={name: THREE[name] for name in ("1", "far")})
     assert "Add a camera.target" in six_degrees(open_recording(two).cameras[0])
+
+
+def test_with_a_given_calibration_the_displacement_is_the_translation(tmp_path):
+    # A roll of 10 mdeg moves targets 1600 px apart by 0.3 px: their difference alone errs by 0.1 mm.
+    folder, time_s, true = written(tmp_path, off_m={})
+    calibration = midspan.calibrate(folder)
+    assert len(calibration.camera.targets) == 3
+    result = midspan.estimate(folder, calibration)
+    error, std = errors(result, time_s, true)
+    assert np.all(np.std(error, axis=0)[[0, 2, 3, 4, 5]] < 1.5 * bound()[[0, 2, 3, 4, 5]])
+    assert np.all(np.mean(np.abs(error) < 1.96 * std, axis=0) > 0.93)
+    np.testing.assert_allclose(result.pose.value[:, 1], -result.estimate.displacement_m, atol=1e-12)

@@ -113,6 +113,8 @@ def estimate(
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given
+    if calibration is not None and tracking is None:
+        recording = recording.by_pose()
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording.by_pose(), progress)
     recording = recording.without_lines(calibration.lines)

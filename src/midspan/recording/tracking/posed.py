@@ -17,7 +17,7 @@ from midspan.engine.tracking import CameraTracking, StoredTarget, StoredTracking
 from midspan.notices import Notice
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import lens_of
-from midspan.records import Floats, Nanoseconds, PixelTrack, Region, Status, seconds
+from midspan.records import Floats, Nanoseconds, PixelTrack, Region, ScaleFactor, Status, seconds
 from midspan.settings.camera import CameraSettings
 from midspan.vision.frame_source import StoredTrack
 from midspan.vision.lens import Lens
@@ -197,6 +197,28 @@ class PosedTracking(StoredTracking):
         """By what the accelerometer shows the motion to be larger than the geometry says, and its deviation."""
         gain = abs(calibration.scale.value_m_per_px) * self.px_per_m
         return gain, calibration.relative_std * gain
+
+    def as_declared(self, known: CameraCalibration) -> CameraCalibration:
+        """A calibration of the targets as that of the poses: the scale factor is what distances and lens say."""
+        axis, names = AXES.index(known.direction), self.frames.names
+        moved = {one.name: 1.0 / one.scale.value_m_per_px for one in known.used if one.scale is not None}
+        inverse = self.known.geometry.inverse_distance
+        near, far = (moved.get(names[int(k)], 0.0) for k in (np.argmax(inverse), np.argmin(inverse)))
+        slopes, _ = self.frames.slopes(self.known, self.frames.poses(self.known), axis)
+        relative = float(slopes @ self.known.covariance @ slopes)
+        value = float(np.sign(near - far or 1.0)) / self.px_per_m
+        variance = self.targets[0].rows.along(known.direction)[1]
+        return replace(
+            known,
+            scale=ScaleFactor(value, relative * value**2),
+            region=self.targets[0].region,
+            noise_std_px=float(np.sqrt(np.median(variance[np.isfinite(variance)]))),
+            targets=(),
+            relative_scale_std=None,
+            apart_std_m=self.shape_std_m(known.direction),
+            slow_std_m=0.0,
+            tilt_std_px=0.0,
+        )
 
     def agrees(self, calibration: CameraCalibration) -> bool:
         """Whether the accelerometer shows the geometry to be as declared."""
