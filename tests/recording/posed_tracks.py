@@ -52,7 +52,7 @@ def seen_px(place_px, distance_m, pose, focal_px=FOCAL_PX):
 
 
 def written(
-    folder, seed=1, targets=THREE, duration_s=40.0, declared=True, off_m=None, lost=(), lever_m=(0, 0, 0), turns=1.0
+    folder, seed=1, targets=THREE, duration_s=30.0, declared=True, off_m=None, lost=(), lever_m=(0, 0, 0), turns=1.0
 ):
     """A recording's folder, and the true poses (n, 6) at the accelerometer's times (n,).
 

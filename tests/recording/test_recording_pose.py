@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, written
+from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, waves, written
 
 import midspan
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.pose import UNITS
+from midspan.recording.pose import UNITS, smoothed
 from midspan.recording.streams.recording import open_recording
 from midspan.recording.tracking.posed import six_degrees
+from midspan.records import Displacement, nanoseconds
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.tilting import SixDegrees
 from midspan.simulate.scenarios.write import write
@@ -145,6 +146,26 @@ def test_a_rendered_recording_end_to_end(rendered):
     assert np.std(off) < 0.005
     assert np.mean(np.abs(off) < 1.96 * result.displacement_std_mm) > 0.9
     assert said(result) == []
+
+
+@pytest.mark.parametrize(("hertz", "frame_hz"), [(1.1, 20.0), (2.1, 20.0), (0.02, 20.0), (0.25, 30.0)])
+def test_a_smoothed_motion_has_an_honest_band_within_gaps_too(hertz, frame_hz):
+    rows_s, inside, bridged = np.arange(0.0, 60.0, 0.01), [], []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        motion, std_m = waves(rng, (0.95 * hertz, 1.05 * hertz, 1e-3)), 1e-5
+        time_s = np.arange(0.05, 60.0, 1.0 / frame_hz)
+        value = motion(time_s)[0] + rng.normal(0.0, std_m, len(time_s))
+        # Two seconds without a measurement.
+        value[(time_s > 20.0) & (time_s < 22.0)] = np.nan
+        block = Displacement(nanoseconds(time_s), value, np.full(len(value), std_m**2), np.ones(len(value), np.uint8))
+        found, variance = smoothed(block, nanoseconds(rows_s))
+        error, gap = np.abs(found - motion(rows_s)[0]) / np.sqrt(variance), (rows_s > 19.9) & (rows_s < 22.1)
+        inside.append(error[~gap] < 1.96)
+        bridged.append(error[gap] < 1.96)
+    # A motion of one frequency is smoother than one of white acceleration: the band is a little too wide.
+    assert 0.94 < np.mean(inside) <= 1.0
+    assert np.mean(bridged) > 0.85
 
 
 def test_inspect_says_whether_the_targets_show_all_six(rendered, tmp_path):

@@ -30,12 +30,15 @@ from midspan.records import (
     Floats,
     Nanoseconds,
     Source,
+    part,
 )
 from midspan.signals.averaging import at_instants
 from midspan.vision.pose import Poses, by_geometry
 
 # Frames that the changes of a motion are estimated from.
-LEARNED_FRAMES = 4000
+LEARNED_FRAMES, MIN_FRAMES = 4000, 30
+# From so many steps between measurements on there is a gap.
+GAP_STEPS = 3.0
 # How far the density of the acceleration of such a motion may be from what its frames say at once, decades.
 DECADES = 4.0
 # An innovation beyond this many standard deviations counts as that many.
@@ -126,6 +129,8 @@ class _Camera:
         if known is None:
             return None, (Notice("pose-unseen", f"{PREFIX}{why}"),) if why else ()
         frames, found = self._seen.poses(known), dict[int, Along]()
+        if np.count_nonzero(np.isfinite(frames.value[:, 0])) < MIN_FRAMES:
+            return None, (Notice("pose-unseen", f"{PREFIX}fewer than {MIN_FRAMES} frames show three targets."),)
         # The accelerometer tells how large the motion along its axis is.
         for number, view in enumerate(self._views()):
             axis = AXES.index(view.axis)
@@ -242,13 +247,29 @@ def _block(time_ns: Nanoseconds, value: Floats, variance: Floats) -> Displacemen
 def smoothed(block: Displacement, time_ns: Nanoseconds) -> tuple[Floats, Floats]:
     """A motion of which nothing but measurements is known, and its variance, at stamps (n,).
 
-    Between measurements its velocity changes by white noise, of a density that makes them likeliest.
+    Between measurements its velocity changes by white noise, of a density that makes them likeliest. A motion swings
+    back, so that within a gap the density is the largest that measurements apart by up to its half show, and the motion
+    is no farther from its mean than it usually is.
     """
     seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
     block = Displacement(block.time_ns[seen], block.value_m[seen], block.variance_m2[seen], block.source[seen])
-    density = _density(block)
-    own = _unfelt(np.union1d(time_ns, block.time_ns[:1]), density)
-    return at(smooth(own, block, _settings(block)).estimate, time_ns)
+    step_ns = float(np.median(np.diff(block.time_ns)))
+    stamps = np.union1d(time_ns, block.time_ns)
+    # Between which measurements each stamp lies, and how many usual steps these are apart.
+    after = np.clip(np.searchsorted(block.time_ns, stamps), 1, len(block.time_ns) - 1)
+    steps = np.maximum(block.time_ns[after] - block.time_ns[after - 1], np.abs(stamps - block.time_ns[after])) / step_ns
+    density = np.full(len(stamps), _density(block))
+    apart = 2
+    while 2 * apart <= np.max(steps) and len(block.time_ns) // apart >= MIN_FRAMES:
+        wider = _density(part(block, slice(None, None, apart)))
+        density = np.where(steps >= 2 * apart, np.maximum(density, wider), density)
+        apart *= 2
+    felt = Acceleration(stamps, np.zeros(len(stamps)), density)
+    value, variance = at(smooth(felt, block, _settings(block)).estimate, time_ns)
+    usual, mean = 2.0 * float(np.var(block.value_m)), float(np.mean(block.value_m))
+    bridged = steps[np.searchsorted(stamps, time_ns)] >= GAP_STEPS
+    share = np.where(bridged, usual / (usual + variance), 1.0)
+    return mean + share * (value - mean), share * variance
 
 
 def _unfelt(time_ns: Nanoseconds, density: float) -> Acceleration:
@@ -268,17 +289,16 @@ def _settings(block: Displacement) -> KalmanSettings:
 
 def _density(block: Displacement) -> float:
     """Density of the acceleration, (m/s²)²/Hz, by the likelihood of the innovations."""
-    used = slice(0, LEARNED_FRAMES)
-    part = Displacement(*(getattr(block, name)[used] for name in Displacement.__slots__))
-    settings, step_s = _settings(part), float(np.median(np.diff(part.time_ns))) / NANOSECONDS
+    block = part(block, slice(0, LEARNED_FRAMES))
+    settings, step_s = _settings(block), float(np.median(np.diff(block.time_ns))) / NANOSECONDS
     # What second differences are, less their noise; of white noise of the density q they are 2/3 q T³.
-    bent = np.diff(part.value_m, 2)
-    noise = 6.0 * float(np.median(part.variance_m2))
+    bent = np.diff(block.value_m, 2)
+    noise = 6.0 * float(np.median(block.variance_m2))
     first = max(float(np.mean(bent**2)) - noise, 1e-3 * noise) / (2.0 / 3.0 * step_s**3)
 
     def cost(decades: float) -> float:
         density = first * 10.0**decades
-        found = filtered(_unfelt(part.time_ns, density), part, settings).innovation
+        found = filtered(_unfelt(block.time_ns, density), block, settings).innovation
         variance = found.variance_m2[2:]
         return float(np.sum(np.log(variance) + np.minimum(found.value_m[2:] ** 2 / variance, CAPPED**2)))
 

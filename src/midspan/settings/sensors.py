@@ -76,7 +76,7 @@ class AccelerometerSettings(ChannelSettings):
 
     camera_offset_m: Annotated[tuple[Offset, Offset, Offset], Form("3 numbers, m")] = Field(
         (0.0, 0.0, 0.0),
-        description="from accelerometer to camera, along x (right), y (down), z (view), for the camera's translation",
+        description="from accelerometer to camera along x (right), y (down), z (view); for translation_x_mm …",
     )
 
     @model_validator(mode="after")

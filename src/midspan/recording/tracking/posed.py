@@ -242,7 +242,8 @@ def posed(camera: CameraSettings | None, tracking: CameraTracking, lever_m: Sequ
     declared = () if camera is None else camera.target
     if len(declared) < 3 or any(one.distance_m is None for one in declared) or tracking.settings.lens is None:
         return tracking
-    if any(target.tracker.phase_gain_px_per_rad is not None for target in tracking.targets):
+    # Of a thermal camera the range is looked for target by target, and phases calibrate to a factor of their own.
+    if tracking.settings.thermal or any(one.tracker.phase_gain_px_per_rad is not None for one in tracking.targets):
         return tracking
     tracking.until(int(tracking.time_ns[-1]))
     frames = seen_frames(tracking.targets)
