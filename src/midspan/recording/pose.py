@@ -37,7 +37,7 @@ from midspan.vision.pose import Poses, by_geometry
 
 # Frames that the changes of a motion are estimated from.
 LEARNED_FRAMES, MIN_FRAMES = 4000, 30
-# From so many steps between measurements on there is a gap.
+# Of a gap, in usual steps between measurements.
 GAP_STEPS = 3.0
 # How far the density of the acceleration of such a motion may be from what its frames say at once, decades.
 DECADES = 4.0
