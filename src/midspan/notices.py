@@ -17,13 +17,14 @@ class Severity(StrEnum):
 _CODES = {
     Severity.NOTE: (
         "clock-corrected", "exposure", "film-turned", "frames-skipped", "frames-untimed",
-        "gain-estimated", "method-rates", "slow-error-included", "stamps-corrected", "tilt", "window-moved",
+        "gain-estimated", "method-rates", "pose-unseen", "slow-error-included", "stamps-corrected",
+        "tilt", "window-moved",
     ),
     Severity.WARNING: (
         "acceleration-wrong", "accelerometer-line", "accelerometer-noisy", "accelerometer-resonates",
         "clock-differs", "clock-uncertain", "coasting", "file-damaged", "frames-blurred", "frozen",
-        "gain-corrected", "gain-drifts", "lens", "light-changed", "literal", "logger-low-pass", "lost", "misfit",
-        "motion-not-shared", "outliers", "part-left-out", "picture-zooms", "play", "radar-data",
+        "gain-corrected", "gain-drifts", "geometry-wrong", "lens", "light-changed", "literal", "logger-low-pass",
+        "lost", "misfit", "motion-not-shared", "outliers", "part-left-out", "picture-zooms", "play", "radar-data",
         "radar-target", "radar-zero", "region-exposure", "region-texture", "samples-bridged",
         "scale-uncertain", "slow-error", "slow-motion", "thermal", "uncoded", "video-compressed", "zero-shifted",
         "zero-uncertain",

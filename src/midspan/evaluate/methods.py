@@ -80,7 +80,7 @@ def run_all(
     """
     given = calibration is not None
     if calibration is None:
-        calibration, tracking = calibrate_and_track(recording, progress)
+        calibration, tracking = calibrate_and_track(recording.by_pose(), progress)
     else:
         tracked_cameras = open_tracked_cameras((side_of(recording, calibration),), None, progress)
         tracking = tracked_cameras[0].tracking if tracked_cameras else None

@@ -57,7 +57,8 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
     window = recording.settings.calibration.model_copy(update={"window_s": span})
     livelier = recording.settings.model_copy(update={"calibration": window})
     try:
-        found, tracking = _calibrate_and_track(Recording(recording.file, livelier), progress)
+        again = Recording(recording.file, livelier)
+        found, tracking = _calibrate_and_track(again.by_pose() if recording.posed else again, progress)
     except MidspanError:
         return None
     text = (

@@ -21,6 +21,7 @@ from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
+from midspan.recording.tracking.posed import PosedTracking, posed
 from midspan.records import ScaleFactor, Source, TimeSeries, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
@@ -96,7 +97,12 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
     view, moved = where_it_sees(recording)
     with in_words_of(view.sensor):
         tracking = open_tracking(view, None, progress, judge=judge_of(view))
-        parts = calibrate_camera(view, tracking)
+        if view.posed:
+            tracking = posed(view.settings.first_camera, tracking, view.accelerometer.camera_offset_m)
+        if isinstance(tracking, PosedTracking):
+            tracking, parts = _by_poses(view, tracking)
+        else:
+            parts = calibrate_camera(view, tracking)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
         if tracking.learns_by_acceleration:
@@ -110,6 +116,24 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         reported += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
     reported += [line for part in parts for line in part.warnings]
     return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in reported))
+
+
+def _by_poses(view: Recording, tracking: PosedTracking) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
+    """Tracking and calibration by the poses; by the targets where the accelerometer does not agree with these."""
+    try:
+        parts = calibrate_camera(view, tracking)
+    except UntrustedError:
+        return tracking.inner, calibrate_camera(view, tracking.inner)
+    if not all(tracking.agrees(part.calibration) for part in parts if part.calibration.fused):
+        return tracking.inner, calibrate_camera(view, tracking.inner)
+    return tracking, tuple(_with_shape(part, tracking) for part in parts)
+
+
+def _with_shape(part: CameraFit, tracking: PosedTracking) -> CameraFit:
+    """What errors of the distances make of the displacement, in its band."""
+    known = part.calibration
+    apart_m = float(np.hypot(known.apart_std_m, tracking.shape_std_m(known.direction)))
+    return replace(part, calibration=replace(known, apart_std_m=apart_m))
 
 
 def _in_best_range(

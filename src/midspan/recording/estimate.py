@@ -50,6 +50,7 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import no_overlap, refuse_rejections, require_same_sensors, uncalibrated
 from midspan.recording.point import figures, measuring_point, zero_instant
+from midspan.recording.pose import Rows, camera_pose
 from midspan.recording.result import Result
 from midspan.recording.run import Blocks, Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -121,8 +122,10 @@ def estimate(
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = (calibration is not None and tracking is None) if given is None else given
+    if calibration is not None and tracking is None:
+        recording = recording.by_pose()
     if calibration is None:
-        calibration, tracking = calibrate_and_track(recording, progress)
+        calibration, tracking = calibrate_and_track(recording.by_pose(), progress)
     recording = recording.without_lines(calibration.lines)
     with naming(recording):
         require_same_sensors(recording, calibration)
@@ -187,6 +190,11 @@ class FirstPass:
     def delay_s(self) -> float:
         """By how much a row needs what comes later, s."""
         return self.estimator.lag_samples * interval_s(self.sides[0].recording.acceleration.time_ns)
+
+    @property
+    def seen(self) -> tuple[tuple[CameraResult, TrackedCamera], ...]:
+        """The cameras with their tracking."""
+        return tuple(zip(self.cameras, self.tracked_cameras, strict=True))
 
     def at_instants(self, axis: int) -> dict[str, SensorSeries]:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
@@ -476,6 +484,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
     two, more = _second_axis(first, found, checked)
+    pose, unseen = camera_pose(first.seen, first.sides, Rows(found.rows, found.zero_variance_m2))
     warnings = (
         *recording.channel_warnings,
         *(
@@ -491,6 +500,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         *unmeasured_ends(recording.acceleration.time_ns, first.outcome.placed, main),
         *shares(found.innovations[0], main),
         *more,
+        *unseen,
     )
     result = Result(
         estimate=main,
@@ -502,6 +512,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         warnings=once(warnings, asked.calibration.warnings),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
+        pose=pose,
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
         zero_std_m=float(np.sqrt(found.zero_variance_m2[0])),
         used=found.used,

@@ -6,6 +6,7 @@ from functools import partial
 from midspan.errors import MidspanError
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
+from midspan.recording.tracking.posed import six_degrees
 from midspan.records import Frame, Nanoseconds, RangeFrame, Readings
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.kinds import AUXILIARY, KINDS
@@ -25,6 +26,8 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
         try:
             branch, time_ns = read()
             tree[section] = {"file": file, **branch}
+            if words := next((six_degrees(one) for one in recording.cameras if one.sensor == section), ""):
+                tree[section]["notes"] = [*branch.get("notes", ()), words]
             spans[section] = (int(time_ns[0]), int(time_ns[-1]))
         except MidspanError as error:
             tree[section] = {"file": file, "error": str(error), "exit_code": error.exit_code}

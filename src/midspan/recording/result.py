@@ -13,6 +13,7 @@ from midspan.engine.sensor_series import CameraResult, SensorSeries
 from midspan.fusion.methods import named
 from midspan.notices import Notice, notice_trees
 from midspan.recording.not_in_band import not_in_band
+from midspan.recording.pose import CameraPose
 from midspan.recording.streams.recording import Recording
 from midspan.recording.verdict import Motion, verdict
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
@@ -38,10 +39,11 @@ class Result:
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
     displacement; events, warnings: what is worth reporting; cameras: each camera's targets, frame by frame; measured:
     what each sensor measured, in metres; radars: what the targets of each showed, by its name; across: the same along
-    the second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is
-    the zero's, common to the whole record. used: segments (first and last stamp, ns) in which measurements of each
-    sensor, by its name, were used. delay_s: how much of the record after it a row needs, infinite: all. file: the
-    recording's settings file; name: the recording's name.
+    the second image axis, with camera.direction = "xy". pose: the camera's translation and rotation, where its targets
+    show them. zero_std_m: the part of every row's standard deviation that is the zero's, common to the whole record.
+    used: segments (first and last stamp, ns) in which measurements of each sensor, by its name, were used. delay_s: how
+    much of the record after it a row needs, infinite: all. file: the recording's settings file; name: the recording's
+    name.
     """
 
     estimate: Estimate
@@ -55,6 +57,7 @@ class Result:
     measured: tuple[SensorSeries, ...] = field(default=(), repr=False)
     radars: Mapping[str, RadarTrace] = field(default_factory=dict, repr=False)
     across: "Result | None" = field(default=None, repr=False)
+    pose: CameraPose | None = field(default=None, repr=False)
     zero_std_m: float = 0.0
     used: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict, repr=False)
     delay_s: float = 0.0
@@ -151,6 +154,8 @@ class Result:
                 f"velocity_{axis}_mm_s": self.across.velocity_mm_s,
                 f"status_{axis}": self.across.estimate.status,
             }
+        if self.pose is not None:
+            columns |= self.pose.columns()
         return ResultTable(columns=columns, time_ns=self.estimate.time_ns, metadata=self.metadata())
 
     def metadata(self) -> dict[str, Any]:
@@ -161,6 +166,7 @@ class Result:
             # Where it is the whole record JSON has no number for it.
             "delay_s": self.delay_s if np.isfinite(self.delay_s) else None,
             "zero_std_mm": 1e3 * self.zero_std_m,
+            **({} if self.pose is None else self.pose.metadata()),
             "verdict": self.verdict,
             "not_in_band": list(self.not_in_band),
             **self._axes(),

@@ -13,6 +13,7 @@ from midspan.fusion.streams import KalmanSettings
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import open_tracking, where_it_sees
+from midspan.recording.tracking.posed import PosedTracking, posed
 from midspan.records import Acceleration, TimeOffset
 from midspan.settings.kinds import CAMERAS
 from midspan.settings.messages import in_words_of
@@ -110,5 +111,9 @@ def open_tracked_cameras(
             view, _ = where_it_sees(view.later(known[0].offset.value_s))
             with in_words_of(view.sensor):
                 own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
+            if view.posed and view.sensor not in opened:
+                own = posed(view.settings.first_camera, own, view.accelerometer.camera_offset_m)
+            if isinstance(own, PosedTracking) and own is not opened.get(view.sensor):
+                known = tuple(own.as_declared(one) for one in known)
             tracked_cameras.append(TrackedCamera(view, own, known))
     return tuple(tracked_cameras)

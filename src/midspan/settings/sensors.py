@@ -20,6 +20,7 @@ from midspan.settings.fields import (
     limited,
 )
 
+Offset = Annotated[float, IsNumber, limited(-1e4, 1e4, "m")]
 # Axes of the camera: right, down, along the view.
 ALONG = ("x", "y", "z")
 
@@ -82,6 +83,11 @@ class AccelerometerSettings(ChannelSettings):
         True,
         strict=True,
         description="together with [displacement]: its gain is estimated and corrected; false: the gain is 1",
+    )
+
+    camera_offset_m: Annotated[tuple[Offset, Offset, Offset], Form("3 numbers, m")] = Field(
+        (0.0, 0.0, 0.0),
+        description="from accelerometer to camera along x (right), y (down), z (view); for translation_x_mm …",
     )
 
     @model_validator(mode="after")

@@ -27,9 +27,13 @@ UNITS = {
 # An image axis in the middle of a column's name, or the name of a target at its end.
 _AXIS, _TARGET = re.compile(r"_[xy](?=_mm)"), re.compile(r"^((?:std_)?[xy]_px)_.+$")
 
+_POSE = re.compile(r"^(?:translation|rotation)_[xyz](?:_std)?_(mm|mdeg)$")
+
 
 def unit_of(name: str) -> str | None:
     """The unit of a column, that of a second axis or target included; None where it has none."""
+    if (found := _POSE.match(name)) is not None:
+        return found[1]
     return UNITS.get(_TARGET.sub(r"\1", _AXIS.sub("", name)))
 
 

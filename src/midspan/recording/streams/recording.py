@@ -65,6 +65,8 @@ class Recording:
         self._axis: Direction | None = None
         # Narrow lines that are taken out of the acceleration.
         self.lines: tuple[Line, ...] = ()
+        # Whether a camera whose targets show all six degrees of freedom is calibrated by its poses.
+        self.posed = False
         # A camera that is dark before this instant is used from it on.
         self.sees_from_ns: int | None = None
         # About so much is to be added to the stamps of a view's frames for them to be on the accelerometer's clock, s.
@@ -179,7 +181,7 @@ class Recording:
     def _with(self, changed: dict[str, Any], **marks: Any) -> "Recording":
         """The recording with other settings, and what it is a view of."""
         view = Recording(self.file, self.settings.model_copy(update=changed))
-        vars(view).update({"lines": self.lines} | marks)
+        vars(view).update({"lines": self.lines, "posed": self.posed} | marks)
         return view
 
     def seeing(self, first_ns: int, last_ns: int, from_ns: int) -> "Recording":
@@ -295,6 +297,10 @@ class Recording:
     def without_lines(self, lines: tuple[Line, ...]) -> "Recording":
         """The same without narrow lines of the acceleration that are no motion; itself where these are out of it."""
         return self if lines == self.lines else self._with({}, lines=lines)
+
+    def by_pose(self) -> "Recording":
+        """The same with its cameras calibrated by their poses where these are seen, for an estimate of this record."""
+        return self._with({}, posed=True)
 
     def _with_cross(self, main: TimeSeries) -> PreparedAcceleration:
         """The main axis and the others, each bridged as its own."""

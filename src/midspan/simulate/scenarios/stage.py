@@ -21,6 +21,7 @@ from midspan.simulate.scene.disturbances import Disturbance, Panel
 from midspan.simulate.scene.fisheye import Fisheye, bent_scene
 from midspan.simulate.scene.pose import Plane, Pose, PosedView
 from midspan.simulate.scene.texture import textured_scene
+from midspan.vision.pose import rotation_vector
 
 Span = tuple[float, float]  # start and end in s
 
@@ -46,7 +47,8 @@ class CameraSetup:
 
     `start_s` is the time of the first frame on the camera's clock; true time = that clock + `time_offset_s`.
     Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
-    `targets` (name, region) are written as [[camera.target]]. `says_exposure`: whether the settings state the exposure.
+    `targets` (name, region) are written as [[camera.target]], with the distances and their deviations in `declared_m`
+    and the lens where there are any. `says_exposure`: whether the settings state the exposure.
     `fisheye`: the lens, whose scene and frames take the place of `texture` and `size_px`. `clock_step`: true time (s)
     at which the camera's clock is set, and by how much (s). `posed`: draws the pose from the structure's motion; it
     takes the place of scale, texture, size and panels.
@@ -67,6 +69,7 @@ class CameraSetup:
     black: tuple[Span, ...] = ()
     panels: Callable[[np.random.Generator], tuple[Panel, ...]] | None = None
     targets: tuple[tuple[str, Region], ...] = ()
+    declared_m: tuple[tuple[float, float], ...] = ()
     says_exposure: bool = True
     fisheye: Fisheye | None = None
     clock_step: tuple[float, float] = (np.inf, 0.0)
@@ -158,6 +161,22 @@ class Stage:
         if (own := self.posed) is None:
             return None
         return PosedView(own.planes, own.pose, own.size_px, own.focal_px, own.k1, setup.camera)
+
+    def pose_truth(self) -> dict[str, Floats]:
+        """Columns (n,) of the camera's translation in mm and rotation in mdeg in its own axes at the first frame, at
+        every sampling instant; none where it does not turn.
+        """
+        setup, rate = self.scenario.camera, self.accelerometer.rate_hz
+        if self.posed is None or setup is None or not setup.declared_m:
+            return {}
+        time = np.arange(round(self.scenario.duration_s * rate)) / rate
+        first = self.frame_stamps_s(setup)[:1] + setup.time_offset_s
+        place, turned = self.posed.pose.at(time)
+        place_0, turned_0 = self.posed.pose.at(first)
+        moved = 1e3 * (place - place_0) @ turned_0[0]
+        turns = 1e3 * np.degrees(rotation_vector(turned_0[0].T @ turned))
+        names = [f"translation_{axis}_mm" for axis in "xyz"] + [f"rotation_{axis}_mdeg" for axis in "xyz"]
+        return dict(zip(names, np.hstack((moved, turns)).T, strict=True))
 
     def view(self, setup: CameraSetup) -> View:
         """The camera looking at its scene."""

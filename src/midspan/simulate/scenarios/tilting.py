@@ -68,6 +68,59 @@ class Tower:
         return Posed(pose, planes, (self.size_px * len(planes), self.size_px), FOCAL_PX, Leaning(motion, lean))
 
 
+@dataclass(frozen=True, slots=True)
+class SixDegrees:
+    """Pose and planes of a box at a footbridge's quarter span that moves and turns in every way.
+
+    It sees planes left and right at one distance and one below, between them, at another. The distances are as
+    declared within `distance_std_m` each.
+    """
+
+    distances_m: tuple[float, float, float] = (3.0, 3.0, 10.0)
+    distance_std_m: tuple[float, float, float] = (0.006, 0.006, 0.02)
+    shape: tuple[int, int] = (440, 720)
+    size_px: int = 112
+    focal_px: float = 2500.0
+
+    def __call__(self, motion: Motion, rng: np.random.Generator) -> Posed:
+        """The camera's pose with the bridge's vertical motion, and what it looks at."""
+        drawn, measured, *textures = rng.spawn(2 + len(self.distances_m))
+        sway = Sum((_random(drawn, (1.05, 1.15), 0.8e-3), _random(drawn, (0.004, 0.02), 1.0e-3)))
+        along = Sum((_random(drawn, (0.8, 0.9), 0.3e-3), _random(drawn, (0.004, 0.02), 1.5e-3)))
+        pitch = Sum((Scaled(motion, 0.6 * SPAN_SLOPE), Scaled(motion, 0.4 * SPAN_SLOPE, late_s=2.0)))
+        pitch = Sum((pitch, _random(drawn, (0.004, 0.02), 6.0 * MDEG)))
+        yaw = Sum((_random(drawn, (1.6, 1.8), 1.5 * MDEG), _random(drawn, (0.004, 0.02), 8.0 * MDEG)))
+        # It sways about an axis a metre below.
+        roll = Sum((Scaled(sway, 0.2), _random(drawn, (0.004, 0.02), 10.0 * MDEG)))
+        planes = tuple(
+            Plane(region, textured_scene("natural", (self.size_px, self.size_px), rng=texture), float(distance_m))
+            for region, texture, distance_m in zip(
+                self.regions(), textures, measured.normal(self.distances_m, self.distance_std_m), strict=True
+            )
+        )
+        pose = Pose((sway, Scaled(motion, -1.0), along), (pitch, yaw, roll))
+        return Posed(pose, planes, self.shape, self.focal_px, motion, k1=-0.05)
+
+    def regions(self) -> tuple[Region, Region, Region]:
+        """Where the planes lie in the picture."""
+        size, (rows, columns) = self.size_px, self.shape
+        return (
+            Region(0, 0, size, size),
+            Region(columns - size, 0, size, size),
+            Region(columns // 2, rows - size, size, size),
+        )
+
+    def targets(self) -> tuple[tuple[str, Region], ...]:
+        """Names and regions as the settings have them."""
+        inner = self.size_px - 2 * RIM_PX
+        own = (Region(one.x + RIM_PX, one.y + RIM_PX, inner, inner) for one in self.regions())
+        return tuple(zip(("left", "right", "far"), own, strict=True))
+
+
+def _random(rng: np.random.Generator, band_hz: tuple[float, float], std_m: float) -> Motion:
+    return random_motion(band_hz, std_m, rng=rng, lines=8 if band_hz[0] < 0.1 else 30)
+
+
 def stacked(distances_m: tuple[float, ...], rngs: list[np.random.Generator], size_px: int) -> tuple[Plane, ...]:
     """Planes one below the other in the picture, each a square of `size_px`."""
     return tuple(
@@ -110,6 +163,21 @@ TILTING_SCENARIOS: dict[str, Scenario] = {
             camera=Camera(exposure_s=0.004),
             targets=_regions(("near", "far"), 128),
             posed=TiltingFootbridge(),
+        ),
+    ),
+    "six-degrees": Scenario(
+        line="footbridge whose box moves in all six degrees, camera at 20 Hz before targets at 3, 3 and 10 m",
+        title="simulated footbridge, six degrees of freedom",
+        duration_s=60.0,
+        motion=_walked,
+        accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-3, bias_m_s2=9.81),
+        camera=CameraSetup(
+            rate_hz=20.0,
+            time_offset_s=0.114,
+            camera=Camera(exposure_s=0.004),
+            targets=SixDegrees().targets(),
+            declared_m=tuple(zip(SixDegrees().distances_m, SixDegrees().distance_std_m, strict=True)),
+            posed=SixDegrees(),
         ),
     ),
     "tower": Scenario(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from midspan.checks import option
-from midspan.records import Floats, Region
+from midspan.records import Region
 from midspan.simulate.files.folder import (
     MARK,
     Progress,
@@ -106,6 +106,8 @@ def _write_truth(folder: Path, staged: Stage) -> None:
         names = (f"displacement_{axis}_mm", f"velocity_{axis}_mm_s")
         columns |= dict(zip(names, staged.truth_mm(staged.across).T[1:], strict=True))
         decimals |= {names[0]: 7, names[1]: 6}
+    for name, values in staged.pose_truth().items():
+        columns[name], decimals[name] = values, 7
     write_table(folder / "truth.csv", columns, decimals=decimals)
 
 
@@ -161,7 +163,7 @@ def _write_settings(folder: Path, staged: Stage) -> None:
     accelerometer = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
     settings: dict[str, Any] = {"name": scenario.title, "accelerometer": accelerometer}
     if scenario.camera is not None:
-        settings["camera"] = _camera_settings(scenario.camera, staged.written_stamps_s(scenario.camera))
+        settings["camera"] = _camera_settings(staged, scenario.camera)
         if staged.across is not None:
             accelerometer.pop("value")
             settings["accelerometer"] = {**accelerometer, "value_x": "accel_x", "value_y": "accel_y"}
@@ -180,9 +182,9 @@ def _write_settings(folder: Path, staged: Stage) -> None:
     (folder / "recording.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
 
 
-def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
+def _camera_settings(staged: Stage, setup: CameraSetup) -> dict[str, Any]:
     settings: dict[str, Any] = {"file": "camera.mkv"}
-    if not exact_in_video(stamps_s):
+    if not exact_in_video(staged.written_stamps_s(setup)):
         settings["times"] = "camera_times.csv"
     settings |= {"rate_hz": setup.rate_hz, "direction": setup.direction}
     if setup.says_exposure:
@@ -195,4 +197,13 @@ def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
         settings |= setup.fisheye.settings()
     if setup.targets:
         settings["target"] = [{"name": name, "roi": [r.x, r.y, r.width, r.height]} for name, r in setup.targets]
+    for target, (distance_m, std_m) in zip(settings.get("target", ()), setup.declared_m, strict=False):
+        target |= {"distance_m": distance_m, "distance_std_m": std_m}
+    if setup.declared_m and staged.posed is not None:
+        rows, columns = staged.posed.size_px
+        settings["lens"] = {
+            "matrix": [*[staged.posed.focal_px] * 2, 0.5 * (columns - 1), 0.5 * (rows - 1)],
+            "distortion": [staged.posed.k1, 0.0, 0.0, 0.0],
+            "size": [columns, rows],
+        }
     return settings

@@ -15,6 +15,7 @@ from midspan.records import Floats, Region
 from midspan.simulate.motion.motion import Motion, Rest
 from midspan.simulate.scene.camera import Camera, Pixels
 from midspan.simulate.scene.scene import Image, Scene
+from midspan.vision.pose import rotated
 
 # Of the motion within one exposure: at 5 Hz and 10 ms they leave 0.04 % of what the exposure takes.
 MOMENTS = 3
@@ -32,18 +33,6 @@ class Pose:
         place = np.stack([motion.displacement(time_s) for motion in self.translation], axis=-1)
         vector = np.stack([motion.displacement(time_s) for motion in self.rotation], axis=-1)
         return place, rotated(vector)
-
-
-def rotated(vector: Floats) -> Floats:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), by Rodrigues' formula."""
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    nothing = np.zeros_like(x)
-    cross = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=-1).reshape(*x.shape, 3, 3)
-    safe = np.where(angle > 0.0, angle, 1.0)
-    sine = np.where(angle > 0.0, np.sin(angle) / safe, 1.0)
-    rest = np.where(angle > 0.0, (1.0 - np.cos(angle)) / safe**2, 0.5)
-    return np.asarray(np.eye(3) + sine * cross + rest * cross @ cross)
 
 
 @dataclass(frozen=True, slots=True)
