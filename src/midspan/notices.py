@@ -17,7 +17,7 @@ class Severity(StrEnum):
 _CODES = {
     Severity.NOTE: (
         "clock-corrected", "exposure", "film-turned", "frames-skipped", "frames-untimed",
-        "gain-estimated", "method-rates", "pose-unseen", "slow-error-included", "stamps-corrected",
+        "gain-estimated", "method-rates", "pose-unchecked", "pose-unseen", "slow-error-included", "stamps-corrected",
         "tilt", "window-moved",
     ),
     Severity.WARNING: (

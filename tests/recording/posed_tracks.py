@@ -52,13 +52,22 @@ def seen_px(place_px, distance_m, pose, focal_px=FOCAL_PX):
 
 
 def written(
-    folder, seed=1, targets=THREE, duration_s=30.0, declared=True, off_m=None, lost=(), lever_m=(0, 0, 0), turns=1.0
+    folder,
+    seed=1,
+    targets=THREE,
+    duration_s=30.0,
+    declared=True,
+    off_m=None,
+    lost=(),
+    lever_m=(0, 0, 0),
+    turns=1.0,
+    drift_px=0.0,
 ):
     """A recording's folder, and the true poses (n, 6) at the accelerometer's times (n,).
 
     declared: whether the settings have the distances; off_m: by target, what its true distance is more than declared;
     lost: (target, first and last frame) that are not seen; lever_m: from the accelerometer to the camera; turns: see
-    `motions`.
+    `motions`; drift_px: by which the last target moves on its own.
     """
     rng = np.random.default_rng(seed)
     degrees, time_s = motions(rng, turns), np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
@@ -75,6 +84,8 @@ def written(
     own = np.hstack((turned[0].inv().apply(pose[:, :3] - still), (turned[0].inv() * turned).as_rotvec()))
     moved = seen_px(places - axis_px, distance_m, own)
     moved[1:] += rng.normal(0.0, NOISE_PX, (len(pose) - 1, len(names), 2)) - rng.normal(0.0, NOISE_PX, (len(names), 2))
+    # The last target settles in the course of the record.
+    moved[:, -1, 1] += drift_px * np.linspace(0.0, 1.0, len(pose)) ** 2
     for name, first, last in lost:
         moved[first:last, names.index(name)] = np.nan
     folder.mkdir(parents=True, exist_ok=True)

@@ -8,6 +8,7 @@ import pytest
 from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen_px, waves, written
 
 import midspan
+from midspan.errors import UntrustedError
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.pose import UNITS, smoothed
 from midspan.recording.streams.recording import open_recording
@@ -104,6 +105,28 @@ def test_a_wrong_distance_is_refused_in_words(off_m, tmp_path):
     (note,) = said(result)
     assert note.code == "geometry-wrong"
     assert "Measure the distance" in note
+
+
+def test_a_fourth_target_shows_that_none_moves_on_its_own(tmp_path):
+    folder, time_s, true = written(tmp_path, targets={"wall": (850, 60, 5.0), **THREE}, off_m={})
+    result = midspan.estimate(folder)
+    error, std = errors(result, time_s, true)
+    assert np.all(np.mean(np.abs(error) < 1.96 * std, axis=0) > 0.93)
+    assert not any(one.code == "pose-unchecked" for one in result.warnings)
+
+
+def test_one_of_four_that_moves_is_refused_and_one_of_five_is_named(tmp_path):
+    four = {"wall": (850, 60, 5.0), **THREE}
+    folder, *_ = written(tmp_path / "four", targets=four, off_m={}, drift_px=0.5)
+    with pytest.raises(UntrustedError, match="A further target shows which"):
+        midspan.estimate(folder)
+    folder, *_ = written(tmp_path / "five", targets={"pole": (300, 700, 7.0), **four}, off_m={}, drift_px=0.5)
+    with pytest.raises(UntrustedError, match="Without far the others agree"):
+        midspan.estimate(folder)
+
+
+def test_three_targets_are_said_to_be_no_more_than_needed(three):
+    assert [one.code for one in three[0].warnings if one.code == "pose-unchecked"] == ["pose-unchecked"]
 
 
 def test_distances_that_are_not_declared_follow_from_the_others(tmp_path):

@@ -21,7 +21,7 @@ from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
 from midspan.notices import Notice
 from midspan.recording.cameras import view_of
 from midspan.recording.tracked import Side, TrackedCamera
-from midspan.recording.tracking.posed import AXES, PosedTracking, known_surroundings, seen_frames
+from midspan.recording.tracking.posed import AXES, PosedTracking, is_steady, known_surroundings, seen_frames
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -131,6 +131,9 @@ class _Camera:
         frames, found = self._seen.poses(known), dict[int, Along]()
         if np.count_nonzero(np.isfinite(frames.value[:, 0])) < MIN_FRAMES:
             return None, (Notice("pose-unseen", f"{PREFIX}fewer than {MIN_FRAMES} frames show three targets."),)
+        if not is_steady(frames):
+            why = "the targets do not keep their places: one moves on its own, or a distance is wrong."
+            return None, (Notice("pose-unseen", f"{PREFIX}{why}"),)
         # The accelerometer tells how large the motion along its axis is.
         for number, view in enumerate(self._views()):
             axis = AXES.index(view.axis)
@@ -147,7 +150,9 @@ class _Camera:
             frames = self._seen.poses(known)
         if why := known.unseen(self._seen.usual_px2):
             return None, (Notice("pose-unseen", f"{PREFIX}{why}"),)
-        return self._at_rows(known, frames, found, rows), ()
+        alone = "three targets determine them exactly; one that moves on its own would not show. Add a fourth."
+        exact = (Notice("pose-unchecked", f"{PREFIX}{alone}"),) if len(known.geometry) == 3 else ()
+        return self._at_rows(known, frames, found, rows), exact
 
     def _surroundings(self) -> tuple[Surroundings | None, str]:
         if self._posed is not None:

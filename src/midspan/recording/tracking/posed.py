@@ -14,6 +14,7 @@ from midspan.calibration.camera.geometry import Placed, Surroundings, surroundin
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, StoredTarget, StoredTracking, TargetTracking
+from midspan.errors import UntrustedError
 from midspan.notices import Notice
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import lens_of
@@ -27,6 +28,9 @@ AXES = ("x", "y")
 # Where the translation is this many times as uncertain as with the rotation known, the displacement is left to the
 # targets' difference.
 MAX_INFLATION = 5.0
+# Squared residuals over their variances, in blocks of this many frames: the targets do not keep their places where one
+# block has this many times the quiet ones, or all have more than trackers' variances are wrong by.
+BLOCK, LARGER, MOST = 100, 4.0, 25.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +145,34 @@ def unseen_as_declared(camera: CameraSettings | None, lens: Lens) -> str:
     return "" if known is None else known.unseen(np.ones((len(placed), 2)))
 
 
+def is_steady(frames: Poses) -> bool:
+    """Whether targets beyond three keep their places in the frames; true where there is none to check."""
+    spare = frames.spare > 0.0
+    if np.count_nonzero(spare) < BLOCK:
+        return True
+    ratio = frames.misfit[spare] / frames.spare[spare]
+    # A block's median is not moved by what covers a target for a while.
+    level = [float(np.median(part)) for part in np.array_split(ratio, max(len(ratio) // BLOCK, 1))]
+    usual = float(np.quantile(level, 0.25))
+    return max(level) < LARGER * max(usual, 1.0) and usual < MOST
+
+
+def _unsteady(frames: SeenFrames, known: Surroundings) -> str:
+    """That targets do not keep their places, and without which one the others do."""
+    names, others = frames.names, []
+    for k in range(len(names) if len(names) > 4 else 0):
+        rest = np.arange(len(names)) != k
+        own = known.geometry
+        geometry = replace(own, place_px=own.place_px[rest], inverse_distance=own.inverse_distance[rest])
+        if is_steady(poses(geometry, frames.moved_px[:, rest], frames.variance_px2[:, rest])):
+            others.append(names[k])
+    remedy = f"Without {others[0]} the others agree: remove it" if len(others) == 1 else "A further target shows which"
+    return (
+        "camera: its targets do not keep their places relative to each other: one moves on its own, or a declared "
+        f"distance_m is wrong. {remedy}."
+    )
+
+
 class PosedTracking(StoredTracking):
     """The tracking of one target at the distance of the nearest, as the translations of the poses move it.
 
@@ -250,4 +282,6 @@ def posed(camera: CameraSettings | None, tracking: CameraTracking, lever_m: Sequ
     known, _ = known_surroundings(camera, tracking, frames, {})
     if known is None or np.max(inflation(known.geometry, frames.usual_px2)[:2]) > MAX_INFLATION:
         return tracking
+    if not is_steady(frames.poses(known)):
+        raise UntrustedError(_unsteady(frames, known))
     return PosedTracking(tracking, known, frames, lever_m)
