@@ -161,6 +161,12 @@ def agreed(
     return camera, tuple(Notice("motion-not-shared", text) for text in texts)
 
 
+def certainly_tilts(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> bool:
+    """Whether the accelerometer excludes all causes of what the targets along one axis differ by but a tilt."""
+    verdict = _Compared(view, targets, camera, fit).worst({}) if len(camera.used) > 1 else None
+    return verdict is not None and verdict.open == frozenset({Cause.TILT})
+
+
 class _Compared:
     """The targets along one axis as displacements, compared in the calibration window."""
 

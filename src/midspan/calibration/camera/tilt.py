@@ -12,7 +12,7 @@ the displacement chooses c. The tilt is a state of the estimator, of the size th
 Hartley and A. Zisserman, Multiple View Geometry, 2004, section 6.1, doi 10.1017/CBO9780511811685.)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -39,7 +39,8 @@ class Tilt:
 
     found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one constant
     added to their inverses; noise_px (k,): of one frame of each target; std_px: standard deviation of the tilt in the
-    image; pair: numbers of the two targets whose difference is the sharpest.
+    image; pair: numbers of the two targets whose difference is the sharpest; certain: whether the accelerometer excludes
+    motion of one target alone.
     """
 
     found: ScaleCalibration
@@ -47,6 +48,7 @@ class Tilt:
     noise_px: tuple[float, ...]
     std_px: float
     pair: tuple[int, int]
+    certain: bool = False
 
     def scale(self, number: int) -> ScaleFactor:
         """The scale factor of a target, as uncertain as that of the difference."""
@@ -56,9 +58,8 @@ class Tilt:
     def text(self, names: Sequence[str]) -> Notice:
         """A sentence on it; names: of all targets."""
         one, other = (names[k] for k in self.pair)
-        third = (
-            "" if len(names) > 2 else " A slow motion of one target alone would look the same; a third target shows it."
-        )
+        alone = len(names) == 2 and not self.certain
+        third = " A slow motion of one target alone would look the same; a third target shows it." if alone else ""
         return Notice(
             "tilt",
             f"camera: it tilts by {rounded(self.std_px)} px rms in the image; the difference between targets {one} and "
@@ -77,23 +78,28 @@ def apart(one: PixelTrack, other: PixelTrack) -> PixelTrack:
     )
 
 
-def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | None:
-    """What the differences tell; None where they do not show a tilt. fit: of each target alone."""
+def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: Callable[[], bool]) -> Tilt | None:
+    """What the differences tell; None where they do not show a tilt.
+
+    fit: of each target alone; is_certain: whether no other cause is left, see `certainly_tilts`.
+    """
     sharpest = _sharpest(view, targets)
     if sharpest is None:
         return None
     pair, found = sharpest
     count = len(found.search.fit.whitened.variance)
-    if not _are_apart(*(targets[k] for k in pair)) and any(
-        count * np.log(_error_m(one) / _error_m(found)) < MIN_GAIN for one in fit.used
-    ):
-        return None
+    gains = [count * np.log(_error_m(one) / _error_m(found)) for one in fit.used]
+    certain = False
+    if not _are_apart(*(targets[k] for k in pair)) and any(gain < MIN_GAIN for gain in gains):
+        certain = is_certain()
+        if not certain:
+            return None
     ratios, left = _compared(view, targets, pair, found)
     shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
     if not shared > 0.0:
         return None
     noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
-    return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair)
+    return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair, certain)
 
 
 def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:
