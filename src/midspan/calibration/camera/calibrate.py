@@ -191,7 +191,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     fit = Fitted(tuple(found), tuple(reasons))
     tilt = tilt_of(view, targets, fit, lambda: _tilts(view, targets, fit)) if len(targets) > 1 else None
     if tilt is not None:
-        return Fitted(tuple(tilt.found for _ in targets), tuple("" for _ in targets), tilt)
+        return Fitted(tuple(tilt.found for _ in targets), tilt.others.reasons, tilt)
     if any(found):
         return fit
     alone = len(targets) == 1
@@ -240,7 +240,9 @@ def _judged(
     """All targets along one axis as one calibration; those that do not agree with the others are not used."""
     camera = _each(view, targets, fit, offset)
     if fit.tilt is not None:
-        return replace(camera, tilt_std_px=fit.tilt.std_px), (fit.tilt.text([target.name for target in targets]),)
+        held_m = float(np.hypot(fit.tilt.others.held_m, fit.tilt.left_m))
+        camera = replace(camera, tilt_std_px=fit.tilt.std_px, apart_std_m=held_m)
+        return camera, (fit.tilt.text([target.name for target in targets]),)
     return agreed(view, targets, camera, fit)
 
 

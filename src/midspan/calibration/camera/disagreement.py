@@ -16,6 +16,7 @@ import numpy as np
 from midspan.calibration.camera.difference import MIN_FRAMES, Course, Difference, Share, difference, share_in
 from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
+from midspan.calibration.frequency_response import VERTICAL_M_S2
 from midspan.calibration.scale import REFUSED_ABOVE
 from midspan.calibration.sensors.camera import CameraCalibration, CameraScale, TargetCalibration
 from midspan.errors import UntrustedError
@@ -32,6 +33,9 @@ DISAGREES = 2.5
 MIN_APART_M = 1e-5
 # A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
 MAX_RATIO = 30.0
+# A camera that looks up along a level axis at a target in the distance D tilts unfelt at √(g / D) / 2π: of targets
+# farther than 2 m below this, Hz.
+PENDULUM_HZ = 0.35
 
 
 def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
@@ -333,9 +337,20 @@ class _Compared:
         left = frozenset(cause for cause, share in shares.items() if measured.allows(share))
         # Where no single cause explains it there are several.
         left = left or frozenset(shares)
+        if Cause.TILT in shares and self._may_be_felt(found):
+            left |= {Cause.TILT}
         most = max(abs(shares[cause]) for cause in left)
         others = max(abs(1.0 - shares[cause]) for cause in left)
         return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
+
+    def _may_be_felt(self, found: Difference) -> bool:
+        """Whether gravity may hide a tilt by what it adds to the acceleration: on an axis that is level, slowly."""
+        if abs(self._view.prepared.level(self._view.window)) > VERTICAL_M_S2:
+            return False
+        power = np.abs(np.fft.rfft(found.course_m - np.mean(found.course_m))) ** 2
+        step_s = float(np.median(np.diff(self.members[0].block.time_ns[self._window]))) / NANOSECONDS
+        slow = np.fft.rfftfreq(len(found.course_m), step_s) < PENDULUM_HZ
+        return bool(np.sum(power[slow]) > 0.5 * np.sum(power))
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
         own = self._fit.found[kept.place]
