@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import midspan
-from pinhole_tracks import MDEG, MODES, TILT, Site, Target, nothing, stacked, times, together, waves
+from pinhole_tracks import MODES, TILT, Site, Target, nothing, stacked, times, together, waves
 from repeats import slow
 
 SITE = Site()
@@ -132,10 +132,3 @@ def test_a_swing_that_the_only_target_does_not_show_is_named_as_not_observed(tmp
     site = SITE.but(targets=(NEAR,), motion=together(MODES, SWINGS), turns=turns, lateral=1)
     result = midspan.estimate(site.write(tmp_path))
     assert any("tilt not observed" in one for one in result.not_in_band)
-
-
-def test_targets_apart_across_the_axis_name_the_roll(tmp_path):
-    targets = (Target(3.0, -500.0), Target(10.0, 500.0))
-    site = SITE.but(targets=targets, turns=(TILT, nothing, waves(0.01, 0.1, 3.0 * MDEG, 11)))
-    result = midspan.estimate(site.write(tmp_path))
-    assert result.calibration.camera.tilt_std_px > 0.0

@@ -50,9 +50,9 @@ class Bystanders:
 def judged(seen: Seen, pair: tuple[int, int], gains: Mapping[tuple[int, int], float]) -> Bystanders:
     """Which targets do not move with the pair.
 
-    gains: by how much more likely the acceleration makes the pair's difference than
-    that of other targets, a logarithm of the likelihood without what their noise explains. Raises UntrustedError where
-    the one that moves is not known and too much depends on it.
+    gains: by how much more likely the acceleration makes the pair's difference than that of other targets, a logarithm
+    of the likelihood without what their noise explains. Raises UntrustedError where the one that moves is not known and
+    too much depends on it.
     """
     i, j = pair
     reasons, held_m = [""] * len(seen.names), 0.0
@@ -68,8 +68,8 @@ def judged(seen: Seen, pair: tuple[int, int], gains: Mapping[tuple[int, int], fl
         if not found.excess_m > DISAGREES * found.noise_m:
             continue
         reasons[k] = (
-            f"it moves on its own: by {found.excess_m:.2g} px rms, which neither {seen.names[i]} and {seen.names[j]} nor "
-            "the camera's tilt explain."
+            f"it moves on its own: by {found.excess_m:.2g} px rms, which neither {seen.names[i]} and {seen.names[j]} "
+            "nor the camera's tilt explain."
         )
         others = [gain for two, gain in gains.items() if k in two]
         if min(others, default=0.0) > MIN_GAIN:

@@ -134,7 +134,12 @@ def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:
     """Whether both distances are declared, and differ for certain."""
     if one.inverse_distance is None or other.inverse_distance is None:
         return False
-    (near, near_std), (far, far_std) = one.inverse_distance, other.inverse_distance
+    return differ(one.inverse_distance, other.inverse_distance)
+
+
+def differ(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two distances differ for certain, by their inverses and standard deviations (1/m)."""
+    (near, near_std), (far, far_std) = one, other
     return abs(near - far) > max(CERTAIN * float(np.hypot(near_std, far_std)), SAME_DISTANCE * max(near, far))
 
 
@@ -163,7 +168,7 @@ def _sharpest(
             one = scale_of(view, camera_pair(view, apart(targets[i].rows, targets[k].rows), targets[i].blur_s))
         except UntrustedError:
             continue
-        noise_px = np.hypot(*(_noise_px(targets[number], view.axis, 1.0) for number in (i, k)))
+        noise_px = np.hypot(_noise_px(targets[i], view.axis, 1.0), _noise_px(targets[k], view.axis, 1.0))
         found[i, k] = one
         errors[i, k] = _error_m(one) / float(noise_px * abs(one.scale.value_m_per_px))
     if not found:
