@@ -104,9 +104,9 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
         return None
     pair, found, errors = sharpest
     count = len(found.search.fit.whitened.variance)
-    gains = [count * np.log(_error_m(one) / _error_m(found)) for one in fit.used]
+    single = [count * np.log(_error_m(one) / _error_m(found)) for one in fit.used]
     certain = False
-    if not _are_apart(*(targets[k] for k in pair)) and any(gain < MIN_GAIN for gain in gains):
+    if not _are_apart(*(targets[k] for k in pair)) and any(gain < MIN_GAIN for gain in single):
         certain = is_certain()
         if not certain:
             return None
