@@ -33,9 +33,11 @@ DISAGREES = 2.5
 MIN_APART_M = 1e-5
 # A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
 MAX_RATIO = 30.0
-# A camera that looks up along a level axis at a target in the distance D tilts unfelt at √(g / D) / 2π: of targets
-# farther than 2 m below this, Hz.
-PENDULUM_HZ = 0.35
+# A camera on a level axis that looks up at a target in the distance D swings unfelt and unseen at √(g / D) / 2π: from 2
+# to 100 m in this range, Hz; elsewhere the accelerometer shows what the target does not.
+PENDULUM_HZ = (0.05, 0.35)
+# A swing is within this share of its frequency, with this share of its power.
+NARROW, NARROW_SHARE = 0.15, 0.8
 
 
 def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
@@ -344,13 +346,15 @@ class _Compared:
         return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
 
     def _may_be_felt(self, found: Difference) -> bool:
-        """Whether gravity may hide a tilt by what it adds to the acceleration: on an axis that is level, slowly."""
+        """Whether gravity may hide a tilt in the acceleration: that of a slow swing, on an axis that is level."""
         if abs(self._view.prepared.level(self._view.window)) > VERTICAL_M_S2:
             return False
-        power = np.abs(np.fft.rfft(found.course_m - np.mean(found.course_m))) ** 2
         step_s = float(np.median(np.diff(self.members[0].block.time_ns[self._window]))) / NANOSECONDS
-        slow = np.fft.rfftfreq(len(found.course_m), step_s) < PENDULUM_HZ
-        return bool(np.sum(power[slow]) > 0.5 * np.sum(power))
+        power = np.abs(np.fft.rfft(found.course_m - np.mean(found.course_m))) ** 2
+        hertz = np.fft.rfftfreq(len(found.course_m), step_s)
+        highest = float(hertz[np.argmax(power)])
+        near = np.abs(hertz - highest) < NARROW * highest
+        return PENDULUM_HZ[0] < highest < PENDULUM_HZ[1] and bool(np.sum(power[near]) > NARROW_SHARE * np.sum(power))
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
         own = self._fit.found[kept.place]
