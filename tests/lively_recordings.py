@@ -24,7 +24,8 @@ class Lively:
     rms_m: of the motion, even over band_hz; tones: instead of that, pairs of amplitude (m) and Hz; noise_m_s2: of a
     sample of acceleration at 100 Hz, with the same density at other rates; noise_m: of a measurement of a
     [displacement] sensor. late_s: to be added to the slow sensor's stamps; mm_per_px: of a camera; moved: instant (s)
-    from which on the slow sensor itself has moved by so much (m).
+    from which on the slow sensor itself has moved by so much (m); nods: amplitude (px) and frequency (Hz) of a camera's
+    tilt in the image.
     """
 
     seed: int = 0
@@ -41,6 +42,7 @@ class Lively:
     late_s: float = 0.0
     mm_per_px: float = SCALE_MM_PER_PX
     moved: tuple[float, float] = (np.inf, 0.0)
+    nods: tuple[float, float] = (0.0, 0.0)
 
     def motion(self, time_s, order=0):
         """Displacement of a sum of sines at times (n,) in s, or its derivative of that order; m, m/s, m/s²."""
@@ -123,7 +125,8 @@ def _film(case, rng):
     across, down = 2.0 * np.pi * np.cos(heading) / length, 2.0 * np.pi * np.sin(heading) / length
     still = np.exp(1j * (np.multiply.outer(down, place)[:, :, None] + np.multiply.outer(across, place)[:, None, :]))
     still *= np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, count))[:, None, None]
-    shifted_px = 1e3 * case.met_m / case.mm_per_px
+    size_px, hertz = case.nods
+    shifted_px = 1e3 * case.met_m / case.mm_per_px + size_px * np.sin(2.0 * np.pi * hertz * case.met_s)
     turn = np.exp(-1j * np.multiply.outer(shifted_px, down))
     waves = (turn @ still.reshape(count, -1)).real.reshape(-1, PIXELS, PIXELS)
     return 128.0 + 4.5 * waves

@@ -70,6 +70,19 @@ def two_targets(folder):
     return folder
 
 
+def tilting(folder):
+    """Targets one above the other, the lower one more than three times as far, before a camera that tilts."""
+    near = replace(LIVELY, nods=(0.4, 0.13))
+    film = np.load(write(folder, near, "camera") / "camera.npy")
+    far = np.load(write(folder.parent / "far", replace(near, mm_per_px=-5.0), "camera") / "camera.npy")
+    # Turned about its upright middle it is another pattern, with noise of its own.
+    np.save(folder / "camera.npy", np.concatenate((film, far[:, :, ::-1]), axis=1))
+    set_keys(folder, "camera", roi=None)
+    regions = (("near", 18), ("far", 18 + film.shape[1]))
+    append(folder, "".join(f'[[camera.target]]\nname = "{name}"\nroi = [18, {y}, 48, 48]\n' for name, y in regions))
+    return folder
+
+
 def infrared(folder):
     return write(folder, LIVELY, "infrared")
 
@@ -119,6 +132,7 @@ CASES = {
     "crf 23": compressed,
     "frozen": frozen,
     "two targets": two_targets,
+    "tilting": tilting,
     "infrared": infrared,
     "day and night": day_and_night,
     "displacement": slow_and_late,
@@ -256,7 +270,7 @@ CASES["two radars"] = two_radars
 # A thermal camera is in "day and night" as well.
 PAIRS = [(case, METHODS[k % 2]) for k, case in enumerate(CASES) if case != "infrared"]
 OTHERS = [(case, METHODS[(k + 1) % 2]) for k, case in enumerate(CASES) if case != "infrared"]
-BOTH = [pair for pair in OTHERS if pair[0] == "displacement"]
+BOTH = [pair for pair in OTHERS if pair[0] in ("displacement", "tilting")]
 AGAIN = [("infrared", "kalman"), *(pair for pair in OTHERS if pair[0] in ("lossless", "averaging", "two axes"))]
 # A sensor of each kind, one that averages, and streams that begin and end: what times are subtracted in.
 TIMED = [pair for pair in OTHERS if pair[0] in ("frozen", "displacement", "radar", "one ends early", "averaging")]

@@ -5,6 +5,7 @@ from functools import partial
 
 from midspan.errors import MidspanError
 from midspan.progress import Progress, silent
+from midspan.recording.observed import observed
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.posed import six_degrees
 from midspan.records import Frame, Nanoseconds, RangeFrame, Readings
@@ -32,6 +33,8 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
         except MidspanError as error:
             tree[section] = {"file": file, "error": str(error), "exit_code": error.exit_code}
     tree["overlap"] = overlap({name: span for name, span in spans.items() if name != "reference"})
+    for name, text in observed(recording.settings).items():
+        tree[name].setdefault("notes", []).append(text)
     return tree
 
 

@@ -10,6 +10,7 @@ from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import CameraResult
 from midspan.notices import Severity, coded, worst_first
+from midspan.recording.observed import observed
 from midspan.records import NANOSECONDS, Source, Status
 from midspan.report import camera_figures, figures, infrared_figures, page, radar_figures, tables
 from midspan.report.history_data import chart_of
@@ -89,7 +90,8 @@ def _history(material: Material, along: str = "", before: str = "") -> str:
 
 def band(material: Material) -> str:
     """What the standard deviations are made of, and what they cannot contain."""
-    pieces = [page.table(tables.band(material))]
+    said = [page.paragraph(f"{name}: {text}") for name, text in observed(material.result.settings).items()]
+    pieces = [page.table(tables.band(material)), *said]
     if material.result.not_in_band:
         pieces += [page.paragraph("Errors outside the band:"), page.bullets(material.result.not_in_band, "plain")]
     return page.section("band", "What the band contains", *pieces, closed=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.camera.disagreement import agreed, m_per_px
+from midspan.calibration.camera.disagreement import agreed, certainly_tilts, m_per_px
 from midspan.calibration.camera.tilt import tilt_of
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.camera.zoom import without_zoom
@@ -194,15 +194,23 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
             if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
                 apart_s.append(error.clock_offset_s + view.late_ns / NANOSECONDS)
     fit = Fitted(tuple(found), tuple(reasons))
-    tilt = tilt_of(view, targets, fit) if len(targets) > 1 else None
+    tilt = tilt_of(view, targets, fit, lambda: _tilts(view, targets, fit)) if len(targets) > 1 else None
     if tilt is not None:
-        return Fitted(tuple(tilt.found for _ in targets), tuple("" for _ in targets), tilt)
+        return Fitted(tuple(tilt.found for _ in targets), tilt.others.reasons, tilt)
     if any(found):
         return fit
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
     text = " ".join((*lines, *reported()))
     raise NoAgreementError(text, float(np.median(apart_s))) if apart_s else UntrustedError(text)
+
+
+def _tilts(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> bool:
+    """Whether nothing but a tilt explains what the targets differ by."""
+    if not fit.used:
+        return False
+    offset = view.offset(fit.used[0].search.offset)
+    return certainly_tilts(view, targets, _each(view, targets, fit, offset), fit)
 
 
 def _refuse_pattern(share_std: float, estimated: ScaleFactor) -> None:
@@ -235,6 +243,17 @@ def _judged(
     view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset
 ) -> tuple[CameraCalibration, tuple[Notice, ...]]:
     """All targets along one axis as one calibration; those that do not agree with the others are not used."""
+    camera = _each(view, targets, fit, offset)
+    if fit.tilt is not None:
+        held_m = float(np.hypot(fit.tilt.others.held_m, fit.tilt.left_m))
+        tilts = {"tilt_std_px": fit.tilt.std_px, "tilt_walk_px2_s": fit.tilt.walk_px2_s}
+        camera = replace(camera, **tilts, apart_std_m=held_m)
+        return camera, (fit.tilt.text([target.name for target in targets]),)
+    return agreed(view, targets, camera, fit)
+
+
+def _each(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset) -> CameraCalibration:
+    """All targets along one axis as one calibration, each by its own fit."""
     known = []
     for target, found, why in zip(targets, fit.found, fit.reasons, strict=True):
         if found is None:
@@ -250,11 +269,7 @@ def _judged(
     known = known if fit.tilt is not None else _without_useless(known)
     found = fit.found[_best(known)]
     assert found is not None
-    camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
-    if fit.tilt is not None:
-        tilts = {"tilt_std_px": fit.tilt.std_px, "tilt_walk_px2_s": fit.tilt.walk_px2_s}
-        return replace(camera, **tilts), (fit.tilt.text([target.name for target in targets]),)
-    return agreed(view, targets, camera, fit)
+    return replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
 
 
 def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, notices: Sequence[Notice]) -> CameraFit:

@@ -16,6 +16,7 @@ import numpy as np
 from midspan.calibration.camera.difference import MIN_FRAMES, Course, Difference, Share, difference, share_in
 from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
+from midspan.calibration.frequency_response import VERTICAL_M_S2
 from midspan.calibration.scale import REFUSED_ABOVE
 from midspan.calibration.sensors.camera import CameraCalibration, CameraScale, TargetCalibration
 from midspan.errors import UntrustedError
@@ -32,6 +33,11 @@ DISAGREES = 2.5
 MIN_APART_M = 1e-5
 # A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
 MAX_RATIO = 30.0
+# A camera on a level axis that looks up at a target in the distance D swings unfelt and unseen at √(g / D) / 2π: from 2
+# to 100 m in this range, Hz; elsewhere the accelerometer shows what the target does not.
+PENDULUM_HZ = (0.05, 0.35)
+# A swing is within this share of its frequency, with this share of its power.
+NARROW, NARROW_SHARE = 0.15, 0.8
 
 
 def tilt_text(kept: tuple[str, float], other: tuple[str, float], error_m: float, *, decided: bool = False) -> str:
@@ -159,6 +165,12 @@ def agreed(
         texts.append(f"{_shared_text(shared_m)} The error band includes it.")
     camera = replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m)))
     return camera, tuple(Notice("motion-not-shared", text) for text in texts)
+
+
+def certainly_tilts(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> bool:
+    """Whether the accelerometer excludes all causes of what the targets along one axis differ by but a tilt."""
+    verdict = _Compared(view, targets, camera, fit).worst({}) if len(camera.used) > 1 else None
+    return verdict is not None and verdict.open == frozenset({Cause.TILT})
 
 
 class _Compared:
@@ -327,9 +339,22 @@ class _Compared:
         left = frozenset(cause for cause, share in shares.items() if measured.allows(share))
         # Where no single cause explains it there are several.
         left = left or frozenset(shares)
+        if Cause.TILT in shares and self._may_be_felt(found):
+            left |= {Cause.TILT}
         most = max(abs(shares[cause]) for cause in left)
         others = max(abs(1.0 - shares[cause]) for cause in left)
         return Verdict(kept, other, left, found.excess_m, most * found.held_m, others * found.held_m)
+
+    def _may_be_felt(self, found: Difference) -> bool:
+        """Whether gravity may hide a tilt in the acceleration: that of a slow swing, on an axis that is level."""
+        if abs(self._view.prepared.level(self._view.window)) > VERTICAL_M_S2:
+            return False
+        step_s = float(np.median(np.diff(self.members[0].block.time_ns[self._window]))) / NANOSECONDS
+        power = np.abs(np.fft.rfft(found.course_m - np.mean(found.course_m))) ** 2
+        hertz = np.fft.rfftfreq(len(found.course_m), step_s)
+        highest = float(hertz[np.argmax(power)])
+        near = np.abs(hertz - highest) < NARROW * highest
+        return PENDULUM_HZ[0] < highest < PENDULUM_HZ[1] and bool(np.sum(power[near]) > NARROW_SHARE * np.sum(power))
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
         own = self._fit.found[kept.place]

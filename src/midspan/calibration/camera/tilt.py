@@ -12,12 +12,14 @@ the displacement chooses c. The tilt is a state of the estimator, of the size th
 Hartley and A. Zisserman, Multiple View Geometry, 2004, section 6.1, doi 10.1017/CBO9780511811685.)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from midspan.calibration.camera.bystanders import Bystanders, Seen, judged
+from midspan.calibration.camera.difference import Course, share_in
 from midspan.calibration.camera.disagreement import SAME_DISTANCE
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
 from midspan.calibration.common_offset import Fitted
@@ -26,7 +28,7 @@ from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice, rounded
-from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, ScaleFactor, Source
+from midspan.records import NANOSECONDS, Displacement, PixelTrack, ScaleFactor, Source
 from midspan.signals.stamps import inside
 
 # Declared distances differ where they do so by this many standard deviations (95 %), and by `SAME_DISTANCE`.
@@ -41,8 +43,9 @@ class Tilt:
 
     found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one constant
     added to their inverses; noise_px (k,): of one frame of each target; std_px: standard deviation of the tilt in the
-    image; pair: numbers of the two targets whose difference is the sharpest; walk_px2_s: density of the random walk
-    that it goes on by from second to second, px²/s.
+    image; pair: numbers of the two targets whose difference is the sharpest; certain: whether the accelerometer
+    excludes motion of one target alone; others: what is said of the targets besides; left: share of the tilt that is in
+    the difference all the same; walk_px2_s: density of the random walk that it goes on by from second to second, px²/s.
     """
 
     found: ScaleCalibration
@@ -50,6 +53,9 @@ class Tilt:
     noise_px: tuple[float, ...]
     std_px: float
     pair: tuple[int, int]
+    certain: bool
+    others: Bystanders
+    left: float
     walk_px2_s: float
 
     def scale(self, number: int) -> ScaleFactor:
@@ -57,16 +63,26 @@ class Tilt:
         own, whole = self.scales[number], self.found.scale
         return ScaleFactor(own, whole.variance * (own / whole.value_m_per_px) ** 2)
 
+    @property
+    def left_m(self) -> float:
+        """What is left of the tilt in the displacement, rms, m."""
+        return self.left * self.std_px * abs(self.found.scale.value_m_per_px)
+
     def text(self, names: Sequence[str]) -> Notice:
         """A sentence on it; names: of all targets."""
         one, other = (names[k] for k in self.pair)
-        third = (
-            "" if len(names) > 2 else " A slow motion of one target alone would look the same; a third target shows it."
-        )
+        held = ""
+        if self.left > 0.0:
+            held = (
+                f" {rounded(100.0 * self.left)} % of it is left in the difference, as with targets far from the "
+                f"optical axis; the error band includes {rounded(1e3 * self.left_m)} mm for it."
+            )
+        alone = len(names) == 2 and not self.certain
+        third = " A slow motion of one target alone would look the same; a third target shows it." if alone else ""
         return Notice(
             "tilt",
             f"camera: it tilts by {rounded(self.std_px)} px rms in the image; the difference between targets {one} and "
-            f"{other} is free of it and gives the displacement.{third}",
+            f"{other} is free of it and gives the displacement.{held}{third}",
         )
 
 
@@ -81,26 +97,43 @@ def apart(one: PixelTrack, other: PixelTrack) -> PixelTrack:
     )
 
 
-def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> Tilt | None:
-    """What the differences tell; None where they do not show a tilt. fit: of each target alone."""
+def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: Callable[[], bool]) -> Tilt | None:
+    """What the differences tell; None where they do not show a tilt.
+
+    fit: of each target alone; is_certain: whether no other cause is left, see `certainly_tilts`.
+    """
     sharpest = _sharpest(view, targets)
     if sharpest is None:
         return None
-    pair, found = sharpest
+    pair, found, errors = sharpest
     count = len(found.search.fit.whitened.variance)
-    if not _are_apart(*(targets[k] for k in pair)) and any(
-        count * np.log(_error_m(one) / _error_m(found)) < MIN_GAIN for one in fit.used
-    ):
-        return None
-    ratios, left = _compared(view, targets, pair, found)
+    single = [count * np.log(_error_m(one) / _error_m(found)) for one in fit.used]
+    certain = False
+    if not _are_apart(*(targets[k] for k in pair)) and any(gain < MIN_GAIN for gain in single):
+        certain = is_certain()
+        if not certain:
+            return None
+    seen = _compared(view, targets, pair, found)
+    left, ratios = seen.left_px, seen.ratios
     shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
     if not shared > 0.0:
         return None
+    gains = {two: count * float(np.log(error / errors[pair])) for two, error in errors.items()}
+    others = judged(seen, pair, gains)
     noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
     first, other = (left[k] for k in pair)
     step_s = float(np.median(np.diff(targets[0].rows.time_ns))) / NANOSECONDS
-    walk = _walk(first, other, step_s)
-    return Tilt(found, tuple(1.0 / ratios), tuple(noise_px), float(np.sqrt(shared)), pair, walk)
+    return Tilt(
+        found,
+        tuple(1.0 / ratios),
+        tuple(noise_px),
+        float(np.sqrt(shared)),
+        pair,
+        certain,
+        others,
+        _left(seen, pair, found),
+        _walk(first, other, step_s),
+    )
 
 
 def _walk(one: Floats, other: Floats, step_s: float) -> float:
@@ -126,7 +159,12 @@ def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:
     """Whether both distances are declared, and differ for certain."""
     if one.inverse_distance is None or other.inverse_distance is None:
         return False
-    (near, near_std), (far, far_std) = one.inverse_distance, other.inverse_distance
+    return differ(one.inverse_distance, other.inverse_distance)
+
+
+def differ(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two distances differ for certain, by their inverses and standard deviations (1/m)."""
+    (near, near_std), (far, far_std) = one, other
     return abs(near - far) > max(CERTAIN * float(np.hypot(near_std, far_std)), SAME_DISTANCE * max(near, far))
 
 
@@ -142,22 +180,43 @@ def _error_m(found: ScaleCalibration) -> float:
     return float(abs(found.scale.value_m_per_px) * np.hypot(found.noise.std, own_px))
 
 
-def _sharpest(view: View, targets: Sequence[SeenTarget]) -> tuple[tuple[int, int], ScaleCalibration] | None:
-    best: tuple[float, tuple[int, int], ScaleCalibration] | None = None
-    for i, k in combinations(range(len(targets)), 2):
+def _sharpest(
+    view: View, targets: Sequence[SeenTarget]
+) -> tuple[tuple[int, int], ScaleCalibration, dict[tuple[int, int], float]] | None:
+    """The two targets whose difference is the sharpest, its calibration, and for all twos by how many times their own
+    noise the difference is apart from the acceleration; infinite where it is refused.
+    """
+    found: dict[tuple[int, int], ScaleCalibration] = {}
+    errors = dict.fromkeys(combinations(range(len(targets)), 2), np.inf)
+    for i, k in errors:
         try:
-            found = scale_of(view, camera_pair(view, apart(targets[i].rows, targets[k].rows), targets[i].blur_s))
+            one = scale_of(view, camera_pair(view, apart(targets[i].rows, targets[k].rows), targets[i].blur_s))
         except UntrustedError:
             continue
-        if best is None or _error_m(found) < best[0]:
-            best = _error_m(found), (i, k), found
-    return best and best[1:]
+        noise_px = np.hypot(_noise_px(targets[i], view.axis, 1.0), _noise_px(targets[k], view.axis, 1.0))
+        found[i, k] = one
+        errors[i, k] = _error_m(one) / float(noise_px * abs(one.scale.value_m_per_px))
+    if not found:
+        return None
+    best = min(found, key=lambda two: _error_m(found[two]))
+    return best, found[best], errors
 
 
-def _compared(
-    view: View, targets: Sequence[SeenTarget], pair: tuple[int, int], found: ScaleCalibration
-) -> tuple[Floats, Floats]:
-    """Pixels per metre (k,) of the targets, and what each differs from the displacement by (k, n), px."""
+def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration) -> float:
+    """Share of the tilt that the difference holds all the same, as far from the optical axis or with a lens' distortion
+    it does; 0 where the acceleration does not show one.
+    """
+    # The difference's noise is not in the mean of both.
+    tilt_px = 0.5 * (seen.left_px[pair[0]] + seen.left_px[pair[1]])
+    known = np.isfinite(tilt_px)
+    noise_px = 0.5 * found.noise.std
+    course = Course(seen.time_s[known], tilt_px[known], lambda value: value, noise_px, 0.0)
+    share = share_in(found.search.pair, found.search.fit, course)
+    return 0.0 if share.allows(0.0) else abs(share.value)
+
+
+def _compared(view: View, targets: Sequence[SeenTarget], pair: tuple[int, int], found: ScaleCalibration) -> Seen:
+    """The targets in the calibration window, and the displacement that the pair tells."""
     i, k = pair
     track, scale = apart(targets[i].rows, targets[k].rows), found.scale.value_m_per_px
     value, variance = track.along(view.axis)
@@ -170,12 +229,15 @@ def _compared(
     window = inside(time_ns, *view.window_ns)
     moved = at(path, time_ns[window])[0]
     ratios, left = np.empty(len(targets)), np.full((len(targets), len(moved)), np.nan)
+    values, variances = left.copy(), left.copy()
     for number, target in enumerate(targets):
         value, variance = (one[window] for one in target.rows.along(view.axis))
-        seen = np.isfinite(value) & np.isfinite(variance)
-        moves, place = moved[seen] - np.mean(moved[seen]), value[seen] - np.mean(value[seen])
+        usable = np.isfinite(value) & np.isfinite(variance)
+        values[number, usable], variances[number, usable] = value[usable], variance[usable]
+        moves, place = moved[usable] - np.mean(moved[usable]), value[usable] - np.mean(value[usable])
         ratios[number] = float(moves @ place) / float(moves @ moves)
-        left[number, seen] = place - ratios[number] * moves
+        left[number, usable] = place - ratios[number] * moves
     # The regressions differ from it by the noise of the displacement.
     ratios[i] = ratios[k] + 1.0 / scale
-    return ratios, left
+    time_s = (track.time_ns[window] + view.late_ns - view.window_ns[0]) / NANOSECONDS
+    return Seen([target.name for target in targets], time_s, values, variances, ratios, moved, left)
