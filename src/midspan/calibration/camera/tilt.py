@@ -28,7 +28,7 @@ from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice, rounded
-from midspan.records import NANOSECONDS, Displacement, PixelTrack, ScaleFactor, Source
+from midspan.records import NANOSECONDS, Displacement, Floats, PixelTrack, ScaleFactor, Source
 from midspan.signals.stamps import inside
 
 # Declared distances differ where they do so by this many standard deviations (95 %), and by `SAME_DISTANCE`.
