@@ -33,6 +33,8 @@ from midspan.signals.stamps import inside
 
 # Declared distances differ where they do so by this many standard deviations (95 %), and by `SAME_DISTANCE`.
 CERTAIN = 2.0
+# Closer together across the axis, px, targets are moved by a roll of 10 mdeg by less than the noise of a frame.
+ROLL_LEVER_PX = 50
 # A tilt is a random walk as steep as it moves over these times, s.
 WALK_LAGS_S = (2, 4, 8, 16)
 
@@ -119,7 +121,9 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
     if not shared > 0.0:
         return None
     gains = {two: count * float(np.log(error / errors[pair])) for two, error in errors.items()}
-    others = judged(seen, pair, gains)
+    # With a lens and distances the camera's pose takes a roll apart, which is no motion of a target.
+    alone = ("",) * len(targets)
+    others = Bystanders(alone) if _may_roll(view.axis, targets) else judged(seen, pair, gains)
     noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
     first, other = (left[k] for k in pair)
     step_s = float(np.median(np.diff(targets[0].rows.time_ns))) / NANOSECONDS
@@ -153,6 +157,13 @@ def _walk(one: Floats, other: Floats, step_s: float) -> float:
         if np.isfinite(steps).any():
             found.append(float(np.nanquantile(steps, 0.95) / CERTAIN) ** 2 / (lag * second * step_s))
     return max(found, default=0.0)
+
+
+def _may_roll(axis: str, targets: Sequence[SeenTarget]) -> bool:
+    """Whether a roll moves targets along the axis that are apart across it, and what is known of them shows it."""
+    first = [one.region.y if axis == "x" else one.region.x for one in targets]
+    known = targets[0].lens is not None and any(one.inverse_distance is not None for one in targets)
+    return known and max(first) - min(first) > ROLL_LEVER_PX
 
 
 def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:
