@@ -480,7 +480,9 @@ fn take_alone(hyp: &mut Hypothesis, alone: &mut Alone, scene: &Scene, (j, item):
     let good = (1.0 - p).ln() + log_normal(innovation.error, innovation.total());
     let wrong = p.ln() + log_wrong(innovation.error, innovation.total(), innovation.noise);
     let (more, less) = if good >= wrong { (good, wrong) } else { (wrong, good) };
-    alone.log_likelihood += more + (less - more).exp().ln_1p();
+    if scene.channel.places {
+        alone.log_likelihood += more + (less - more).exp().ln_1p();
+    }
     if alone.untaken.get(j).copied().unwrap_or(false) {
         return;
     }

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,12 +201,33 @@ def best_target(regions: Sequence[Region], camera: CameraCalibration) -> int:
     return list(regions).index(camera.region) if camera.region in regions else 0
 
 
+def _without_tilt(blocks: Sequence[Displacement], calibration: CameraCalibration, path: Estimate) -> Displacement:
+    """The difference of the two targets of a tilting camera that tells the displacement best."""
+    ratio = [1.0 / one.scale_m_per_px for one in calibration.mappings()]
+    usual = [float(np.nanmedian(np.where(np.isfinite(one.variance_m2), one.variance_m2, np.nan))) for one in blocks]
+
+    def variance(i: int, k: int) -> float:
+        return (ratio[i] ** 2 * usual[i] + ratio[k] ** 2 * usual[k]) / max((ratio[i] - ratio[k]) ** 2, 1e-300)
+
+    i, k = min(combinations(range(len(blocks)), 2), key=lambda pair: variance(*pair))
+    shares = ratio[i] / (ratio[i] - ratio[k]), -ratio[k] / (ratio[i] - ratio[k])
+    one, other = blocks[i], blocks[k]
+    value = at(path, one.time_ns)[0]
+    for share, block in zip(shares, (one, other), strict=True):
+        value = value + share * (block.value_m - at(path, block.time_ns)[0])
+    own = shares[0] ** 2 * one.variance_m2 + shares[1] ** 2 * other.variance_m2
+    return replace(one, value_m=value, variance_m2=own)
+
+
 def camera_series(camera: CameraResult, path: Estimate, axis: int = 0) -> SensorSeries:
-    """What a camera measured along the axis of this number: in each frame the mean of those targets that agree.
+    """What a camera measured along the axis of this number: in each frame the mean of those targets that agree, of one
+    that tilts the difference of two.
 
     path: the displacement along this axis; it bridges the milliseconds between the rows of a rolling shutter that the
     targets lie in, and decides where two targets contradict each other. The stamps are the best target's.
     """
     blocks = [camera.displacement(number, axis) for number in range(len(camera.targets))]
+    if camera.calibrations[axis].tilt_std_px > 0.0 and len(blocks) > 1:
+        return series_of(camera.sensor, camera.source, _without_tilt(blocks, camera.calibrations[axis], path))
     best = best_target([target.region for target in camera.targets], camera.calibrations[axis])
     return agreed_series(camera.sensor, camera.source, (blocks, best), path)

@@ -54,7 +54,14 @@ from midspan.recording.pose import Rows, camera_pose
 from midspan.recording.result import Result
 from midspan.recording.run import Blocks, Outcome, run, used_when
 from midspan.recording.streams.recording import Recording, naming, opened
-from midspan.recording.tracked import Side, TrackedCamera, known_sensors, open_tracked_cameras, side_of
+from midspan.recording.tracked import (
+    Side,
+    TrackedCamera,
+    clocks_shared,
+    known_sensors,
+    open_tracked_cameras,
+    side_of,
+)
 from midspan.records import Estimate, Event, Innovation, Readings, Source, part
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import renamed
@@ -196,6 +203,14 @@ class FirstPass:
         """The cameras with their tracking."""
         return tuple(zip(self.cameras, self.tracked_cameras, strict=True))
 
+    @property
+    def swayed(self) -> tuple[str, ...]:
+        """Cameras whose only target moves by a tilt, which inertial sensors tell, and not by the displacement alone."""
+        known = [
+            (camera.sensor, camera.calibrations[0].tilt_std_px) for camera in self.cameras if len(camera.targets) < 2
+        ]
+        return tuple(name for name, tilt_px in known if tilt_px > 0.0)
+
     def at_instants(self, axis: int) -> dict[str, SensorSeries]:
         """The series along an axis, without what the sensors' exposures take from fast motion, and without values that
         are wrong.
@@ -291,8 +306,9 @@ MOST = 0.5
 
 def _clocks(first: FirstPass) -> dict[str, OneClock]:
     """How the sensors' clocks ran, by the values that are not wrong."""
-    main = first.sides[0]
-    return clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
+    main, series = first.sides[0], first.at_instants(0)
+    swayed = {name: OneClock(series.pop(name).displacement) for name in first.swayed}
+    return swayed | clocks(series, main.acceleration, main.kalman, clocks_shared(main))
 
 
 def _wrong(first: FirstPass) -> dict[str, WrongValues]:
@@ -380,7 +396,11 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
         own = first.at_instants(axis)
         series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
         along, reach_s = f" along {side.recording.axis}" if axis else "", asked.recording.max_offset_s
-        sensed = [Sensed(name, one.source, one.displacement, stated[axis][name]) for name, one in series.items()]
+        sensed = [
+            Sensed(name, one.source, one.displacement, stated[axis][name])
+            for name, one in series.items()
+            if name not in first.swayed
+        ]
         try:
             fits = fitting(side.acceleration, sensed, along, max_offset_s=reach_s, followed=not asked.on_series)
         except UntrustedError as error:
@@ -587,14 +607,3 @@ def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool
     reported = event_warnings(tuple(event for event in found.events if event.axis == 1))
     reported = [line.worded(f"Along {view.axis}: {line}") for line in reported]
     return True, reported + shares(found.innovations[1], found.rows[1], f" along {view.axis}")
-
-
-def clocks_shared(main: Side) -> set[str]:
-    """Names of the displacement sensors whose clock is the accelerometer's, as is said or as the calibration says."""
-    found = set()
-    for view, known in known_sensors(main):
-        if (section := view.settings.displacement) is not None:
-            one = known.offset.value_s == 0.0 and known.clock_rate == 0.0
-            if section.estimate_offset is False or (section.estimate_offset is None and one):
-                found.add(view.sensor)
-    return found

@@ -72,6 +72,17 @@ def offsets_of(main: Side, tracked_cameras: Sequence[TrackedCamera]) -> dict[str
     return found | {one.kind: one.offset for one in main.calibration.auxiliary}
 
 
+def clocks_shared(main: Side) -> set[str]:
+    """Names of the displacement sensors whose clock is the accelerometer's, as is said or as the calibration says."""
+    found = set()
+    for view, known in known_sensors(main):
+        if (section := view.settings.displacement) is not None:
+            one = known.offset.value_s == 0.0 and known.clock_rate == 0.0
+            if section.estimate_offset is False or (section.estimate_offset is None and one):
+                found.add(view.sensor)
+    return found
+
+
 def side_of(recording: Recording, calibration: Calibration) -> Side:
     """A recording's axis with its calibration; without an accelerometer there its acceleration is zero.
 
