@@ -48,7 +48,13 @@ from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
-from midspan.recording.messages import no_overlap, refuse_rejections, require_same_sensors, uncalibrated
+from midspan.recording.messages import (
+    no_overlap,
+    refuse_rejections,
+    refuse_run_away,
+    require_same_sensors,
+    uncalibrated,
+)
 from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.pose import Rows, camera_pose
 from midspan.recording.result import Result
@@ -581,18 +587,6 @@ def refuse_untrue(asked: Asked, first: FirstPass, found: Found) -> None:
             refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
             refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
             refuse_wide(main.prepared, whole)
-
-
-def refuse_run_away(rows: Estimate, series: SensorSeries) -> None:
-    """UntrustedError where most rows lie farther from a displacement sensor's values than these span."""
-    value = series.value_m[np.isfinite(series.value_m)]
-    span_m = float(np.ptp(value)) if len(value) else np.inf
-    if np.median(np.abs(rows.displacement_m - np.median(value if len(value) else 0.0))) > span_m:
-        raise UntrustedError(
-            f"{series.sensor}: its values span {1e3 * span_m:.3g} mm, but most rows lie outside this range: its "
-            "values and the acceleration contradict each other from the start. Cut the recording to a part in which "
-            "they agree."
-        )
 
 
 def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[Notice]]:

@@ -1,12 +1,15 @@
 """What an estimate refuses and what it warns of, in sentences."""
 
+import numpy as np
+
 from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.row_messages import rejected_share
+from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UntrustedError, UsageError
 from midspan.notices import Notice
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
-from midspan.records import Innovation, Nanoseconds
+from midspan.records import Estimate, Innovation, Nanoseconds
 from midspan.settings.kinds import KINDS
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import shown
@@ -67,6 +70,18 @@ def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
         "allowed). The scale factor, clock offset or direction belongs to another recording, or the sensors measure "
         f"different motions. Calibrate this recording and check {' and '.join(looked_at)}."
     )
+
+
+def refuse_run_away(rows: Estimate, series: SensorSeries) -> None:
+    """UntrustedError where most rows lie farther from a displacement sensor's values than these span."""
+    value = series.value_m[np.isfinite(series.value_m)]
+    span_m = float(np.ptp(value)) if len(value) else np.inf
+    if np.median(np.abs(rows.displacement_m - np.median(value if len(value) else 0.0))) > span_m:
+        raise UntrustedError(
+            f"{series.sensor}: its values span {1e3 * span_m:.3g} mm, but most rows lie outside this range: its "
+            "values and the acceleration contradict each other from the start. Cut the recording to a part in which "
+            "they agree."
+        )
 
 
 def no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:
