@@ -20,13 +20,14 @@ from functools import cache, partial
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
-from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
+from midspan.calibration.camera.calibrate import CameraFit
 from midspan.calibration.camera.turning import DRAWS, SEEN_HZ, Turning, turning_of
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, evaluate
 from midspan.calibration.minimum import global_minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.scale import REFUSED_ABOVE, ScaleCalibration, calibrate_scale, too_vague
+from midspan.calibration.sensors.camera import SLOW_TILT
 from midspan.calibration.time_offset import search_offset
 from midspan.calibration.whitening import Whitened, inverse_of
 from midspan.errors import UntrustedError
