@@ -9,7 +9,7 @@ from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.camera.disagreement import agreed, m_per_px
 from midspan.calibration.camera.tilt import tilt_of
-from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
+from midspan.calibration.camera.view import SeenTarget, View, printed_along, scale_on_any_clock
 from midspan.calibration.camera.zoom import without_zoom
 from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
@@ -178,7 +178,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     apart_s: list[float] = []
     for target in targets:
         try:
-            own = target.untilted or scale_of(view, camera_pair(view, target.rows, target.blur_s))
+            own = target.untilted or scale_on_any_clock(view, target)
             _refuse_pattern(target.tracker.scale_share_std, own.scale)
             _refuse_compression(target.with_picture_error(own.scale, view.axis), own.scale)
             found.append(own)
