@@ -176,6 +176,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     apart_s: list[float] = []
+    more: list[str] = []
     for target in targets:
         try:
             own = target.untilted or scale_on_any_clock(view, target)
@@ -186,6 +187,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
         except UntrustedError as error:
             found.append(None)
             reasons.append(str(error))
+            more += [error.more] if error.more else []
             if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
                 apart_s.append(error.clock_offset_s + view.late_ns / NANOSECONDS)
     fit = Fitted(tuple(found), tuple(reasons))
@@ -196,8 +198,8 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
         return fit
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
-    text = " ".join((*lines, *reported()))
-    raise NoAgreementError(text, float(np.median(apart_s))) if apart_s else UntrustedError(text)
+    text, rest = " ".join(lines), " ".join((*more, *reported()))
+    raise NoAgreementError(text, float(np.median(apart_s)), rest) if apart_s else UntrustedError(text, rest)
 
 
 def _refuse_pattern(share_std: float, estimated: ScaleFactor) -> None:
@@ -220,7 +222,7 @@ def _refuse_compression(scale: ScaleFactor, estimated: ScaleFactor) -> None:
     codec = np.sqrt(scale.variance - estimated.variance) / abs(scale.value_m_per_px)
     raise UntrustedError(
         f"Too much compression to calibrate the scale factor: {1e3 * scale.value_m_per_px:.4g} mm/px ± "
-        f"{100 * relative:.2g} %, of which ± {100 * codec:.2g} % from the video compression; at most ± "
+        f"{rounded(100 * relative)} %, of which ± {rounded(100 * codec)} % from the video compression; at most ± "
         f"{100 * REFUSED_ABOVE:g} % is accepted. Record with a higher bit rate or without compression, or choose a "
         "camera.roi with more contrast or a calibration.window_s with more image motion."
     )

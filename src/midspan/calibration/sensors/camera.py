@@ -122,7 +122,7 @@ class CameraCalibration:
 
     @property
     def holds_tilt(self) -> bool:
-        """Whether the slow tilt of a camera that sways is among what it and the accelerometer contradict each other by."""
+        """Whether the slow tilt of a camera that sways is in `apart_std_m`."""
         return 0.0 < SLOW_TILT * self.slow_std_m <= self.apart_std_m
 
     @property

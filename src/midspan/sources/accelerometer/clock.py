@@ -42,6 +42,8 @@ TIME_NAMES = (
     *("date", "epoch", "utc", "seconds", "sec", "elapsed", "x_value", "zeit", "temps", "tiempo"),
 )
 
+# How the note ends on a column of times without any.
+TEXT = "left out: it holds words, no times"
 # From this magnitude on a number without a unit is an epoch in ms, µs, ns: the year 5138 in s is 1e11.
 _EPOCH_MAGNITUDES = ((1e17, 1, "ns"), (1e14, 1_000, "µs"), (1e11, 1_000_000, "ms"))
 

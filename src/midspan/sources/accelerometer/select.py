@@ -12,7 +12,7 @@ from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.records import Floats, Nanoseconds, TimeSeries
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, even_ns
-from midspan.sources.accelerometer.clock import NOT_A_TIME, TIME_NAMES, is_time_name, numbers_to_ns
+from midspan.sources.accelerometer.clock import NOT_A_TIME, TEXT, TIME_NAMES, is_time_name, numbers_to_ns
 from midspan.sources.accelerometer.dialect import SPLIT, named_unit
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.stamps import repeated_rows, spread_equal_stamps
@@ -116,7 +116,8 @@ def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channe
     if left_out is not None and not matches:
         raise DataError(f"{path}: {key} = {wanted!r}: {left_out}.")
     problem = f"stands for {len(matches)} channels" if matches else "is not in the file"
-    hint = nearest(wanted, names)
+    parts = [name for name in names if re.search(rf"(?<!\w){re.escape(wanted)}(?!\w)", name, re.IGNORECASE)]
+    hint = f"Did you mean {parts[0]!r}?" if len(parts) == 1 and not matches else nearest(wanted, names)
     raise UsageError(f"{path}: {key} = {wanted!r} {problem}. {hint} It holds {_listing(names)}.".replace("  ", " "))
 
 
@@ -200,6 +201,8 @@ def _times(
         notes.append(f"time from the file's rate of {channel.rate_hz:.9g} Hz")
         return even_ns((channel.start_ns or 0) + start_ns, channel.size, channel.rate_hz)
     if request.rate_hz is None:
+        if text := next((note for note in notes if note.endswith(TEXT)), None):
+            raise UsageError(f"{path}: {text}. Write its times as seconds or ISO 8601, or give rate_hz (Hz).")
         raise UsageError(f"{path}: {channel.name!r} has no time. Give rate_hz (Hz), or time with a channel of times.")
     notes.append(f"time from rate_hz = {request.rate_hz:.9g} Hz and start_s = {request.start_s:g} s")
     return even_ns(start_ns, channel.size, request.rate_hz)

@@ -129,7 +129,7 @@ def si_factor(unit: str, quantity: str, sensitivity: float | None) -> float:
     if volts is None:
         raise UsageError(
             f"unit must measure {quantity}, such as {', '.join(_QUANTITIES[quantity][2][:4])}; received {unit!r}. "
-            f"Choose a channel that measures {quantity}."
+            f"Correct the unit, or choose a channel that measures {quantity}."
         )
     if not sensitivity:
         raise UsageError(f"unit {unit!r} needs sensitivity in V per {si}; received none. Give sensitivity.")
