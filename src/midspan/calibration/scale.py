@@ -313,7 +313,7 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float, clocks: str) -> None:
     )
     if shakes and not alias:
         raise UntrustedError(
-            f"Too little motion in the image: {slow}the accelerometer moves and the image does not: {first}{static}",
+            f"Too little motion in the image: {slow}the accelerometer moves and the image does not: {static} {first}".rstrip(),
             f"{figures} The scale factor would be {would_be}. Check that both files are of the same event. {clocks} "
             f"{livelier}".rstrip(),
         )

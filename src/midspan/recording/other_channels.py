@@ -19,7 +19,7 @@ ALIKE = 0.8
 # larger one reads gravity, which moves up and down in the picture.
 CROSS_TALK, BESIDE_GRAVITY = 20.0, 3.0
 # The slowest motion compared, Hz, and the values that this takes.
-LOW_HZ, LEAST = 0.3, 100
+LOW_HZ, MIN_VALUES = 0.3, 100
 
 
 def other_channels(recording: Recording) -> tuple[Notice, ...]:
@@ -33,7 +33,7 @@ def other_channels(recording: Recording) -> tuple[Notice, ...]:
     path = recording.path(own.file, "accelerometer.file")
     found = list_channels(path)
     name = recording.acceleration.name
-    if sum(one.size > LEAST for one in found.channels) < 2 or name not in found.names:
+    if sum(one.size > MIN_VALUES for one in found.channels) < 2 or name not in found.names:
         return ()
     chosen = find_channel(path, found, name, "value")
     others = [one for one in candidates(found, "acceleration") if one.name != name and one.size == chosen.size]
@@ -67,7 +67,7 @@ def other_channels(recording: Recording) -> tuple[Notice, ...]:
 def _motion(channel: Channel, part: slice, rate_hz: float, band_hz: tuple[float, float]) -> Floats | None:
     """What of a channel's window lies in a band; None where it does not move, or has gaps."""
     values = np.asarray(channel.values[part], dtype=np.float64)
-    if len(values) < LEAST or not np.isfinite(values).all() or band_hz[1] <= band_hz[0]:
+    if len(values) < MIN_VALUES or not np.isfinite(values).all() or band_hz[1] <= band_hz[0]:
         return None
     moved = band_passed(values - values.mean(), rate_hz, band_hz)
     return moved if np.std(moved) > 0.0 else None

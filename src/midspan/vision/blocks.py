@@ -14,14 +14,14 @@ from midspan.vision.template import TemplateSettings, TemplateTracker
 
 # A place is parted into this many blocks each way, of no fewer pixels than these.
 BLOCKS, MIN_BLOCK_PX = 4, 16
-# Every so many frames of a trial are compared: blocks need less than a scale factor does.
+# Each sixth frame of a trial is used: blocks need fewer than a scale factor does.
 EVERY = 6
 # A block moves with the most moved ones where it has this share of their motion, and not where it has less than that.
 MOVES, RESTS = 0.75, 0.5
 # What a block differs by from its share of the motion, over the motion, where that share shows.
 CLEAR = 0.3
-# Motion that is told from a block's noise, px rms; share of the frames in which a block must be seen.
-LEAST_PX, SEEN = 0.05, 0.8
+# Motion that differs from a block's noise, px rms; share of the frames in which a block must be seen.
+MIN_MOTION_PX, SEEN = 0.05, 0.8
 # What is left of a place has this many blocks at least.
 LEFT = 4
 
@@ -68,12 +68,12 @@ class Blocks:
         most = np.std(left, axis=0) >= 0.9 * np.quantile(np.std(left, axis=0), 0.75)
         common = np.median(left[:, most], axis=1)
         power = float(common @ common)
-        if power < len(common) * LEAST_PX**2:
+        if power < len(common) * MIN_MOTION_PX**2:
             return shares
         found = common @ left / power
         clear = np.mean((left - np.outer(common, found)) ** 2, axis=0) < CLEAR**2 * power / len(common)
-        for k, share, told in zip(np.flatnonzero(seen), found, clear, strict=True):
-            shares[self.trackers[k][:2]] = share if told else np.nan
+        for k, share, shown in zip(np.flatnonzero(seen), found, clear, strict=True):
+            shares[self.trackers[k][:2]] = share if shown else np.nan
         return shares
 
     def places(self) -> tuple[Region, ...]:

@@ -36,7 +36,7 @@ NOTABLE_MISSED = 0.02
 TRIAL_PLACES = 6
 TRIAL_OUTSIDERS = 2
 # Of places across an edge this many are moved.
-MOST_ACROSS = 2
+MAX_ACROSS = 2
 # While too few places are clean, other places are tried, this many times.
 MORE_ROUNDS = 3
 
@@ -121,7 +121,7 @@ def _as_one(
     """The choice with places that move as one instead of those across the edge of what moves."""
     across = [region for region in found if trial.places[region] != (region,)]
     fitting = sorted((region for region in across if np.isfinite(found[region].std_m)), key=lambda r: found[r].cost_m)
-    origin = {place: whole for whole in fitting[:MOST_ACROSS] for place in trial.places[whole]}
+    origin = {place: whole for whole in fitting[:MAX_ACROSS] for place in trial.places[whole]}
     tried = trial.of(list(origin)) if origin else {}
     # A place that is across an edge in its turn is no better.
     tried = {region: one for region, one in tried.items() if trial.places[region] == (region,)}
