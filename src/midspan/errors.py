@@ -11,9 +11,13 @@ A message says what was found, the rule with its unit, the value received and wh
 
 
 class MidspanError(Exception):
-    """A problem that the user can mend; `exit_code` is what the command line returns for it."""
+    """A problem that the user can mend; `exit_code` is what the command line returns for it.
+
+    more: figures and other causes, for whom the message does not help.
+    """
 
     exit_code = 1
+    more = ""
 
 
 class UsageError(MidspanError):
@@ -33,6 +37,10 @@ class UntrustedError(MidspanError):
 
     exit_code = 4
 
+    def __init__(self, text: str, more: str = "") -> None:
+        super().__init__(text)
+        self.more = more
+
 
 class NoAgreementError(UntrustedError):
     """What the image shows moves, but not with the accelerometer: another thing, axis or event.
@@ -40,6 +48,6 @@ class NoAgreementError(UntrustedError):
     clock_offset_s: what to add to the camera's times for both to agree, s; None where no offset does.
     """
 
-    def __init__(self, text: str, clock_offset_s: float | None = None) -> None:
-        super().__init__(text)
+    def __init__(self, text: str, clock_offset_s: float | None = None, more: str = "") -> None:
+        super().__init__(text, more)
         self.clock_offset_s = clock_offset_s

@@ -30,7 +30,7 @@ _CODES = {
         "zero-uncertain",
     ),
     Severity.SERIOUS: (
-        "calibration-foreign", "rate-too-low", "scale-implausible", "unit-doubtful",
+        "calibration-foreign", "channel-doubtful", "rate-too-low", "scale-implausible", "unit-doubtful",
     ),
 }  # fmt: skip
 NOTICES = {code: severity for severity, codes in _CODES.items() for code in codes}

@@ -16,6 +16,7 @@ MAX_BYTES = 64 << 20
 MAX_WHOLE = 2**63
 # A number with a decimal comma behind a key.
 _DECIMAL_COMMA = re.compile(r"=\s*([+-]?\d+),(\d+)\s*(?:#|$)")
+_BARE_LIST = re.compile(r"=\s*[+-]?[\d.]+\s*,\s*[+-]?[\d.]+\s*,")
 _WIDE = {
     b"\xff\xfe\x00\x00": "UTF-32",
     b"\x00\x00\xfe\xff": "UTF-32",
@@ -60,6 +61,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         line = text.splitlines()[int(place[1]) - 1] if place else ""
         if number := _DECIMAL_COMMA.search(line):
             remedy = f"The decimal sign is a point: {number[1]}.{number[2]}"
+        elif _BARE_LIST.search(line):
+            remedy = "A list needs brackets: [820, 340, 128, 128]"
         elif "\\" in line:
             remedy = "Between double quotes a backslash begins a code: write / in Windows paths, or put them in single "
             remedy += "quotes"

@@ -185,3 +185,15 @@ def test_an_estimate_ends_in_eight_lines_with_the_three_worst_warnings(
     document = json.loads(capsys.readouterr().out)
     assert document["verdict"] == result.verdict
     assert document["warnings"] == list(result.warnings)
+
+
+def test_small_mistakes_in_a_recording_are_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    camera = '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "b.mkv"\n'
+    reported = refused(["check-config", written(tmp_path, f"{camera}roi = 8, 8, 64, 64\n")], capsys)
+    assert "needs brackets" in reported
+    reported = refused(["check-config", written(tmp_path, f'{camera}start_s = "1,10"\n')], capsys)
+    assert "without quotes and with a decimal point: 1.10" in reported
+
+
+def test_a_name_with_blanks_that_is_not_quoted_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "need quotes" in refused(["estimate", "a.csv", "b.mkv", "--value", "Voie", "3"], capsys)

@@ -214,6 +214,9 @@ MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
     "m/s² declared as g": (scaled(1.0, "g"), 0, r"serious: .*unit.*\[unit-doubtful\]"),
     "g declared as m/s²": (scaled(1.0 / GRAVITY, "m/s^2"), 0, r"serious: .*unit.*\[unit-doubtful\]"),
     "mg declared as m/s²": (scaled(1e3 / GRAVITY, "m/s^2"), 0, r"serious: .*unit.*\[unit-doubtful\]"),
+    "g declared as gal": (scaled(1.0 / GRAVITY, "gal"), 0, r"serious: .*1 g in g .* 981 times.*\[unit-doubtful\]"),
+    "g declared as mg": (scaled(1.0 / GRAVITY, "mg"), 0, r"serious: .*1 g in g .* 1e\+03 times.*\[unit-doubtful\]"),
+    "m/s² declared as mm/s²": (scaled(1.0, "mm/s^2"), 0, r"serious: .*1 g in m/s\^2 .*\[unit-doubtful\]"),
     "m/s² declared as g, gravity taken off": (level_and_optics, 0, r"accelerometer.unit.*\[scale-implausible\]"),
     "unit that is no acceleration": (keys("accelerometer", unit="cm"), 2, "unit.*cm"),
     "channel of another axis": (keys("accelerometer", value="x"), 4, "Check camera.direction, accelerometer.value"),
@@ -299,6 +302,17 @@ def test_a_wrong_value_for_two_files_is_named(desk: Desk, capsys, value: str, sa
     unit = ["--unit", "mm"] if value == "mm" else ["--unit", "m/s^2"]
     assert run(["estimate", *files, "--value", value, *unit]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("unit", "code"), [("(m/s^2)", 0), ("", 0)])
+def test_a_channel_with_a_share_of_the_motion_of_another_is_warned_of(desk: Desk, capsys, unit: str, code: int) -> None:
+    desk.key("accelerometer", value="y")
+    desk.write()
+    shares = np.column_stack((desk.time_s, 0.02 * (desk.up - GRAVITY) - 0.2, desk.up))
+    heading = f"time_s,y {unit},z {unit}"
+    np.savetxt(desk.folder / "accel.csv", shares, fmt="%.6f", delimiter=",", header=heading, comments="")
+    assert run(["calibrate", str(desk.folder)]) == code
+    assert re.search(r"serious: .*'z' has 50 times the motion of 'y' and carries gravity.*", capsys.readouterr().err)
 
 
 def test_the_recording_without_a_mistake_has_no_warning(desk: Desk, capsys) -> None:

@@ -280,3 +280,28 @@ def test_frames_without_times_take_a_rate(desk, tmp_path, capsys):
     assert load_settings(tmp_path / "new").cameras[0].rate_hz == 10.0
     found = midspan.estimate(*files[:2], value="Beschl Z", rate_hz=10.0)
     assert abs(found.calibration.to_dict()["camera"]["scale_mm_per_px"] - LIVELY.mm_per_px) < 0.1
+
+
+def test_a_part_of_a_channels_name_suggests_it(desk, capsys):
+    assert run(["estimate", str(desk / "logger.csv"), str(desk / "phone.mkv"), "--value", "Z"]) == 2
+    assert "Did you mean 'Beschl Z'?" in capsys.readouterr().err
+
+
+def test_times_that_are_words_are_named(desk, tmp_path, capsys):
+    rows = (desk / "logger.csv").read_text(encoding="latin-1").splitlines()
+    words = [f"row {k};{row.split(';', 1)[1]}" for k, row in enumerate(rows[1:])]
+    (tmp_path / "a.csv").write_text("\n".join([rows[0], *words]), encoding="latin-1")
+    assert run(["estimate", str(tmp_path / "a.csv"), str(desk / "phone.mkv"), "--value", "Beschl Z"]) == 2
+    assert "'Zeit' left out: it holds words" in capsys.readouterr().err
+
+
+def test_the_result_of_another_film_is_kept_and_the_report_names_the_files(desk, tmp_path, capsys):
+    for name in ("logger.csv", "phone.mkv"):
+        (tmp_path / name).write_bytes((desk / name).read_bytes())
+    (tmp_path / "other.mkv").write_bytes((desk / "phone.mkv").read_bytes())
+    report = tmp_path / "report.html"
+    for film, written in (("phone.mkv", "result.csv"), ("phone.mkv", "result.csv"), ("other.mkv", "other.csv")):
+        files = [str(tmp_path / "logger.csv"), str(tmp_path / film)]
+        assert run(["estimate", *files, "--value", "Beschl Z", "--report", str(report)]) == 0
+        assert str(tmp_path / written) in capsys.readouterr().out
+    assert "<h1>logger.csv and other.mkv</h1>" in report.read_text()

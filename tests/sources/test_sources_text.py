@@ -311,3 +311,18 @@ def test_dates_with_slashes_are_read_and_the_order_is_reported(
     first = np.datetime64(f"{expected}T09:30:00.500", "ns").astype(np.int64)
     np.testing.assert_array_equal(series.time_ns, first + np.arange(5) * 1_000_000_000)
     assert any(words in note for note in series.notes)
+
+
+@pytest.mark.parametrize("line", ["Unité;g", "Unit: g", "Einheit;[g]", '"Unidad";"g"'])
+def test_a_unit_in_the_preamble_is_that_of_all_channels_but_the_time(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "logger.csv"
+    rows = "\n".join(f"{0.01 * k:.2f};0,1;1,0".replace(".", ",") for k in range(20))
+    path.write_text(f"Logger 0417\nFréquence;100 Hz\n{line}\n\nTemps;Voie 1;Voie 2\n{rows}\n", encoding="utf-8")
+    assert [one.unit for one in list_channels(path).channels] == [None, "g", "g"]
+
+
+@pytest.mark.parametrize(("reading", "said"), [(1.002, "'g': at rest the values are 1.002"), (0.01, "such as")])
+def test_the_question_for_a_unit_proposes_the_one_in_which_the_values_at_rest_are_gravity(tmp_path, reading, said):
+    rows = "".join(f"{0.01 * k:.2f},{reading}\n" for k in range(20))
+    with pytest.raises(UsageError, match=said):
+        read_text(tmp_path, f"time,value\n{rows}", unit=None)

@@ -18,7 +18,7 @@ from midspan.calibration.time_offset import OffsetSearch, Rival, likeliest_beyon
 from midspan.calibration.whitening import SETTLING
 from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
@@ -110,7 +110,7 @@ def of_no_camera(scale_m_per_px: float) -> str:
 def too_vague(scale_m_per_px: float, relative_std: float) -> str:
     """What is refused for its standard deviation, without a figure that no camera can have."""
     figure = f"{1e3 * scale_m_per_px:.4g} mm/px " if abs(scale_m_per_px) <= LARGEST_M_PER_PX else "an uncertainty of "
-    return f"{figure}± {100 * relative_std:.2g} %; at most ± {100 * REFUSED_ABOVE:g} % is accepted"
+    return f"{figure}± {rounded(100 * relative_std)} %; at most ± {100 * REFUSED_ABOVE:g} % is accepted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def calibrate_scale(
     kinds = kinds_of(pair, exposure_declared=exposure_declared)
     jumps: Sequence[ClockJump] = ()
 
-    refuse = partial(_refuse_untrusted, noise=float(np.sqrt(typical)), max_offset_s=max_offset_s)
+    refuse = partial(_refuse_untrusted, noise=float(np.sqrt(typical)), reach=(max_offset_s, clocks_open))
     refusal: UntrustedError | None = None
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
     try:
@@ -202,9 +202,14 @@ def _texts(response: FrequencyResponse, fit: Fit, drift: float) -> tuple[Notice,
     return (*response.texts(fit.motion_hz), *drift_text("camera", drift))
 
 
-def _refuse_untrusted(search: OffsetSearch, *, noise: float, max_offset_s: float) -> None:
-    _refuse_no_motion(search.pair, search.fit, noise)
-    _refuse_disagreement(search.pair, search.fit, noise)
+def _refuse_untrusted(search: OffsetSearch, *, noise: float, reach: tuple[float, bool]) -> None:
+    max_offset_s, clocks_open = reach
+    remedy = "raise calibration.max_offset_s or set camera.start_s"
+    clocks = f"Clock offsets within ±{max_offset_s:g} s were searched: if they may differ by more, {remedy}."
+    if clocks_open:
+        clocks = "Clock offsets up to half of the film were searched: if they may differ by more, set camera.start_s."
+    _refuse_no_motion(search.pair, search.fit, noise, clocks)
+    _refuse_disagreement(search.pair, search.fit, noise, clocks)
     _refuse_ambiguity(search, max_offset_s)
 
 
@@ -273,20 +278,21 @@ def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
 
 
-def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
+def _refuse_no_motion(pair: Pair, fit: Fit, noise: float, clocks: str) -> None:
     gain, relative = fit.gain, fit.relative_std
     if gain >= MIN_GAIN and relative <= REFUSED_ABOVE:
         return
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
-    figures = f"(image motion {seen:.3g} px rms with noise {noise:.2g} px, acceleration {1e3 * shaken:.3g} mm/s² rms)"
+    moved = f"image motion {seen:.3g} px rms with noise {noise:.2g} px"
+    figures = f"Found: {moved}, acceleration {1e3 * shaken:.3g} mm/s² rms."
+    slow, no_agreement = _slow_samples(pair), "No agreement between image and accelerometer: "
     if seen > CLEARLY_MOVING * noise and gain < MIN_GAIN:
         raise NoAgreementError(
-            f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
-            "Check camera.direction, accelerometer.value, that both files are of the same event, and the region: a "
-            "fixed target for a camera on the structure, the structure at the accelerometer for a camera on a tripod. "
-            "If the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. "
-            f"{_slow_samples(pair)}{NOT_SHOWN}"
+            f"{no_agreement}{slow}the image moves, but not with the acceleration. Check that both files are of the "
+            "same event, camera.roi and camera.direction.",
+            more=f"{figures} Check camera.direction, accelerometer.value and the region: a fixed target for a camera "
+            f"on the structure, the structure at the accelerometer for a camera on a tripod. {clocks} {NOT_SHOWN}",
         )
     would_be = too_vague(1.0 / fit.ratio, relative)
     alias, shakes = alias_in_words(pair), shaken > CLEARLY_MOVING * white_noise(pair.samples[:, 1])
@@ -297,23 +303,24 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
     if seen > LIKELY_MOVING * noise and shakes and not alias:
         # What moves for certain, and otherwise, contradicts.
         contradicts = seen > CLEARLY_MOVING * noise
-        raise (NoAgreementError if contradicts else UntrustedError)(
-            f"No agreement between image and accelerometer {figures}: both move, but too differently for a scale "
-            f"factor: {would_be}. {first}Check camera.direction, camera.roi, accelerometer.value, and that both files "
-            "are of the same event; if the clocks may differ by more, raise calibration.max_offset_s or set "
-            f"camera.start_s. {'' if contradicts else livelier}{_slow_samples(pair)}{NOT_SHOWN}"
-        )
+        check = "" if first else "Check camera.roi, camera.direction, and that both files are of the same event."
+        text = f"{no_agreement}{slow}both move, but too differently for a scale factor: {would_be}. {first}{check}"
+        more = f"{figures} Check accelerometer.value. {clocks} {'' if contradicts else livelier}{NOT_SHOWN}"
+        raise NoAgreementError(text.rstrip(), more=more) if contradicts else UntrustedError(text.rstrip(), more)
     static = (
-        "check camera.direction, camera.roi (an object fixed to the camera shows no motion), "
-        "calibration.max_offset_s, that both files are of the same event, and that no stabiliser removes the motion."
+        "check camera.direction, camera.roi (an object fixed to the camera shows no motion), and that no stabiliser "
+        "removes the motion."
     )
-    cause = (
-        f"The accelerometer moves and the image does not: {static} {livelier}".rstrip()
-        if shakes and not alias
-        else f"{alias}{livelier}If the structure did move, {static}"
-    )
+    if shakes and not alias:
+        text = f"Too little motion in the image: {slow}the accelerometer moves and the image does not: {static} {first}"
+        raise UntrustedError(
+            text.rstrip(),
+            f"{figures} The scale factor would be {would_be}. Check that both files are of the same event. {clocks} "
+            f"{livelier}".rstrip(),
+        )
     raise UntrustedError(
-        f"Too little motion to calibrate the scale factor {figures}: {would_be}. {first}{_slow_samples(pair)}{cause}"
+        f"Too little motion to calibrate the scale factor ({moved}): {slow}{alias}{livelier}".rstrip(),
+        f"{figures} The scale factor would be {would_be}. {first}If the structure did move, {static} {clocks}",
     )
 
 
@@ -346,7 +353,7 @@ def _refuse_rivals(
     # One that is even the likelier one must be acceptable itself.
     if rival.lead <= 0.0:
         try:
-            _refuse_disagreement(pair, rival.fit, usual)
+            _refuse_disagreement(pair, rival.fit, usual, "")
         except UntrustedError:
             return
     raise UntrustedError(_alike_text(search.fit, rival.fit, OPEN_CLOCKS))
@@ -376,22 +383,22 @@ def _refuse_better(
     )
 
 
-def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
+def _refuse_disagreement(pair: Pair, fit: Fit, usual: float, clocks: str) -> None:
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     moved, left = float(np.std(rows[:, 1])), float(np.sqrt(fit.noise))
     if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms remain "
-            f"unexplained; the noise of a frame is {usual:.2g} px. If the clocks may differ by more, raise "
-            "calibration.max_offset_s or set camera.start_s; else check camera.direction, camera.roi and rate_hz. "
-            f"{_slow_samples(pair)}{NOT_SHOWN}"
+            f"unexplained; the noise of a frame is {usual:.2g} px. {_slow_samples(pair)}Check camera.roi, "
+            "camera.direction and camera.rate_hz.",
+            more=f"{clocks} {NOT_SHOWN}",
         )
     if needed := noise_needed(pair, fit):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {needed} and noise of about "
             f"{1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². Check that both files are of the same event, "
-            "camera.direction, camera.roi and accelerometer.unit; if the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
+            "camera.direction, camera.roi and accelerometer.unit.",
+            more=f"{clocks} {NOT_SHOWN}",
         )
 
 

@@ -1,6 +1,7 @@
 """`midspan estimate RECORDING`, or `midspan estimate ACCEL FILE2`."""
 
 import math
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -165,7 +166,7 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
     from midspan.settings.stored.calibration import load_calibration
     from midspan.sinks.write import check_target
 
-    output = check_result(options["output"] or opened.folder / "result.csv", opened)
+    output = check_result(options["output"] or _own_place(opened), opened)
     check_target(output)
     report = report_path(options["report"])
     compared = report is not None and opened.has("reference")
@@ -180,6 +181,21 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
         written.append(str(report))
     result.save(output)
     show(console, result, written, options["verbose"])
+
+
+def _own_place(opened: "Recording") -> Path:
+    """result.csv in the recording's folder; after the second of two files where that is the result of others."""
+    from midspan.trees import TreeError, read_json
+
+    usual = opened.folder / "result.csv"
+    if opened.file.suffix == ".toml" or not usual.exists():
+        return usual
+    named = [one.settings.file for one in opened.sensors[:1]] + [opened.accelerometer.file]
+    with suppress(OSError, TreeError, AttributeError, KeyError, TypeError):
+        sections = [one for one in read_json(usual.with_suffix(".json"))["settings"].values() if isinstance(one, dict)]
+        if {one["file"] for one in sections if "file" in one} == set(named):
+            return usual
+    return opened.folder / f"{Path(named[0]).stem}.csv"
 
 
 def open_with(

@@ -83,7 +83,10 @@ def run(arguments: list[str]) -> int:
     except click.ClickException as error:
         return _explain(arguments, _said(error), 2, error)
     except MidspanError as error:
-        return _explain(arguments, str(error), error.exit_code, None)
+        # Commands without --verbose say all.
+        whole = "estimate" not in arguments[:1] or bool({"-v", "--verbose"} & set(arguments))
+        more = error.more if whole else "--verbose lists figures and other causes."
+        return _explain(arguments, f"{error} {more}" if error.more else str(error), error.exit_code, None)
     except (KeyboardInterrupt, click.Abort):
         click.echo("midspan: interrupted; no partial files were left.", err=True)
         return 130
@@ -103,7 +106,9 @@ def _said(error: "click.ClickException") -> str:
     import click
 
     if not isinstance(error, click.NoSuchOption) or error.ctx is None:
-        return error.format_message()
+        text = error.format_message()
+        blank = text.startswith("Got unexpected extra argument")
+        return f"{text}. Names with blanks need quotes: --value 'Acc Z'." if blank else text
     from midspan.settings.keys import recording_sections
 
     key = error.option_name.lstrip("-").replace("-", "_")

@@ -183,8 +183,11 @@ def _fitted(frequency: Floats, power: Floats, peak_hz: float, others: Floats, wi
         return np.asarray(mode + np.exp(q[3]) + np.exp(q[4]) * (peak_hz / f) ** 4)
 
     def surprise(q: Floats) -> float:
-        s = expected(q)
-        return float(np.sum(np.log(s) + p / s))
+        with np.errstate(all="ignore"):
+            s = expected(q)
+            total = float(np.sum(np.log(s) + p / s))
+        # The search may come to where the model has no number.
+        return total if np.isfinite(total) else np.inf
 
     level = np.log(max(0.5 * float(np.median(p)), 1e-9 * top))
     start = [np.array([0.0, np.log(zeta), np.log(top / 3.0), level, level]) for zeta in (0.002, 0.01, 0.05)]

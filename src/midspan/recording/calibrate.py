@@ -18,6 +18,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.auxiliary import calibrate_auxiliary
 from midspan.recording.cameras import SeenBy, calibrate_cameras, together
 from midspan.recording.kinds import ROWS
+from midspan.recording.other_channels import other_channels
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.streams.window import calibration_window, liveliest_minute
 from midspan.settings.messages import in_words_of, renamed
@@ -115,11 +116,18 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
         auxiliary=calibrate_auxiliary(recording, *_of_box(seen)),
         accelerometer_scale=gain,
         sensor_axis=axis,
-        warnings=(*warnings, *implausible(recording.settings, main)),
+        warnings=(*warnings, *_doubts(recording, main)),
         across=across,
         left_out=view.axis if view is not None and across is None else "",
     )
     return calibration, together(seen)
+
+
+def _doubts(recording: Recording, found: Calibration) -> tuple[Notice, ...]:
+    """What gravity, optics and the accelerometer's other channels say against the calibration."""
+    if recording.settings.accelerometer is None:
+        return implausible(recording.settings, found)
+    return (*implausible(recording.settings, found, recording.acceleration.unit), *other_channels(recording))
 
 
 def _of_box(seen: Sequence[SeenBy]) -> tuple[Any, Any]:

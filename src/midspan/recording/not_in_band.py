@@ -64,7 +64,7 @@ def _tilt(settings: RecordingSettings, calibration: Calibration) -> list[str]:
         camera = sensor.settings
         if not isinstance(camera, CameraSettings) or camera.tilt_std_mdeg > 0.0:
             continue
-        if sensor.name in own and own[sensor.name].tilt_std_px > 0.0:
+        if sensor.name in own and (own[sensor.name].tilt_std_px > 0.0 or own[sensor.name].holds_tilt):
             continue
         distance_m = target_distance_m(camera, own[sensor.name]) if sensor.name in own else camera.distance_m
         turned = _mm(math.radians(1e-3) * (distance_m or 1.0))

@@ -18,6 +18,7 @@ BAND = 1.96
 # What has to be settled before a result with a serious notice of this code is used.
 UNSETTLED = {
     "calibration-foreign": "whether the calibration belongs to this recording",
+    "channel-doubtful": "which channel lies along the motion",
     "rate-too-low": "whether the accelerometer's rate is high enough",
     "scale-implausible": "why the scale factor contradicts the optics",
     "unit-doubtful": "the accelerometer's unit",

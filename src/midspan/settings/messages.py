@@ -20,6 +20,7 @@ PLAIN = {
     "a valid number": "a number",
     "a valid integer": "a whole number",
 }
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 
 
 def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
@@ -60,6 +61,8 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
         text = text.replace("[[camera.", f"[[{place[0]}.")
     if isinstance(value, dict):
         return f"{key}: {text}."
+    if text == "must be a number" and isinstance(value, str) and DECIMAL_COMMA.fullmatch(value):
+        text += f", without quotes and with a decimal point: {value.replace(',', '.')}"
     received = shown(list(value) if isinstance(value, tuple) else value)
     return f"{key} = {received}: {text}.".replace("..", ".").replace("?.", "?")
 
@@ -109,5 +112,5 @@ def in_words_of(sensor: str) -> Iterator[None]:
     try:
         yield
     except MidspanError as error:
-        error.args = (worded(str(error), sensor),)
+        error.args, error.more = (worded(str(error), sensor),), worded(error.more, sensor)
         raise

@@ -8,9 +8,12 @@ from midspan.settings.camera import CameraSettings
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.acceleration import GRAVITY_M_S2
+from midspan.sources.accelerometer.units import GRAVITY_READS, likely_units, measures, si_factor
 
 # Bias over gravity of an axis that is level to 17 degrees, or upright to 26: that of a motion up, down or sideways.
 LEVEL, UPRIGHT = 0.3, (0.9, 1.1)
+# Zero offsets and an axis level to 2 degrees stay below this share of gravity.
+OFFSET = 0.03
 # A reading this near to 1 m/s² at rest is taken for 1 g in a wrong unit: zero offset and inclination of an upright axis
 # change it by 2 % at most; an axis that is level to 5.7 ± 0.12 degrees shows the same by chance.
 SWAPPED_WITHIN = 0.02
@@ -18,31 +21,44 @@ SWAPPED_WITHIN = 0.02
 OPTICS_WITHIN = 1.4
 
 
-def implausible(settings: RecordingSettings, calibration: Calibration) -> tuple[Notice, ...]:
-    """Warnings on what a wrong unit, sensitivity or optics would explain."""
+def implausible(settings: RecordingSettings, calibration: Calibration, unit: str = "") -> tuple[Notice, ...]:
+    """Warnings on what a wrong unit, sensitivity or optics would explain; unit: of the acceleration as it was read."""
     found = []
-    share = abs(calibration.bias_m_s2) / GRAVITY_M_S2
-    swapped = abs(share * GRAVITY_M_S2 - 1.0) < SWAPPED_WITHIN
-    if settings.accelerometer is not None and swapped:
-        text = (
-            f"accelerometer: the reading at rest is {calibration.bias_m_s2:+.3f} m/s², as for 1 g declared as m/s². "
-            "Check accelerometer.unit and sensitivity: all displacements may be 9.81 times too small."
-        )
-        found.append(Notice("unit-doubtful", text))
-    if settings.accelerometer is not None and share > LEVEL and not UPRIGHT[0] < share < UPRIGHT[1]:
-        found.append(
-            Notice(
-                "unit-doubtful",
-                f"accelerometer: the reading at rest is {calibration.bias_m_s2 / GRAVITY_M_S2:.3g} g; a horizontal "
-                "axis reads 0 g, a vertical one ±1 g. Check accelerometer.unit, sensitivity (their error scales all "
-                "displacements) and inclination.",
-            )
-        )
+    if settings.accelerometer is not None and (text := _against_gravity(calibration, unit)):
+        found.append(Notice("unit-doubtful", f"accelerometer: the reading at rest is {text}"))
     for one in settings.sensors:
         if isinstance(one.settings, CameraSettings):
             own = [c for name, _, c in calibration.sensors if name == one.name and isinstance(c, CameraCalibration)]
             found += [line for camera in own for line in _against_optics(one.name, one.settings, camera)]
     return tuple(found)
+
+
+def _against_gravity(calibration: Calibration, unit: str) -> str:
+    """What the reading at rest has against its unit; empty where it is that of an axis upright or level."""
+    bias, usual = calibration.bias_m_s2, calibration.usual
+    share = abs(bias) / GRAVITY_M_S2
+    if UPRIGHT[0] < share < UPRIGHT[1]:
+        return ""
+    declared = unit if measures(unit, "acceleration") else "m/s^2"
+    reading = bias / si_factor(declared, "acceleration", None)
+    off = [one for one in likely_units(reading) if one != declared]
+    # An offset of the zero, where the motion is larger; or an inclination.
+    by_chance = (usual is not None and usual.peak_m_s2 > abs(bias)) or (
+        OFFSET < share < LEVEL and off and abs(abs(reading) / GRAVITY_READS[off[0]] - 1.0) > SWAPPED_WITHIN
+    )
+    if off and (share > LEVEL or not by_chance):
+        factor = si_factor(off[0], "acceleration", None) / si_factor(declared, "acceleration", None)
+        wrong = f"{factor:.3g} times too small" if factor > 1.0 else f"{1.0 / factor:.3g} times too large"
+        return (
+            f"{reading:+.4g} {declared}; 1 g in {' or '.join(off)} reads the same. Check accelerometer.unit and "
+            f"sensitivity: all displacements may be {wrong}."
+        )
+    if share <= LEVEL:
+        return ""
+    return (
+        f"{bias / GRAVITY_M_S2:.3g} g; a horizontal axis reads 0 g, a vertical one ±1 g. Check accelerometer.unit, "
+        "sensitivity (their error scales all displacements) and inclination."
+    )
 
 
 def expected_m_per_px(camera: CameraSettings, calibration: CameraCalibration) -> float | None:

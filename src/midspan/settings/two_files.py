@@ -252,12 +252,14 @@ def _chosen(path: Path, table: Table, found: "tuple[Channel, ...]", choose: bool
         )
     import numpy as np
 
-    from midspan.sources.accelerometer.units import measures, si_factor
+    from midspan.sources.accelerometer.units import likely_units, measures, si_factor
 
     upright = []
     for one in found:
         # A channel that reads gravity.
-        if measures(one.unit, "acceleration"):
+        if one.unit is None and table is ACCELERATION:
+            upright += [one] if likely_units(float(np.nanmean(one.values))) else []
+        elif measures(one.unit, "acceleration"):
             mean = float(np.nanmean(one.values)) * si_factor(str(one.unit), "acceleration", None)
             upright += [one] if abs(abs(mean) / GRAVITY_M_S2 - 1.0) < UPRIGHT else []
     chosen = upright[0] if len(upright) == 1 else found[0]
@@ -323,6 +325,8 @@ def _camera(
 
     section, source, timed = frames
     info = source.info
+    if info.frame_count == 1:
+        raise UsageError(f"{video}: is a single picture. Give the video, a folder of images, or `folder/*.png`.")
     found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
     keys = recording_sections()
     found.put(section, "direction", given.direction or DIRECTION, described(keys, f"{section}.direction"))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from midspan.errors import MidspanError
 from midspan.progress import Progress
 from midspan.records import NANOSECONDS, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region
+from midspan.vision.blocks import EVERY, Blocks
 from midspan.vision.candidates import Candidate
 from midspan.vision.roi import RegionChoice, RoiSettings, choose_region, further_places
 from midspan.vision.template import TemplateSettings, TemplateTracker
@@ -34,6 +35,8 @@ NOTABLE_MISSED = 0.02
 # This many places are tried, of which this many may be ones that most of the picture does not move with.
 TRIAL_PLACES = 6
 TRIAL_OUTSIDERS = 2
+# Of places across an edge this many are moved.
+MAX_ACROSS = 2
 # While too few places are clean, other places are tried, this many times.
 MORE_ROUNDS = 3
 
@@ -91,8 +94,9 @@ def choose_targets(
     places = trial_places(choice.candidates)
     if judge is None or len(places) < 2:
         return choice
-    trial = _Trial(read, _trial_frames(time_ns, request), progress, judge)
+    trial = _Trial(read, _trial_frames(time_ns, request), progress, judge, request.direction)
     found = trial.of([place.region for place in places])
+    choice, found = _as_one(choice, found, trial)
     for _ in range(MORE_ROUNDS):
         fitting = _fitting(found)
         clean = [region for region in fitting if found[region].missed < NOTABLE_MISSED]
@@ -109,6 +113,25 @@ def choose_targets(
         added = tuple(Candidate(region, std_px, nothing, np.nan) for region, std_px in more if region in tried)
         choice = replace(choice, candidates=(*choice.candidates, *added))
     return judged(choice, found, request.count) if found else choice
+
+
+def _as_one(
+    choice: RegionChoice, found: dict[Region, Agreement], trial: "_Trial"
+) -> tuple[RegionChoice, dict[Region, Agreement]]:
+    """The choice with places that move as one instead of those across the edge of what moves."""
+    across = [region for region in found if trial.places[region] != (region,)]
+    fitting = sorted((region for region in across if np.isfinite(found[region].std_m)), key=lambda r: found[r].cost_m)
+    origin = {place: whole for whole in fitting[:MAX_ACROSS] for place in trial.places[whole]}
+    tried = trial.of(list(origin)) if origin else {}
+    # A place that is across an edge in its turn is no better.
+    tried = {region: one for region, one in tried.items() if trial.places[region] == (region,)}
+    if not any(np.isfinite(one.std_m) for region, one in (found | tried).items() if region not in across):
+        return choice, found
+    known, nothing = {one.region: one for one in choice.candidates}, PixelTrack.stack([])
+    added = [Candidate(one, known[origin[one]].predicted_std_px, nothing, np.nan) for one in tried]
+    text = "it lies across the edge of what moves"
+    found = {r: replace(one, std_m=np.inf, text=text) if r in across else one for r, one in found.items()}
+    return replace(choice, candidates=(*choice.candidates, *added)), found | tried
 
 
 def trial_places(ranked: Sequence[Candidate]) -> list[Candidate]:
@@ -179,25 +202,32 @@ class _Trial:
     """Places followed through chosen frames, and judged.
 
     near: whether one of them fits within the range of clock offsets. Nothing is looked for beyond it then: leaves may
-    happen to fit there.
+    happen to fit there. places: as of `Blocks.places`.
     """
 
     read: Reader
     wanted: NDArray[np.int64]
     progress: Progress
     judge: Judge
+    axis: str
     near: bool = field(default=False, init=False)
+    places: dict[Region, tuple[Region, ...]] = field(default_factory=dict, init=False)
 
     def of(self, regions: Sequence[Region]) -> dict[Region, Agreement]:
         """What the accelerometer says of each region; those without a template there are left out."""
         trackers: list[TemplateTracker | None] = []
         rows: list[list[PixelTranslation]] = [[] for _ in regions]
+        blocks = [Blocks(region, self.axis) for region in regions]
         # One frame after the other: hundreds of large ones would not fit into memory.
-        for frame in _taken(self.read, self.wanted, self.progress, "trying the region's candidates") if regions else ():
+        frames = _taken(self.read, self.wanted, self.progress, "trying the region's candidates") if regions else ()
+        for number, frame in enumerate(frames):
             trackers = trackers or [_opened(frame, region) for region in regions]
             for tracker, found in zip(trackers, rows, strict=True):
                 if tracker is not None:
                     found.append(tracker.push(frame))
+            for one in blocks if number % EVERY == 0 else ():
+                one.push(frame)
+        self.places |= {one.region: one.places() for one in blocks}
         tracks = {r: PixelTrack.stack(found) for r, found in zip(regions, rows, strict=True) if found}
         judged = {region: self.judge(track, False) for region, track in tracks.items()}
         self.near = self.near or any(np.isfinite(one.std_m) for one in judged.values())

@@ -9,29 +9,30 @@ from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.camera.disagreement import agreed, certainly_tilts, m_per_px
 from midspan.calibration.camera.tilt import tilt_of
-from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
+from midspan.calibration.camera.view import SeenTarget, View, printed_along, scale_on_any_clock
 from midspan.calibration.camera.zoom import without_zoom
 from midspan.calibration.common_offset import Fitted, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import MIN_FRAMES, Pair, measured_rows
 from midspan.calibration.frequency_response import FrequencyResponse
 from midspan.calibration.noise import learn_motion
+from midspan.calibration.own_error import OwnError
 from midspan.calibration.own_noise import contradiction, strange_noise
 from midspan.calibration.scale import PARTS, REFUSED_ABOVE, ScaleCalibration, of_no_camera, start_noise, too_vague
-from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.camera import SLOW_TILT, CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit, bias_of
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice, rounded
 from midspan.records import NANOSECONDS, InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
+from midspan.vision.picture_report import PictureReport
 from midspan.vision.region_choice import USELESS
 
-# A camera that sways tilts slowly as well, with its structure and in the sun, which neither the accelerometer nor one
-# distance shows: by this many times what it sways by at its own frequency. Footbridges of the kind of the scenario
-# `tilting-footbridge` need 1.6 to 3.
-SLOW_TILT = 3.0
 # What sways more slowly than this, Hz, is a mast, whose slow tilt is the sway itself.
 BRACKET_HZ = 1.0
+# What a codec leaves out it makes up for in some frames, which looks like an oscillator with a share of the critical
+# damping that no mast has. Its size is predicted to about this factor.
+CODEC_DAMPING, CODEC_WITHIN = 0.1, 1.5
 
 CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
@@ -181,9 +182,10 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     apart_s: list[float] = []
+    more: list[str] = []
     for target in targets:
         try:
-            own = scale_of(view, camera_pair(view, target.rows, target.blur_s))
+            own = scale_on_any_clock(view, target)
             _refuse_pattern(target.tracker.scale_share_std, own.scale)
             _refuse_compression(target.with_picture_error(own.scale, view.axis), own.scale)
             found.append(own)
@@ -191,6 +193,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
         except UntrustedError as error:
             found.append(None)
             reasons.append(str(error))
+            more += [error.more] if error.more else []
             if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
                 apart_s.append(error.clock_offset_s + view.late_ns / NANOSECONDS)
     fit = Fitted(tuple(found), tuple(reasons))
@@ -201,8 +204,8 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
         return fit
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
-    text = " ".join((*lines, *reported()))
-    raise NoAgreementError(text, float(np.median(apart_s))) if apart_s else UntrustedError(text)
+    text, rest = " ".join(lines), " ".join((*more, *reported()))
+    raise NoAgreementError(text, float(np.median(apart_s)), rest) if apart_s else UntrustedError(text, rest)
 
 
 def _tilts(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> bool:
@@ -233,7 +236,7 @@ def _refuse_compression(scale: ScaleFactor, estimated: ScaleFactor) -> None:
     codec = np.sqrt(scale.variance - estimated.variance) / abs(scale.value_m_per_px)
     raise UntrustedError(
         f"Too much compression to calibrate the scale factor: {1e3 * scale.value_m_per_px:.4g} mm/px ± "
-        f"{100 * relative:.2g} %, of which ± {100 * codec:.2g} % from the video compression; at most ± "
+        f"{rounded(100 * relative)} %, of which ± {rounded(100 * codec)} % from the video compression; at most ± "
         f"{100 * REFUSED_ABOVE:g} % is accepted. Record with a higher bit rate or without compression, or choose a "
         "camera.roi with more contrast or a calibration.window_s with more image motion."
     )
@@ -281,11 +284,15 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     warnings = [*notices, *_left_out(camera)]
     for one, target in used[: 1 if fit.tilt is not None else None]:
         warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
-    search, tilt_m = found.search, camera.apart_std_m
+    search, tilt_m, best = found.search, camera.apart_std_m, seen[_best(camera.targets)]
     own = found.own
+    codec_own = own is not None and of_codec(own, best.picture)
     taken = own if own is not None and own.taken and fit.tilt is None else None
     apart_m, slow_m = _contradicted_m(found, tilt_seen=fit.tilt is not None)
-    lever = seen[_best(camera.targets)].levers.get(camera.direction)
+    if codec_own:
+        # What compression makes of a translation is noise of the rows, and no vibration.
+        apart_m = 0.0
+    lever = best.levers.get(camera.direction)
     if lever is not None:
         apart_m = float(np.hypot(apart_m, lever.left_px * abs(found.scale.value_m_per_px)))
         warnings.append(lever.text(found.scale.value_m_per_px))
@@ -308,8 +315,8 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
     warnings += _zero_warnings(start_m, drifts=start.drifts)
-    warnings += _apart_warnings(found, coloured, slow_m, apart_m, tilt_seen=fit.tilt is not None)
-    best = seen[_best(camera.targets)]
+    if not codec_own:
+        warnings += _apart_warnings(found, coloured, slow_m, apart_m, tilt_seen=fit.tilt is not None)
     parts = {
         "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
         "compression": best.codec_std(camera.direction),
@@ -341,6 +348,14 @@ def _contradicted_m(found: ScaleCalibration, *, tilt_seen: bool) -> tuple[float,
     unknown_m = 0.0 if own.alone and own.taken and not tilt_seen else slow_m
     tilt_m = SLOW_TILT * slow_m if _tilts_unseen(found, tilt_seen=tilt_seen) else 0.0
     return float(np.hypot(unknown_m, tilt_m)), slow_m
+
+
+def of_codec(own: OwnError, picture: PictureReport | None) -> bool:
+    """Whether an error of the image is what compression makes of it: of its size, without a resonance."""
+    if picture is None or not own.sways:
+        return False
+    damped = own.hertz * own.time_s < 1.0 / (2.0 * np.pi * CODEC_DAMPING)
+    return damped and own.std <= CODEC_WITHIN * picture.compression.std_px
 
 
 def _tilts_unseen(found: ScaleCalibration, *, tilt_seen: bool) -> bool:

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better
-from midspan.calibration.camera.calibrate import SLOW_TILT, CameraFit
+from midspan.calibration.camera.calibrate import CameraFit
 from midspan.calibration.camera.rotation import CONTRADICT_SHARE, CONTRADICT_STD, MAX_FOCAL_STD, Compared, Settled
 from midspan.calibration.camera.turning import SEEN_HZ, Turning, turning_of
 from midspan.calibration.camera.view import SeenTarget, View
 from midspan.calibration.camera.zoom import without_zoom
 from midspan.calibration.common_offset import Fitted, weighted_median
 from midspan.calibration.scale import ScaleCalibration
+from midspan.calibration.sensors.camera import SLOW_TILT
 from midspan.errors import UntrustedError
 from midspan.notices import Notice, rounded
 from midspan.records import ScaleFactor, TimeSeries

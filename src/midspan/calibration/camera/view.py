@@ -26,6 +26,8 @@ from midspan.vision.tracker import Tracker
 
 # What stands in `papers`, above this room: a scale factor and a clock offset as the papers print them.
 PRINTED = "midspan.papers.printed.camera:calibrate_printed"
+# So far beyond the calibration window a clock is looked for, s.
+BEYOND_S = 30.0
 # A printed scale factor that is off by more than this share is no calibration; the papers differ by up to a tenth.
 MAX_APART = 0.5
 
@@ -139,7 +141,7 @@ class SeenTarget:
 def camera_pair(view: View, track: PixelTrack, blur_s: float, *, beyond: bool = False) -> Pair:
     """A target's translation along the axis, its stamps later by `late_ns`, and the acceleration, in the window.
 
-    beyond: whether with what lies after the track, too, as where its clock is looked for there.
+    beyond: whether with what lies before and after the window, too, as where its clock is looked for there.
     """
     first, last = view.window_ns
     if not len(track.time_ns):
@@ -149,8 +151,9 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float, *, beyond: bool = 
     # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
     margin = round(view.max_offset_s * NANOSECONDS)
     time_ns = track.time_ns + view.late_ns
+    reach = round(BEYOND_S * NANOSECONDS) if beyond else 0
     last = last if beyond else min(last, int(time_ns[-1]) + margin + NANOSECONDS)
-    window = inside(view.prepared.time_ns, first, last)
+    window = inside(view.prepared.time_ns, first - reach, last + reach)
     value, variance = track.along(view.axis)
     inner = inside(time_ns, first + margin, last - margin)
     rows = measured_rows(time_ns[inner], value[inner], variance[inner], first)
@@ -172,6 +175,23 @@ def scale_of(view: View, pair: Pair, *, slow_errors: bool = True) -> ScaleCalibr
         clocks_open=view.clocks_open,
         slow_errors=slow_errors,
     )
+
+
+def scale_on_any_clock(view: View, target: SeenTarget) -> ScaleCalibration:
+    """As `scale_of`; where nothing is said of the clocks, a refusal names the offset beyond the window that agrees."""
+    try:
+        return scale_of(view, camera_pair(view, target.rows, target.blur_s))
+    except NoAgreementError as error:
+        if error.clock_offset_s is not None or not view.clocks_open:
+            raise
+        try:
+            scale_of(view, camera_pair(view, target.rows, target.blur_s, beyond=True))
+        except NoAgreementError as farther:
+            if farther.clock_offset_s is not None:
+                raise farther from None
+        except UntrustedError:
+            pass
+        raise
 
 
 def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> tuple[ScaleFactor, TimeOffset]:

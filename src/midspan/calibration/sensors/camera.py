@@ -9,6 +9,11 @@ from midspan.calibration.scale import ScaleCalibration
 from midspan.records import Displacement, PixelTrack, Region, ScaleFactor, Source, TimeOffset
 from midspan.vision.lens import Lens
 
+# A camera that sways tilts slowly as well, with its structure and in the sun, which neither the accelerometer nor one
+# distance shows: by this many times what it sways by at its own frequency. Footbridges of the kind of the scenario
+# `tilting-footbridge` need 1.6 to 3.
+SLOW_TILT = 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class CameraScale:
@@ -115,6 +120,11 @@ class CameraCalibration:
         """Number, among those used, of the target with the least noise, whose zero is that of the displacement."""
         noise = [abs(m.scale_m_per_px) * t.noise_std_px for m, t in zip(self.mappings(), self.used, strict=True)]
         return noise.index(min(noise))
+
+    @property
+    def holds_tilt(self) -> bool:
+        """Whether the slow tilt of a camera that sways is in `apart_std_m`."""
+        return 0.0 < SLOW_TILT * self.slow_std_m <= self.apart_std_m
 
     @property
     def relative_std(self) -> float:

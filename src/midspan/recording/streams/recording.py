@@ -95,8 +95,9 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """The recording's name, or its folder's."""
-        return self.settings.name or self.folder.resolve().name
+        """The recording's name, or its folder's; of two files theirs."""
+        whole = self.folder.resolve().name if self.file.suffix == ".toml" else self.file.name
+        return self.settings.name or whole
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

@@ -25,6 +25,25 @@ TIME_UNITS = {
     **dict.fromkeys(("h", "hours"), 3600 * NANOSECONDS),
 }
 
+TIME_NAMES = (
+    *(
+        "time",
+        "time_s",
+        "time_ns",
+        "time_us",
+        "time_ms",
+        "t",
+        "t_s",
+        "timestamp",
+        "time_stamp",
+        "datetime",
+        "date_time",
+    ),
+    *("date", "epoch", "utc", "seconds", "sec", "elapsed", "x_value", "zeit", "temps", "tiempo"),
+)
+
+# How the note ends on a column of times without any.
+TEXT = "left out: it holds words, no times"
 # From this magnitude on a number without a unit is an epoch in ms, µs, ns: the year 5138 in s is 1e11.
 _EPOCH_MAGNITUDES = ((1e17, 1, "ns"), (1e14, 1_000, "µs"), (1e11, 1_000_000, "ms"))
 
@@ -35,6 +54,12 @@ _CLOCK_PATTERN = re.compile(rf"^{_CLOCK}$")
 _STAMP_PATTERN = re.compile(rf"^(?:{_DATE})(?:T|\s+)(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?Z?)$")
 _THOUSANDTHS = r"^(.*\d{1,2}:\d{2}:\d{2}):(\d{1,3})$"
 _ZONE_PATTERN = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
+
+
+def is_time_name(name: str) -> bool:
+    """Whether a channel of this name holds times."""
+    last = re.split(r"[/.]", name.lower())[-1].strip()
+    return last in TIME_NAMES or last.startswith(("time", "zeit")) or "timestamp" in last
 
 
 def is_date(text: str) -> bool:

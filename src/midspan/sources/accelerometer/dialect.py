@@ -7,7 +7,7 @@ from pathlib import Path
 
 from midspan.errors import DataError
 from midspan.sources.accelerometer.channel import distinct
-from midspan.sources.accelerometer.clock import TIME_UNITS, is_clock, is_date, is_time_text
+from midspan.sources.accelerometer.clock import TIME_UNITS, is_clock, is_date, is_time_name, is_time_text
 from midspan.sources.accelerometer.units import ACCELERATION_UNITS, LENGTH_UNITS, VOLTAGE_UNITS
 
 SAMPLE_BYTES = 1 << 18
@@ -31,6 +31,11 @@ _OTHER_UNITS = (
 )
 _KNOWN_UNITS = frozenset(
     [u.lower() for u in ACCELERATION_UNITS + LENGTH_UNITS + VOLTAGE_UNITS] + [*TIME_UNITS, *_OTHER_UNITS.split()]
+)
+# A line of the preamble with the unit of all channels.
+_VALUE_UNITS = frozenset(u.lower() for u in (*ACCELERATION_UNITS, "m/s²", "mm/s²", "cm/s²", *LENGTH_UNITS))
+_UNIT_LINE = re.compile(
+    r'^\W*(?:units?|unité|unite|einheit|unidad)s?\s*"?\s*[:;=,\t]\s*"?(?P<unit>[^\s;,"]+)', re.IGNORECASE
 )
 # How a column of times says that it is written, such as hh:mm:ss or dd/mm/yyyy (jj, aaaa in French).
 _TIME_FORM = re.compile(r"([djmyahsf])\1*([:/.,\-\s]+([djmyahsf])\3*)+", re.IGNORECASE)
@@ -288,12 +293,24 @@ def _headings(
     named = [named_unit(name) for name in names]
     found = tuple(row or bracket for row, (_, bracket) in zip(units[: len(named)], named, strict=True))
     bare = [name for name, _ in named]
+    valued = [unit for unit in found if unit is not None and unit.lower() not in TIME_UNITS]
+    if not valued and (stated := _stated_unit(lines[: guess.first])):
+        found = tuple(unit or (None if is_time_name(name) else stated) for unit, name in zip(found, names, strict=True))
+        notes.append(f"unit {stated} in the preamble")
     distinct_names: list[str] = []
     for k, (name, short) in enumerate(zip(names, bare, strict=True)):
         # Two columns that differ in the unit alone keep their whole heading.
         shown = short if bare.count(short) == 1 else name
         distinct_names.append(distinct(shown or f"column_{k + 1}", distinct_names))
     return tuple(distinct_names), found, tuple(notes)
+
+
+def _stated_unit(preamble: list[str]) -> str | None:
+    """The unit of all channels that a line such as `Unit: g` or `Unité;m/s²` gives; None without one."""
+    for match in filter(None, map(_UNIT_LINE.match, preamble)):
+        if (unit := _unit_text(match["unit"])) and unit.lower() in _VALUE_UNITS:
+            return unit
+    return None
 
 
 def _heading_fields(line: str, guess: _Guess) -> list[str]:

@@ -12,28 +12,12 @@ from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.records import Floats, Nanoseconds, TimeSeries
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, even_ns
-from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
+from midspan.sources.accelerometer.clock import NOT_A_TIME, TEXT, TIME_NAMES, is_time_name, numbers_to_ns
 from midspan.sources.accelerometer.dialect import SPLIT, named_unit
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.stamps import repeated_rows, spread_equal_stamps
-from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
+from midspan.sources.accelerometer.units import SI_UNITS, likely_units, measures, si_factor
 
-_TIME_NAMES = (
-    *(
-        "time",
-        "time_s",
-        "time_ns",
-        "time_us",
-        "time_ms",
-        "t",
-        "t_s",
-        "timestamp",
-        "time_stamp",
-        "datetime",
-        "date_time",
-    ),
-    *("date", "epoch", "utc", "seconds", "sec", "elapsed", "x_value", "zeit", "temps", "tiempo"),
-)
 _VALUE_NAMES = {
     "acceleration": re.compile(r"acc|beschl|(^|[_./ ])a([xyz]|_|$)", re.IGNORECASE),
     "displacement": re.compile(r"disp|defl|height|hoehe|höhe|level|verschieb|durchbieg|lvdt|laser|pos", re.IGNORECASE),
@@ -83,7 +67,7 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     own_clock = any(c.time_ns is not None or c.rate_hz is not None for c in found.channels)
     if request.time is not None:
         # The usual word for time, where there is no such channel, means the file's own clock.
-        is_meant = own_clock and request.time not in found.names and request.time.lower() in _TIME_NAMES
+        is_meant = own_clock and request.time not in found.names and request.time.lower() in TIME_NAMES
         clock = None if is_meant else find_channel(path, found, request.time, "time")
     channel = _value_channel(path, found, request, clock)
     clock = clock or _guessed_time(found, request, channel)
@@ -132,7 +116,8 @@ def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channe
     if left_out is not None and not matches:
         raise DataError(f"{path}: {key} = {wanted!r}: {left_out}.")
     problem = f"stands for {len(matches)} channels" if matches else "is not in the file"
-    hint = nearest(wanted, names)
+    parts = [name for name in names if re.search(rf"(?<!\w){re.escape(wanted)}(?!\w)", name, re.IGNORECASE)]
+    hint = f"Did you mean {parts[0]!r}?" if len(parts) == 1 and not matches else nearest(wanted, names)
     raise UsageError(f"{path}: {key} = {wanted!r} {problem}. {hint} It holds {_listing(names)}.".replace("  ", " "))
 
 
@@ -142,8 +127,7 @@ def _listing(names: tuple[str, ...]) -> str:
 
 
 def _is_clock(channel: Channel) -> bool:
-    last = re.split(r"[/.]", channel.name.lower())[-1].strip()
-    return channel.unit == "ns" or last in _TIME_NAMES or last.startswith(("time", "zeit")) or "timestamp" in last
+    return channel.unit == "ns" or is_time_name(channel.name)
 
 
 def named_after(name: str, quantity: str) -> bool:
@@ -217,6 +201,8 @@ def _times(
         notes.append(f"time from the file's rate of {channel.rate_hz:.9g} Hz")
         return even_ns((channel.start_ns or 0) + start_ns, channel.size, channel.rate_hz)
     if request.rate_hz is None:
+        if text := next((note for note in notes if note.endswith(TEXT)), None):
+            raise UsageError(f"{path}: {text}. Write its times as seconds or ISO 8601, or give rate_hz (Hz).")
         raise UsageError(f"{path}: {channel.name!r} has no time. Give rate_hz (Hz), or time with a channel of times.")
     notes.append(f"time from rate_hz = {request.rate_hz:.9g} Hz and start_s = {request.start_s:g} s")
     return even_ns(start_ns, channel.size, request.rate_hz)
@@ -250,10 +236,13 @@ def _note_rates(channel: Channel, request: SeriesRequest, notes: list[str]) -> N
 def _unit(path: Path, channel: Channel, request: SeriesRequest, notes: list[str]) -> tuple[str, float]:
     unit = request.unit or channel.unit
     if not unit:
-        raise UsageError(
-            f"{path}: the unit of {channel.name!r} is not in the file. "
-            f"Give unit, such as {SI_UNITS[request.quantity]!r}."
-        )
+        said, likely = f"such as {SI_UNITS[request.quantity]!r}", tuple[str, ...]()
+        if request.quantity == "acceleration":
+            reading = float(np.nanmean(channel.values))
+            likely = likely_units(reading)
+        if likely:
+            said = f"{likely[0]!r}: at rest the values are {reading:.4g}, 1 g in {' or '.join(likely)}"
+        raise UsageError(f"{path}: the unit of {channel.name!r} is not in the file. Give unit, {said}.")
     if request.unit and channel.unit and request.unit != channel.unit:
         notes.append(f"unit {request.unit} as given; the file says {channel.unit}")
     elif not request.unit:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
-from midspan.sources.accelerometer.clock import TIME_UNITS, texts_to_ns
+from midspan.sources.accelerometer.clock import TEXT, TIME_UNITS, is_time_name, texts_to_ns
 from midspan.sources.accelerometer.dialect import BLANKS, Dialect, find_dialect
 from midspan.sources.accelerometer.last_line import cut_last_line
 from midspan.sources.boundary import require_memory
@@ -37,6 +37,7 @@ def read(path: Path) -> ChannelSet:
     text = _Text(path, dialect, None if cut is None else cut[0])
     frame, notes = _parse(text)
     found = [f"encoding {dialect.encoding}", *dialect.notes, *notes]
+    found += [f"{name!r} {TEXT}" for k in dialect.words if is_time_name(name := dialect.names[k])]
     channels: list[Channel] = []
     for k in _numeric_columns(dialect):
         if dialect.joined is not None and k == dialect.joined + 1:

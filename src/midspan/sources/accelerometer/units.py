@@ -47,6 +47,12 @@ _COMMON = {
     "time": {"s": 1.0, "ms": 0.001},
     "voltage": {"V": 1.0},
 }
+# What an axis upright reads at rest in the units of loggers; a gal is a cm/s².
+GRAVITY_READS = {
+    "g": 1.0, "m/s^2": GRAVITY_M_S2, "gal": 1e2 * GRAVITY_M_S2, "mg": 1e3, "mm/s^2": 1e3 * GRAVITY_M_S2,
+}  # fmt: skip
+# An axis inclined by 25 degrees, or a zero offset, takes this share off 1 g.
+UPRIGHT_WITHIN = 0.1
 SI_UNITS = {quantity: row[0] for quantity, row in _QUANTITIES.items()}
 
 
@@ -98,6 +104,12 @@ def measures(unit: str | None, quantity: str) -> bool:
         return False
 
 
+def likely_units(reading: float) -> tuple[str, ...]:
+    """The units in which a reading at rest is 1 g, the nearest one first."""
+    off = {unit: abs(abs(reading) / one_g - 1.0) for unit, one_g in GRAVITY_READS.items()}
+    return tuple(sorted((unit for unit in off if off[unit] < UPRIGHT_WITHIN), key=lambda unit: off[unit]))
+
+
 def si_factor(unit: str, quantity: str, sensitivity: float | None) -> float:
     """The factor from the file's numbers to the SI unit of a quantity.
 
@@ -117,7 +129,7 @@ def si_factor(unit: str, quantity: str, sensitivity: float | None) -> float:
     if volts is None:
         raise UsageError(
             f"unit must measure {quantity}, such as {', '.join(_QUANTITIES[quantity][2][:4])}; received {unit!r}. "
-            f"Choose a channel that measures {quantity}."
+            f"Correct the unit, or choose a channel that measures {quantity}."
         )
     if not sensitivity:
         raise UsageError(f"unit {unit!r} needs sensitivity in V per {si}; received none. Give sensitivity.")
