@@ -17,6 +17,8 @@ from midspan.settings.keys import Key, KeySection, calibration_sections, recordi
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 # A range from which nobody chooses: its ratio, and its upper end.
 WIDE = 1e6
+# How the help of such an option begins.
+TWO_FILES = "Two files:"
 MADE = "<!-- Written by `python tools/reference.py` from the software: change the sentences there. -->"
 KEYS = f"""# Keys of the settings' files
 
@@ -147,8 +149,16 @@ def commands_page() -> str:
         text = [part.replace("\n", " ") for part in inspect.cleandoc(found.help or "").split("\n\n")]
         parts += [f"## {name}", f"`{' '.join(['midspan', name, *usage])}`: {text[0]}", *text[1:]]
         given = [one for one in found.params if isinstance(one, click.Option) and one.name not in ("quiet", "as_json")]
-        parts += ["\n".join(_option(one) for one in given)] if given else []
+        parts += ["\n".join(_options(given))] if given else []
     return "\n\n".join(parts) + "\n"
+
+
+def _options(given: Sequence[click.Option]) -> list[str]:
+    """A line for each option; those of two files, which `init` has too, share one."""
+    both = [one for one in given if (one.help or "").startswith(TWO_FILES)]
+    names = ", ".join(f"`{one.opts[0]}`" for one in both)
+    shared = [f"- {names}: With two files, as in [init](#init)."] if both else []
+    return [*shared, *(_option(one) for one in given if one not in both)]
 
 
 def _option(option: click.Option) -> str:
