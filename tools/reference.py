@@ -4,6 +4,7 @@
 """
 
 import inspect
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,15 +15,17 @@ from midspan.cli.main import COMMANDS
 from midspan.settings.keys import Key, KeySection, calibration_sections, recording_sections, site_sections
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-# Naming keys that an earlier section has alike saves rows from this number on.
-MIN_SHARED = 4
+# A range from which nobody chooses: its ratio, and its upper end.
+WIDE = 1e6
+# How the help of such an option begins.
+TWO_FILES = "Two files:"
 MADE = "<!-- Written by `python tools/reference.py` from the software: change the sentences there. -->"
 KEYS = f"""# Keys of the settings' files
 
 {MADE}
 
-Keys not marked `required` may be omitted. A number outside its range is refused.
-`midspan help SECTION` prints a section, `midspan check-config FILE` the values in force.
+Keys not marked `required` may be omitted. A number outside its range is refused; `midspan help SECTION` also prints
+ranges that only catch typing errors, `midspan check-config FILE` the values in force.
 [Configuration](configuration.md) explains signs, clocks, and how sections work together.
 
 | file | sections |
@@ -76,28 +79,48 @@ def anchor(heading: str) -> str:
 
 
 def _tables(file: str, sections: Sequence[KeySection]) -> list[str]:
-    """Heading, sentence and list of each section; keys that an earlier section has alike are named alone."""
+    """Heading, sentence and list of each section; keys that earlier sections have alike are named alone."""
     parts: list[str] = []
-    before: dict[Key, str] = {}
+    before: list[tuple[KeySection, list[str]]] = []
     for section in (one for one in sections if one.keys):
-        parts += [f"### {_heading(file, section)}", section.text] if section.name else []
-        alike: dict[str, list[Key]] = {}
-        for key in section.keys:
-            alike.setdefault(before.get(key, ""), []).append(key)
-        shared = {place: keys for place, keys in alike.items() if place and len(keys) >= MIN_SHARED}
-        parts += [_shared(keys, next(one for one in sections if one.name == place)) for place, keys in shared.items()]
-        named = [key for keys in shared.values() for key in keys]
-        rows = [_line(key, file) for key in section.keys if key not in named]
+        lines = [_line(key, file) for key in section.keys]
+        alike = next((one for one, theirs in before if theirs == lines), None)
+        parts += [f"### {_heading(file, section)}"] if section.name else []
+        if alike:
+            text = "As" if alike.text == section.text else f"{section.text} Keys as in"
+            parts += [f"{text} [{alike.name}]."]
+            continue
+        parts += [section.text] if section.name else []
+        shared = _shared(lines, before)
+        named = {line for _, taken in shared for line in taken}
+        parts += [f"As in {'; '.join(_names(*one) for one in shared)}."] if shared else []
+        rows = [line for line in lines if line not in named]
         parts += ["\n".join(rows)] if rows else []
-        before = dict.fromkeys(section.keys, section.name) | before
+        before.append((section, lines))
     return parts
 
 
-def _shared(keys: Sequence[Key], source: KeySection) -> str:
+def _shared(
+    lines: Sequence[str], before: Sequence[tuple[KeySection, list[str]]]
+) -> list[tuple[tuple[KeySection, list[str]], list[str]]]:
+    """Earlier sections with the lines that a section has from them: the section that has most of them first."""
+    left, found = list(lines), []
+    while before:
+        source = max(before, key=lambda one: sum(line in one[1] for line in left))
+        taken = [line for line in left if line in source[1]]
+        if not taken:
+            break
+        found.append((source, taken))
+        left = [line for line in left if line not in taken]
+    return found
+
+
+def _names(source: tuple[KeySection, list[str]], taken: Sequence[str]) -> str:
     """The keys that a section has from another one: those named, or all but the others, whichever is shorter."""
-    others = [key for key in source.keys if key not in keys]
-    which, listed = ("all but ", others) if others and len(others) < len(keys) else ("", keys)
-    return f"As in [{source.name}]: {'all' if not others else which + ', '.join(f'`{key.name}`' for key in listed)}."
+    others = [line for line in source[1] if line not in taken]
+    which, listed = ("all but ", others) if len(others) < len(taken) else ("", taken)
+    names = ", ".join(f"`{line.split('`')[1]}`" for line in listed)
+    return f"[{source[0].name}]: {'all' if not others else which + names}"
 
 
 def _line(key: Key, file: str) -> str:
@@ -105,7 +128,16 @@ def _line(key: Key, file: str) -> str:
     if file == "calibration.json":
         return f"- `{key.name}`: {key.text}"
     default = f"default `{key.default}`" if key.default not in ("", "required") else key.default
-    return f"- `{key.name}` ({', '.join(filter(None, (key.values, default)))}): {key.text}"
+    given = ", ".join(filter(None, (_shown(key.values), default)))
+    return f"- `{key.name}`{f' ({given})' if given else ''}: {key.text}"
+
+
+def _shown(values: str) -> str:
+    """The values of a key; of a range that only catches typing errors, the unit alone."""
+    found = re.fullmatch(r"(-?[\d.e-]+) … (\S+) ?(.*)", values)
+    if not found or float(found[2]) < max(WIDE * float(found[1]), WIDE):
+        return values
+    return found[3]
 
 
 def commands_page() -> str:
@@ -117,8 +149,16 @@ def commands_page() -> str:
         text = [part.replace("\n", " ") for part in inspect.cleandoc(found.help or "").split("\n\n")]
         parts += [f"## {name}", f"`{' '.join(['midspan', name, *usage])}`: {text[0]}", *text[1:]]
         given = [one for one in found.params if isinstance(one, click.Option) and one.name not in ("quiet", "as_json")]
-        parts += ["\n".join(_option(one) for one in given)] if given else []
+        parts += ["\n".join(_options(given))] if given else []
     return "\n\n".join(parts) + "\n"
+
+
+def _options(given: Sequence[click.Option]) -> list[str]:
+    """A line for each option; those of two files, which `init` has too, share one."""
+    both = [one for one in given if (one.help or "").startswith(TWO_FILES)]
+    names = ", ".join(f"`{one.opts[0]}`" for one in both)
+    shared = [f"- {names}: With two files, as in [init](#init)."] if both else []
+    return [*shared, *(_option(one) for one in given if one not in both)]
 
 
 def _option(option: click.Option) -> str:
