@@ -270,7 +270,7 @@ fn velocity_tilt_and_its_rate_are_a_row_each() {
         let (input, next) = ((0.1 * f64::from(k)).sin(), (0.1 * f64::from(k + 1)).sin());
         let (slope, mut now) = ((next - input) / step, from);
         let own = |t: f64| (input + slope * (t - from), slope);
-        let mut go = |plain: &mut Plain, to: f64, now: &mut f64| {
+        let go = |plain: &mut Plain, to: f64, now: &mut f64| {
             let dt = to - *now;
             if dt <= 0.0 {
                 return;
